@@ -1,0 +1,1 @@
+"""The orchestrator: owns the campaign, dispatches rollouts to workers and issues the certificate."""

@@ -1,0 +1,1 @@
+"""From observations to bounds, from bounds to claims, and the audit of their assumptions."""

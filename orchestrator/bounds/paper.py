@@ -1,0 +1,280 @@
+"""Method `paper`: Algorithm 1 of [ARA] as printed, with its silent choices made options.
+
+| symbol      | name           | meaning                                                     | shape | unit   |
+|-------------|----------------|-------------------------------------------------------------|-------|--------|
+| J, J*       |                | maximised objective, its maximum                            |       | unit J |
+| m0          | `prior_mean`   | the Gaussian process models J - m0                          | ()    | unit J |
+| i           | `n`            | observations before the proposal; test 0 is the start       | ()    | -      |
+| eta_i       | `eta(i)`       | 2/i                                                         | ()    | -      |
+| K_i         |                | kernel matrix of tests 0 .. i-1                             | (i,i) | -      |
+| lambda      | `regulariser`  | added to K_i in mean and variance: 1 + eta_i, or a number   | ()    | -      |
+| beta_i      | `beta`         | scale of the band                                           | ()    | unit J |
+| mu, sigma   | `mu`, `sigma`  | posterior of J; sigma is the variance or its square root    | (m,)  | unit J, - |
+| F_i         | `F`            | bound on the simple regret of test i                        | ()    | unit J |
+| B, R        | `rkhs_norm`, `noise_scale` | norm bound of J - m0, sub-Gaussian scale per test | ()  | unit J |
+| delta       | `delta`        | failure probability of the band                             | ()    | -      |
+| alpha, c    | `alpha`, `c`   | tolerance, noise margin                                     | ()    | unit J |
+| eps         | `epsilon`      | claimed upper bound of J*                                   | ()    | unit J |
+| Delta       | `mills_probability` | claimed probability of J* <= eps                       | ()    | -      |
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from orchestrator.gp.acquisition import maximiser
+from orchestrator.gp.kernels import Floats, Matern
+from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.posterior import Posterior
+
+Regulariser = float | Literal["1+eta"]
+SigmaReading = Literal["variance", "std"]
+Tail = Literal["gaussian", "sub-gaussian"]
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """The next test: its node, and what the data before it said there.
+
+    `x` (p,) has the parameters' units, `mu` and `F` the unit of J. The start has no `beta` and no `F`.
+    """
+
+    index: int
+    x: tuple[float, ...]
+    mu: float
+    sigma: float
+    beta: float | None
+    F: float | None
+
+
+def eta(i: int) -> float:
+    """Return eta_i = 2/i, the i-th proposal's share of the regulariser.
+
+    Raises:
+        ValueError: i < 1; proposal 0 is the start and has no eta.
+
+    >>> eta(4)
+    0.5
+
+    """
+    if i < 1:
+        raise ValueError(f"eta_i needs i >= 1, not {i}")
+    return 2.0 / i
+
+
+def beta(information: float, rkhs_norm: float, noise_scale: float, delta: float) -> float:
+    """Return the scale of the confidence band, in the unit of J.
+    Implements eq. (beta) of [ARA].
+
+    Formula: beta_i = B + R sqrt(2 ln( sqrt(det((1 + eta_i) I + K_i)) / delta )), `information` being the ln det.
+    Assumes ||J - m0||_k <= B and R-sub-Gaussian noise.
+
+    Raises:
+        ValueError: delta is outside (0, 1).
+
+    >>> round(beta(math.log(3 + 1), rkhs_norm=0.25, noise_scale=0.005, delta=0.05), 6)
+    0.263581
+
+    """
+    _check_probability(delta)
+    return rkhs_norm + noise_scale * math.sqrt(information + 2.0 * math.log(1.0 / delta))
+
+
+def upper_confidence_bound(mu: Floats, sigma: Floats, scale: float) -> Floats:
+    """Return the acquisition function on every node, shape (m,), in the unit of `mu`.
+    Implements eq. (UCB) of [ARA].
+
+    Formula: mu(z) + beta_i sigma(z), beta_i being `scale`.
+
+    >>> upper_confidence_bound(np.array([0.5]), np.array([0.25]), 2.0).tolist()
+    [1.0]
+    """
+    return mu + scale * sigma
+
+
+def regret_bound(scale: float, sigma: float) -> float:
+    """Return F_i, which bounds J* - J(z_i), in the unit of J.
+    Implements eq. (F) of [ARA].
+
+    Formula: F_i = 2 beta_i sigma_{i-1}(z_i), beta_i being `scale`. Assumes that the band holds.
+
+    >>> regret_bound(0.25, 0.03)
+    0.015
+    """
+    return 2.0 * scale * sigma
+
+
+def epsilon(y: float, regret: float, alpha: float, c: float) -> float:
+    """Return the claimed upper bound of J*, in the unit of J, from the last observation `y` and its F.
+    Implements eq. (alpha_bound) of [ARA].
+
+    Formula: eps = y_i + max(alpha, F_i) + c, which is y_i + alpha + c once F_i <= alpha.
+    Deviation: for F_i > alpha, a stop at a test fixed beforehand (the budget), where Lemma 1 and Mill's inequality
+    give the same probability; a stop chosen after looking at y_i has no such claim.
+
+    >>> round(epsilon(0.27, regret=0.008, alpha=0.01, c=0.1), 6)
+    0.38
+    """
+    return y + max(alpha, regret) + c
+
+
+def tail_probability(c: float, noise_scale: float, tail: Tail) -> float:
+    """Return an upper bound on P[noise > c], dimensionless, within [0, 1].
+
+    Formula: gaussian R/(c sqrt(2 pi)) exp(-c^2/(2R^2)); sub-gaussian exp(-c^2/(2R^2)). Without noise (R = 0) it is 0.
+    Assumes c > 0 and noise that is Gaussian with standard deviation at most R, or R-sub-Gaussian, respectively.
+
+    Raises:
+        ValueError: c is not positive, R is negative, or the tail is unknown.
+
+    >>> round(tail_probability(0.2, 0.1, "sub-gaussian"), 6)
+    0.135335
+
+    """
+    if not (c > 0 and math.isfinite(c) and noise_scale >= 0 and math.isfinite(noise_scale)):
+        raise ValueError(f"c must be positive, noise_scale not negative, both finite; not {c!r} and {noise_scale!r}")
+    ratio = math.inf if noise_scale == 0 else c / noise_scale
+    exponential = math.exp(-0.5 * ratio * ratio)
+    if tail == "sub-gaussian":
+        return exponential
+    if tail == "gaussian":
+        divisor = ratio * math.sqrt(2.0 * math.pi)
+        return 1.0 if divisor <= exponential else exponential / divisor
+    raise ValueError(f"tail is 'gaussian' or 'sub-gaussian', not {tail!r}")
+
+
+def mills_probability(c: float, delta: float, noise_scale: float, tail: Tail) -> float:
+    """Return Delta, the claimed probability of J* <= eps, dimensionless.
+    Implements eq. (probfac) of [ARA].
+
+    Formula: Delta = (1 - P[noise > c]) (1 - delta), the tail as in `tail_probability`.
+    Deviation: Mill's inequality as printed is a Gaussian tail; `sub-gaussian` is what R-sub-Gaussian noise gives.
+
+    Raises:
+        ValueError: delta is outside (0, 1), c is not positive, R is negative, or the tail is unknown.
+
+    >>> round(mills_probability(0.2, 0.05, 0.1, "gaussian"), 6)
+    0.924354
+
+    """
+    _check_probability(delta)
+    return (1.0 - tail_probability(c, noise_scale, tail)) * (1.0 - delta)
+
+
+class PaperMethod:
+    """One problem's Algorithm 1: proposals from observations, all in terms of the maximised J.
+
+    The caller keeps the proposals: `stops` and `epsilon` need the F with which a test was proposed.
+    Observations enter in test order. Raises ValueError at construction for parameters outside their range.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        kernel: Matern,
+        *,
+        rkhs_norm: float,
+        noise_scale: float,
+        delta: float,
+        alpha: float,
+        c: float,
+        prior_mean: float = 0.0,
+        regulariser: Regulariser = "1+eta",
+        sigma: SigmaReading = "variance",
+        tail: Tail = "gaussian",
+    ) -> None:
+        _check_parameters(rkhs_norm=rkhs_norm, alpha=alpha)
+        if not math.isfinite(prior_mean):
+            raise ValueError(f"prior_mean must be finite, not {prior_mean!r}")
+        if sigma not in {"variance", "std"}:
+            raise ValueError(f"sigma is 'variance' or 'std', not {sigma!r}")
+        self.probability = mills_probability(c, delta, noise_scale, tail)
+        self._lattice = lattice
+        self._rkhs_norm, self._noise_scale, self._delta = rkhs_norm, noise_scale, delta
+        self._alpha, self._c, self._prior_mean = alpha, c, prior_mean
+        self._fixed = None if regulariser == "1+eta" else float(regulariser)
+        self._sigma_reading: SigmaReading = sigma
+        self._posterior = Posterior(lattice.kernel_rows(kernel), self._lambda(1))
+
+    @property
+    def n(self) -> int:
+        """Number of observations."""
+        return self._posterior.n
+
+    def propose(self, first_index: int | None = None) -> Proposal:
+        """Return the next test, proposed from all observations so far; it changes nothing.
+        Implements Algorithm 1 of [ARA].
+
+        Formula: z_i = argmax mu_{i-1} + beta_i sigma_{i-1}, ties to the lowest index; i is the number of observations.
+        Without observations the caller chooses the node `first_index` (a uniform draw from the campaign's seed).
+
+        Raises:
+            ValueError: `first_index` is missing before the first observation, or given after it.
+            IndexError: `first_index` is no node.
+            SingularKernelError: K + lambda I is singular.
+
+        """
+        if (first_index is None) != (self.n > 0):
+            raise ValueError(
+                f"first_index must be given before the first observation and only then; there are {self.n}"
+            )
+        if first_index is not None:
+            return self._proposal(first_index, self._prior_mean, 1.0, None)
+        scale = beta(self._posterior.information(eta(self.n)), self._rkhs_norm, self._noise_scale, self._delta)
+        mu, sigma = self._posterior.mean, self._sigma()
+        index = maximiser(upper_confidence_bound(mu, sigma, scale))
+        return self._proposal(index, self._prior_mean + float(mu[index]), float(sigma[index]), scale)
+
+    def observe(self, index: int, y: float) -> None:
+        """Add the observation `y` of J at node `index`; on an error nothing changes.
+
+        Raises:
+            ValueError: `y` is not finite.
+            IndexError: no node has this index.
+            SingularKernelError: K + lambda I would be singular.
+
+        """
+        # lambda first: under "1+eta" the factor is rebuilt anyway, so that the new row is only stored.
+        self._posterior.regularise(self._lambda(self.n + 1))
+        self._posterior.append(index, y - self._prior_mean)
+
+    def stops(self, proposal: Proposal) -> bool:
+        """Return whether the campaign may stop once this proposal's observation is in: F_i <= alpha."""
+        return proposal.F is not None and self._alpha >= proposal.F
+
+    def epsilon(self, proposal: Proposal, y: float) -> float:
+        """Return the claimed upper bound of J* from the last test, in the unit of J; see the function `epsilon`.
+
+        Raises:
+            ValueError: `proposal` is the start, which has no F: a bound needs at least two tests.
+
+        """
+        if proposal.F is None:
+            raise ValueError("the first test alone gives no bound: allow max_tests of at least 2")
+        return epsilon(y, proposal.F, self._alpha, self._c)
+
+    def _lambda(self, i: int) -> float:
+        return 1.0 + eta(i) if self._fixed is None else self._fixed
+
+    def _sigma(self) -> Floats:
+        variance = self._posterior.variance
+        return variance if self._sigma_reading == "variance" else np.sqrt(variance)
+
+    def _proposal(self, index: int, mu: float, sigma: float, scale: float | None) -> Proposal:
+        if not 0 <= index < self._lattice.size:
+            raise IndexError(f"node {index} is outside the lattice of {self._lattice.size} nodes")
+        x = tuple(self._lattice.nodes[index].tolist())
+        return Proposal(index, x, mu, sigma, scale, None if scale is None else regret_bound(scale, sigma))
+
+
+def _check_probability(delta: float) -> None:
+    if not 0.0 < delta < 1.0:
+        raise ValueError(f"delta must lie in (0, 1), not {delta!r}")
+
+
+def _check_parameters(**positive: float) -> None:
+    for name, value in positive.items():
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be a positive finite number, not {value!r}")

@@ -1,0 +1,1 @@
+"""The certificate: from what a finished campaign knows to the document."""

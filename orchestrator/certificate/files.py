@@ -1,0 +1,38 @@
+"""Where the certificate and its manifest stand in the run directory."""
+
+from pathlib import Path
+
+from orchestrator.errors import EvidenceError
+from orchestrator.store import evidence
+from schemas.certificate import Certificate
+
+CERTIFICATE = "certificate.json"
+MANIFEST = "manifest.sha256"
+"""`sha256sum --check manifest.sha256` in the run directory checks every trajectory file."""
+
+
+def write(directory: Path, certificate: Certificate, manifest: str) -> None:
+    """Write the manifest, then the certificate, each whole or not at all.
+
+    Raises:
+        OSError: the disk is full or the directory cannot be written.
+
+    """
+    evidence.write(directory / MANIFEST, manifest.encode())
+    evidence.write(directory / CERTIFICATE, certificate.to_json().encode())
+
+
+def read(directory: Path) -> Certificate | None:
+    """Return the certificate of a finished campaign, or None.
+
+    Raises:
+        EvidenceError: there is one, but it is damaged.
+
+    """
+    path = directory / CERTIFICATE
+    if not path.exists():
+        return None
+    try:
+        return Certificate.model_validate_json(path.read_bytes())
+    except ValueError as error:
+        raise EvidenceError(f"{path}: not a certificate ({str(error).splitlines()[0]}); delete it and resume") from None

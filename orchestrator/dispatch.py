@@ -1,0 +1,457 @@
+"""The dispatch core: which worker has which attempt, who is lost, who hangs, what is tried again.
+
+A pure machine: `step(state, event) -> (state, actions)`. Time comes inside the events, in seconds of any one clock.
+A worker is in one of five phases, and this table is the whole of the law:
+
+    phase      WorkerUp  WorkerDown  Reported            Delivered   Tick
+    unknown    idle      (ignored)   (ignored)           unknown     -
+    idle       idle      gone        idle, or busy       idle        idle
+    sent       sent      gone        sent, or busy       idle, sent  sent, or shunned
+    busy       busy      gone        busy                idle, busy  busy, or shunned
+    shunned    shunned   gone        shunned, or idle    idle        shunned
+    gone       (back)    gone        (ignored)           gone        gone, or unknown
+
+`sent` has an assignment that no heartbeat has confirmed yet: it is sent again every `resend_after` s. `shunned` hung,
+or missed its deadline: it gets nothing until it reports idle. `gone` has lost its liveliness token: after `lost_after`
+s its attempt is lost. Reports that are late, repeated or of unknown rollouts change nothing but are acknowledged.
+
+The first valid result of a rollout wins, whichever attempt it came from. A rollout whose attempts failed
+`max_attempts` times is poison: it is given up with its story. Closed rollouts leave the state.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from orchestrator.campaign import RolloutId
+
+WorkerPhase = Literal["idle", "sent", "busy", "shunned", "gone"]
+NEVER = float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Patience, in seconds; and how often a rollout may fail."""
+
+    resend_after: float = 1.5
+    lost_after: float = 3.0
+    hung_after: float = 10.0
+    deadline: float = 600.0
+    max_attempts: int = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """One try of a rollout."""
+
+    rollout: RolloutId
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Worker:
+    """What the orchestrator knows of one worker process."""
+
+    phase: WorkerPhase = "idle"
+    attempt: Attempt | None = None
+    resumes_as: WorkerPhase = "idle"
+    gone_at: float = NEVER
+    sent_at: float = NEVER
+    """Of the last assign message."""
+    started_at: float = NEVER
+    progress: int = -1
+    progress_at: float = NEVER
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """A rollout that has no result yet."""
+
+    attempts: int = 0
+    failures: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Workers, open rollouts in order of arrival, and those of them that wait for a worker."""
+
+    limits: Limits
+    hold_until: float
+    """Nothing is assigned before: after a restart busy workers report first."""
+    workers: Mapping[str, Worker] = field(default_factory=dict)
+    open: Mapping[RolloutId, Open] = field(default_factory=dict)
+    waiting: tuple[RolloutId, ...] = ()
+    recorded: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """These rollouts are to be simulated; with the attempts made before a restart, if any."""
+
+    at: float
+    rollouts: tuple[tuple[RolloutId, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Unwanted:
+    """These rollouts are no longer needed."""
+
+    at: float
+    rollouts: tuple[RolloutId, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerUp:
+    """A worker that may serve this campaign is alive."""
+
+    at: float
+    worker: str
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerDown:
+    """The liveliness token of a worker is gone."""
+
+    at: float
+    worker: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """A heartbeat: `attempt` is what the worker is busy with."""
+
+    at: float
+    worker: str
+    attempt: Attempt | None
+    progress: int
+
+
+@dataclass(frozen=True, slots=True)
+class Delivered:
+    """The end of an attempt: a valid result, or the reason (`error`) why there is none."""
+
+    at: float
+    worker: str
+    attempt: Attempt
+    error: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time has passed, and everything received before has been handled."""
+
+    at: float
+
+
+Event = Wanted | Unwanted | WorkerUp | WorkerDown | Reported | Delivered | Tick
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Write down a new attempt, then assign it."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Resend:
+    """Assign the same attempt again."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """Tell a worker to stop an attempt."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Keep the result of this attempt."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Acknowledge:
+    """Tell a worker that its result is durable, or not needed."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Fail:
+    """Write down that an attempt ended without a result."""
+
+    worker: str
+    attempt: Attempt
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class GiveUp:
+    """A worker hangs: replace it if it is ours."""
+
+    worker: str
+
+
+@dataclass(frozen=True, slots=True)
+class Poison:
+    """A rollout has failed too often: the campaign cannot go on."""
+
+    rollout: RolloutId
+    story: tuple[str, ...]
+
+
+Action = Start | Resend | Cancel | Record | Acknowledge | Fail | GiveUp | Poison
+Outcome = tuple[State, tuple[Action, ...]]
+
+
+def initial(limits: Limits, hold_until: float = 0.0) -> State:
+    """Return the state before the first event."""
+    return State(limits, hold_until)
+
+
+def step(state: State, event: Event) -> Outcome:
+    """Apply one event; then hand waiting rollouts to idle workers."""
+    state, actions = _apply(state, event)
+    state, starts = _assign(state, event.at)
+    return state, (*actions, *starts)
+
+
+def _apply(state: State, event: Event) -> Outcome:
+    match event:
+        case Wanted():
+            return _want(state, event)
+        case Unwanted():
+            return _forget(state, event)
+        case WorkerUp():
+            return _up(state, event), ()
+        case WorkerDown():
+            return _down(state, event), ()
+        case Reported():
+            return _report(state, event)
+        case Delivered():
+            return _deliver(state, event)
+        case Tick():
+            return _tick(state, event.at)
+
+
+def _want(state: State, event: Wanted) -> Outcome:
+    new = {rollout: Open(attempts) for rollout, attempts in event.rollouts if rollout not in state.open}
+    return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
+
+
+def _forget(state: State, event: Unwanted) -> Outcome:
+    dropped = frozenset(event.rollouts)
+    cancels = []
+    for name, worker in state.workers.items():
+        if worker.attempt is not None and worker.attempt.rollout in dropped:
+            cancels.append(Cancel(name, worker.attempt))
+            state = _put(state, name, _freed(worker, shunned=True))
+    return _close(state, dropped), tuple(cancels)
+
+
+def _up(state: State, event: WorkerUp) -> State:
+    worker = state.workers.get(event.worker)
+    if worker is None:
+        return _put(state, event.worker, Worker())
+    if worker.phase != "gone":
+        return state
+    # A rollout that was under way goes on where it was; the silence is not held against it.
+    back = replace(worker, phase=worker.resumes_as, gone_at=NEVER, progress_at=event.at, sent_at=event.at)
+    return _put(state, event.worker, back)
+
+
+def _down(state: State, event: WorkerDown) -> State:
+    worker = state.workers.get(event.worker)
+    if worker is None or worker.phase == "gone":
+        return state
+    return _put(state, event.worker, replace(worker, phase="gone", resumes_as=worker.phase, gone_at=event.at))
+
+
+def _report(state: State, event: Reported) -> Outcome:
+    worker = state.workers.get(event.worker)
+    if worker is None or worker.phase == "gone":
+        return state, ()
+    if event.attempt is None:
+        return _report_idle(state, event.worker, worker), ()
+    if event.attempt == worker.attempt:
+        return _put(state, event.worker, _advanced(worker, event)), ()
+    if event.attempt.rollout not in state.open:
+        return state, (Cancel(event.worker, event.attempt),)
+    if worker.phase == "idle" and event.attempt.rollout in state.waiting:
+        return _adopt(state, event), ()
+    return state, ()
+
+
+def _report_idle(state: State, name: str, worker: Worker) -> State:
+    # A worker that is `sent` may say idle because the assignment is still on its way, a `busy` one because its
+    # result is: the first is sent again, the second is watched by the clock of progress.
+    return _put(state, name, Worker()) if worker.phase == "shunned" else state
+
+
+def _advanced(worker: Worker, event: Reported) -> Worker:
+    if event.progress <= worker.progress:
+        return replace(worker, phase="busy")
+    return replace(worker, phase="busy", progress=event.progress, progress_at=event.at)
+
+
+def _adopt(state: State, event: Reported) -> State:
+    assert event.attempt is not None
+    rollout = event.attempt.rollout
+    worker = Worker("busy", event.attempt, started_at=event.at, progress=event.progress, progress_at=event.at)
+    known = state.open[rollout]
+    known = replace(known, attempts=max(known.attempts, event.attempt.number))
+    state = _put(state, event.worker, worker)
+    waiting = tuple(other for other in state.waiting if other != rollout)
+    return replace(state, open={**state.open, rollout: known}, waiting=waiting)
+
+
+def _deliver(state: State, event: Delivered) -> Outcome:
+    acknowledge = Acknowledge(event.worker, event.attempt)
+    state = _release(state, event.worker, event.attempt)
+    if event.attempt.rollout not in state.open:
+        return state, (acknowledge,)
+    if event.error is not None:
+        state, actions = _fail(state, event.worker, event.attempt, event.error)
+        return state, (*actions, acknowledge)
+    state, cancels = _cancel_others(state, event.attempt.rollout)
+    state = _close(state, frozenset({event.attempt.rollout}))
+    state = replace(state, recorded=state.recorded + 1)
+    return state, (Record(event.worker, event.attempt), acknowledge, *cancels)
+
+
+def _release(state: State, name: str, attempt: Attempt) -> State:
+    worker = state.workers.get(name)
+    if worker is None or worker.attempt != attempt:
+        return state
+    if worker.phase == "gone":
+        return _put(state, name, replace(worker, attempt=None, resumes_as="idle"))
+    return _put(state, name, _freed(worker, shunned=False))
+
+
+def _cancel_others(state: State, rollout: RolloutId) -> Outcome:
+    cancels = []
+    for name, worker in state.workers.items():
+        if worker.attempt is not None and worker.attempt.rollout == rollout:
+            cancels.append(Cancel(name, worker.attempt))
+            state = _put(state, name, _freed(worker, shunned=True))
+    return state, tuple(cancels)
+
+
+def _tick(state: State, at: float) -> Outcome:
+    actions: list[Action] = []
+    for name, worker in state.workers.items():
+        state, more = _watch(state, name, worker, at)
+        actions += more
+    return state, tuple(actions)
+
+
+def _watch(state: State, name: str, worker: Worker, at: float) -> Outcome:
+    limits = state.limits
+    if worker.phase == "gone":
+        if at - worker.gone_at < limits.lost_after:
+            return state, ()
+        state = replace(state, workers={key: value for key, value in state.workers.items() if key != name})
+        lost = f"worker lost for {limits.lost_after:g} s"
+        return _fail(state, name, worker.attempt, lost) if worker.attempt else (state, ())
+    if worker.attempt is None:
+        return state, ()
+    if at - worker.progress_at >= limits.hung_after:
+        return _shun(state, name, worker, f"no progress for {limits.hung_after:g} s")
+    if at - worker.started_at >= limits.deadline:
+        return _shun(state, name, worker, f"not done after {limits.deadline:g} s")
+    if worker.phase == "sent" and at - worker.sent_at >= limits.resend_after:
+        return _put(state, name, replace(worker, sent_at=at)), (Resend(name, worker.attempt),)
+    return state, ()
+
+
+def _shun(state: State, name: str, worker: Worker, reason: str) -> Outcome:
+    assert worker.attempt is not None
+    state = _put(state, name, Worker("shunned"))
+    state, actions = _fail(state, name, worker.attempt, reason)
+    return state, (Cancel(name, worker.attempt), *actions, GiveUp(name))
+
+
+def _fail(state: State, name: str, attempt: Attempt, reason: str) -> Outcome:
+    """Count the failure against the rollout, and queue it again or give it up."""
+    known = state.open.get(attempt.rollout)
+    if known is None or attempt.rollout in state.waiting or _held(state, attempt.rollout, besides=name):
+        return state, (Fail(name, attempt, reason),)
+    failures = (*known.failures, f"attempt {attempt.number} on {name}: {reason}")
+    state = replace(state, open={**state.open, attempt.rollout: replace(known, failures=failures)})
+    if len(failures) >= state.limits.max_attempts:
+        return state, (Fail(name, attempt, reason), Poison(attempt.rollout, failures))
+    return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, reason),)
+
+
+def _held(state: State, rollout: RolloutId, besides: str) -> bool:
+    return any(
+        worker.attempt is not None and worker.attempt.rollout == rollout
+        for name, worker in state.workers.items()
+        if name != besides
+    )
+
+
+def _assign(state: State, at: float) -> Outcome:
+    starts: list[Action] = []
+    if at < state.hold_until:
+        return state, ()
+    for name in sorted(name for name, worker in state.workers.items() if worker.phase == "idle"):
+        if not state.waiting:
+            break
+        state, start = _start(state, name, at)
+        starts.append(start)
+    return state, tuple(starts)
+
+
+def _start(state: State, name: str, at: float) -> tuple[State, Start]:
+    rollout, *waiting = state.waiting
+    known = state.open[rollout]
+    known = replace(known, attempts=known.attempts + 1)
+    attempt = Attempt(rollout, known.attempts)
+    worker = Worker("sent", attempt, sent_at=at, started_at=at, progress=-1, progress_at=at)
+    state = _put(state, name, worker)
+    return replace(state, open={**state.open, rollout: known}, waiting=tuple(waiting)), Start(name, attempt)
+
+
+def _freed(worker: Worker, *, shunned: bool) -> Worker:
+    """Return the worker without its assignment; shunned until it reports idle if it may still be at work."""
+    if worker.phase == "gone":
+        return replace(worker, attempt=None, resumes_as="shunned" if shunned else "idle")
+    return Worker("shunned") if shunned else Worker()
+
+
+def _close(state: State, rollouts: frozenset[RolloutId]) -> State:
+    return replace(
+        state,
+        open={key: value for key, value in state.open.items() if key not in rollouts},
+        waiting=tuple(rollout for rollout in state.waiting if rollout not in rollouts),
+    )
+
+
+def _put(state: State, name: str, worker: Worker) -> State:
+    return replace(state, workers={**state.workers, name: worker})
+
+
+def check(state: State) -> None:
+    """Assert the invariants of the state; tests call it after every step."""
+    held = [worker.attempt.rollout for worker in state.workers.values() if worker.attempt is not None]
+    assert len(set(held)) == len(held), "a rollout is on one worker at a time"
+    assert set(held) <= set(state.open), "what a worker works on is open"
+    assert not set(held) & set(state.waiting), "what waits is on no worker"
+    assert len(set(state.waiting)) == len(state.waiting), "nothing waits twice"
+    assert set(state.waiting) <= set(state.open), "what waits is open"
+    poisoned = {key for key, known in state.open.items() if len(known.failures) >= state.limits.max_attempts}
+    assert set(state.open) == set(held) | set(state.waiting) | poisoned, "what is open is held, waits, or is poison"
+    for worker in state.workers.values():
+        phase = worker.resumes_as if worker.phase == "gone" else worker.phase
+        assert (worker.attempt is not None) == (phase in ("sent", "busy")), "busy with something"

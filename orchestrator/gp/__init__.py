@@ -1,0 +1,1 @@
+"""Gaussian-process regression on a lattice: kernel, candidates, posterior, acquisition."""

@@ -1,0 +1,231 @@
+"""What the campaign knows: facts are written here, the campaign core is stepped, numbers are asked for.
+
+Every fact takes one way, live and in a replay: `_apply`. Live, it is written to the journal first.
+"""
+
+import hashlib
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from orchestrator import campaign
+from orchestrator.campaign import RolloutId
+from orchestrator.errors import IllegalEvent, JournalError, PerfboundError
+from orchestrator.gp.posterior import SingularKernelError
+from orchestrator.observation import Observer
+from orchestrator.proposer import Proposer
+from orchestrator.seeds import rollout_seed
+from orchestrator.store import evidence
+from orchestrator.store.journal import (
+    BoundFact,
+    Fact,
+    Journal,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+    first_link,
+    next_link,
+)
+from schemas.campaign import ROLLED_OUT, CampaignConfig, Problem
+from schemas.rollout import RolloutRequest
+from schemas.trajectory import Trajectory, decode
+
+
+@dataclass(slots=True)
+class Work:
+    """What the dispatch core is to be told."""
+
+    wanted: list[RolloutId] = field(default_factory=list)
+    unwanted: list[RolloutId] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Account:
+    """What is known of one problem; open tests by number."""
+
+    problem: Problem
+    link: str
+    proposals: dict[int, ProposalFact] = field(default_factory=dict)
+    rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
+    observations: list[float] = field(default_factory=list)
+    robustness: list[float] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
+    last_proposal: ProposalFact | None = None
+    last_bound: BoundFact | None = None
+
+
+class Ledger:
+    """The campaign of one run directory."""
+
+    def __init__(self, directory: Path, journal: Journal) -> None:
+        header = journal.header
+        self.header = header
+        self.config: CampaignConfig = header.config
+        self.accounts = {
+            problem.name: Account(problem, first_link(header, problem.name)) for problem in self.config.problems
+        }
+        self.state = campaign.initial(tuple(plan(self.config, problem) for problem in self.config.problems))
+        self._directory = directory
+        self._journal = journal
+        self._observer = Observer(self.config, header.spec)
+        self._proposer = Proposer(self.config, header.spec)
+        self._options = {option.name: option.default for option in header.spec.options} | self.config.system.options
+        self._config_sha256, self._spec_sha256 = self.config.digest, header.spec.digest
+        self._trajectories: dict[RolloutId, Trajectory] = {}
+
+    @property
+    def done(self) -> bool:
+        """Whether every problem has stopped."""
+        return self.state.done
+
+    def replay(self) -> None:
+        """Rebuild everything from the journal.
+
+        Raises:
+            JournalError: the facts are not what was written.
+
+        """
+        try:
+            for fact in self._journal.facts():
+                self._apply(fact)
+        except (IllegalEvent, KeyError) as error:
+            raise JournalError(
+                f"{self._directory}: the facts contradict each other ({error}); restore the database from a copy"
+            ) from None
+
+    def outstanding(self) -> Work:
+        """Return what is to be done at the start or after a replay; inside a transaction."""
+        return self._advance(campaign.outstanding(self.state))
+
+    def record(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory) -> Work:
+        """Make a result durable and draw its consequences; inside a transaction.
+
+        Raises:
+            PerfboundError: the mathematics cannot go on (singular kernel matrix).
+            OSError: the disk is full.
+
+        """
+        path = evidence.relative_path(rollout)
+        evidence.write(self._directory / path, payload)
+        self._trajectories[rollout] = trajectory
+        fact = RolloutFact(
+            rollout,
+            seed=rollout_seed(self.config, rollout),
+            sha256=hashlib.sha256(payload).hexdigest(),
+            size=len(payload),
+            path=path,
+            robustness=self._observer.robustness(trajectory),
+        )
+        return self._advance(self._write(fact))
+
+    def request(self, rollout: RolloutId) -> RolloutRequest:
+        """Return everything that a worker needs to know of an open rollout."""
+        spec = self.header.spec
+        return RolloutRequest(
+            campaign=self.config.name,
+            config_sha256=self._config_sha256,
+            problem=rollout.problem,
+            test=rollout.test,
+            variant="nominal" if rollout.variant == "nominal" else "true",
+            replicate=rollout.replicate,
+            seed=rollout_seed(self.config, rollout),
+            system=spec.name,
+            spec_sha256=self._spec_sha256,
+            options=self._options,
+            x=self.accounts[rollout.problem].proposals[rollout.test].x,
+            horizon=self.config.horizon,
+            visual=self.config.visual == "all",
+        )
+
+    def _advance(self, actions: Iterable[campaign.Action]) -> Work:
+        work, pending = Work(), deque(actions)
+        while pending:
+            match pending.popleft():
+                case campaign.Propose(problem, test):
+                    pending.extend(self._write(self._propose(problem, test)))
+                case campaign.Observe(problem, test):
+                    pending.extend(self._observe(problem, test))
+                case campaign.Simulate(rollouts):
+                    work.wanted += rollouts
+                case campaign.Withdraw(rollouts):
+                    work.unwanted += rollouts
+                case campaign.Certify():
+                    pass  # `done` says so
+        return work
+
+    def _propose(self, problem: str, test: int) -> ProposalFact:
+        try:
+            return self._proposer.propose(problem, test)
+        except SingularKernelError as error:
+            raise PerfboundError(f"problem {problem}, test {test}: {error}") from None
+
+    def _observe(self, problem: str, test: int) -> tuple[campaign.Action, ...]:
+        account = self.accounts[problem]
+        facts = sorted(account.rollouts[test], key=lambda fact: fact.rollout)
+        trajectories = {(f.rollout.variant, f.rollout.replicate): self._trajectory(f) for f in facts}
+        y = self._observer.observe(account.problem, trajectories)
+        link = next_link(account.link, account.proposals[test], facts, y)
+        self._write(ObservationFact(problem, test, y, link))
+        return self._write(self._bound(account, test, y))
+
+    def _bound(self, account: Account, test: int, y: float) -> BoundFact:
+        last = test + 1 >= self.config.max_tests_of(account.problem)
+        assert account.last_proposal is not None
+        try:
+            return self._proposer.observe(account.last_proposal, y, last=last)
+        except SingularKernelError as error:
+            raise PerfboundError(f"problem {account.problem.name}, test {test}: {error}") from None
+
+    def _trajectory(self, fact: RolloutFact) -> Trajectory:
+        kept = self._trajectories.pop(fact.rollout, None)
+        return kept or decode(evidence.read(self._directory, fact.path, fact.sha256))
+
+    def _write(self, fact: Fact) -> tuple[campaign.Action, ...]:
+        self._journal.add(fact)
+        return self._apply(fact, live=True)
+
+    def _apply(self, fact: Fact, *, live: bool = False) -> tuple[campaign.Action, ...]:
+        match fact:
+            case ProposalFact():
+                self.accounts[fact.problem].proposals[fact.test] = fact
+                return self._step(campaign.Proposed(fact.problem, fact.test))
+            case RolloutFact():
+                account = self.accounts[fact.rollout.problem]
+                account.rollouts.setdefault(fact.rollout.test, []).append(fact)
+                return self._step(campaign.Recorded(fact.rollout))
+            case ObservationFact():
+                self._close(fact, live=live)
+                return ()
+            case BoundFact():
+                self.accounts[fact.problem].last_bound = fact
+                return self._step(campaign.Observed(fact.problem, fact.test, fact.stopped_by == "converged"))
+
+    def _close(self, fact: ObservationFact, *, live: bool) -> None:
+        """Move an observed test from the open ones into the sums."""
+        account = self.accounts[fact.problem]
+        proposal, rollouts = account.proposals.pop(fact.test), account.rollouts.pop(fact.test, [])
+        if next_link(account.link, proposal, rollouts, fact.y) != fact.chain:
+            raise JournalError(
+                f"{self._directory}: the facts of test {fact.test} of {fact.problem} were changed after they were "
+                "written (hash chain); restore the database from a copy"
+            )
+        account.link, account.last_proposal = fact.chain, proposal
+        account.observations.append(fact.y)
+        for rollout in rollouts:
+            account.counts[rollout.rollout.variant] += 1
+            if rollout.robustness is not None:
+                account.robustness.append(rollout.robustness)
+        if not live:
+            self._bound(account, fact.test, fact.y)
+
+    def _step(self, event: campaign.Event) -> tuple[campaign.Action, ...]:
+        self.state, actions = campaign.step(self.state, event)
+        return actions
+
+
+def plan(config: CampaignConfig, problem: Problem) -> campaign.Plan:
+    """Return what is fixed about a problem before its first test."""
+    replicates = range(config.replicates_of(problem))
+    rollouts = tuple((variant, replicate) for replicate in replicates for variant in ROLLED_OUT[problem.name])
+    return campaign.Plan(problem.name, config.window_of(problem), config.max_tests_of(problem), rollouts)

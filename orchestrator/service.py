@@ -1,0 +1,308 @@
+"""The one loop of the orchestrator: take events, write facts, commit, then act.
+
+A turn takes what has been received, in order, and at most one tick of the clock behind it, so that a busy
+orchestrator never takes a worker for dead whose message it has not read yet. Everything that a turn decides is
+committed in one transaction; only then do messages leave.
+"""
+
+import hashlib
+import os
+import queue
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+from orchestrator import dispatch
+from orchestrator.campaign import RolloutId
+from orchestrator.dispatch import Attempt
+from orchestrator.errors import PerfboundError, Stopped
+from orchestrator.fleet import Fleet
+from orchestrator.ledger import Ledger, Work
+from orchestrator.store.journal import Journal
+from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
+from schemas import __version__
+from schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
+from schemas.trajectory import Trajectory, TrajectoryError, decode
+
+TICK = 0.25
+"""Seconds between two looks at the clock."""
+TURN = 64
+"""Messages in one transaction at most; about 100 ms of work."""
+ADOPTION = 2.5
+"""Seconds after a restart in which busy workers report and outboxes drain, before anything is assigned."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interrupted:
+    """A signal asks the orchestrator to stop."""
+
+    signal: int
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the view is shown of the moment."""
+
+    ledger: Ledger
+    workers: dict[str, str]
+    """Name and phase of every worker."""
+    recorded: int
+    """Rollouts since this orchestrator started."""
+    waiting: int
+    seconds: float
+
+
+class View(Protocol):
+    """Where progress is shown."""
+
+    def say(self, line: str) -> None:
+        """Tell one thing that happened."""
+        ...
+
+    def show(self, seen: Seen) -> None:
+        """Show how far the campaign is; called every tick."""
+        ...
+
+
+@dataclass(slots=True)
+class _Known:
+    """A worker process as the protocol shows it."""
+
+    alive: bool = False
+    state: WorkerState | None = None
+    refused: bool = False
+
+
+class Service:
+    """Runs one campaign until it is done, it fails, or a signal stops it."""
+
+    def __init__(
+        self, ledger: Ledger, journal: Journal, transport: Transport, fleet: Fleet | None, view: View, *, resumed: bool
+    ) -> None:
+        self.inbox: queue.SimpleQueue[Inbound | Interrupted] = queue.SimpleQueue()
+        self._ledger = ledger
+        self._journal = journal
+        self._transport = transport
+        self._fleet = fleet
+        self._view = view
+        self._known: dict[str, _Known] = {}
+        self._outgoing: list[tuple[str, Request]] = []
+        self._stop: int | None = None
+        self._poisoned: tuple[RolloutId, tuple[str, ...]] | None = None
+        self._started = time.monotonic()
+        self._next_tick = self._started
+        self._columns = tuple(column.name for column in ledger.header.spec.columns)
+        self._spec_sha256 = ledger.header.spec.digest
+        config = ledger.config
+        limits = dispatch.Limits(
+            hung_after=config.hung_after, deadline=config.deadline, max_attempts=config.max_attempts
+        )
+        # Only workers of another orchestrator's time can be busy already; those of our own fleet start empty.
+        hold = self._started + ADOPTION if resumed and fleet is None else 0.0
+        self._state = dispatch.initial(limits, hold)
+
+    def run(self) -> None:
+        """Serve until every problem has stopped.
+
+        Raises:
+            Stopped: a signal arrived.
+            PerfboundError: a rollout is poison, local workers do not live, or the mathematics cannot go on.
+            OSError: the disk is full.
+
+        """
+        attempts = self._journal.attempts()
+        with self._journal.transaction():
+            work = self._ledger.outstanding()
+            self._dispatch(self._wanted(work, attempts))
+        self._send()
+        while not self._ledger.done:
+            self._turn(self._receive())
+        self._view.show(self._seen())
+
+    def _receive(self) -> list[Inbound | Interrupted]:
+        """Wait for the next message or tick; return all messages that are there."""
+        messages: list[Inbound | Interrupted] = []
+        while len(messages) < TURN:
+            wait = 0.0 if messages else max(0.0, self._next_tick - time.monotonic())
+            try:
+                messages.append(self.inbox.get(timeout=wait) if wait > 0 else self.inbox.get_nowait())
+            except queue.Empty:
+                break
+        return messages
+
+    def _turn(self, messages: list[Inbound | Interrupted]) -> None:
+        with self._journal.transaction():
+            for message in messages:
+                self._take(message)
+            if time.monotonic() >= self._next_tick and len(messages) < TURN:
+                self._tick()
+        self._send()
+
+    def _take(self, message: Inbound | Interrupted) -> None:
+        match message:
+            case Token():
+                self._token(message)
+            case Heartbeat():
+                self._heartbeat(message)
+            case Result():
+                self._result(message)
+            case Garbage():
+                self._view.say(f"ignored a message of {message.worker}: {message.reason}")
+            case Interrupted():
+                self._stop = message.signal
+
+    def _token(self, message: Token) -> None:
+        known = self._known.setdefault(message.worker, _Known())
+        known.alive = message.alive
+        if known.state is not None and not known.refused:
+            event = dispatch.WorkerUp if message.alive else dispatch.WorkerDown
+            self._dispatch(event(message.at, message.worker))
+        if not message.alive and (known.state is None or known.refused):
+            del self._known[message.worker]
+
+    def _heartbeat(self, message: Heartbeat) -> None:
+        known = self._known.get(message.worker)
+        if known is None or not known.alive or known.refused:
+            return  # its token comes first, also after a partition
+        if known.state is None:
+            if (reason := self._mismatch(message.state)) is not None:
+                known.refused = True
+                self._view.say(f"refused worker {message.worker}: {reason}")
+                self._outgoing.append((message.worker, Refuse(reason=reason)))
+                return
+            known.state = message.state
+            self._dispatch(dispatch.WorkerUp(message.at, message.worker))
+        state = known.state = message.state
+        busy = None
+        if state.rollout is not None and state.attempt is not None:
+            busy = Attempt(RolloutId.parse(state.rollout), state.attempt)
+        self._dispatch(dispatch.Reported(message.at, message.worker, busy, state.progress))
+
+    def _mismatch(self, state: WorkerState) -> str | None:
+        spec = self._ledger.header.spec
+        if state.protocol != PROTOCOL or state.version != __version__:
+            theirs, ours = f"{state.version} (protocol {state.protocol})", f"{__version__} (protocol {PROTOCOL})"
+            return f"the worker is perfbound {theirs}, the orchestrator {ours}; install the same version on both"
+        if spec.name not in state.systems:
+            return f"the worker has no system {spec.name!r}; install the package that provides it"
+        if state.systems[spec.name] != self._spec_sha256:
+            return (
+                f"the worker's {spec.name!r} differs from the one this campaign was planned for "
+                f"({', '.join(f'{name} {version}' for name, version in spec.versions.items())}); install the same versions"
+            )
+        return None
+
+    def _result(self, message: Result) -> None:
+        known = self._known.get(message.worker)
+        if known is None or known.state is None or known.refused:
+            return  # not acknowledged, so it comes again once the worker is known
+        header = message.header
+        attempt = Attempt(RolloutId.parse(header.rollout), header.attempt)
+        trajectory: Trajectory | None = None
+        error: str | None = None
+        if attempt.rollout in self._state.open:
+            if header.outcome == "failed":
+                error = header.error or "the worker gave no reason"
+            else:
+                trajectory, error = self._checked(attempt.rollout, header, message.payload)
+        event = dispatch.Delivered(message.at, message.worker, attempt, error)
+        self._dispatch(event, result=(header, message.payload, trajectory))
+
+    def _checked(
+        self, rollout: RolloutId, header: ResultHeader, payload: bytes
+    ) -> tuple[Trajectory | None, str | None]:
+        """Return the trajectory of a result, or why it is refused."""
+        if hashlib.sha256(payload).hexdigest() != header.sha256:
+            return None, "the result does not have the sha256 that its header names"
+        try:
+            trajectory = decode(payload)
+        except TrajectoryError as fault:
+            return None, f"the result is not a trajectory: {fault}"
+        if trajectory.columns != self._columns:
+            return None, f"the trajectory has the columns {', '.join(trajectory.columns)}"
+        return trajectory, None
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        self._next_tick = now + TICK
+        if self._fleet is not None:
+            for news in self._fleet.tend():
+                self._view.say(news)
+        self._dispatch(dispatch.Tick(now))
+        self._view.show(self._seen())
+
+    def _dispatch(
+        self, event: dispatch.Event, result: tuple[ResultHeader, bytes, Trajectory | None] | None = None
+    ) -> None:
+        self._state, actions = dispatch.step(self._state, event)
+        for action in actions:
+            match action:
+                case dispatch.Record(worker, attempt):
+                    assert result is not None
+                    self._record(worker, attempt, result)
+                case dispatch.Start(worker, attempt):
+                    self._start(worker, attempt)
+                case dispatch.Resend(worker, attempt):
+                    self._assign(worker, attempt)
+                case dispatch.Cancel(worker, attempt):
+                    self._outgoing.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
+                case dispatch.Acknowledge(worker, attempt):
+                    self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
+                case dispatch.Fail(worker, attempt, reason):
+                    self._journal.attempt_ended(attempt, worker, reason)
+                    self._view.say(f"{attempt.rollout}, attempt {attempt.number} on {worker}: {reason}")
+                case dispatch.GiveUp(worker):
+                    self._give_up(worker)
+                case dispatch.Poison(rollout, story):
+                    self._poisoned = (rollout, story)
+
+    def _record(
+        self, worker: str, attempt: Attempt, result: tuple[ResultHeader, bytes, Trajectory | None]
+    ) -> None:
+        header, payload, trajectory = result
+        assert trajectory is not None, "only a checked result is recorded"
+        work = self._ledger.record(attempt.rollout, payload, trajectory)
+        self._journal.attempt_ended(attempt, worker, "recorded", header.cpu_seconds, header.wall_seconds)
+        if work.unwanted:
+            self._dispatch(dispatch.Unwanted(time.monotonic(), tuple(work.unwanted)))
+        if work.wanted:
+            self._dispatch(self._wanted(work, {}))
+
+    def _wanted(self, work: Work, attempts: dict[RolloutId, int]) -> dispatch.Wanted:
+        return dispatch.Wanted(time.monotonic(), tuple((rollout, attempts.get(rollout, 0)) for rollout in work.wanted))
+
+    def _start(self, worker: str, attempt: Attempt) -> None:
+        state = self._known[worker].state
+        assert state is not None, "only known workers are in the dispatch core"
+        self._journal.attempt_started(attempt, worker, state.host, state.pid)
+        self._assign(worker, attempt)
+
+    def _assign(self, worker: str, attempt: Attempt) -> None:
+        request = self._ledger.request(attempt.rollout)
+        self._outgoing.append((worker, Assign(attempt=attempt.number, request=request)))
+
+    def _give_up(self, worker: str) -> None:
+        known = self._known.get(worker)
+        if self._fleet is None or known is None or known.state is None:
+            return
+        if known.state.host == os.uname().nodename:
+            self._fleet.kill(known.state.pid)
+
+    def _send(self) -> None:
+        for worker, message in self._outgoing:
+            self._transport.send(worker, message)
+        self._outgoing.clear()
+        if self._stop is not None:
+            raise Stopped(self._stop)
+        if self._poisoned is not None:
+            rollout, story = self._poisoned
+            raise PerfboundError(
+                f"rollout {rollout} failed {len(story)} times, so the campaign cannot go on: "
+                + "; ".join(story)
+                + ". Reproduce it with `perfbound simulate`, mend the cause, then resume"
+            )
+
+    def _seen(self) -> Seen:
+        workers = {name: worker.phase for name, worker in self._state.workers.items()}
+        seconds = time.monotonic() - self._started
+        return Seen(self._ledger, workers, self._state.recorded, len(self._state.waiting), seconds)

@@ -1,0 +1,1 @@
+"""Signal temporal logic: text to tree, tree and trajectory to robustness."""

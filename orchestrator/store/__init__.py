@@ -1,0 +1,1 @@
+"""What outlives a crash: the journal of facts, the evidence files, the lock."""

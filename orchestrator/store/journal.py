@@ -1,0 +1,342 @@
+"""The journal: the only writer of the campaign database."""
+
+import hashlib
+import json
+import os
+import secrets
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import Connection, Engine
+
+from orchestrator.campaign import RolloutId
+from orchestrator.dispatch import Attempt
+from orchestrator.errors import JournalError
+from orchestrator.store import tables
+from schemas.base import canonical_json, digest
+from schemas.campaign import CampaignConfig
+from schemas.certificate import StoppedBy
+from schemas.system import SystemSpec
+
+DATABASE = "campaign.db"
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The first fact: what was to be done, on which system, with which software."""
+
+    run: str
+    config: CampaignConfig
+    spec: SystemSpec
+    software: dict[str, str]
+
+    @classmethod
+    def new(cls, config: CampaignConfig, spec: SystemSpec, software: dict[str, str]) -> "Header":
+        """Return the header of a new campaign, with a random run id."""
+        return cls(secrets.token_hex(8), config, spec, software)
+
+
+@dataclass(frozen=True, slots=True)
+class ProposalFact:
+    """z of a test, and the numbers that chose it."""
+
+    problem: str
+    test: int
+    node: int
+    x: tuple[float, ...]
+    mu: float
+    sigma: float
+    beta: float | None
+    F: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class RolloutFact:
+    """A trajectory that is durable."""
+
+    rollout: RolloutId
+    seed: int
+    sha256: str
+    size: int
+    path: str
+    robustness: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ObservationFact:
+    """y of a test; `chain` is the head of the problem's hash chain after it."""
+
+    problem: str
+    test: int
+    y: float
+    chain: str
+
+
+@dataclass(frozen=True, slots=True)
+class BoundFact:
+    """What the method says after a test."""
+
+    problem: str
+    test: int
+    epsilon: float | None
+    stopped_by: StoppedBy | None
+
+
+Fact = ProposalFact | RolloutFact | ObservationFact | BoundFact
+
+
+def first_link(header: Header, problem: str) -> str:
+    """Return the start of a problem's hash chain."""
+    return digest({"config": header.config.digest, "system": header.spec.digest, "problem": problem})
+
+
+def next_link(link: str, proposal: ProposalFact, rollouts: list[RolloutFact], y: float) -> str:
+    """Return the head of a problem's hash chain after one more observed test.
+
+    Rollouts enter in the order of their ids, whatever order they arrived in.
+    """
+    fact = {
+        "test": [proposal.test, proposal.node, proposal.x, proposal.mu, proposal.sigma, proposal.beta, proposal.F],
+        "rollouts": sorted([str(fact.rollout), fact.seed, fact.sha256] for fact in rollouts),
+        "y": y,
+    }
+    return hashlib.sha256((link + canonical_json(fact)).encode()).hexdigest()
+
+
+class Journal:
+    """An open campaign database; one orchestrator has it, under `campaign_lock`."""
+
+    def __init__(self, engine: Engine, header: Header) -> None:
+        self.header = header
+        self._engine = engine
+        self._connection = engine.connect()
+        self._seq = self._last_seq()
+        self.session = self._open_session()
+
+    @classmethod
+    def create(cls, directory: Path, header: Header) -> "Journal":
+        """Make the database of a new campaign, whole or not at all."""
+        partial = directory / f"{DATABASE}.partial"
+        engine = _engine(partial)
+        with engine.begin() as connection:
+            tables.metadata.create_all(connection)
+            for trigger in tables.insert_only():
+                connection.execute(sa.text(trigger))
+            connection.execute(tables.schema.insert().values(version=tables.SCHEMA_VERSION))
+            connection.execute(tables.campaign.insert().values(seq=1, **_header_row(header)))
+        engine.dispose()
+        partial.replace(directory / DATABASE)
+        _sync_folder(directory)
+        return cls(_engine(directory / DATABASE), header)
+
+    @classmethod
+    def open(cls, directory: Path) -> "Journal":
+        """Open the database of an existing campaign.
+
+        Raises:
+            JournalError: there is none, or it is of another schema, or damaged.
+
+        """
+        engine = _engine(existing(directory))
+        try:
+            with engine.begin() as connection:
+                header = read_header(connection, directory)
+        except sa.exc.DatabaseError as error:
+            raise JournalError(f"{directory / DATABASE}: not a campaign database ({error.orig})") from None
+        return cls(engine, header)
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Make all facts written inside durable together, or none of them."""
+        before = self._seq
+        try:
+            yield  # the first write begins the transaction: a turn of heartbeats touches no disk
+            self._connection.commit()
+        except BaseException:
+            self._seq = before
+            self._connection.rollback()
+            raise
+
+    def add(self, fact: Fact) -> None:
+        """Write one fact; inside `transaction` only."""
+        table, row = _row(fact)
+        self._seq += 1
+        self._connection.execute(table.insert(), {"seq": self._seq, **row})
+
+    def attempt_started(self, attempt: Attempt, worker: str, host: str, pid: int) -> None:
+        """Write down a new attempt before it is assigned."""
+        row = {"worker": worker, "host": host, "pid": pid, "session": self.session, "started": time.time()}
+        self._insert_or_ignore(tables.attempts, attempt, row)
+
+    def attempt_ended(self, attempt: Attempt, worker: str, outcome: str, cpu: float = 0.0, wall: float = 0.0) -> None:
+        """Write down how an attempt ended; the first account of it stands."""
+        row = {"worker": worker, "ended": time.time(), "outcome": outcome, "cpu_seconds": cpu, "wall_seconds": wall}
+        self._insert_or_ignore(tables.outcomes, attempt, row)
+
+    def _insert_or_ignore(self, table: sa.Table, attempt: Attempt, row: dict[str, Any]) -> None:
+        statement = table.insert().prefix_with("OR IGNORE")
+        self._connection.execute(statement, {"rollout": str(attempt.rollout), "attempt": attempt.number, **row})
+
+    def facts(self) -> Iterator[Fact]:
+        """Yield all facts after the header in the order in which they were written."""
+        with self._connection.begin():
+            yield from read_facts(self._connection)
+
+    def attempts(self) -> dict[RolloutId, int]:
+        """Return the highest attempt number of every rollout."""
+        columns = tables.attempts.c
+        query = sa.select(columns.rollout, sa.func.max(columns.attempt)).group_by(columns.rollout)
+        with self._connection.begin():
+            return {RolloutId.parse(rollout): number for rollout, number in self._connection.execute(query)}
+
+    def observed(self) -> list[tuple[RolloutId, str, str]]:
+        """Return (rollout, sha256, path) of every rollout behind an observation, by problem, test and id.
+
+        A rollout that was recorded after its problem had stopped depends on luck and is not evidence of anything.
+        """
+        rollouts, seen = tables.rollouts.c, tables.observations.c
+        joined = tables.rollouts.join(
+            tables.observations, (rollouts.problem == seen.problem) & (rollouts.test == seen.test)
+        )
+        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate, rollouts.sha256, rollouts.path)
+        order = [problem.name for problem in self.header.config.problems]
+        with self._connection.begin():
+            rows = self._connection.execute(sa.select(*columns).select_from(joined)).all()
+        found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
+        return sorted(found, key=lambda entry: (order.index(entry[0].problem), *entry[0][1:]))
+
+    def close(self) -> None:
+        """Close the database; SQLite then folds its write-ahead log into it."""
+        self._connection.close()
+        self._engine.dispose()
+
+    def _last_seq(self) -> int:
+        with self._connection.begin():
+            return max(
+                self._connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() or 0 for table in tables.FACTS
+            )
+
+    def _open_session(self) -> int:
+        with self._connection.begin():
+            row = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
+            result = self._connection.execute(tables.sessions.insert().values(**row))
+            key = result.inserted_primary_key
+            assert key is not None
+            return int(key[0])
+
+
+def existing(directory: Path) -> Path:
+    """Return the database of a campaign.
+
+    Raises:
+        JournalError: there is none in `directory`.
+
+    """
+    path = directory / DATABASE
+    if not path.is_file():
+        raise JournalError(f"{directory}: no campaign here (no {DATABASE}); start one with `perfbound run CAMPAIGN.toml`")
+    return path
+
+
+def read_header(connection: Connection, directory: Path) -> Header:
+    """Read the first fact.
+
+    Raises:
+        JournalError: the database is of another schema version, or has no header.
+
+    """
+    version = connection.execute(sa.select(tables.schema.c.version)).scalar()
+    if version != tables.SCHEMA_VERSION:
+        raise JournalError(
+            f"{directory / DATABASE}: schema version {version}, this perfbound reads {tables.SCHEMA_VERSION}; "
+            "use the perfbound that wrote it, or a newer one"
+        )
+    row = connection.execute(sa.select(tables.campaign)).one()
+    config = CampaignConfig.model_validate_json(row.config)
+    if config.digest != row.config_sha256:
+        raise JournalError(f"{directory / DATABASE}: the stored campaign file was changed after the start")
+    spec = SystemSpec.model_validate_json(row.system)
+    return Header(row.run, config, spec, json.loads(row.software))
+
+
+def read_facts(connection: Connection) -> Iterator[Fact]:
+    """Yield all facts after the header in the order in which they were written."""
+    rows: list[tuple[int, Fact]] = []
+    for row in connection.execute(sa.select(tables.tests)):
+        x = tuple(json.loads(row.x))
+        rows.append((row.seq, ProposalFact(row.problem, row.test, row.node, x, row.mu, row.sigma, row.beta, row.F)))
+    for row in connection.execute(sa.select(tables.rollouts)):
+        rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
+        rows.append((row.seq, RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)))
+    for row in connection.execute(sa.select(tables.observations)):
+        rows.append((row.seq, ObservationFact(row.problem, row.test, row.y, row.chain)))
+    for row in connection.execute(sa.select(tables.bounds)):
+        rows.append((row.seq, BoundFact(row.problem, row.test, row.epsilon, row.stopped_by)))
+    rows.sort(key=lambda pair: pair[0])
+    for _, fact in rows:
+        yield fact
+
+
+def _header_row(header: Header) -> dict[str, Any]:
+    return {
+        "run": header.run,
+        "name": header.config.name,
+        "seed": header.config.seed,
+        "config": canonical_json(header.config.model_dump(mode="json")),
+        "config_sha256": header.config.digest,
+        "system": canonical_json(header.spec.model_dump(mode="json")),
+        "software": canonical_json(header.software),
+    }
+
+
+def _row(fact: Fact) -> tuple[sa.Table, dict[str, Any]]:
+    # SQLite turns NaN into NULL without a word; canonical_json refuses it here, for every kind of fact.
+    match fact:
+        case ProposalFact():
+            row = _fields(fact) | {"x": canonical_json(list(fact.x))}
+            table = tables.tests
+        case RolloutFact():
+            row = _fields(fact)
+            del row["rollout"]
+            row |= fact.rollout._asdict()
+            table = tables.rollouts
+        case ObservationFact():
+            row, table = _fields(fact), tables.observations
+        case BoundFact():
+            row, table = _fields(fact), tables.bounds
+    canonical_json(row)
+    return table, row
+
+
+def _fields(fact: Fact) -> dict[str, Any]:
+    return {name: getattr(fact, name) for name in fact.__slots__}
+
+
+def _engine(path: Path) -> Engine:
+    engine = sa.create_engine(f"sqlite:///{path}")
+    sa.event.listen(engine, "connect", _configure)
+    sa.event.listen(engine, "begin", _begin_immediate)
+    return engine
+
+
+def _configure(connection: Any, _record: object) -> None:
+    connection.isolation_level = None  # SQLAlchemy begins and commits, not the driver
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000"):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_immediate(connection: Connection) -> None:
+    connection.exec_driver_sql("BEGIN IMMEDIATE")
+
+
+def _sync_folder(directory: Path) -> None:
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

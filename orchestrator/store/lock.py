@@ -1,0 +1,57 @@
+"""One orchestrator per campaign: an flock on the run directory, which the kernel frees on kill -9."""
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from orchestrator.errors import PerfboundError
+
+ATTEMPTS = 10
+
+
+@contextmanager
+def campaign_lock(directory: Path) -> Iterator[None]:
+    """Hold the campaign in `directory`; no file is made.
+
+    Raises:
+        PerfboundError: another orchestrator holds it.
+
+    """
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        if not _take(descriptor):
+            raise PerfboundError(
+                f"{directory}: another orchestrator is running this campaign; "
+                f"watch it with `perfbound status {directory}`, or stop it first"
+            )
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _take(descriptor: int) -> bool:
+    # A reader that asks `is_held` holds a shared lock for microseconds: it must not keep an orchestrator from starting.
+    for _ in range(ATTEMPTS):
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.05)
+        else:
+            return True
+    return False
+
+
+def is_held(directory: Path) -> bool:
+    """Whether some orchestrator holds the campaign now."""
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    else:
+        return False
+    finally:
+        os.close(descriptor)

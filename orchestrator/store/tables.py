@@ -1,0 +1,136 @@
+"""The tables of the campaign database.
+
+Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollouts`, `observations`, `bounds`. What
+depends on luck (who did what, where and when) stands in `attempts` and `sessions`, outside the hash chain.
+"""
+
+from sqlalchemy import Column, ForeignKeyConstraint, Integer, MetaData, Table, Text, UniqueConstraint
+from sqlalchemy.types import REAL
+
+SCHEMA_VERSION = 1
+
+metadata = MetaData()
+
+schema = Table("schema", metadata, Column("version", Integer, primary_key=True), sqlite_strict=True)
+
+campaign = Table(
+    "campaign",
+    metadata,
+    Column("seq", Integer, primary_key=True),
+    Column("run", Text, nullable=False),  # random; names the keys of the protocol
+    Column("name", Text, nullable=False),
+    Column("seed", Integer, nullable=False),
+    Column("config", Text, nullable=False),  # canonical JSON
+    Column("config_sha256", Text, nullable=False),
+    Column("system", Text, nullable=False),  # SystemSpec, canonical JSON
+    Column("software", Text, nullable=False),  # versions, canonical JSON
+    sqlite_strict=True,
+)
+
+tests = Table(
+    "tests",
+    metadata,
+    Column("seq", Integer, primary_key=True),
+    Column("problem", Text, nullable=False),
+    Column("test", Integer, nullable=False),
+    Column("node", Integer, nullable=False),  # index of z on the lattice
+    Column("x", Text, nullable=False),  # z, JSON, units of the parameters
+    Column("mu", REAL, nullable=False),
+    Column("sigma", REAL, nullable=False),
+    Column("beta", REAL),  # NULL for the first test, which nothing chose
+    Column("F", REAL),
+    UniqueConstraint("problem", "test"),
+    sqlite_strict=True,
+)
+
+rollouts = Table(
+    "rollouts",
+    metadata,
+    Column("seq", Integer, primary_key=True),
+    Column("problem", Text, nullable=False),
+    Column("test", Integer, nullable=False),
+    Column("variant", Text, nullable=False),
+    Column("replicate", Integer, nullable=False),
+    Column("seed", Integer, nullable=False),
+    Column("sha256", Text, nullable=False),
+    Column("size", Integer, nullable=False),  # bytes
+    Column("path", Text, nullable=False),  # relative to the run directory
+    Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
+    UniqueConstraint("problem", "test", "variant", "replicate"),
+    ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
+    sqlite_strict=True,
+)
+
+observations = Table(
+    "observations",
+    metadata,
+    Column("seq", Integer, primary_key=True),
+    Column("problem", Text, nullable=False),
+    Column("test", Integer, nullable=False),
+    Column("y", REAL, nullable=False),  # of the maximised objective J
+    Column("chain", Text, nullable=False),  # head of the problem's hash chain after this observation
+    UniqueConstraint("problem", "test"),
+    ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
+    sqlite_strict=True,
+)
+
+bounds = Table(
+    "bounds",
+    metadata,
+    Column("seq", Integer, primary_key=True),
+    Column("problem", Text, nullable=False),
+    Column("test", Integer, nullable=False),
+    Column("epsilon", REAL),  # upper bound on J if the campaign stopped here; NULL before the first proposal
+    Column("stopped_by", Text),
+    UniqueConstraint("problem", "test"),
+    ForeignKeyConstraint(["problem", "test"], ["observations.problem", "observations.test"]),
+    sqlite_strict=True,
+)
+
+attempts = Table(
+    "attempts",
+    metadata,
+    Column("rollout", Text, primary_key=True),
+    Column("attempt", Integer, primary_key=True),
+    Column("worker", Text, nullable=False),
+    Column("host", Text, nullable=False),
+    Column("pid", Integer, nullable=False),
+    Column("session", Integer, nullable=False),
+    Column("started", REAL, nullable=False),  # Unix time, s
+    sqlite_strict=True,
+)
+
+outcomes = Table(
+    "outcomes",
+    metadata,
+    Column("rollout", Text, primary_key=True),
+    Column("attempt", Integer, primary_key=True),
+    Column("worker", Text, nullable=False),
+    Column("ended", REAL, nullable=False),  # Unix time, s
+    Column("outcome", Text, nullable=False),  # "recorded", or why there is no result
+    Column("cpu_seconds", REAL, nullable=False),
+    Column("wall_seconds", REAL, nullable=False),
+    sqlite_strict=True,
+)
+
+sessions = Table(
+    "sessions",
+    metadata,
+    Column("session", Integer, primary_key=True),
+    Column("host", Text, nullable=False),
+    Column("pid", Integer, nullable=False),
+    Column("started", REAL, nullable=False),  # Unix time, s
+    sqlite_strict=True,
+)
+
+FACTS = (campaign, tests, rollouts, observations, bounds)
+
+
+def insert_only() -> list[str]:
+    """Return the triggers that refuse to change or remove what is written."""
+    return [
+        f"CREATE TRIGGER {table.name}_no_{verb.lower()} BEFORE {verb} ON {table.name} "
+        f"BEGIN SELECT RAISE(ABORT, '{table.name} is insert-only'); END"
+        for table in (*FACTS, schema, attempts, outcomes, sessions)
+        for verb in ("UPDATE", "DELETE")
+    ]

@@ -1,0 +1,120 @@
+"""The certificate: an in-toto Statement v1 without time, host or path, so that luck cannot change a byte of it."""
+
+import json
+from typing import Literal
+
+from pydantic import Field
+
+from schemas.base import Model
+from schemas.campaign import ProblemName, Sense
+
+STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
+PREDICATE_TYPE = "urn:perfbound:certificate:v1"
+
+Status = Literal["derived", "assumed", "not refuted", "refuted"]
+StoppedBy = Literal["converged", "budget"]
+
+
+class Subject(Model):
+    """What the statement is about: the manifest of the evidence."""
+
+    name: str
+    digest: dict[Literal["sha256"], str]
+
+
+class CampaignId(Model):
+    """Which campaign was run."""
+
+    name: str
+    seed: int
+    config_sha256: str
+
+
+class Claim(Model):
+    """P[quantity (>= | <=) bound] >= probability, resting on the named assumptions."""
+
+    quantity: Literal["rho_star", "J_star"]
+    sense: Literal[">=", "<="]
+    bound: float
+    probability: float
+    rule: Literal["product", "sum", "single"]
+    method: str
+    assumptions: tuple[str, ...]
+
+
+class Rollouts(Model):
+    """Number of rollouts behind a bound."""
+
+    nominal: int
+    true: int
+
+
+class ProblemResult(Model):
+    """The bound of one problem; `bound` is a lower one for sense min, an upper one for sense max."""
+
+    name: ProblemName
+    objective: str
+    method: str
+    sense: Sense
+    bound: float
+    probability: float
+    probabilities: dict[Literal["gaussian", "sub-gaussian"], float]
+    tests: int
+    rollouts: Rollouts
+    stopped_by: StoppedBy
+    parameters: dict[str, object]
+    last_F: float  # noqa: N815  (the paper's symbol)
+
+
+class Assumption(Model):
+    """One thing that the claims rest on, and what the data say about it."""
+
+    id: str
+    status: Status
+    detail: str
+
+
+class Composition(Model):
+    """bound = nominal_bound - gap_term - risk_term."""
+
+    rule: Literal["product", "sum"]
+    nominal_bound: float
+    gap_bound: float
+    lipschitz: float
+    gap_term: float
+    risk_term: float
+    bound: float
+
+
+class Evidence(Model):
+    """What the certificate can be checked against."""
+
+    manifest_sha256: str
+    chain_head: str
+    rollouts: int
+
+
+class Predicate(Model):
+    """The content of the certificate."""
+
+    campaign: CampaignId
+    claims: tuple[Claim, ...] = Field(min_length=1)
+    problems: tuple[ProblemResult, ...]
+    composition: Composition | None
+    assumptions: tuple[Assumption, ...]
+    evidence: Evidence
+    software: dict[str, str]
+
+
+class Certificate(Model):
+    """in-toto Statement v1."""
+
+    type_: str = Field(default=STATEMENT_TYPE, alias="_type")
+    subject: tuple[Subject, ...]
+    predicateType: str = PREDICATE_TYPE  # noqa: N815  (the name in the in-toto specification)
+    predicate: Predicate
+
+    def to_json(self) -> str:
+        """Return the one text of this certificate, ending with a newline."""
+        value = self.model_dump(mode="json", by_alias=True)
+        return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=True, allow_nan=False) + "\n"

@@ -1,0 +1,69 @@
+"""Zenoh key expressions, all built here.
+
+    perfbound/<run>/live/worker/<worker>                      liveliness token of a worker
+    perfbound/<run>/live/orchestrator/<orchestrator>          liveliness token of the orchestrator
+    perfbound/<run>/request/<worker>                          assign, cancel, ack, refuse
+    perfbound/<run>/up/<worker>/state                         heartbeat
+    perfbound/<run>/up/<worker>/result/<rollout>/<attempt>    evidence
+
+`<run>` names a campaign database, `<worker>` and `<orchestrator>` name one process each.
+"""
+
+import re
+import secrets
+
+ROOT = "perfbound"
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+ANY_ORCHESTRATOR = f"{ROOT}/*/live/orchestrator/*"
+
+
+def fresh_id(name: str) -> str:
+    """Return `name` with a random suffix, unique to one process start.
+
+    Raises:
+        ValueError: `name` could not be part of a key.
+
+    """
+    if not NAME.fullmatch(name):
+        raise ValueError(f"the name {name[:80]!r} is not allowed: 1 to 64 letters, digits, '-' or '_'")
+    return f"{name}-{secrets.token_hex(4)}"
+
+
+def live_worker(run: str, worker: str) -> str:
+    """Token of one worker; `*` for all."""
+    return f"{ROOT}/{run}/live/worker/{worker}"
+
+
+def live_orchestrator(run: str, orchestrator: str) -> str:
+    """Token of one orchestrator; `*` for all."""
+    return f"{ROOT}/{run}/live/orchestrator/{orchestrator}"
+
+
+def request(run: str, worker: str) -> str:
+    """What the orchestrator says to one worker."""
+    return f"{ROOT}/{run}/request/{worker}"
+
+
+def state(run: str, worker: str) -> str:
+    """Heartbeat of one worker; `*` for all."""
+    return f"{ROOT}/{run}/up/{worker}/state"
+
+
+def result(run: str, worker: str, rollout: str, attempt: int | str) -> str:
+    """Evidence of one attempt; `*` for all."""
+    return f"{ROOT}/{run}/up/{worker}/result/{rollout}/{attempt}"
+
+
+def run_of(key: str) -> str:
+    """Return the run of any of our keys."""
+    return key.split("/")[1]
+
+
+def last(key: str) -> str:
+    """Return the last chunk of a key: the process of a token."""
+    return key.rsplit("/", 1)[1]
+
+
+def worker_of(key: str) -> str:
+    """Return the worker of an `up` key."""
+    return key.split("/")[3]

@@ -1,0 +1,119 @@
+"""How the two sides of the Zenoh link are configured: one table for both, so that they agree."""
+
+import ipaddress
+import json
+from pathlib import Path
+from typing import Any
+
+from schemas.base import Model
+from schemas.messages import MAX_RESULT
+
+LEASE_MS = 2000
+"""A peer that is silent for so long has lost its liveliness token."""
+LOCAL = "tcp/127.0.0.1:0"
+"""Loopback, a free port."""
+ENCRYPTED = ("tls", "quic")
+
+
+class LinkError(ValueError):
+    """An endpoint that cannot be used as asked; the text says what to change."""
+
+
+class Tls(Model):
+    """Mutual TLS: both sides show a certificate signed by `ca`; paths of PEM files."""
+
+    ca: str
+    certificate: str
+    key: str
+
+
+def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
+    """Return the Zenoh configuration of the orchestrator.
+
+    Raises:
+        LinkError: the endpoint is malformed, or open to others without TLS, or a TLS file is missing.
+
+    """
+    protocol, host = split(endpoint)
+    if protocol in ENCRYPTED and tls is None:
+        raise LinkError(f"--listen {endpoint}: {protocol} needs --tls-ca, --tls-certificate and --tls-key")
+    if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
+        raise LinkError(
+            f"--listen {endpoint}: anyone who reaches this address could feed the campaign; "
+            "use a tls/ endpoint with --tls-ca, --tls-certificate and --tls-key, or say --insecure"
+        )
+    names = ("listen_certificate", "listen_private_key")
+    return json.dumps(
+        {
+            **_common(tls, names),
+            "mode": "peer",
+            "listen": {"endpoints": [endpoint]},
+            "adminspace": {"enabled": True},  # only to learn the port that the system chose
+        }
+    )
+
+
+def connect_config(endpoint: str, tls: Tls | None) -> str:
+    """Return the Zenoh configuration of a worker.
+
+    Raises:
+        LinkError: the endpoint is malformed, or a TLS file is missing.
+
+    """
+    protocol, _ = split(endpoint)
+    if protocol in ENCRYPTED and tls is None:
+        raise LinkError(f"--connect {endpoint}: {protocol} needs --tls-ca, --tls-certificate and --tls-key")
+    retry = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
+    return json.dumps(
+        {
+            **_common(tls, ("connect_certificate", "connect_private_key")),
+            "mode": "client",
+            "connect": {"endpoints": [endpoint], "timeout_ms": 1000, "exit_on_failure": True, "retry": retry},
+        }
+    )
+
+
+def split(endpoint: str) -> tuple[str, str]:
+    """Return protocol and host of an endpoint such as `tcp/127.0.0.1:7447`.
+
+    Raises:
+        LinkError: it is not of that form.
+
+    """
+    protocol, slash, address = endpoint.partition("/")
+    host, colon, port = address.rpartition(":")
+    if not (slash and colon and host and port.isdigit()) or protocol not in ("tcp", *ENCRYPTED):
+        raise LinkError(f"{endpoint!r} is not an endpoint: write tcp/HOST:PORT, tls/HOST:PORT or quic/HOST:PORT")
+    if int(port) > 65535:
+        raise LinkError(f"{endpoint!r}: the port must be at most 65535")
+    return protocol, host.strip("[]")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _common(tls: Tls | None, names: tuple[str, str]) -> dict[str, Any]:
+    link: dict[str, Any] = {
+        "tx": {"lease": LEASE_MS, "keep_alive": 4},
+        "rx": {"max_message_size": MAX_RESULT + 1024 * 1024},
+    }
+    if tls is not None:
+        for path in (tls.ca, tls.certificate, tls.key):
+            if not Path(path).is_file():
+                raise LinkError(f"{path}: no such file; the TLS options name PEM files")
+        link["tls"] = {
+            "root_ca_certificate": tls.ca,
+            names[0]: tls.certificate,
+            names[1]: tls.key,
+            "enable_mtls": True,
+        }
+    return {
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        # Shared memory is on by default and leaves 35 MB in /dev/shm after every run.
+        "transport": {"shared_memory": {"enabled": False}, "link": link},
+    }

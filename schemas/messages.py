@@ -1,0 +1,126 @@
+"""What the orchestrator and its workers say to each other; every message is validated and bounded."""
+
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from schemas.base import Model
+from schemas.rollout import RolloutRequest
+
+PROTOCOL = 1
+MAX_MESSAGE = 64 * 1024
+"""Bytes of a JSON message."""
+MAX_RESULT = 64 * 1024 * 1024
+"""Bytes of one trajectory file."""
+
+Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.[0-9]{1,9}\.(nominal|true)\.[0-9]{1,6}$")]
+Attempt = Annotated[int, Field(ge=1, le=1_000_000)]
+Word = Annotated[str, Field(max_length=200)]
+
+
+class MessageError(ValueError):
+    """A message that could not be accepted; the text says why."""
+
+
+class Assign(Model):
+    """Simulate this rollout."""
+
+    type: Literal["assign"] = "assign"
+    attempt: Attempt
+    request: RolloutRequest
+
+
+class Cancel(Model):
+    """Stop this attempt; its result is no longer needed."""
+
+    type: Literal["cancel"] = "cancel"
+    rollout: Rollout
+    attempt: Attempt
+
+
+class Ack(Model):
+    """The result of this attempt is durable (or not needed): drop it from the outbox."""
+
+    type: Literal["ack"] = "ack"
+    rollout: Rollout
+    attempt: Attempt
+
+
+class Refuse(Model):
+    """This worker cannot serve this campaign; it should leave."""
+
+    type: Literal["refuse"] = "refuse"
+    reason: str = Field(max_length=2000)
+
+
+Request = Assign | Cancel | Ack | Refuse
+
+
+class WorkerState(Model):
+    """Heartbeat: every half second, and on change."""
+
+    protocol: int
+    version: Word
+    worker: Word
+    host: Word
+    pid: int
+    systems: dict[Word, Word] = Field(max_length=200, description="digest of the SystemSpec of each installed system")
+    state: Literal["idle", "busy"]
+    rollout: Rollout | None = None
+    attempt: Attempt | None = None
+    progress: int = Field(default=0, ge=0, description="control steps done; a worker that is not hung makes it grow")
+
+
+class ResultHeader(Model):
+    """Attachment of a result: what the payload is, or why there is none."""
+
+    rollout: Rollout
+    attempt: Attempt
+    worker: Word
+    outcome: Literal["done", "failed"]
+    sha256: str = Field(default="", pattern=r"^([0-9a-f]{64})?$")
+    error: str = Field(default="", max_length=4000)
+    cpu_seconds: float = Field(default=0.0, ge=0)
+    wall_seconds: float = Field(default=0.0, ge=0)
+
+
+T = TypeVar("T")
+_REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="type")])
+_STATE = TypeAdapter(WorkerState)
+_HEADER = TypeAdapter(ResultHeader)
+
+
+def encode(message: Model) -> bytes:
+    """Return the JSON of a message."""
+    return message.model_dump_json(exclude_none=True).encode()
+
+
+def decode_request(payload: bytes) -> Request:
+    """Read a message of the orchestrator.
+
+    Raises:
+        MessageError: it is too large or not of the protocol.
+
+    """
+    return _decode(_REQUEST, payload)
+
+
+def decode_state(payload: bytes) -> WorkerState:
+    """Read a heartbeat; raises `MessageError`."""
+    return _decode(_STATE, payload)
+
+
+def decode_header(payload: bytes) -> ResultHeader:
+    """Read the attachment of a result; raises `MessageError`."""
+    return _decode(_HEADER, payload)
+
+
+def _decode(adapter: TypeAdapter[T], payload: bytes) -> T:
+    if len(payload) > MAX_MESSAGE:
+        raise MessageError(f"{len(payload)} bytes are more than the {MAX_MESSAGE} of a message")
+    try:
+        return adapter.validate_json(payload)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise MessageError(f"{where}: {first['msg']}" if where else first["msg"]) from None

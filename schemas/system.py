@@ -1,0 +1,61 @@
+"""What a worker announces of a system under test, so that the orchestrator need not import it."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from schemas.base import Model, digest
+
+Variant = Literal["nominal", "true"]
+OptionValue = str | float
+
+
+class Parameter(Model):
+    """One component of the starting condition d."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    unit: str
+    low: float
+    high: float
+
+
+class Column(Model):
+    """One column of the trajectory."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    unit: str
+
+
+class Option(Model):
+    """One key that `[system]` of a campaign file may set: a choice of words or a number in [low, high]."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    default: OptionValue
+    choices: tuple[str, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+    doc: str = ""
+
+
+class SystemSpec(Model):
+    """A system under test: what it takes, what it returns, what it runs on.
+
+    `columns` starts with the time `t` in seconds. `noisy` names the variants whose rollouts depend on the seed.
+    `versions` are those of the packages that decide the trajectory, e.g. {"pybullet": "3.2.7"}.
+    """
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9-]*$")
+    doc: str
+    parameters: tuple[Parameter, ...] = Field(min_length=1)
+    columns: tuple[Column, ...] = Field(min_length=2)
+    options: tuple[Option, ...] = ()
+    variants: tuple[Variant, ...] = ("nominal", "true")
+    noisy: tuple[Variant, ...] = ("true",)
+    max_horizon: float = Field(gt=0, description="longest rollout in seconds")
+    versions: dict[str, str] = {}
+
+    @property
+    def digest(self) -> str:
+        """Identity of this exact system; workers that announce another one are refused."""
+        return digest(self.model_dump(mode="json"))

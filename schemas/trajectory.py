@@ -1,0 +1,348 @@
+"""The trajectory and its file: the only importer of mcap.
+
+A file holds the evidence (attachment `trajectory.npy`, attachment `request.json`, one metadata record) and, if the
+trajectory carries a `Visual`, what a person sees at 30 Hz (channels /tf, /scene, /state and /log). Nothing in it
+depends on the clock or the host: the same rollout gives the same bytes.
+
+| symbol | meaning | shape, unit |
+|---|---|---|
+| T | samples of a trajectory | |
+| n | columns, the first one is the time `t` | |
+| F | frames a person sees, 30 per second | |
+"""
+
+import io
+import itertools
+import json
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, McapRecord, Metadata
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from numpy.typing import NDArray
+
+from schemas.base import canonical_json
+
+Floats = NDArray[np.float64]
+
+LIBRARY = "perfbound"
+FRAME_RATE = 30  # 1/s
+CHUNK_BYTES = 65536
+MAX_FILE_BYTES = 64 * 2**20  # a 15 s rollout of nine columns takes 0.2 MB
+MAX_RECORDS = 10_000
+EVIDENCE, REQUEST, RECORD = "trajectory.npy", "request.json", "rollout"
+
+_MAGIC = b"\x89MCAP0\r\n"
+_DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
+
+
+class TrajectoryError(Exception):
+    """The bytes are not one whole trajectory file; the message says what is wrong with them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transform:
+    """Pose of the frame `child` in the frame `parent`, one row per frame a person sees.
+
+    Raises:
+        ValueError: a shape is wrong or a number is not finite.
+
+    """
+
+    parent: str
+    child: str
+    translation: Floats  # (F, 3), m
+    rotation: Floats  # (F, 4), quaternion x, y, z, w
+
+    def __post_init__(self) -> None:
+        if self.translation.shape != (len(self), 3) or self.rotation.shape != (len(self), 4):
+            raise ValueError(f"transform {self.child}: shapes {self.translation.shape}, {self.rotation.shape}")
+        if not (np.isfinite(self.translation).all() and np.isfinite(self.rotation).all()):
+            raise ValueError(f"transform {self.child}: a number is not finite")
+
+    def __len__(self) -> int:
+        return len(self.translation)
+
+
+@dataclass(frozen=True, eq=False)
+class Visual:
+    """What a person sees: a foxglove.SceneUpdate sent once, moving frames, and lines of a log as (seconds, text)."""
+
+    scene: Mapping[str, Any]
+    transforms: tuple[Transform, ...]
+    log: tuple[tuple[float, str], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The columns of one rollout over time; `samples` becomes float64, C order and read-only.
+
+    Raises:
+        ValueError: the first column is not `t`, a name is double, the shape is wrong, a number is not finite, or the
+            time is negative or does not increase.
+
+    """
+
+    columns: tuple[str, ...]
+    samples: Floats  # (T, n)
+    visual: Visual | None = None
+
+    def __post_init__(self) -> None:
+        samples = np.array(self.samples, dtype=np.float64, order="C")
+        samples.flags.writeable = False
+        object.__setattr__(self, "samples", samples)
+        _check_columns(self.columns)
+        _check_samples(samples, len(self.columns))
+        for transform in self.visual.transforms if self.visual else ():
+            if len(transform) != len(self.frames):
+                raise ValueError(f"transform {transform.child} has {len(transform)} frames, not {len(self.frames)}")
+
+    def column(self, name: str) -> Floats:
+        """Return one column, shape (T,).
+
+        Raises:
+            KeyError: there is no such column.
+
+        """
+        if name not in self.columns:
+            raise KeyError(name)
+        return self.samples[:, self.columns.index(name)]
+
+    @property
+    def frames(self) -> NDArray[np.intp]:
+        """Rows that a person sees: the first one at or after each 1/30 s, shape (F,)."""
+        t = self.samples[:, 0]
+        count = int((t[-1] - t[0]) * FRAME_RATE + 1e-6) + 1
+        wanted = t[0] + np.arange(count) / FRAME_RATE
+        rows: NDArray[np.intp] = np.minimum(np.searchsorted(t, wanted - 1e-9), len(t) - 1)
+        return rows
+
+
+def encode(
+    trajectory: Trajectory, *, request: Mapping[str, Any], metadata: Mapping[str, str], units: Mapping[str, str]
+) -> bytes:
+    """Return the trajectory's file: equal arguments give equal bytes.
+
+    `units` names the unit of each column; the metadata record is `metadata` and the list of columns.
+
+    Raises:
+        ValueError: `request` holds a number that is not finite, or `units` lacks a column.
+
+    """
+    if missing := set(trajectory.columns) - set(units):
+        raise ValueError(f"no unit for {', '.join(sorted(missing))}")
+    out = io.BytesIO()
+    writer = Writer(out, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+    writer.start(profile="", library=LIBRARY)
+    record = {**metadata, "columns": json.dumps(trajectory.columns)}
+    writer.add_metadata(RECORD, dict(sorted(record.items())))
+    writer.add_attachment(0, 0, REQUEST, "application/json", canonical_json(dict(request)).encode())
+    writer.add_attachment(0, 0, EVIDENCE, "application/x-npy", _npy(trajectory.samples))
+    if trajectory.visual:
+        _write_visual(writer, trajectory, trajectory.visual, units)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return out.getvalue()
+
+
+def decode(data: bytes) -> Trajectory:
+    """Return the evidence in a trajectory's file, without its visual part.
+
+    Every byte stands under a checksum that is verified here, and nothing larger than the file is allocated.
+
+    Raises:
+        TrajectoryError: the file is damaged, cut, too large or incomplete, or what it holds is no trajectory.
+
+    """
+    try:
+        _check_checksums(data)
+        record, npy = _evidence(data)
+        columns = json.loads(record["columns"])
+        if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
+            raise TrajectoryError("the columns are not a list of names")
+        return Trajectory(tuple(columns), _from_npy(npy))
+    except TrajectoryError:
+        raise
+    except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
+        raise TrajectoryError(f"not a trajectory file: {type(error).__name__}: {error}") from error
+
+
+def _check_columns(columns: tuple[str, ...]) -> None:
+    if len(columns) < 2 or columns[0] != "t" or len(set(columns)) != len(columns):
+        raise ValueError(f"columns must be distinct, 't' first and at least two: {columns}")
+
+
+def _check_samples(samples: Floats, columns: int) -> None:
+    if samples.ndim != 2 or samples.shape[1] != columns or not len(samples):
+        raise ValueError(f"samples have shape {samples.shape} for {columns} columns")
+    if not np.isfinite(samples).all():
+        row = int(np.argmin(np.isfinite(samples).all(axis=1)))
+        raise ValueError(f"samples are not finite from row {row} on")
+    if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
+        raise ValueError("the time must start at 0 or later and increase")
+
+
+def _npy(samples: Floats) -> bytes:
+    out = io.BytesIO()
+    np.lib.format.write_array(out, samples, version=(1, 0), allow_pickle=False)
+    return out.getvalue()
+
+
+def _from_npy(data: bytes) -> Floats:
+    """Return the array (a view of `data`); `np.load` would allocate whatever shape the header claims."""
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise TrajectoryError(f"{EVIDENCE} is not an npy file of version 1.0")
+    shape, fortran_order, dtype = np.lib.format.read_array_header_1_0(stream)
+    flat = memoryview(data)[stream.tell() :]
+    if dtype != np.dtype("<f8") or fortran_order or len(shape) != 2 or shape[0] * shape[1] * 8 != len(flat):
+        raise TrajectoryError(f"{EVIDENCE} claims {dtype} {shape} for {len(flat)} bytes")
+    return np.frombuffer(flat, dtype=np.float64).reshape(shape)
+
+
+def _check_checksums(data: bytes) -> None:
+    """Refuse a file of which any byte changed.
+
+    The reader of mcap leaves out a checksum that is zero, those of attachments and that of the summary.
+    """
+    if not len(_MAGIC) + _DATA_END.size + _FOOTER.size + len(_MAGIC) <= len(data) <= MAX_FILE_BYTES:
+        raise TrajectoryError(f"a file of {len(data)} bytes is empty, cut or above {MAX_FILE_BYTES}")
+    view, footer = memoryview(data), len(data) - len(_MAGIC) - _FOOTER.size
+    opcode, _, summary, _, summary_crc = _FOOTER.unpack_from(data, footer)
+    if opcode != Opcode.FOOTER or not data.startswith(_MAGIC) or not data.endswith(_MAGIC):
+        raise TrajectoryError("not an MCAP file, or it was cut")
+    if not _DATA_END.size <= summary <= footer or zlib.crc32(view[summary : -len(_MAGIC) - 4]) != summary_crc:
+        raise TrajectoryError("the checksum of the summary is wrong")
+    end = summary - _DATA_END.size
+    if view[end:summary] != _DATA_END.pack(Opcode.DATA_END, 4, zlib.crc32(view[:end])):
+        raise TrajectoryError("the checksum of the data is wrong")
+
+
+def _evidence(data: bytes) -> tuple[dict[str, str], bytes]:
+    """Return the metadata record and the array's file; chunks stay compressed, they are for eyes only."""
+    reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True, record_size_limit=len(data))
+    records: list[McapRecord] = list(itertools.islice(reader.records, MAX_RECORDS + 1))
+    if len(records) > MAX_RECORDS:
+        raise TrajectoryError(f"more than {MAX_RECORDS} records")
+    metadata = [record.metadata for record in records if isinstance(record, Metadata)]
+    attachments = [record for record in records if isinstance(record, Attachment)]
+    names = sorted(record.name for record in attachments)
+    if len(metadata) != 1 or names != sorted((EVIDENCE, REQUEST)):
+        raise TrajectoryError(f"{len(metadata)} metadata records and the attachments {names}, not one and both of ours")
+    return metadata[0], next(record.data for record in attachments if record.name == EVIDENCE)
+
+
+# What a person sees. Messages are templates filled with %: a json.dumps for each costs three times as much.
+
+
+def _write_visual(writer: Writer, trajectory: Trajectory, visual: Visual, units: Mapping[str, str]) -> None:
+    rows = trajectory.samples[trajectory.frames]
+    times = _nanoseconds(rows[:, 0])
+    channels: tuple[tuple[str, str, Mapping[str, Any], Iterator[tuple[int, str]]], ...] = (
+        ("/scene", "foxglove.SceneUpdate", _SCENE, iter([(times[0], canonical_json(dict(visual.scene)))])),
+        ("/log", "foxglove.Log", _LOG, _log_messages(visual.log)),
+        ("/tf", "foxglove.FrameTransforms", _TRANSFORMS, _transform_messages(times, visual.transforms)),
+        ("/state", "perfbound.State", _state_schema(trajectory.columns, units), _state_messages(times, trajectory)),
+    )
+    messages: list[tuple[int, int, str]] = []
+    for topic, name, schema, texts in channels:
+        schema_id = writer.register_schema(name, "jsonschema", canonical_json(dict(schema)).encode())
+        channel = writer.register_channel(topic, "json", schema_id)
+        messages += [(time, channel, text) for time, text in texts]
+    messages.sort(key=lambda message: message[:2])
+    for time, channel, text in messages:
+        writer.add_message(channel, time, text.encode(), time)
+
+
+def _nanoseconds(seconds: Floats) -> list[int]:
+    times: list[int] = np.rint(seconds * 1e9).astype(np.int64).tolist()
+    return times
+
+
+def _text(value: str) -> str:
+    """Return `value` as JSON text inside a template."""
+    return json.dumps(value).replace("%", "%%")
+
+
+def _log_messages(lines: tuple[tuple[float, str], ...]) -> Iterator[tuple[int, str]]:
+    for seconds, message in lines:
+        time = round(seconds * 1e9)
+        stamp = {"sec": time // 10**9, "nsec": time % 10**9}
+        line = {"timestamp": stamp, "level": 2, "message": message, "name": LIBRARY, "file": "", "line": 0}
+        yield time, canonical_json(line)
+
+
+def _transform_messages(times: list[int], transforms: tuple[Transform, ...]) -> Iterator[tuple[int, str]]:
+    one = (
+        '{"timestamp":{"sec":%%d,"nsec":%%d},"parent_frame_id":%s,"child_frame_id":%s,'
+        '"translation":{"x":%%.6g,"y":%%.6g,"z":%%.6g},"rotation":{"x":%%.6g,"y":%%.6g,"z":%%.6g,"w":%%.6g}}'
+    )
+    each = ",".join(one % (_text(transform.parent), _text(transform.child)) for transform in transforms)
+    template = f'{{"transforms":[{each}]}}'
+    stamps = np.array([divmod(time, 10**9) for time in times], dtype=np.float64)  # (F, 2)
+    blocks = [block for pose in transforms for block in (stamps, pose.translation, pose.rotation)]
+    for time, numbers in zip(times, np.hstack(blocks).tolist(), strict=True):
+        yield time, template % tuple(numbers)
+
+
+def _state_messages(times: list[int], trajectory: Trajectory) -> Iterator[tuple[int, str]]:
+    each = ",".join(f"{_text(name)}:%.6g" for name in trajectory.columns)
+    template = f"{{{each}}}"
+    for time, numbers in zip(times, trajectory.samples[trajectory.frames].tolist(), strict=True):
+        yield time, template % tuple(numbers)
+
+
+def _state_schema(columns: tuple[str, ...], units: Mapping[str, str]) -> dict[str, Any]:
+    return _object(**{name: {"type": "number", "description": f"unit: {units[name]}"} for name in columns})
+
+
+def _object(**properties: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "properties": properties}
+
+
+def _numbers(names: str) -> dict[str, Any]:
+    return _object(**{name: {"type": "number"} for name in names})
+
+
+def _array(items: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+# The parts of foxglove's schemas (https://docs.foxglove.dev/docs/sdk/schemas) that our files use.
+_STRING, _INTEGER, _BOOLEAN = {"type": "string"}, {"type": "integer"}, {"type": "boolean"}
+_TIME = _object(sec=_INTEGER, nsec=_INTEGER)
+_POSE = _object(position=_numbers("xyz"), orientation=_numbers("xyzw"))
+_SOLID = _object(pose=_POSE, size=_numbers("xyz"), color=_numbers("rgba"))
+_CYLINDER = _object(**_SOLID["properties"], bottom_scale={"type": "number"}, top_scale={"type": "number"})
+_ENTITY = _object(
+    timestamp=_TIME,
+    frame_id=_STRING,
+    id=_STRING,
+    lifetime=_TIME,
+    frame_locked=_BOOLEAN,
+    metadata=_array(_object(key=_STRING, value=_STRING)),
+    cubes=_array(_SOLID),
+    spheres=_array(_SOLID),
+    cylinders=_array(_CYLINDER),
+    **{kind: _array({"type": "object"}) for kind in ("arrows", "lines", "triangles", "texts", "models")},
+)
+_SCENE = _object(deletions=_array({"type": "object"}), entities=_array(_ENTITY))
+_TRANSFORMS = _object(
+    transforms=_array(
+        _object(
+            timestamp=_TIME,
+            parent_frame_id=_STRING,
+            child_frame_id=_STRING,
+            translation=_numbers("xyz"),
+            rotation=_numbers("xyzw"),
+        )
+    )
+)
+_LOG = _object(timestamp=_TIME, level=_INTEGER, message=_STRING, name=_STRING, file=_STRING, line=_INTEGER)

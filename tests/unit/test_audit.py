@@ -1,0 +1,126 @@
+"""The audit: each assumption's status, and a sentence with the numbers that decided it."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+from orchestrator.bounds import audit
+from orchestrator.gp.kernels import Matern
+from orchestrator.gp.lattice import Lattice
+
+
+def norm(y: list[float], **changed: float) -> audit.Assumption:
+    arguments = {"prior_mean": 0.0, "rkhs_norm": 0.1, "noise_scale": 0.05, "delta": 0.05, **changed}
+    return audit.rkhs_norm("sim_gap", y, **arguments)
+
+
+class TestNorm:
+    def test_the_papers_segway_is_refuted(self) -> None:
+        result = audit.rkhs_norm("nominal", [-0.71] * 60, prior_mean=0, rkhs_norm=0.2, noise_scale=0.1, delta=0.05)
+        assert (result.id, result.status) == ("rkhs_norm/nominal", "refuted")
+        assert result.detail == (
+            "largest |y - m0| = 0.71 with B = 0.2 (60 of 60 tests above B) exceeds 0.594543, the most that B and the "
+            "noise allow at confidence 0.95: B, the noise scale or the prior mean is wrong and the bound is not proven."
+        )
+
+    def test_threshold(self) -> None:
+        threshold = 0.1 + 0.05 * math.sqrt(2 * math.log(2 * 3 / 0.05))
+        assert norm([0.0, 0.0, threshold - 1e-9]).status == "not refuted"
+        assert norm([0.0, 0.0, -threshold - 1e-9]).status == "refuted"
+
+    def test_not_refuted_promises_nothing(self) -> None:
+        result = norm([0.05, 0.12])
+        assert result.status == "not refuted"
+        assert "(1 of 2 tests above B)" in result.detail
+        assert "does not show" in result.detail
+
+    def test_prior_mean_is_subtracted(self) -> None:
+        assert norm([0.7], prior_mean=0.73).status == "not refuted"
+
+    def test_no_noise(self) -> None:
+        assert norm([0.1], noise_scale=0.0).status == "not refuted"
+        assert norm([0.1 + 1e-9], noise_scale=0.0).status == "refuted"
+
+    def test_false_refutations_stay_below_delta(self) -> None:
+        rng = random.Random(0)
+        refuted = sum(norm([rng.gauss(0.1, 0.05) for _ in range(20)]).status == "refuted" for _ in range(1000))
+        assert refuted <= 50
+
+    @pytest.mark.parametrize("y", [[], [math.nan], [0.0, math.inf]])
+    def test_refuses(self, y: list[float]) -> None:
+        with pytest.raises(ValueError, match="sim_gap needs finite"):
+            norm(y)
+
+
+class TestOthers:
+    def test_clipped_share(self) -> None:
+        result = audit.clipped_share("nominal", [-0.05, 0.3, 0.75, 0.75], (-0.05, 0.75))
+        assert (result.id, result.status) == ("clip/nominal", "derived")
+        assert "of 4 robustness values 1 (25.0 %) sit at the lower clip -0.05 and 2 (50.0 %)" in result.detail
+        with pytest.raises(ValueError, match="at least one"):
+            audit.clipped_share("nominal", [], (0.0, 1.0))
+
+    def test_tail_reports_both(self) -> None:
+        gaussian = audit.noise_tail("a", c=0.2, delta=0.05, noise_scale=0.1, tail="gaussian")
+        other = audit.noise_tail("a", c=0.2, delta=0.05, noise_scale=0.1, tail="sub-gaussian")
+        assert (gaussian.status, other.status) == ("assumed", "derived")
+        for result in (gaussian, other):
+            assert result.id == "tail/a"
+            assert "0.924354" in result.detail
+            assert "0.821431" in result.detail
+
+    def test_sigma(self) -> None:
+        assert "too narrow" in audit.sigma_reading("a", "variance").detail
+        assert "standard deviation" in audit.sigma_reading("a", "std").detail
+
+    def test_regulariser(self) -> None:
+        assert "2/i" in audit.regulariser("a", "1+eta").detail
+        assert "0.01" in audit.regulariser("a", 0.01).detail
+
+    def test_noise_scale(self) -> None:
+        assert audit.noise_scale("a", noise_scale=0.05, replicates=4).id == "noise_scale/a"
+
+    def test_lattice(self) -> None:
+        result = audit.lattice_for_box("a", Lattice((0, 0), (5, 5), 51), Matern(10, 1.0), 0.25)
+        assert result.status == "assumed"
+        assert "2601 nodes" in result.detail
+        rise = 0.25 * math.sqrt(2 - 2 * float(Matern(10, 1.0)(np.array([math.hypot(0.05, 0.05)]))[0]))
+        assert f"up to {rise:.6g}" in result.detail
+
+    def test_independence(self) -> None:
+        assert "multiplied" in audit.independent_problems(["a", "b"], "product").detail
+        assert "added" in audit.independent_problems(["a", "b"], "sum").detail
+
+    def test_workers(self) -> None:
+        assert (audit.workers_honest().id, audit.workers_honest().status) == ("workers_honest", "assumed")
+
+    def test_true_risk_is_refuted_by_derivation(self) -> None:
+        result = audit.centred_risk("true_risk", 10)
+        assert (result.id, result.status) == ("centred_noise/true_risk", "refuted")
+        assert "2.7 %" in result.detail
+        with pytest.raises(ValueError, match="at least 2"):
+            audit.centred_risk("true_risk", 1)
+
+    def test_every_detail_is_one_sentence(self) -> None:
+        results = [
+            norm([0.1]),
+            norm([9.0]),
+            audit.clipped_share("a", [0.1], (0.0, 1.0)),
+            audit.noise_tail("a", c=0.2, delta=0.05, noise_scale=0.1, tail="gaussian"),
+            audit.noise_tail("a", c=0.2, delta=0.05, noise_scale=0.1, tail="sub-gaussian"),
+            audit.noise_scale("a", noise_scale=0.1, replicates=1),
+            audit.sigma_reading("a", "variance"),
+            audit.sigma_reading("a", "std"),
+            audit.regulariser("a", "1+eta"),
+            audit.regulariser("a", 1.0),
+            audit.lattice_for_box("a", Lattice((0,), (1,), 3), Matern(2.5, 1.0), 0.1),
+            audit.independent_problems(["a", "b"], "sum"),
+            audit.workers_honest(),
+            audit.centred_risk("a", 2),
+        ]
+        for result in results:
+            assert result.detail.endswith(".")
+            assert ". " not in result.detail
+            assert result.id.split("/")[0].isidentifier()

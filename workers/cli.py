@@ -1,0 +1,183 @@
+"""The commands of the worker side; a child of `perfbound` runs them, so that a crash stays out of the orchestrator."""
+
+import os
+
+# One BLAS thread: results must not depend on the number of cores. Read once, when numpy loads.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import click
+
+from schemas.base import canonical_json
+from schemas.link import LinkError, Tls
+
+RUN_GONE = 5.0
+"""Seconds without its orchestrator after which an idle worker may join another campaign."""
+OUTBOX_KEPT = 600.0
+"""Seconds without its orchestrator after which undelivered results are given up."""
+
+
+def fail(message: str) -> NoReturn:
+    """Say one line on stderr and exit with 1."""
+    click.echo(f"perfbound-worker: {message}", err=True)
+    sys.exit(1)
+
+
+@click.group()
+def group() -> None:
+    """Simulator workers of perfbound."""
+
+
+@group.command()
+@click.option("--connect", "endpoint", required=True, help="Endpoint of the orchestrator, e.g. tcp/127.0.0.1:7447.")
+@click.option("--name", default="worker", show_default=True, help="Name in logs and database; gets a random suffix.")
+@click.option("--run", default=None, help="Serve only this run id; otherwise the oldest orchestrator there is.")
+@click.option("--tls-ca", default=None, help="PEM file of the authority that signed both certificates.")
+@click.option("--tls-certificate", default=None, help="PEM file of our certificate.")
+@click.option("--tls-key", default=None, help="PEM file of our private key.")
+@click.option("--lifeline", type=int, default=None, hidden=True, help="Exit at the end of this pipe.")
+def serve(
+    endpoint: str,
+    name: str,
+    run: str | None,
+    tls_ca: str | None,
+    tls_certificate: str | None,
+    tls_key: str | None,
+    lifeline: int | None,
+) -> None:
+    """Simulate rollouts for an orchestrator until stopped."""
+    if lifeline is not None:
+        threading.Thread(target=_hold, args=(lifeline,), daemon=True).start()
+    tls = None
+    if tls_ca or tls_certificate or tls_key:
+        if not (tls_ca and tls_certificate and tls_key):
+            raise click.UsageError("--tls-ca, --tls-certificate and --tls-key belong together")
+        tls = Tls(ca=tls_ca, certificate=tls_certificate, key=tls_key)
+    try:
+        _serve(endpoint, name, run, tls)
+    except (LinkError, ValueError) as error:
+        fail(str(error))
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _hold(descriptor: int) -> None:
+    """Exit with the parent, also in the middle of a rollout: its end of the pipe closes when it dies."""
+    while os.read(descriptor, 1):
+        pass
+    os._exit(0)
+
+
+def _serve(endpoint: str, name: str, run: str | None, tls: Tls | None) -> None:
+    from schemas import keys  # noqa: PLC0415
+    from workers.transport import connect  # noqa: PLC0415
+    from workers.worker import RefusedError, Worker  # noqa: PLC0415
+
+    started = keys.fresh_id(name)
+    with connect(endpoint, tls, _waiting(endpoint)) as uplink:
+        while True:
+            chosen = _choose(uplink.orchestrators, run, endpoint)
+            worker = Worker(started, uplink)
+            uplink.join(chosen, worker.name, worker.receive)
+            try:
+                worker.serve(_abandoned(uplink.orchestrators, chosen, pinned=run is not None))
+            except RefusedError as error:
+                fail(str(error))
+            uplink.leave()
+            started = keys.fresh_id(name)
+
+
+def _waiting(endpoint: str) -> Callable[[], None]:
+    told = [time.monotonic()]
+
+    def waiting() -> None:
+        if time.monotonic() - told[0] > 5:
+            told[0] = time.monotonic()
+            click.echo(
+                f"perfbound-worker: no answer from {endpoint} yet; check the address, that the orchestrator runs, "
+                "and, with TLS, that both certificates are signed by --tls-ca (RUST_LOG=zenoh=warn tells more)",
+                err=True,
+            )
+
+    return waiting
+
+
+def _choose(orchestrators: Callable[[], list[tuple[str, str]]], run: str | None, endpoint: str) -> str:
+    told = time.monotonic()
+    while True:
+        for _, found in orchestrators():
+            if run in (None, found):
+                return found
+        if time.monotonic() - told > 10:
+            told = time.monotonic()
+            which = f"run {run}" if run else "any run"
+            click.echo(f"perfbound-worker: connected to {endpoint}, waiting for an orchestrator of {which}", err=True)
+        time.sleep(0.02)
+
+
+def _abandoned(
+    orchestrators: Callable[[], list[tuple[str, str]]], chosen: str, *, pinned: bool
+) -> Callable[[bool], bool]:
+    seen = [time.monotonic()]
+
+    def abandoned(outbox_empty: bool) -> bool:  # noqa: FBT001
+        now = time.monotonic()
+        if pinned or any(run == chosen for _, run in orchestrators()):
+            seen[0] = now
+        return now - seen[0] > (RUN_GONE if outbox_empty else OUTBOX_KEPT)
+
+    return abandoned
+
+
+@group.command()
+def systems() -> None:
+    """Print the SystemSpec of every installed system as one JSON object, name to spec."""
+    from workers.systems import available, load  # noqa: PLC0415
+
+    specs = {}
+    for system in available():
+        try:
+            specs[system] = load(system).spec.model_dump(mode="json")
+        except Exception as error:  # noqa: BLE001  (a broken plug-in must not hide the others)
+            click.echo(f"perfbound-worker: system {system!r} cannot be loaded: {error}", err=True)
+    click.echo(canonical_json(specs))
+
+
+@group.command()
+@click.option("--request", required=True, help="RolloutRequest as JSON.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file to write.")
+def simulate(request: str, out: Path) -> None:
+    """Run one rollout without an orchestrator and write its trajectory."""
+    from pydantic import ValidationError  # noqa: PLC0415
+
+    from schemas.rollout import RolloutRequest  # noqa: PLC0415
+    from workers.simulate import run  # noqa: PLC0415
+    from workers.systems import UnknownSystemError  # noqa: PLC0415
+    from workers.systems.base import SimulationError  # noqa: PLC0415
+
+    try:
+        data = run(RolloutRequest.model_validate_json(request), lambda _: None)
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")
+    except (SimulationError, UnknownSystemError) as error:
+        fail(str(error))
+    temporary = out.with_name(f"{out.name}.{os.getpid()}.partial")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(out)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        fail(f"{out}: {error.strerror}")
+
+
+def main() -> None:
+    """`perfbound-worker`."""
+    serve()

@@ -1,0 +1,48 @@
+"""One rollout on this worker: from the request to the bytes of the trajectory's file."""
+
+from dataclasses import replace
+
+from schemas.rollout import RolloutRequest
+from schemas.trajectory import encode
+from workers.systems import load
+from workers.systems.base import Progress, SimulationError, SystemUnderTest
+
+
+def run(request: RolloutRequest, progress: Progress) -> bytes:
+    """Simulate what the request asks for with the installed system of that name.
+
+    Raises:
+        UnknownSystemError: the system is not installed.
+        SimulationError: the system is another one than the request expects, or has no usable trajectory.
+        Cancelled: raised by `progress`.
+
+    """
+    return run_on(load(request.system), request, progress)
+
+
+def run_on(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> bytes:
+    """Simulate what the request asks for on `system`.
+
+    Raises:
+        SimulationError: the system is another one than the request expects, or has no usable trajectory.
+        Cancelled: raised by `progress`.
+
+    """
+    spec = system.spec
+    if spec.digest != request.spec_sha256:
+        installed = ", ".join(f"{name} {version}" for name, version in spec.versions.items())
+        raise SimulationError(f"the campaign expects another build of {spec.name} than this one ({installed})")
+    trajectory = system.rollout(
+        request.x,
+        variant=request.variant,
+        seed=request.seed,
+        horizon=request.horizon,
+        options=request.options,
+        progress=progress,
+    )
+    units = {column.name: column.unit for column in spec.columns}
+    if trajectory.columns != tuple(units):
+        raise SimulationError(f"{spec.name} returned the columns {trajectory.columns}, not those of its spec")
+    if request.visual:
+        trajectory = replace(trajectory, visual=system.visual(trajectory))
+    return encode(trajectory, request=request.model_dump(mode="json"), metadata=request.metadata, units=units)

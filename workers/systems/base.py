@@ -1,0 +1,97 @@
+"""The port that a system under test implements."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+from schemas.system import Option, OptionValue, SystemSpec, Variant
+from schemas.trajectory import Trajectory, Visual
+
+Progress = Callable[[int], None]
+"""Called with the number of control steps done so far; it may raise `Cancelled`."""
+
+
+class Cancelled(Exception):  # noqa: N818  (not an error: the orchestrator no longer wants the rollout)
+    """The rollout was cancelled while it ran."""
+
+
+class SimulationError(Exception):
+    """The rollout has no usable trajectory (bad start, non-finite state); the message says why."""
+
+
+class SystemUnderTest(Protocol):
+    """A simulator of one closed-loop system; constructed once per process without arguments, used for many rollouts.
+
+    The constructor must be cheap and import no simulator: `spec` is asked for before anything is created.
+    Equal arguments give bitwise equal trajectories, whatever ran before in the same process.
+    Derive from this class to inherit what is optional.
+    """
+
+    @property
+    def spec(self) -> SystemSpec:
+        """What the system takes and returns."""
+        ...
+
+    def rollout(
+        self,
+        x: Sequence[float],
+        *,
+        variant: Variant,
+        seed: int,
+        horizon: float,
+        options: Mapping[str, OptionValue],
+        progress: Progress,
+    ) -> Trajectory:
+        """Simulate `horizon` seconds from the starting condition `x` (one value per parameter of the spec).
+
+        Raises:
+            SimulationError: `x` or the resulting trajectory is not finite, or an argument is outside the spec.
+            Cancelled: raised by `progress`.
+
+        """
+        ...
+
+    def visual(self, trajectory: Trajectory) -> Visual | None:  # noqa: ARG002  (a default of the port)
+        """Return what a person sees of a trajectory of this system, one pose per entry of `trajectory.frames`.
+
+        Optional: None, the default, shows nothing.
+        """
+        return None
+
+
+def checked_options(
+    spec: SystemSpec, x: Sequence[float], *, variant: Variant, horizon: float, options: Mapping[str, OptionValue]
+) -> dict[str, OptionValue]:
+    """Return the options with their defaults filled in, after a check of every argument of a rollout.
+
+    It stands before the simulator: a rollout that starts with a NaN can poison the ones after it.
+
+    Raises:
+        SimulationError: an argument is not finite or outside the spec.
+
+    """
+    if variant not in spec.variants:
+        raise SimulationError(f"{spec.name} has no variant {variant!r}, only {', '.join(spec.variants)}")
+    if not 0 <= horizon <= spec.max_horizon:
+        raise SimulationError(f"the horizon of {spec.name} is 0 to {spec.max_horizon} s, not {horizon}")
+    if len(x) != len(spec.parameters):
+        raise SimulationError(f"{spec.name} takes {len(spec.parameters)} parameters, not {len(x)}")
+    for parameter, value in zip(spec.parameters, x, strict=True):
+        if not (math.isfinite(value) and parameter.low <= value <= parameter.high):
+            raise SimulationError(f"{parameter.name} = {value} is outside [{parameter.low}, {parameter.high}]")
+    known = {option.name: option for option in spec.options}
+    if unknown := sorted(set(options) - set(known)):
+        raise SimulationError(f"{spec.name} has no option {unknown[0]!r}, only {', '.join(known)}")
+    return {name: _checked_option(option, options.get(name, option.default)) for name, option in known.items()}
+
+
+def _checked_option(option: Option, value: OptionValue) -> OptionValue:
+    if option.choices:
+        if value not in option.choices:
+            raise SimulationError(f"{option.name} is one of {', '.join(option.choices)}, not {value!r}")
+        return value
+    low = -math.inf if option.low is None else option.low
+    high = math.inf if option.high is None else option.high
+    if isinstance(value, str) or not (math.isfinite(value) and low <= value <= high):
+        raise SimulationError(f"{option.name} is a number in [{low}, {high}], not {value!r}")
+    return float(value)

@@ -1,0 +1,103 @@
+"""The Segway as a system under test."""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from importlib.metadata import version
+
+import numpy as np
+
+from schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from schemas.trajectory import Trajectory, Visual
+from workers.systems.base import Progress, SimulationError, SystemUnderTest, checked_options
+from workers.systems.segway.bullet import CONTROL_RATE, Start, World
+from workers.systems.segway.controller import GAINS
+from workers.systems.segway.visual import visual
+
+UNITS = {
+    "t": "s",
+    "x": "m",
+    "y": "m",
+    "heading": "rad",
+    "vx": "m/s",
+    "vy": "m/s",
+    "phi": "rad",
+    "phidot": "rad/s",
+    "voltage_left": "V",
+    "voltage_right": "V",
+}
+OPTIONS = (
+    Option(name="gains", default="paper", choices=tuple(GAINS), doc="tuning of the controller"),
+    Option(
+        name="noise_variance",
+        default=0.05,
+        low=0.0,
+        high=1.0,
+        unit="m^2 and rad^2",
+        doc="variance of the zero-mean Gaussian noise that the variant true adds to x and y (m^2), heading and phi "
+        "(rad^2) of the start, independently",
+    ),
+)
+
+
+class SegwaySystem(SystemUnderTest):
+    """A Segway that starts at (x, y) at rest, upright, with heading 0, and drives to the goal (2.5, 2.5).
+
+    `nominal` starts exactly there, `true` with Gaussian noise on x, y, heading and phi. A Segway has fallen at
+    |phi| > 1 rad; its last state is held from then on.
+    """
+
+    def __init__(self) -> None:
+        self._world: World | None = None
+
+    @cached_property
+    def spec(self) -> SystemSpec:
+        """Parameters x, y in m; the columns are the state, then the voltages of the wheels."""
+        return SystemSpec(
+            name="segway",
+            doc="A Segway in PyBullet (240 Hz physics, 120 Hz control) that drives to (2.5, 2.5) m and must not tilt",
+            parameters=tuple(Parameter(name=name, unit="m", low=-20.0, high=25.0) for name in ("x", "y")),
+            columns=tuple(Column(name=name, unit=unit) for name, unit in UNITS.items()),
+            options=OPTIONS,
+            max_horizon=120.0,
+            versions={package: version(package) for package in ("numpy", "pybullet")},
+        )
+
+    def rollout(
+        self,
+        x: Sequence[float],
+        *,
+        variant: Variant,
+        seed: int,
+        horizon: float,
+        options: Mapping[str, OptionValue],
+        progress: Progress,
+    ) -> Trajectory:
+        """Simulate `horizon` seconds, rounded to control steps of 1/120 s, from the starting condition (x, y) in m.
+
+        Raises:
+            SimulationError: an argument is outside the spec, or the trajectory is not finite.
+            Cancelled: raised by `progress`.
+
+        """
+        chosen = checked_options(self.spec, x, variant=variant, horizon=horizon, options=options)
+        start = Start(*x)
+        if variant == "true":
+            start = _disturbed(start, math.sqrt(float(chosen["noise_variance"])), seed)
+        if self._world is None:
+            self._world = World()
+        steps, gains = round(CONTROL_RATE * horizon), GAINS[str(chosen["gains"])]
+        try:
+            # A NaN survives into the samples, an infinity stops the controller's arithmetic: neither is a score.
+            return Trajectory(tuple(UNITS), self._world.rollout(start, steps, gains, progress))
+        except (ValueError, OverflowError) as error:
+            raise SimulationError(f"the rollout from {start} did not stay finite: {error}") from error
+
+    def visual(self, trajectory: Trajectory) -> Visual:
+        """Return the ground, the goal and the moving Segway."""
+        return visual(trajectory)
+
+
+def _disturbed(start: Start, sd: float, seed: int) -> Start:
+    noise = np.random.default_rng(seed).normal(0.0, sd, len(start))
+    return Start(*(value + float(error) for value, error in zip(start, noise, strict=True)))

@@ -1,0 +1,146 @@
+"""The worker's side of the protocol; the only importer of zenoh in this package."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+import zenoh
+
+from schemas import keys
+from schemas.link import Tls, connect_config
+from schemas.messages import MessageError, Request, ResultHeader, WorkerState, decode_request, encode
+
+Receiver = Callable[[Request], None]
+OPEN_PERIOD = 0.3
+
+
+class Uplink(Protocol):
+    """What a worker needs of a network."""
+
+    def orchestrators(self) -> list[tuple[str, str]]:
+        """Return (orchestrator, run) of all that are alive, the oldest first."""
+        ...
+
+    def join(self, run: str, worker: str, receive: Receiver) -> None:
+        """Listen for requests to `worker`, then show it as alive."""
+        ...
+
+    def leave(self) -> None:
+        """Stop listening, and no longer show as alive."""
+        ...
+
+    def report(self, state: WorkerState) -> None:
+        """Send a heartbeat."""
+        ...
+
+    def deliver(self, header: ResultHeader, payload: bytes) -> None:
+        """Send a result."""
+        ...
+
+
+class ZenohUplink:
+    """A Zenoh session with the orchestrator, or with a router between."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._run = ""
+        self._worker = ""
+        self._live: dict[str, str] = {}
+        self._joined: tuple[Any, ...] = ()
+        self._threads: list[threading.Thread] = []
+        liveliness = session.liveliness()
+        tokens = liveliness.declare_subscriber(
+            keys.ANY_ORCHESTRATOR, zenoh.handlers.FifoChannel(1024), history=True
+        )
+        self._pump(tokens, self._see)
+
+    def orchestrators(self) -> list[tuple[str, str]]:
+        """Return (orchestrator, run) of all that are alive, the oldest first."""
+        return sorted(self._live.copy().items())
+
+    def join(self, run: str, worker: str, receive: Receiver) -> None:
+        """Subscribe to our requests; the token comes last, because it says that we can be assigned work."""
+        self._run, self._worker = run, worker
+        requests = self._session.declare_subscriber(keys.request(run, worker), zenoh.handlers.FifoChannel(1024))
+        self._pump(requests, lambda sample: _read(sample, receive))
+        token = self._session.liveliness().declare_token(keys.live_worker(run, worker))
+        self._joined = (token, requests)
+
+    def leave(self) -> None:
+        """Take the token back, then the subscription."""
+        for declared in self._joined:
+            declared.undeclare()
+        self._joined = ()
+
+    def report(self, state: WorkerState) -> None:
+        """Put a heartbeat."""
+        self._put(keys.state(self._run, self._worker), encode(state))
+
+    def deliver(self, header: ResultHeader, payload: bytes) -> None:
+        """Put a result."""
+        key = keys.result(self._run, self._worker, header.rollout, header.attempt)
+        self._put(key, payload, attachment=encode(header))
+
+    def _put(self, key: str, payload: bytes, attachment: bytes | None = None) -> None:
+        block = zenoh.CongestionControl.BLOCK
+        self._session.put(key, payload, attachment=attachment, congestion_control=block, express=True)
+
+    def _see(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._live[keys.last(key)] = keys.run_of(key)
+        else:
+            self._live.pop(keys.last(key), None)
+
+    def _pump(self, subscriber: Any, read: Callable[[zenoh.Sample], None]) -> None:
+        def pump() -> None:
+            try:
+                for sample in subscriber:
+                    read(sample)
+            except zenoh.ZError:
+                return  # the session is closed
+
+        thread = threading.Thread(target=pump, daemon=True)
+        thread.start()
+        self._threads.append(thread)
+
+    def wait_closed(self) -> None:
+        """Wait for the reader threads; after the session is closed (a reader inside recv() at exit aborts)."""
+        for thread in self._threads:
+            thread.join(timeout=2)
+
+
+@contextmanager
+def connect(endpoint: str, tls: Tls | None, waiting: Callable[[], None]) -> Iterator[ZenohUplink]:
+    """Open a session with `endpoint`, trying until it answers; `waiting` is called between tries and may raise.
+
+    Raises:
+        LinkError: the endpoint is malformed or a TLS file is missing.
+
+    """
+    config = connect_config(endpoint, tls)
+    while True:
+        try:
+            # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.
+            session = zenoh.open(zenoh.Config.from_json5(config))
+            break
+        except zenoh.ZError:
+            waiting()
+            time.sleep(OPEN_PERIOD)
+    uplink = None
+    try:
+        uplink = ZenohUplink(session)
+        yield uplink
+    finally:
+        session.close()
+        if uplink is not None:
+            uplink.wait_closed()
+
+
+def _read(sample: zenoh.Sample, receive: Receiver) -> None:
+    try:
+        receive(decode_request(sample.payload.to_bytes()))
+    except MessageError:
+        return  # the orchestrator sends what matters again

@@ -1,0 +1,164 @@
+"""The life of a worker: receive, run, reply. It keeps a result until the orchestrator has acknowledged it."""
+
+import hashlib
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from schemas import __version__
+from schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
+from workers.simulate import run
+from workers.systems import UnknownSystemError, available, load
+from workers.systems.base import Cancelled, SimulationError
+from workers.transport import Uplink
+
+HEARTBEAT = 0.5
+RESEND = 1.0
+"""Seconds between two deliveries of a result that is not acknowledged."""
+
+
+class RefusedError(Exception):
+    """The orchestrator does not want this worker; the message says why and what to do."""
+
+
+@dataclass
+class _Parcel:
+    header: ResultHeader
+    payload: bytes
+    sent_at: float
+
+
+class Worker:
+    """One worker process: a simulating thread (the caller's) and a heartbeat thread; `receive` is called by a third."""
+
+    def __init__(self, name: str, uplink: Uplink) -> None:
+        self.name = name
+        self._uplink = uplink
+        self._inbox: queue.SimpleQueue[Assign | Refuse] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._outbox: dict[tuple[str, int], _Parcel] = {}
+        self._accepted: Assign | None = None
+        self._cancelled: tuple[str, int] | None = None
+        self._progress = 0
+        self._leaving = False
+        self._changed = threading.Event()
+        self._systems = {system: load(system).spec.digest for system in available()}
+
+    def receive(self, message: Request) -> None:
+        """Take a message of the orchestrator; called by the transport's thread."""
+        match message:
+            case Assign():
+                self._accept(message)
+            case Cancel():
+                self._cancelled = (message.rollout, message.attempt)
+            case Ack():
+                with self._lock:
+                    self._outbox.pop((message.rollout, message.attempt), None)
+            case Refuse():
+                self._inbox.put(message)
+
+    def serve(self, abandoned: Callable[[bool], bool]) -> None:
+        """Simulate what is assigned until `abandoned(outbox is empty)` says that nobody will assign anything more.
+
+        Raises:
+            RefusedError: the orchestrator refuses this worker.
+
+        """
+        heart = threading.Thread(target=self._beat, daemon=True)
+        heart.start()
+        try:
+            while not abandoned(not self._outbox):
+                try:
+                    message = self._inbox.get(timeout=1.0)
+                except queue.Empty:
+                    continue
+                if isinstance(message, Refuse):
+                    raise RefusedError(message.reason)
+                self._simulate(message)
+        finally:
+            self._leaving = True
+            self._changed.set()
+            heart.join(timeout=1.0)
+
+    def _accept(self, assign: Assign) -> None:
+        key = (assign.request.rollout, assign.attempt)
+        with self._lock:
+            current = self._accepted
+            if key in self._outbox or (current and key == (current.request.rollout, current.attempt)):
+                return  # a repeat
+            self._accepted = assign
+        self._inbox.put(assign)
+
+    def _simulate(self, assign: Assign) -> None:
+        key = (assign.request.rollout, assign.attempt)
+        self._progress = 0
+        self._changed.set()
+        cpu, wall = time.process_time(), time.monotonic()
+        payload, error = b"", ""
+        try:
+            payload = run(assign.request, lambda step: self._advance(key, step))
+        except Cancelled:
+            self._finish(assign)
+            return
+        except (SimulationError, UnknownSystemError) as fault:
+            error = str(fault)
+        except Exception as fault:  # noqa: BLE001  (whatever a system raises is the orchestrator's to judge)
+            error = f"{type(fault).__name__}: {fault}"
+        header = ResultHeader(
+            rollout=key[0],
+            attempt=key[1],
+            worker=self.name,
+            outcome="failed" if error else "done",
+            sha256="" if error else hashlib.sha256(payload).hexdigest(),
+            error=error[:4000],
+            cpu_seconds=time.process_time() - cpu,
+            wall_seconds=time.monotonic() - wall,
+        )
+        with self._lock:
+            self._outbox[key] = _Parcel(header, payload, time.monotonic())
+        self._finish(assign)
+        self._uplink.deliver(header, payload)
+
+    def _advance(self, key: tuple[str, int], step: int) -> None:
+        self._progress = step
+        if self._cancelled == key:
+            raise Cancelled
+
+    def _finish(self, assign: Assign) -> None:
+        with self._lock:
+            if self._accepted is assign:
+                self._accepted = None
+        self._changed.set()
+
+    def _beat(self) -> None:
+        while not self._leaving:
+            self._uplink.report(self._state())
+            self._deliver_again()
+            self._changed.wait(HEARTBEAT)
+            self._changed.clear()
+
+    def _state(self) -> WorkerState:
+        current = self._accepted
+        return WorkerState(
+            protocol=PROTOCOL,
+            version=__version__,
+            worker=self.name,
+            host=os.uname().nodename,
+            pid=os.getpid(),
+            systems=self._systems,
+            state="busy" if current else "idle",
+            rollout=current.request.rollout if current else None,
+            attempt=current.attempt if current else None,
+            progress=self._progress if current else 0,
+        )
+
+    def _deliver_again(self) -> None:
+        now = time.monotonic()
+        with self._lock:
+            late = [parcel for parcel in self._outbox.values() if now - parcel.sent_at >= RESEND]
+        for parcel in late:
+            parcel.sent_at = now
+            self._uplink.deliver(parcel.header, parcel.payload)
