@@ -1,0 +1,63 @@
+# perfbound: one target per habit. `make help` lists them.
+
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+CAMPAIGN ?= deploy/campaigns/segway-paper.toml
+WORKERS ?= 2
+RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
+# Hashes are checked, and nothing is compiled on the way: what was tested is what runs.
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test lint types imports unit check bench schemas lock clean
+
+help: ## List the targets
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
+
+$(VENV)/.installed: requirements.lock pyproject.toml
+	@command -v $(PYTHON) >/dev/null || { echo "perfbound needs $(PYTHON): pybullet has no wheels above 3.11" >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(INSTALL) --require-hashes -r requirements.lock
+	$(INSTALL) --no-deps -e .
+	touch $@
+
+$(VENV)/.installed-dev: requirements-dev.lock $(VENV)/.installed
+	$(INSTALL) --require-hashes -r requirements-dev.lock
+	touch $@
+
+setup: $(VENV)/.installed ## Make the virtual environment with the locked versions
+
+run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORKERS=...); goes on where it stopped
+	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
+	else $(BIN)/perfbound run $(CAMPAIGN) --workers $(WORKERS) --out $(RUN_DIR); fi
+
+test: $(VENV)/.installed-dev lint types imports unit ## All checks: ruff, mypy, import rules, pytest
+
+lint: $(VENV)/.installed-dev ## Style
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed-dev ## Types, strict
+	$(BIN)/mypy
+
+imports: $(VENV)/.installed-dev ## Which room may import which
+	$(BIN)/lint-imports
+
+unit: $(VENV)/.installed-dev ## Tests, with real workers, Zenoh and PyBullet
+	$(BIN)/python -m pytest
+
+bench: $(VENV)/.installed-dev ## CPU time of rollouts, proposals and the orchestrator
+	$(BIN)/python -m tests.benchmarks
+
+schemas: $(VENV)/.installed-dev ## Write schemas/json/v1 anew from the models
+	$(BIN)/python -m schemas
+
+lock: ## Resolve the dependencies anew (needs pip-tools)
+	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \
+	  --no-emit-find-links --no-emit-trusted-host -o requirements.lock pyproject.toml
+	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \
+	  --no-emit-find-links --no-emit-trusted-host --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+
+clean: ## Remove the environment and caches; runs are kept
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build *.egg-info

@@ -1,0 +1,43 @@
+"""`python -m schemas` writes the JSON Schemas of the borders and the reference page anew; a test keeps them current."""
+
+import json
+from pathlib import Path
+
+from pydantic import BaseModel, TypeAdapter
+
+from schemas.campaign import CampaignConfig
+from schemas.certificate import Certificate
+from schemas.messages import Ack, Assign, Cancel, Refuse, ResultHeader, WorkerState
+from schemas.reference import page
+from schemas.rollout import RolloutRequest
+from schemas.system import SystemSpec
+
+FOLDER = Path(__file__).parent / "json" / "v1"
+REFERENCE = Path(__file__).parents[1] / "docs" / "reference.md"
+MODELS: dict[str, type[BaseModel]] = {
+    "campaign": CampaignConfig,
+    "certificate": Certificate,
+    "system": SystemSpec,
+    "rollout-request": RolloutRequest,
+    "assign": Assign,
+    "cancel": Cancel,
+    "ack": Ack,
+    "refuse": Refuse,
+    "worker-state": WorkerState,
+    "result-header": ResultHeader,
+}
+
+
+def texts() -> dict[str, str]:
+    """Return file name and content of every schema."""
+    return {
+        f"{name}.json": json.dumps(TypeAdapter(model).json_schema(by_alias=True), indent=2, sort_keys=True) + "\n"
+        for name, model in MODELS.items()
+    }
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for name, text in texts().items():
+        (FOLDER / name).write_text(text)
+    REFERENCE.write_text(page())

@@ -1,0 +1,65 @@
+"""The reference page of campaign files, generated from the models so that it cannot lie."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter
+
+from schemas.campaign import CampaignConfig, Gap, MaternKernel, Problem, Range, SystemChoice
+
+HEAD = """# Reference: campaign files
+
+Generated from the models by `make schemas`; the same as JSON Schema: [`schemas/json/v1/campaign.json`](../schemas/json/v1/campaign.json).
+A campaign file is TOML. Unknown keys are refused. Distances are in the unit of the system's parameters, robustness in
+the unit of the predicate, time in s.
+"""
+TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
+    ("Top level", "", CampaignConfig),
+    ("[system]", "And the options of the system, by name: `perfbound systems` lists them.", SystemChoice),
+    ("[space]", "One entry per parameter of the system: `x = { low = 0.0, high = 5.0, unit = \"m\" }`.", Range),
+    ("[[problems]]", "One table per optimisation problem; each name at most once.", Problem),
+    ("kernel", "", MaternKernel),
+    ("gap", "", Gap),
+)
+
+
+def page() -> str:
+    """Return the page as Markdown."""
+    return HEAD + "".join(f"\n## {title}\n\n{note + chr(10) * 2 if note else ''}{_table(model)}" for title, note, model in TABLES)
+
+
+def _table(model: type[BaseModel]) -> str:
+    schema = TypeAdapter(model).json_schema()
+    rows = [_row(name, part, name in schema.get("required", ())) for name, part in schema["properties"].items()]
+    return "| key | allowed | default | meaning |\n|---|---|---|---|\n" + "".join(rows)
+
+
+def _row(name: str, part: dict[str, Any], required: bool) -> str:
+    default = "required" if required else "-" if part.get("default") is None else f"`{json.dumps(part['default'])}`"
+    allowed = " or ".join(dict.fromkeys(_allowed(part)))
+    return f"| `{name}` | {allowed} | {default} | {part.get('description', '')} |\n"
+
+
+def _allowed(part: dict[str, Any]) -> Iterator[str]:
+    for each in part.get("anyOf", ()):
+        if each.get("type") != "null":
+            yield from _allowed(each)
+    if "const" in part or "enum" in part:
+        yield ", ".join(f"`{value}`" for value in part.get("enum", [part.get("const")]))
+    elif "$ref" in part:
+        yield f"a {part['$ref'].rsplit('/', 1)[1]} table"
+    elif part.get("type") == "array":
+        yield "[low, high]" if "prefixItems" in part else "tables"
+    elif part.get("type") == "object":
+        yield "tables"
+    elif "type" in part:
+        yield f"{_KINDS[part['type']]}{_limits(part)}"
+
+
+_KINDS = {"string": "text", "number": "number", "integer": "whole number", "boolean": "true or false"}
+_LIMITS = (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="), ("exclusiveMaximum", "<"))
+
+
+def _limits(part: dict[str, Any]) -> str:
+    return "".join(f" {sign} {part[key]:g}" if part[key] != 2**53 else f" {sign} 2^53" for key, sign in _LIMITS if key in part)
