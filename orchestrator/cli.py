@@ -1,26 +1,20 @@
 """The command line: thin, and quick to start; what is heavy is imported inside the commands."""
 
 import os
-
-# One BLAS thread: a certificate must not depend on the number of cores. Read once, when numpy loads.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
-
-import errno
 import signal
 import sqlite3
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from orchestrator.errors import PerfboundError, Stopped
 from schemas import __version__
-from schemas.link import LOCAL
 
 if TYPE_CHECKING:
     from orchestrator.session import Link
@@ -41,7 +35,9 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--tls-certificate", default=None, help="PEM file of our certificate."),
         click.option("--tls-ca", default=None, help="PEM file of the authority that signed both sides' certificates."),
         click.option("--insecure", is_flag=True, help="Allow to listen beyond this machine without TLS."),
-        click.option("--listen", "endpoint", default=LOCAL, show_default=True, help="Endpoint for workers."),
+        click.option(
+            "--listen", "endpoint", default=None, help="Endpoint for workers.  [default: loopback and a free port]"
+        ),
     ):
         command = option(command)
     return command
@@ -88,41 +84,37 @@ def resume(directory: Path, workers: int, **link: Any) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
     from orchestrator import session  # noqa: PLC0415
 
-    with _stoppable(directory):
+    with _resumable(directory):
         session.resume(directory, workers=workers, link=_link(**link), console=_talk())
-    _finish(directory)
+        _finish(directory)
 
 
 def _start(campaign: Path, workers: int, out: Path | None, seed: int | None, link: dict[str, Any]) -> None:
     from orchestrator import session  # noqa: PLC0415
 
-    with _stoppable(None) as told:
-        config = session.load(campaign)
-        directory = out or Path("runs") / config.name
-        told.append(directory)
-        session.start(campaign, workers=workers, out=directory, seed=seed, link=_link(**link), console=_talk())
-    _finish(directory)
+    overrides = {} if seed is None else {"seed": seed}
+    config = session.load(campaign, **overrides)
+    directory = out or Path("runs") / config.name
+    with _resumable(directory):
+        session.start(config, campaign, workers=workers, directory=directory, link=_link(**link), console=_talk())
+        _finish(directory)
 
 
 def _finish(directory: Path) -> None:
-    from rich.console import Console  # noqa: PLC0415
+    from orchestrator import session, summary  # noqa: PLC0415
 
-    from orchestrator import session, terminal  # noqa: PLC0415
-
-    console = Console(soft_wrap=True)
-    terminal.summary(session.certificate(directory), console)
-    terminal.written(directory, console)
+    console = _data()
+    summary.show(session.certificate(directory), console)
+    summary.written(directory, console)
 
 
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
 def status(directory: Path) -> None:
     """Show how far the campaign in DIRECTORY is, while it runs and afterwards."""
-    from rich.console import Console  # noqa: PLC0415
-
     from orchestrator import status as view  # noqa: PLC0415
 
-    view.show(directory, Console(soft_wrap=True))
+    view.show(directory, _data())
 
 
 @cli.command()
@@ -134,12 +126,12 @@ def status(directory: Path) -> None:
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the system; may be repeated.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="MCAP file to write.")
 def simulate(
-    system: str, start: str, variant: str, seed: int, horizon: float, options: tuple[str, ...], out: Path
+    *, system: str, start: str, variant: str, seed: int, horizon: float, options: tuple[str, ...], out: Path
 ) -> None:
     """Run one rollout of SYSTEM without workers, and write its trajectory."""
     from orchestrator import single  # noqa: PLC0415
 
-    for line in single.simulate(system, start, variant, seed, horizon, options, out):
+    for line in single.simulate(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
         click.echo(line)
 
 
@@ -152,6 +144,12 @@ def systems() -> None:
         click.echo(line)
 
 
+def _data() -> Any:
+    from rich.console import Console  # noqa: PLC0415
+
+    return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 100)
+
+
 def _talk() -> Any:
     from rich.console import Console  # noqa: PLC0415
 
@@ -159,11 +157,12 @@ def _talk() -> Any:
 
 
 def _link(
-    endpoint: str, *, insecure: bool, tls_ca: str | None, tls_certificate: str | None, tls_key: str | None
+    endpoint: str | None, *, insecure: bool, tls_ca: str | None, tls_certificate: str | None, tls_key: str | None
 ) -> "Link":
     from orchestrator.session import Link  # noqa: PLC0415
-    from schemas.link import Tls  # noqa: PLC0415
+    from schemas.link import LOCAL, Tls  # noqa: PLC0415
 
+    endpoint = endpoint or LOCAL
     files = (tls_ca, tls_certificate, tls_key)
     if not any(files):
         return Link(endpoint, None, insecure)
@@ -173,44 +172,72 @@ def _link(
 
 
 @contextmanager
-def _stoppable(directory: Path | None) -> Iterator[list[Path]]:
-    """Turn SIGINT and SIGTERM into a clean stop that names the way to go on."""
-    told = [] if directory is None else [directory]
+def _resumable(directory: Path) -> Iterator[None]:
+    """When the campaign ends before its time, name the way to go on."""
+    from orchestrator.session import resume_command  # noqa: PLC0415
 
-    def stop(number: int, _frame: FrameType | None) -> None:
-        raise Stopped(number)
+    def way(first: str = "") -> str:
+        there = os.path.exists(directory / "campaign.db")  # Path.exists raises if the name is too long
+        return f"{first}go on with: {resume_command(directory)}" if there else "nothing was started"
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
     try:
-        yield told
+        yield
     except Stopped as request:
-        resumable = bool(told) and (told[0] / "campaign.db").exists()
-        way = f"go on with: perfbound resume {told[0]}" if resumable else "nothing was started"
-        click.echo(f"perfbound: stopped; {way}", err=True)
-        sys.exit(128 + request.signal)
+        _end(f"stopped; {way()}", 128 + request.signal)
+    except OSError as error:
+        _end(f"{error.filename or directory}: {error.strerror or error}; {way('mend that, then ')}", 1)
+    except Exception as error:
+        cause = getattr(error, "orig", None)  # SQLAlchemy's wrapping
+        if not isinstance(cause, sqlite3.Error):
+            raise
+        _end(f"{directory / 'campaign.db'}: {cause}; {way('mend that, then ')}", 1)
+
+
+def _take_signals(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def _stop(number: int, _frame: FrameType | None) -> None:
+    _take_signals(signal.SIG_IGN)  # an impatient second Ctrl-C must not break off the cleaning up
+    raise Stopped(number)
+
+
+def _unraisable(lost: "sys.UnraisableHookArgs") -> None:
+    """Ask again for a stop that came while a destructor ran: nothing can be raised from there."""
+    if isinstance(lost.exc_value, Stopped):
+        _take_signals(_stop)
+        threading.Timer(0.02, os.kill, (os.getpid(), lost.exc_value.signal)).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def main() -> None:
     """`perfbound`: a known error is one line on stderr and exit code 1."""
+    _take_signals(_stop)
+    sys.unraisablehook = _unraisable
+    try:
+        _main()
+    except Stopped as request:
+        _end("stopped; nothing was started", 128 + request.signal)
+
+
+def _main() -> None:
+    from schemas.base import one_blas_thread  # noqa: PLC0415
     from schemas.campaign import CampaignError  # noqa: PLC0415
 
+    one_blas_thread()
     try:
         cli(prog_name="perfbound")
     except (PerfboundError, CampaignError) as error:
-        _fail(str(error))
+        _end(str(error), 1)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS, errno.EIO):
-            raise
-        where = f"{error.filename}: " if error.filename else ""
-        _fail(f"{where}{error.strerror}; mend that, then continue with `perfbound resume`")
-    except Exception as error:
-        cause = getattr(error, "orig", None)
-        if not isinstance(cause, sqlite3.Error):
-            raise
-        _fail(f"campaign database: {cause}; mend that, then continue with `perfbound resume`")
+        _end(f"{error.filename or 'file system'}: {error.strerror or error}", 1)
 
 
-def _fail(message: str) -> None:
-    click.echo(f"perfbound: {message}", err=True)
-    sys.exit(1)
+def _end(message: str, code: int) -> NoReturn:
+    from schemas.base import one_line  # noqa: PLC0415
+
+    _take_signals(signal.SIG_IGN)  # nothing is left to stop
+    click.echo(f"perfbound: {one_line(message)}", err=True)
+    sys.exit(code)

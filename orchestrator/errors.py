@@ -17,8 +17,11 @@ class IllegalEvent(ValueError):  # noqa: N818  (h11's convention: what happened,
     """An event that the present state of a core does not allow; the state is unchanged."""
 
 
-class Stopped(BaseException):  # noqa: N818  (a request, not an error; like KeyboardInterrupt, nothing may swallow it)
-    """A signal asks the orchestrator to stop; everything that was recorded is durable."""
+class Stopped(BaseException):
+    """A signal asks the orchestrator to stop; everything that was recorded is durable.
+
+    Not an Exception: like KeyboardInterrupt, nothing may swallow it.
+    """
 
     def __init__(self, signal: int) -> None:
         super().__init__(f"stopped by signal {signal}")

@@ -92,7 +92,8 @@ class Fleet:
         self._next += 1
         process = subprocess.Popen(
             [
-                *(sys.executable, "-m", "workers", *self._arguments),
+                # -P: what stands in the present directory is not ours to import.
+                *(sys.executable, "-P", "-m", "workers", *self._arguments),
                 *("--name", f"local-{self._next}", "--lifeline", str(self._lifeline)),
             ],
             pass_fds=[self._lifeline],

@@ -37,19 +37,17 @@ class Observer:
         """Return the clipped robustness; None for a campaign without specification."""
         if self._formula is None or self._config.clip is None:
             return None
-        return objectives.clipped_robustness(
-            self._formula, trajectory.columns, trajectory.samples, self._config.clip
-        )
+        return objectives.clipped_robustness(self._formula, trajectory.columns, trajectory.samples, self._config.clip)
 
     def observe(self, problem: Problem, trajectories: Trajectories) -> float:
         """Return y of a test, in the unit of the objective; J = -rho for a minimum."""
         return self._objectives[problem.name](problem, trajectories)
 
-    def _nominal_robustness(self, problem: Problem, trajectories: Trajectories) -> float:
-        return -objectives.mean(self._all(problem, trajectories))
+    def _nominal_robustness(self, _problem: Problem, trajectories: Trajectories) -> float:
+        return -objectives.mean(self._all(trajectories))
 
-    def _true_risk(self, problem: Problem, trajectories: Trajectories) -> float:
-        return -objectives.risk(self._all(problem, trajectories), self._config.risk_weight)
+    def _true_risk(self, _problem: Problem, trajectories: Trajectories) -> float:
+        return -objectives.risk(self._all(trajectories), self._config.risk_weight)
 
     def _sim_gap(self, problem: Problem, trajectories: Trajectories) -> float:
         gap = self._config.gap_of(problem)
@@ -67,6 +65,6 @@ class Observer:
         values = [objectives.column_maximum(column, trajectory.samples) for trajectory in trajectories.values()]
         return objectives.mean(values)
 
-    def _all(self, problem: Problem, trajectories: Trajectories) -> list[float]:
+    def _all(self, trajectories: Trajectories) -> list[float]:
         values = [self.robustness(trajectory) for trajectory in trajectories.values()]
         return [value for value in values if value is not None]

@@ -9,6 +9,7 @@ from orchestrator.gp.lattice import Lattice
 from orchestrator.seeds import first_node
 from orchestrator.store.journal import BoundFact, ProposalFact
 from schemas.campaign import CampaignConfig, Problem
+from schemas.certificate import StoppedBy
 from schemas.system import SystemSpec
 
 
@@ -17,7 +18,9 @@ class Proposer:
 
     def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
         self._config = config
-        self._lattices = {problem.name: lattice(config, spec, problem) for problem in config.problems}
+        self._lattices: dict[str, Lattice] = {
+            problem.name: lattice(config, spec, problem) for problem in config.problems
+        }
         self._methods: Mapping[str, PaperMethod] = {
             problem.name: paper_method(config, problem, self._lattices[problem.name]) for problem in config.problems
         }
@@ -35,7 +38,7 @@ class Proposer:
         if fact.F is None:
             return BoundFact(fact.problem, fact.test, None, None)
         chosen = Proposal(fact.node, fact.x, fact.mu, fact.sigma, fact.beta, fact.F)
-        stopped_by = "converged" if method.stops(chosen) else "budget" if last else None
+        stopped_by: StoppedBy | None = "converged" if method.stops(chosen) else "budget" if last else None
         return BoundFact(fact.problem, fact.test, method.epsilon(chosen, y), stopped_by)
 
 

@@ -4,6 +4,7 @@ Nothing is created before the campaign file, the system and the endpoint are kno
 """
 
 import json
+import shlex
 import signal
 import subprocess
 import sys
@@ -15,12 +16,15 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.text import Text
 
 from orchestrator.certificate import files
 from orchestrator.errors import JournalError, PerfboundError
-from orchestrator.stl.formula import FormulaError, parse as parse_formula
+from orchestrator.stl.formula import FormulaError
+from orchestrator.stl.formula import parse as parse_formula
+from orchestrator.stl.horizon import check_horizon
 from orchestrator.store import evidence
-from orchestrator.store.journal import Header, Journal, existing
+from orchestrator.store.journal import DATABASE, Header, Journal, existing
 from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import ZenohTransport, listen
 from orchestrator.versions import software
@@ -34,6 +38,13 @@ if TYPE_CHECKING:
 
 CHILD_TIMEOUT = 120
 """Seconds that a `workers` child may take to answer."""
+MAX_CAMPAIGN_FILE = 1024 * 1024
+"""Bytes of a campaign file."""
+
+
+def resume_command(directory: Path) -> str:
+    """Return what a person types to continue a campaign."""
+    return f"perfbound resume {shlex.quote(str(directory))}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,32 +62,31 @@ class Link:
         return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]
 
 
-def start(path: Path, *, workers: int, out: Path | None, seed: int | None, link: Link, console: Console) -> Path:
-    """Run a new campaign to its certificate; return the run directory.
+def start(config: CampaignConfig, source: Path, *, workers: int, directory: Path, link: Link, console: Console) -> None:
+    """Run a new campaign, read from the file `source`, to its certificate.
 
     Raises:
         PerfboundError, CampaignError: what is wrong, in one line.
         Stopped: a signal arrived.
 
     """
-    overrides = {} if seed is None else {"seed": seed}
-    config = load(path, **overrides)
-    directory = out or Path("runs") / config.name
     _check_vacant(directory)
-    spec = system_spec(config.system.name, f"{path}: system.name")
-    check_against(config, spec, str(path))
-    _check_specification(config, spec, path)
+    spec = system_spec(config.system.name, f"{source}: system.name")
+    check_against(config, spec, str(source))
+    _check_specification(config, spec, source)
     header = Header.new(config, spec, software(spec))
-    with listen(link.endpoint, link.tls, insecure=link.insecure) as transport, _created(directory), ExitStack() as stack:
-        stack.enter_context(campaign_lock(directory))
+    with (
+        listen(link.endpoint, link.tls, insecure=link.insecure) as transport,
+        _claimed(directory),
+        ExitStack() as stack,
+    ):
         journal = Journal.create(directory, header)
         stack.callback(journal.close)
-        _conduct(directory, journal, transport, workers, link, console, resumed=False)
-    return directory
+        _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=False)
 
 
-def resume(directory: Path, *, workers: int, link: Link, console: Console) -> Path:
-    """Continue a campaign from its database; one that is finished is left as it is. Return the run directory.
+def resume(directory: Path, *, workers: int, link: Link, console: Console) -> None:
+    """Continue a campaign from its database; one that is finished is left as it is.
 
     Raises:
         PerfboundError: what is wrong, in one line.
@@ -85,16 +95,15 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console) -> Pa
     """
     existing(directory)
     if files.read(directory) is not None:
-        console.print(f"{directory}: finished already", highlight=False, soft_wrap=True)
-        return directory
+        console.print(Text(f"{directory}: finished already"), soft_wrap=True)
+        return
     with campaign_lock(directory), ExitStack() as stack:
         journal = Journal.open(directory)
         stack.callback(journal.close)
         _check_software(journal.header)
         evidence.sweep(directory)
         transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
-        _conduct(directory, journal, transport, workers, link, console, resumed=True)
-    return directory
+        _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=True)
 
 
 def load(path: Path, **overrides: int) -> CampaignConfig:
@@ -105,26 +114,47 @@ def load(path: Path, **overrides: int) -> CampaignConfig:
 
     """
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(MAX_CAMPAIGN_FILE + 1)
     except OSError as error:
         raise CampaignError(f"{path}: {error.strerror}; name a campaign file, e.g. one of deploy/campaigns") from None
+    if len(data) > MAX_CAMPAIGN_FILE:
+        raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; name a campaign file")
     return parse(data, str(path), **overrides)
 
 
-def system_specs() -> dict[str, SystemSpec]:
-    """Return the installed systems, asked from a `workers` child: no simulator is imported here.
+def ask(command: str, *arguments: str) -> str:
+    """Return what a command of a `workers` child prints: no simulator is imported here.
 
     Raises:
-        PerfboundError: the child fails.
+        PerfboundError: the child fails; with the last thing that it said.
 
     """
-    command = [sys.executable, "-m", "workers", "systems"]
+    # -P: what stands in the present directory is not ours to import.
+    line = [sys.executable, "-P", "-m", "workers", command, *arguments]
     try:
-        child = subprocess.run(command, capture_output=True, text=True, timeout=CHILD_TIMEOUT, check=True)
-        return {name: SystemSpec.model_validate_json(json.dumps(spec)) for name, spec in json.loads(child.stdout).items()}
-    except (subprocess.SubprocessError, ValueError) as error:
-        reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1:]
-        raise PerfboundError(f"the installed systems cannot be listed: {' '.join(reason)}; reinstall perfbound") from None
+        child = subprocess.run(line, capture_output=True, text=True, timeout=CHILD_TIMEOUT, check=False)
+    except subprocess.TimeoutExpired:
+        raise PerfboundError(f"`workers {command}` did not answer within {CHILD_TIMEOUT} s") from None
+    said = [text.removeprefix("perfbound-worker: ") for text in child.stderr.splitlines() if text.strip()]
+    if child.returncode:
+        raise PerfboundError(said[-1] if said else f"`workers {command}` ended with code {child.returncode}")
+    return child.stdout
+
+
+def system_specs() -> dict[str, SystemSpec]:
+    """Return the installed systems.
+
+    Raises:
+        PerfboundError: they cannot be asked.
+
+    """
+    try:
+        specs = json.loads(ask("systems"))
+        return {name: SystemSpec.model_validate_json(json.dumps(spec)) for name, spec in specs.items()}
+    except (PerfboundError, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise PerfboundError(f"the installed systems cannot be listed: {reason}; reinstall perfbound") from None
 
 
 def system_spec(name: str, where: str) -> SystemSpec:
@@ -143,7 +173,7 @@ def system_spec(name: str, where: str) -> SystemSpec:
 def _check_vacant(directory: Path) -> None:
     if (directory / "campaign.db").exists():
         raise PerfboundError(
-            f"{directory}: a campaign is here already; continue it with `perfbound resume {directory}`, "
+            f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
             "or choose another --out"
         )
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
@@ -154,7 +184,8 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, path: Path) -
     if config.specification is None:
         return
     try:
-        parse_formula(config.specification, [column.name for column in spec.columns])
+        formula = parse_formula(config.specification, [column.name for column in spec.columns])
+        check_horizon(formula, config.horizon)
     except FormulaError as error:
         raise CampaignError(f"{path}: specification: {error}") from None
 
@@ -170,28 +201,32 @@ def _check_software(header: Header) -> None:
 
 
 @contextmanager
-def _created(directory: Path) -> Iterator[None]:
-    """Make the run directory; take it back if it stays empty."""
+def _claimed(directory: Path) -> Iterator[None]:
+    """Make the run directory and hold its lock; take it back if no campaign was started in it."""
     try:
+        there = directory.is_dir()
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
-    try:
-        yield
-    finally:
-        (directory / "campaign.db.partial").unlink(missing_ok=True)
-        if not any(directory.iterdir()):
-            directory.rmdir()
+    with campaign_lock(directory):
+        _check_vacant(directory)  # again: another orchestrator may have been quicker
+        try:
+            yield
+        finally:
+            for leftover in directory.glob(f"{DATABASE}.partial*"):
+                leftover.unlink()
+            if not there and not any(directory.iterdir()):
+                directory.rmdir()
 
 
 def _conduct(
     directory: Path,
     journal: Journal,
     transport: ZenohTransport,
+    *,
     workers: int,
     link: Link,
     console: Console,
-    *,
     resumed: bool,
 ) -> None:
     from orchestrator.fleet import Fleet  # noqa: PLC0415
@@ -204,9 +239,8 @@ def _conduct(
             stack.callback(fleet.stop)
             fleet.start()
         else:
-            console.print(
-                f"waiting for workers: perfbound-worker --connect {transport.endpoint}", highlight=False, soft_wrap=True
-            )
+            text = f"waiting for workers: perfbound-worker --connect {transport.endpoint}"
+            console.print(Text(text), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
         from orchestrator.ledger import Ledger  # noqa: PLC0415
         from orchestrator.service import Interrupted, Service  # noqa: PLC0415
@@ -232,7 +266,11 @@ def _certify(directory: Path, journal: Journal, ledger: "Ledger") -> None:
 
 @contextmanager
 def _signals(put: Callable[[int], None]) -> Iterator[None]:
+    """Hand signals to `put`; after the first one, those that follow do not disturb the cleaning up."""
+    taken = []
+
     def take(number: int, _frame: FrameType | None) -> None:
+        taken.append(number)
         put(number)
 
     before = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -240,7 +278,7 @@ def _signals(put: Callable[[int], None]) -> Iterator[None]:
         yield
     finally:
         for number, old in before.items():
-            signal.signal(number, old)
+            signal.signal(number, signal.SIG_IGN if taken else old)
 
 
 def certificate(directory: Path) -> Certificate:
@@ -252,5 +290,5 @@ def certificate(directory: Path) -> Certificate:
     """
     found = files.read(directory)
     if found is None:
-        raise PerfboundError(f"{directory}: no certificate yet; `perfbound resume {directory}` continues the campaign")
+        raise PerfboundError(f"{directory}: no certificate yet; `{resume_command(directory)}` continues the campaign")
     return found

@@ -1,19 +1,18 @@
 """One rollout without a campaign, and the list of systems; both asked from a child of `workers`."""
 
-import subprocess
-import sys
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from orchestrator.errors import PerfboundError
-from orchestrator.session import CHILD_TIMEOUT, system_spec, system_specs
+from orchestrator.session import ask, system_spec, system_specs
 from schemas.rollout import RolloutRequest
 from schemas.system import OptionValue, SystemSpec
 from schemas.trajectory import decode
 
 
 def simulate(
-    system: str, start: str, variant: str, seed: int, horizon: float, options: Sequence[str], out: Path
+    system: str, start: str, variant: str, *, seed: int, horizon: float, options: Sequence[str], out: Path
 ) -> Iterator[str]:
     """Run one rollout, write its file, and yield lines that describe it.
 
@@ -22,6 +21,8 @@ def simulate(
 
     """
     spec = system_spec(system, "SYSTEM")
+    if not 0 <= horizon <= spec.max_horizon:  # also refuses NaN
+        raise PerfboundError(f"--horizon {horizon:g}: {spec.name} takes 0 to {spec.max_horizon:g} s")
     request = RolloutRequest(
         campaign="simulate",
         config_sha256="0" * 64,
@@ -37,11 +38,7 @@ def simulate(
         horizon=horizon,
         visual=True,
     )
-    command = [sys.executable, "-m", "workers", "simulate", "--request", request.model_dump_json(), "--out", str(out)]
-    child = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=CHILD_TIMEOUT, check=False)
-    if child.returncode:
-        reason = child.stderr.strip().splitlines()[-1:] or [f"the simulator ended with code {child.returncode}"]
-        raise PerfboundError(reason[0].removeprefix("perfbound-worker: "))
+    ask("simulate", "--request", request.model_dump_json(), "--out", str(out))
     trajectory = decode(out.read_bytes())
     yield f"{'column':<14} {'unit':<8} {'first':>12} {'least':>12} {'greatest':>12} {'last':>12}"
     for column in spec.columns:
@@ -73,9 +70,8 @@ def _numbers(spec: SystemSpec, text: str) -> tuple[float, ...]:
         raise PerfboundError(f"--x {text}: {spec.name} takes {len(names)} numbers: {','.join(names)}")
     for parameter, number in zip(spec.parameters, numbers, strict=True):
         if not parameter.low <= number <= parameter.high:  # also refuses NaN
-            raise PerfboundError(
-                f"--x {text}: {parameter.name} = {number:g} is not in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
-            )
+            allowed = f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
+            raise PerfboundError(f"--x {text}: {parameter.name} = {number:g} is not in {allowed}")
     return numbers
 
 
@@ -90,7 +86,14 @@ def _options(spec: SystemSpec, texts: Sequence[str]) -> dict[str, OptionValue]:
         if option.choices and value not in option.choices:
             raise PerfboundError(f"--option {text}: allowed are {', '.join(option.choices)}")
         try:
-            chosen[name] = value if option.choices else float(value)
+            chosen[name] = value if option.choices else _finite(value)
         except ValueError:
-            raise PerfboundError(f"--option {text}: {value!r} is not a number") from None
+            raise PerfboundError(f"--option {text}: {value!r} is not a finite number") from None
     return chosen
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number

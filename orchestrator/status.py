@@ -5,10 +5,13 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from orchestrator import terminal
+from orchestrator import summary
 from orchestrator.certificate import files
+from orchestrator.session import resume_command
 from orchestrator.store import lock, queries
+from orchestrator.words import MINIMA, duration, figure
 
 
 def show(directory: Path, console: Console) -> None:
@@ -23,35 +26,49 @@ def show(directory: Path, console: Console) -> None:
     running = lock.is_held(directory)
     config = progress.header.config
     state = "running" if running else "finished" if certificate else "stopped"
-    console.print(f"[bold]{config.name}[/]  seed {config.seed}, {state}, run {progress.header.run}", highlight=False)
+    title = Text(config.name, "bold").append(f"  {state}, seed {config.seed}, run {progress.header.run}", "not bold")
+    console.print(title, soft_wrap=True)
+    console.print(_problems(progress))
+    for line in _work(progress, running=running):
+        console.print(Text(line), soft_wrap=True)
+    if certificate is not None:
+        summary.show(certificate, console)
+        summary.written(directory, console)
+    elif not running:
+        console.print(Text(f"go on with: {resume_command(directory)}"), soft_wrap=True)
+
+
+def _problems(progress: queries.CampaignProgress) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("problem", "tests", "F_i", "alpha", "bound so far", "rollouts", "stopped by"):
         table.add_column(name, justify="left" if name == "problem" else "right")
+    config = progress.header.config
     for problem, found in zip(config.problems, progress.problems, strict=True):
-        bound = found.epsilon
-        if bound is not None and problem.name in terminal.MINIMA:
-            bound = -bound
+        bound = -found.epsilon if found.epsilon is not None and problem.name in MINIMA else found.epsilon
         table.add_row(
             problem.name,
-            str(found.tests),
-            terminal.figure(found.last_F),
+            f"{found.tests} of {config.max_tests_of(problem)}",
+            figure(found.last_F),
             f"{problem.alpha:g}",
-            terminal.figure(bound),
+            figure(bound),
             str(found.rollouts),
             found.stopped_by or "-",
         )
-    console.print(table)
+    return table
+
+
+def _work(progress: queries.CampaignProgress, *, running: bool) -> list[str]:
     now = time.time()
+    lines = []
     for name, rollouts, last in progress.workers:
-        ago = f", last {terminal.duration(now - last)} ago" if running else ""
-        console.print(f"worker {name}: {rollouts} rollouts{ago}", highlight=False)
-    console.print(
-        f"{progress.rate:.1f} rollouts/s over the last minute of work; {progress.failures} attempts without a result; "
-        f"{progress.sessions} orchestrator session(s)",
-        highlight=False,
+        ago = f", the last {duration(max(0.0, now - last))} ago" if running else ""
+        lines.append(f"worker {name}: {_number(rollouts, 'rollout')}{ago}")
+    lines.append(
+        f"{progress.rate:.1f} rollouts/s in the last minute of work; {_number(progress.failures, 'attempt')} without a "
+        f"result; {_number(progress.sessions, 'start')} of the orchestrator"
     )
-    if certificate is not None:
-        terminal.summary(certificate, console)
-        terminal.written(directory, console)
-    elif not running:
-        console.print(f"go on with: perfbound resume {directory}", highlight=False)
+    return lines
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -1,30 +1,21 @@
-"""What a person sees while a campaign runs, and at its end. stderr is talk; stdout is for data."""
+"""What a person sees while a campaign runs. stderr is talk; stdout is for data."""
 
 import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
 from orchestrator.ledger import Account
 from orchestrator.service import Seen
-from schemas.campaign import SENSES
-from schemas.certificate import Assumption, Certificate, Claim, ProblemResult
+from orchestrator.words import MINIMA, duration, figure
 
 PLAIN_PERIOD = 10.0
 """Seconds between two progress lines where there is no terminal."""
-MINIMA = tuple(name for name, sense in SENSES.items() if sense == "min")
-
-
-def figure(value: float | None, digits: int = 4) -> str:
-    """Return a number for people, or a dash."""
-    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def bound_in_sense(account: Account) -> float | None:
@@ -46,7 +37,7 @@ def time_left(account: Account, rate: float, rollouts_per_test: float) -> float 
         return None
     power = math.log(start / proposal.F) / math.log(tests)
     needed = tests * (proposal.F / account.problem.alpha) ** (1 / power)
-    return max(0.0, min(needed, 1e7) - tests) * rollouts_per_test / rate
+    return float(max(0.0, min(needed, 1e7) - tests) * rollouts_per_test / rate)
 
 
 class Terminal:
@@ -58,7 +49,7 @@ class Terminal:
 
     def say(self, line: str) -> None:
         """Print a line above the table."""
-        self._console.print(escape(line), style="yellow", highlight=False)
+        self._console.print(Text(line, "yellow"), soft_wrap=True)
 
     def show(self, seen: Seen) -> None:
         """Redraw the table."""
@@ -77,7 +68,7 @@ class Plain:
 
     def say(self, line: str) -> None:
         """Print a line."""
-        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+        self._console.print(Text(line), soft_wrap=True)
 
     def show(self, seen: Seen) -> None:
         """Print a line per problem that stopped, and one line now and then."""
@@ -127,7 +118,7 @@ def problem_table(seen: Seen, rate: float) -> Table:
         tests, rollouts = len(account.observations), sum(account.counts.values())
         per_test = rollouts / tests if tests else 1.0
         left = time_left(account, rate / max(1, len(running)), per_test)
-        end = bound.stopped_by if bound and bound.stopped_by else "-" if left is None else duration(left)
+        end = f"ended: {bound.stopped_by}" if bound and bound.stopped_by else "-" if left is None else duration(left)
         colour = "green" if bound and bound.stopped_by == "converged" else ""
         table.add_row(
             account.problem.name,
@@ -150,20 +141,6 @@ def worker_line(seen: Seen, rate: float) -> Text:
     return Text(text + (f", in trouble: {', '.join(trouble)}" if trouble else ""), style="dim")
 
 
-def duration(seconds: float) -> str:
-    """Return a time span for people.
-
-    >>> duration(75), duration(7200), duration(3)
-    ('1 min 15 s', '2 h 0 min', '3 s')
-    """
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
-
-
 @contextmanager
 def view(console: Console) -> Iterator[Terminal | Plain]:
     """Return the view that fits: a live table on a terminal, log lines elsewhere."""
@@ -172,74 +149,3 @@ def view(console: Console) -> Iterator[Terminal | Plain]:
         return
     with Live(console=console, refresh_per_second=4, transient=True) as live:
         yield Terminal(console, live)
-
-
-def summary(certificate: Certificate, console: Console) -> None:
-    """Print what the certificate says; refuted assumptions first."""
-    predicate = certificate.predicate
-    refuted = [each for each in predicate.assumptions if each.status == "refuted"]
-    console.print()
-    if refuted:
-        console.print(f"[bold red]REFUTED by this campaign's own data or by derivation: {len(refuted)} assumption(s)[/]")
-        for each in refuted:
-            _assumption(each, console)
-        console.print()
-    for number, claim in enumerate(predicate.claims):
-        _claim(claim, {each.id for each in refuted}, console, first=number == 0)
-    composition = predicate.composition
-    if composition is not None:
-        console.print(
-            f"  = {composition.nominal_bound:.4f} (nominal) - {composition.gap_term:.4f} (gap) "
-            f"- {composition.risk_term:.4f} (risk)",
-            highlight=False,
-        )
-    console.print()
-    for problem in predicate.problems:
-        _problem(problem, console)
-    console.print("\nAssumptions that the data do not refute:", style="bold")
-    for each in predicate.assumptions:
-        if each.status != "refuted":
-            _assumption(each, console)
-
-
-def written(directory: Path, console: Console) -> None:
-    """Print where everything is."""
-    console.print()
-    for name, what in (
-        ("certificate.json", "certificate"),
-        ("manifest.sha256", "digests of the evidence (sha256sum --check)"),
-        ("trajectories", "evidence, one MCAP file a rollout"),
-        ("campaign.db", "database"),
-    ):
-        console.print(f"{directory / name}  {what}", highlight=False)
-
-
-def _claim(claim: Claim, refuted: set[str], console: Console, *, first: bool) -> None:
-    quantity = {"rho_star": "rho* (minimum risk of the true system)", "J_star": "J* (maximum)"}[claim.quantity]
-    broken = sorted(set(claim.assumptions) & refuted)
-    mark = "[bold]CLAIM[/]" if first else "[bold]also[/]"
-    console.print(
-        f"{mark}  {quantity} {claim.sense} [bold]{claim.bound:.4f}[/] with probability at least "
-        f"[bold]{claim.probability:.4f}[/]  (method {claim.method}, rule {claim.rule})",
-        highlight=False,
-    )
-    if broken:
-        console.print(f"  It rests on {len(broken)} refuted assumption(s): do not rely on it.", style="red")
-
-
-def _problem(problem: ProblemResult, console: Console) -> None:
-    sign = ">=" if problem.sense == "min" else "<="
-    console.print(
-        f"[bold]{problem.name}[/]  {problem.objective} {sign} {problem.bound:.4f} (probability {problem.probability:.4f}); "
-        f"{problem.tests} tests, {problem.rollouts.nominal} nominal and {problem.rollouts.true} true rollouts, "
-        f"stopped by {problem.stopped_by} at F = {problem.last_F:.4f}",
-        highlight=False,
-    )
-
-
-def _assumption(assumption: Assumption, console: Console) -> None:
-    colour = {"refuted": "red", "derived": "green"}.get(assumption.status, "yellow")
-    console.print(
-        f"  [{colour}]{assumption.status:<11}[/] [bold]{escape(assumption.id)}[/]: {escape(assumption.detail)}",
-        highlight=False,
-    )

@@ -40,7 +40,7 @@ def live_orchestrator(run: str, orchestrator: str) -> str:
 
 
 def request(run: str, worker: str) -> str:
-    """What the orchestrator says to one worker."""
+    """Return the key of what the orchestrator says to one worker."""
     return f"{ROOT}/{run}/request/{worker}"
 
 

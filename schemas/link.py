@@ -2,6 +2,7 @@
 
 import ipaddress
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ LEASE_MS = 2000
 LOCAL = "tcp/127.0.0.1:0"
 """Loopback, a free port."""
 ENCRYPTED = ("tls", "quic")
+_ENDPOINT = re.compile(r"(?P<protocol>tcp|tls|quic)/(?P<host>\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z._-]+):(?P<port>[0-9]{1,5})")
 
 
 class LinkError(ValueError):
@@ -34,9 +36,7 @@ def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
         LinkError: the endpoint is malformed, or open to others without TLS, or a TLS file is missing.
 
     """
-    protocol, host = split(endpoint)
-    if protocol in ENCRYPTED and tls is None:
-        raise LinkError(f"--listen {endpoint}: {protocol} needs --tls-ca, --tls-certificate and --tls-key")
+    protocol, host = _checked("--listen", endpoint, tls)
     if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
         raise LinkError(
             f"--listen {endpoint}: anyone who reaches this address could feed the campaign; "
@@ -60,9 +60,7 @@ def connect_config(endpoint: str, tls: Tls | None) -> str:
         LinkError: the endpoint is malformed, or a TLS file is missing.
 
     """
-    protocol, _ = split(endpoint)
-    if protocol in ENCRYPTED and tls is None:
-        raise LinkError(f"--connect {endpoint}: {protocol} needs --tls-ca, --tls-certificate and --tls-key")
+    _checked("--connect", endpoint, tls)
     retry = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
     return json.dumps(
         {
@@ -80,13 +78,13 @@ def split(endpoint: str) -> tuple[str, str]:
         LinkError: it is not of that form.
 
     """
-    protocol, slash, address = endpoint.partition("/")
-    host, colon, port = address.rpartition(":")
-    if not (slash and colon and host and port.isdigit()) or protocol not in ("tcp", *ENCRYPTED):
-        raise LinkError(f"{endpoint!r} is not an endpoint: write tcp/HOST:PORT, tls/HOST:PORT or quic/HOST:PORT")
-    if int(port) > 65535:
-        raise LinkError(f"{endpoint!r}: the port must be at most 65535")
-    return protocol, host.strip("[]")
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None or int(found["port"]) > 65535:
+        raise LinkError(
+            f"{endpoint!r} is not an endpoint: write tcp/HOST:PORT, tls/HOST:PORT or quic/HOST:PORT, "
+            "PORT at most 65535, an IPv6 HOST in brackets"
+        )
+    return found["protocol"], found["host"].strip("[]")
 
 
 def is_loopback(host: str) -> bool:
@@ -95,6 +93,18 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def _checked(option: str, endpoint: str, tls: Tls | None) -> tuple[str, str]:
+    try:
+        protocol, host = split(endpoint)
+    except LinkError as error:
+        raise LinkError(f"{option} {error}") from None
+    if protocol in ENCRYPTED and tls is None:
+        raise LinkError(f"{option} {endpoint}: {protocol} needs --tls-ca, --tls-certificate and --tls-key")
+    if protocol not in ENCRYPTED and tls is not None:
+        raise LinkError(f"{option} {endpoint}: {protocol} does not encrypt; with the TLS options write tls/HOST:PORT")
+    return protocol, host
 
 
 def _common(tls: Tls | None, names: tuple[str, str]) -> dict[str, Any]:

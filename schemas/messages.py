@@ -47,7 +47,7 @@ class Ack(Model):
 
 
 class Refuse(Model):
-    """This worker cannot serve this campaign; it should leave."""
+    """Tell a worker that it cannot serve this campaign; it should leave."""
 
     type: Literal["refuse"] = "refuse"
     reason: str = Field(max_length=2000)

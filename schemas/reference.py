@@ -10,14 +10,14 @@ from schemas.campaign import CampaignConfig, Gap, MaternKernel, Problem, Range, 
 
 HEAD = """# Reference: campaign files
 
-Generated from the models by `make schemas`; the same as JSON Schema: [`schemas/json/v1/campaign.json`](../schemas/json/v1/campaign.json).
+Generated from the models by `make schemas`; also as [JSON Schema](../schemas/json/v1/campaign.json).
 A campaign file is TOML. Unknown keys are refused. Distances are in the unit of the system's parameters, robustness in
 the unit of the predicate, time in s.
 """
 TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Top level", "", CampaignConfig),
     ("[system]", "And the options of the system, by name: `perfbound systems` lists them.", SystemChoice),
-    ("[space]", "One entry per parameter of the system: `x = { low = 0.0, high = 5.0, unit = \"m\" }`.", Range),
+    ("[space]", 'One entry per parameter of the system: `x = { low = 0.0, high = 5.0, unit = "m" }`.', Range),
     ("[[problems]]", "One table per optimisation problem; each name at most once.", Problem),
     ("kernel", "", MaternKernel),
     ("gap", "", Gap),
@@ -26,7 +26,9 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
 
 def page() -> str:
     """Return the page as Markdown."""
-    return HEAD + "".join(f"\n## {title}\n\n{note + chr(10) * 2 if note else ''}{_table(model)}" for title, note, model in TABLES)
+    return HEAD + "".join(
+        f"\n## {title}\n\n{note + chr(10) * 2 if note else ''}{_table(model)}" for title, note, model in TABLES
+    )
 
 
 def _table(model: type[BaseModel]) -> str:
@@ -62,4 +64,6 @@ _LIMITS = (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="), ("ex
 
 
 def _limits(part: dict[str, Any]) -> str:
-    return "".join(f" {sign} {part[key]:g}" if part[key] != 2**53 else f" {sign} 2^53" for key, sign in _LIMITS if key in part)
+    return "".join(
+        f" {sign} {part[key]:g}" if part[key] != 2**53 else f" {sign} 2^53" for key, sign in _LIMITS if key in part
+    )

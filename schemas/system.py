@@ -53,7 +53,7 @@ class SystemSpec(Model):
     variants: tuple[Variant, ...] = ("nominal", "true")
     noisy: tuple[Variant, ...] = ("true",)
     max_horizon: float = Field(gt=0, description="longest rollout in seconds")
-    versions: dict[str, str] = {}
+    versions: dict[str, str] = Field(default_factory=dict)
 
     @property
     def digest(self) -> str:

@@ -126,6 +126,15 @@ class Trajectory:
         return rows
 
 
+@dataclass(frozen=True, eq=False)
+class File:
+    """What a trajectory's file holds, without its visual part."""
+
+    trajectory: Trajectory
+    request: dict[str, Any]
+    metadata: dict[str, str]
+
+
 def encode(
     trajectory: Trajectory, *, request: Mapping[str, Any], metadata: Mapping[str, str], units: Mapping[str, str]
 ) -> bytes:
@@ -153,6 +162,16 @@ def encode(
 
 
 def decode(data: bytes) -> Trajectory:
+    """Return the trajectory in a file.
+
+    Raises:
+        TrajectoryError: as `read`.
+
+    """
+    return read(data).trajectory
+
+
+def read(data: bytes) -> File:
     """Return the evidence in a trajectory's file, without its visual part.
 
     Every byte stands under a checksum that is verified here, and nothing larger than the file is allocated.
@@ -163,11 +182,14 @@ def decode(data: bytes) -> Trajectory:
     """
     try:
         _check_checksums(data)
-        record, npy = _evidence(data)
+        record, attachments = _evidence(data)
         columns = json.loads(record["columns"])
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
             raise TrajectoryError("the columns are not a list of names")
-        return Trajectory(tuple(columns), _from_npy(npy))
+        request = json.loads(attachments[REQUEST])
+        if not isinstance(request, dict):
+            raise TrajectoryError(f"{REQUEST} is not an object")
+        return File(Trajectory(tuple(columns), _from_npy(attachments[EVIDENCE])), request, record)
     except TrajectoryError:
         raise
     except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
@@ -225,8 +247,8 @@ def _check_checksums(data: bytes) -> None:
         raise TrajectoryError("the checksum of the data is wrong")
 
 
-def _evidence(data: bytes) -> tuple[dict[str, str], bytes]:
-    """Return the metadata record and the array's file; chunks stay compressed, they are for eyes only."""
+def _evidence(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
+    """Return the metadata record and both attachments; chunks stay compressed, they are for eyes only."""
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True, record_size_limit=len(data))
     records: list[McapRecord] = list(itertools.islice(reader.records, MAX_RECORDS + 1))
     if len(records) > MAX_RECORDS:
@@ -236,7 +258,7 @@ def _evidence(data: bytes) -> tuple[dict[str, str], bytes]:
     names = sorted(record.name for record in attachments)
     if len(metadata) != 1 or names != sorted((EVIDENCE, REQUEST)):
         raise TrajectoryError(f"{len(metadata)} metadata records and the attachments {names}, not one and both of ours")
-    return metadata[0], next(record.data for record in attachments if record.name == EVIDENCE)
+    return metadata[0], {record.name: record.data for record in attachments}
 
 
 # What a person sees. Messages are templates filled with %: a json.dumps for each costs three times as much.

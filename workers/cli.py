@@ -1,11 +1,7 @@
 """The commands of the worker side; a child of `perfbound` runs them, so that a crash stays out of the orchestrator."""
 
+import contextlib
 import os
-
-# One BLAS thread: results must not depend on the number of cores. Read once, when numpy loads.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
 import sys
 import threading
 import time
@@ -15,7 +11,7 @@ from typing import NoReturn
 
 import click
 
-from schemas.base import canonical_json
+from schemas.base import canonical_json, one_blas_thread, one_line
 from schemas.link import LinkError, Tls
 
 RUN_GONE = 5.0
@@ -26,13 +22,14 @@ OUTBOX_KEPT = 600.0
 
 def fail(message: str) -> NoReturn:
     """Say one line on stderr and exit with 1."""
-    click.echo(f"perfbound-worker: {message}", err=True)
+    click.echo(f"perfbound-worker: {one_line(message)}", err=True)
     sys.exit(1)
 
 
 @click.group()
 def group() -> None:
-    """Simulator workers of perfbound."""
+    """Run one of the commands that the orchestrator asks of a child process."""
+    one_blas_thread()
 
 
 @group.command()
@@ -44,6 +41,7 @@ def group() -> None:
 @click.option("--tls-key", default=None, help="PEM file of our private key.")
 @click.option("--lifeline", type=int, default=None, hidden=True, help="Exit at the end of this pipe.")
 def serve(
+    *,
     endpoint: str,
     name: str,
     run: str | None,
@@ -127,7 +125,7 @@ def _abandoned(
 ) -> Callable[[bool], bool]:
     seen = [time.monotonic()]
 
-    def abandoned(outbox_empty: bool) -> bool:  # noqa: FBT001
+    def abandoned(outbox_empty: bool) -> bool:
         now = time.monotonic()
         if pinned or any(run == chosen for _, run in orchestrators()):
             seen[0] = now
@@ -144,7 +142,8 @@ def systems() -> None:
     specs = {}
     for system in available():
         try:
-            specs[system] = load(system).spec.model_dump(mode="json")
+            with contextlib.redirect_stdout(sys.stderr):  # what a plug-in prints is not our data
+                specs[system] = load(system).spec.model_dump(mode="json")
         except Exception as error:  # noqa: BLE001  (a broken plug-in must not hide the others)
             click.echo(f"perfbound-worker: system {system!r} cannot be loaded: {error}", err=True)
     click.echo(canonical_json(specs))
@@ -180,4 +179,5 @@ def simulate(request: str, out: Path) -> None:
 
 def main() -> None:
     """`perfbound-worker`."""
+    one_blas_thread()
     serve()

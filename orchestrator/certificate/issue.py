@@ -65,12 +65,13 @@ def issue(header: Header, accounts: Mapping[str, Account], evidence: Evidence) -
 
 def _result(config: CampaignConfig, account: Account) -> document.ProblemResult:
     problem, bound, proposal = account.problem, account.last_bound, account.last_proposal
-    assert bound is not None and bound.epsilon is not None and bound.stopped_by is not None, "the problem has stopped"
-    assert proposal is not None and proposal.F is not None, "a bound follows a proposal"
+    assert bound is not None
+    assert bound.epsilon is not None
+    assert bound.stopped_by is not None
+    assert proposal is not None
+    assert proposal.F is not None
     noise = noise_per_test(config, problem)
-    probabilities = {
-        tail: round_down(mills_probability(problem.c, problem.delta, noise, tail)) for tail in TAILS
-    }
+    probabilities = {tail: round_down(mills_probability(problem.c, problem.delta, noise, tail)) for tail in TAILS}
     sense = SENSES[problem.name]
     return document.ProblemResult(
         name=problem.name,
@@ -119,7 +120,8 @@ def _claim(
         return claim, None
     nominal, gap = results["nominal_robustness"], results["sim_gap"]
     measure = next(config.gap_of(problem) for problem in config.problems if problem.name == "sim_gap")
-    assert measure is not None and config.clip is not None, "the campaign file was checked"
+    assert measure is not None
+    assert config.clip is not None
     composed = compose(
         nominal.bound,
         gap.bound,

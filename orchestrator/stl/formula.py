@@ -1,11 +1,14 @@
-"""STL formulas: text to a frozen tree, by recursive descent.
+"""STL formulas: text to a frozen tree, by recursive descent. Implements eq. (spec) of [ARA].
 
-Grammar, loosest first (words are lower case; `implies` and `^` group to the right, the rest to the left):
+Grammar, loosest first (words are lower case; `implies` and `^` group to the right, `until` and the comparisons do not
+chain, the rest groups to the left):
 
     formula     = disjunction [ "implies" formula ]
     disjunction = conjunction { "or" conjunction }
-    conjunction = unary { "and" unary }
-    unary       = ( "not" | "always" | "eventually" ) unary | comparison
+    conjunction = until { "and" until }
+    until       = unary [ ( "until" | "until_from" ) [ interval ] unary ]
+    unary       = ( "not" | ( "always" | "eventually" ) [ interval ] ) unary | comparison
+    interval    = "[" number "," ( number "]" | "inf" ")" )
     comparison  = sum [ ( "<=" | ">=" | "<" | ">" ) sum ]
     sum         = product { ( "+" | "-" ) product }
     product     = sign { ( "*" | "/" ) sign }
@@ -17,12 +20,13 @@ One ladder serves formulas and arithmetic, so that "(" needs no look-ahead; ever
 """
 
 import math
-import re
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from typing import cast
 
+from orchestrator.stl.errors import FormulaError
+from orchestrator.stl.tokens import Token, tokens
 from orchestrator.stl.tree import (
+    REST,
     Absolute,
     Always,
     And,
@@ -35,92 +39,45 @@ from orchestrator.stl.tree import (
     Expression,
     Formula,
     Implies,
+    Interval,
     Negative,
     Node,
     Not,
     Number,
     Or,
+    Reading,
+    Until,
     columns,
 )
 
 __all__ = ["Formula", "FormulaError", "columns", "parse"]
 
 MAX_NESTING = 40
-MAX_TOKENS = 1000
-"""Deeper or longer text would exhaust Python's stack; no specification written by a person comes near."""
+"""Deeper text would exhaust Python's stack; no specification written by a person comes near."""
 
-_TOKEN = re.compile(
-    r"""\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
-          |(?P<word>[A-Za-z_]\w*)
-          |(?P<sign><=|>=|[-+*/^()<>]))""",
-    re.ASCII | re.VERBOSE,
-)
-_UNARY: dict[str, type[Not | Always | Eventually]] = {"not": Not, "always": Always, "eventually": Eventually}
-_RESERVED = {*_UNARY, "and", "or", "implies", "abs", "until"}
+_UNTIL: dict[str, Reading] = {"until": "standard", "until_from": "paper"}
+_RESERVED = {"not", "always", "eventually", *_UNTIL, "and", "or", "implies", "abs", "inf"}
 _COMPARATORS = {"<=", ">=", "<", ">"}
-_LATER = "{} comes in a later version: use unbounded always and eventually"
-
-
-class FormulaError(ValueError):
-    """The text of a specification cannot be read; the message shows where."""
-
-    def __init__(self, reason: str, text: str, position: int) -> None:
-        line = text.rfind("\n", 0, position) + 1
-        shown = text[line:].split("\n", 1)[0].replace("\t", " ")
-        super().__init__(f"specification: {reason}\n  {shown}\n  {' ' * (position - line)}^")
-        self.position = position
 
 
 def parse(text: str, known: Collection[str] | None = None) -> Formula:
     """Return the tree of the formula `text`; with `known`, refuse a column that is not among them.
 
     Raises:
-        FormulaError: the text is no formula, or names an unknown column; a caret points at the place.
+        FormulaError: the text is no formula, or names an unknown column; the message marks the place.
 
-    >>> parse("always (abs(phi) <= 0.95)")
-    Always(operand=Comparison(operator='<=', left=Absolute(operand=Column(name='phi')), right=Number(value=0.95)))
+    >>> from orchestrator.stl.text import text as shown
+    >>> shown(parse("always [0, 15] ((abs(phi) <= 0.95))"))
+    'always[0,15] abs(phi) <= 0.95'
 
     """
     return _Parser(text, known).parse()
 
 
-@dataclass(frozen=True, slots=True)
-class _Token:
-    kind: str  # number, word, sign, end
-    text: str
-    position: int
-
-
-def _tokens(text: str) -> list[_Token]:
-    tokens: list[_Token] = []
-    position, end = 0, len(text.rstrip())
-    while position < end:
-        match = _TOKEN.match(text, position)
-        if match is None or match.lastgroup is None:
-            start = position + len(text[position:]) - len(text[position:].lstrip())
-            raise FormulaError(_refusal(text[start]), text, start)
-        kind = match.lastgroup
-        tokens.append(_Token(kind, match[kind], match.start(kind)))
-        position = match.end()
-        if len(tokens) > MAX_TOKENS:
-            raise FormulaError(f"more than {MAX_TOKENS} words and signs", text, match.start(kind))
-    return [*tokens, _Token("end", "the end of the text", end)]
-
-
-def _refusal(character: str) -> str:
-    if character == "[":
-        return _LATER.format("a time interval")
-    if character in "=!":
-        return "equality has no robustness: use <=, >=, < or >"
-    if character in "&|":
-        return "write `and`, `or`, `implies`"
-    return f"unexpected character {character!r}"
-
-
 class _Parser:
     def __init__(self, text: str, known: Collection[str] | None) -> None:
         self._text, self._known = text, known
-        self._tokens = _tokens(text)
+        self._tokens = tokens(text)
         self._next = 0
         self._depth = 0
 
@@ -128,11 +85,11 @@ class _Parser:
         start = self._token
         tree = self._formula()
         if self._token.kind != "end":
-            raise self._error(self._unexpected())
+            raise self._error(self._too_much())
         return self._as_formula(tree, start)
 
     @property
-    def _token(self) -> _Token:
+    def _token(self) -> Token:
         return self._tokens[self._next]
 
     def _take(self, *texts: str) -> str | None:
@@ -143,24 +100,31 @@ class _Parser:
             return token.text
         return None
 
-    def _error(self, reason: str, token: _Token | None = None) -> FormulaError:
-        return FormulaError(reason, self._text, (token or self._token).position)
+    def _error(self, reason: str, token: Token | None = None) -> FormulaError:
+        place = token or self._token
+        return FormulaError(reason, self._text, place.position, len(place.text))
 
-    def _unexpected(self) -> str:
-        if self._token.text == "until":
-            return _LATER.format("`until`")
+    def _too_much(self) -> str:
+        """Say why the text cannot go on with the next token."""
+        if self._token.text in _UNTIL:
+            return "`until` does not chain: put one of the two into parentheses"
         if self._token.text in _COMPARATORS:
             return "comparisons do not chain: write `a <= b and b <= c`"
+        return self._unexpected()
+
+    def _unexpected(self) -> str:
+        if self._token.text in {",", "[", "]", "inf"}:
+            return "an interval [a,b] or [a,inf) stands right after always, eventually or until"
         if self._token.kind == "end":
             return "the formula is not complete"
         return f"unexpected {self._token.text!r}"
 
-    def _as_formula(self, node: Node, start: _Token) -> Formula:
+    def _as_formula(self, node: Node, start: Token) -> Formula:
         if isinstance(node, Expression):
             raise self._error("a number stands where a condition is needed: compare it with <=, >=, < or >", start)
         return node
 
-    def _as_expression(self, node: Node, start: _Token) -> Expression:
+    def _as_expression(self, node: Node, start: Token) -> Expression:
         if not isinstance(node, Expression):
             raise self._error("a condition stands where a number is needed", start)
         return node
@@ -186,21 +150,60 @@ class _Parser:
 
     def _conjunction(self) -> Node:
         start = self._token
-        node = self._unary()
+        node = self._until()
         while self._take("and"):
             right_start = self._token
-            node = And(self._as_formula(node, start), self._as_formula(self._unary(), right_start))
+            node = And(self._as_formula(node, start), self._as_formula(self._until(), right_start))
         return node
 
+    def _until(self) -> Node:
+        start = self._token
+        left = self._unary()
+        word = self._take(*_UNTIL)
+        if word is None:
+            return left
+        interval = self._interval()
+        right_start = self._token
+        right = self._as_formula(self._unary(), right_start)
+        return Until(self._as_formula(left, start), right, interval, _UNTIL[word])
+
     def _unary(self) -> Node:
-        word = self._take(*_UNARY)
+        word = self._take("not", "always", "eventually")
         if word is None:
             return self._comparison()
+        interval = REST if word == "not" else self._interval()
         start = self._token
         self._deeper()
         node = self._as_formula(self._unary(), start)
         self._depth -= 1
-        return _UNARY[word](node)
+        if word == "not":
+            return Not(node)
+        return Always(node, interval) if word == "always" else Eventually(node, interval)
+
+    def _interval(self) -> Interval:
+        if not self._take("["):
+            return REST
+        low = self._seconds()
+        if not self._take(","):
+            raise self._error("an interval is [a,b] or [a,inf): ',' expected")
+        if self._take("inf"):
+            self._close(")", "an interval without end is written [a,inf)")
+            return Interval(low)
+        start = self._token
+        high = self._seconds()
+        if high < low:
+            raise self._error("an interval [a,b] needs a <= b", start)
+        self._close("]", "an interval [a,b] includes both ends: ']' expected")
+        return Interval(low, high)
+
+    def _seconds(self) -> float:
+        if self._token.kind != "number":
+            raise self._error("an interval is [a,b] or [a,inf) with seconds from now: a number of 0 or more expected")
+        return self._number().value
+
+    def _close(self, sign: str, reason: str) -> None:
+        if not self._take(sign):
+            raise self._error(reason)
 
     def _comparison(self) -> Node:
         start = self._token
@@ -240,7 +243,7 @@ class _Parser:
         node = self._atom()
         return self._arithmetic("^", node, start, self._sign) if self._take("^") else node
 
-    def _arithmetic(self, operator: str, left: Node, start: _Token, parse_right: Callable[[], Node]) -> Arithmetic:
+    def _arithmetic(self, operator: str, left: Node, start: Token, parse_right: Callable[[], Node]) -> Arithmetic:
         right_start = self._token
         self._deeper()
         right = self._as_expression(parse_right(), right_start)
@@ -282,7 +285,7 @@ class _Parser:
         node = self._formula()
         self._depth -= 1
         if not self._take(")"):
-            raise self._error(self._unexpected() if self._token.kind != "end" else "')' expected")
+            raise self._error(self._too_much() if self._token.kind != "end" else "')' expected")
         return node
 
     def _deeper(self) -> None:

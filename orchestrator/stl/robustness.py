@@ -1,122 +1,83 @@
-"""The standard quantitative semantics of STL on a sampled trajectory, vectorised over the samples.
+"""The quantitative semantics of STL on a sampled trajectory, vectorised over the samples.
 
-| symbol      | name        | meaning                                        | shape  | unit             |
-|-------------|-------------|------------------------------------------------|--------|------------------|
-| s           | `samples`   | trajectory, one row per sample                 | (T, n) | per column       |
-|             | `columns`   | names of the columns of `samples`              | (n,)   |                  |
-| rho(s, t_k) | `_margins`  | robustness at every sample k                   | (T,)   | of the predicate |
+| symbol      | name      | meaning                                                             | shape  | unit        |
+|-------------|-----------|---------------------------------------------------------------------|--------|-------------|
+| s           | `samples` | trajectory, one row per sample; column 0 is the time t              | (T, n) | per column  |
+|             | `columns` | names of the columns of `samples`                                   | (n,)   |             |
+| W_k         | `windows` | samples i with t_k + a <= t_i <= t_k + b, or to the end; see `grid` | (T,)   |             |
+| rho(s, t_k) | `margins` | robustness at every sample k                                        | (T,)   | predicate's |
 
 a <= b and a < b give b - a; a >= b and a > b give a - b; not -rho; and min; or max; implies max(-left, right);
-always the minimum, eventually the maximum over the samples from k to the last.
+always the minimum, eventually the maximum over W_k; until, in both readings, the maximum over i in W_k of
+min(rho_right(i), min of rho_left(j) over k <= j <= i); in the reading of [ARA] j begins with W_k instead of k.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orchestrator.stl.tree import (
-    Absolute,
-    Always,
-    And,
-    Arithmetic,
-    Column,
-    Comparison,
-    Eventually,
-    Expression,
-    Formula,
-    Implies,
-    Negative,
-    Not,
-    Number,
-    Or,
-)
+from orchestrator.stl import sliding
+from orchestrator.stl.grid import Grid
+from orchestrator.stl.predicates import Floats, Signals
+from orchestrator.stl.tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Until
 
-Floats = NDArray[np.float64]
-Values = Floats | float  # a part without columns stays a number until a predicate spreads it over the samples
-
-_ARITHMETIC: Mapping[str, Callable[[Values, Values], Values]] = {
-    "+": np.add,
-    "-": np.subtract,
-    "*": np.multiply,
-    "/": np.divide,
-    "^": np.power,
-}
+__all__ = ["robustness"]
 
 
 def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
     """Return the robustness of the trajectory at its first sample, in the unit of the predicates.
     Implements eq. (robMeasure) of [ARA].
 
-    Formula: the table at the head of this module. It is not negative if the trajectory satisfies the formula.
-    `samples` has shape (T, n), T >= 1, its columns named by `columns`.
+    Formula: the lines at the head of this module. rho > 0: the trajectory satisfies the formula; rho < 0: it does not.
+    `samples` has shape (T, n), T >= 1, its columns named by `columns`, the first one the time in s.
+    Deviation: [ARA] has "satisfied if and only if rho >= 0"; at 0 no min/max robustness decides (x < 0 and
+    not x > 0 have the same one).
 
     Raises:
-        ValueError: `tree` names a column that is not in `columns`, the shape does not fit, or a predicate is not
-            finite at some sample (division by zero, root of a negative number, a non-finite trajectory).
+        FormulaError: `tree` looks beyond the last sample, or an interval holds no sample where it is read.
+        ValueError: `tree` names a column that is not in `columns`, the shape does not fit, a predicate is not
+            finite at some sample (division by zero, root of a negative number, a non-finite trajectory), or the
+            formula has intervals and the sample times do not increase.
 
     >>> from orchestrator.stl.formula import parse
-    >>> robustness(parse("always (abs(phi) <= 0.75)"), ("t", "phi"), np.array([[0.0, 0.0], [0.1, -0.5]]))
+    >>> trajectory = np.array([[0.0, 0.0], [0.5, -0.5], [1.0, 0.75]])
+    >>> robustness(parse("always (abs(phi) <= 1)"), ("t", "phi"), trajectory)
     0.25
+    >>> robustness(parse("always[0,0.5] abs(phi) <= 1"), ("t", "phi"), trajectory)
+    0.5
 
     """
-    if samples.ndim != 2 or samples.shape[0] == 0 or samples.shape[1] != len(columns):
-        raise ValueError(f"samples of shape {samples.shape} do not fit {len(columns)} columns")
-    return float(_Evaluation(columns, samples).margins(tree)[0])
+    signals, grid = Signals(columns, samples), Grid(samples[:, 0])
+    grid.check(tree)
+    return float(_margins(tree, signals, grid)[0])
 
 
-class _Evaluation:
-    def __init__(self, columns: Sequence[str], samples: Floats) -> None:
-        self._columns, self._samples = columns, samples
-
-    def margins(self, tree: Formula) -> Floats:
-        """Return the robustness of `tree` at every sample, shape (T,)."""
-        match tree:
-            case Comparison():
-                return self._predicate(tree)
-            case Not(operand):
-                return -self.margins(operand)
-            case And() | Or():
-                extremum = np.minimum if isinstance(tree, And) else np.maximum
-                return np.asarray(extremum(self.margins(tree.left), self.margins(tree.right)))
-            case Implies(left, right):
-                return np.maximum(-self.margins(left), self.margins(right))
-            case Always(operand):
-                return _from_here_on(np.minimum, self.margins(operand))
-            case Eventually(operand):
-                return _from_here_on(np.maximum, self.margins(operand))
-
-    def _predicate(self, tree: Comparison) -> Floats:
-        with np.errstate(all="ignore"):  # what is not finite is refused just below
-            left, right = self._values(tree.left), self._values(tree.right)
-            margin = right - left if tree.operator in {"<=", "<"} else left - right
-        margins = margin if isinstance(margin, np.ndarray) else np.full(len(self._samples), margin)
-        if not np.isfinite(margins).all():
-            sample = int(np.flatnonzero(~np.isfinite(margins))[0])
-            raise ValueError(
-                f"the predicate `{tree.operator}` is {margins[sample]} at sample {sample}, not a finite number"
-            )
-        return margins
-
-    def _values(self, tree: Expression) -> Values:
-        match tree:
-            case Number(value):
-                return value
-            case Column(name):
-                return self._column(name)
-            case Negative(operand):
-                return -self._values(operand)
-            case Absolute(operand):
-                return np.abs(self._values(operand))
-            case Arithmetic(operator, left, right):
-                return _ARITHMETIC[operator](self._values(left), self._values(right))
-
-    def _column(self, name: str) -> Floats:
-        if name not in self._columns:
-            raise ValueError(f"unknown column {name!r}; known are {', '.join(self._columns)}")
-        return np.asarray(self._samples[:, self._columns.index(name)], dtype=np.float64)
+def _margins(tree: Formula, signals: Signals, grid: Grid) -> Floats:
+    """Return the robustness of `tree` at every sample, shape (T,); it means nothing where `tree` is not read."""
+    match tree:
+        case Comparison():
+            return signals.margins(tree)
+        case Not(operand):
+            return -_margins(operand, signals, grid)
+        case And(left, right):
+            return np.minimum(_margins(left, signals, grid), _margins(right, signals, grid))
+        case Or(left, right):
+            return np.maximum(_margins(left, signals, grid), _margins(right, signals, grid))
+        case Implies(left, right):
+            return np.maximum(-_margins(left, signals, grid), _margins(right, signals, grid))
+        case Always(operand, interval):
+            return sliding.minimum(_margins(operand, signals, grid), grid.windows(interval))
+        case Eventually(operand, interval):
+            return sliding.maximum(_margins(operand, signals, grid), grid.windows(interval))
+        case Until():
+            return _until(tree, signals, grid)
 
 
-def _from_here_on(extremum: np.ufunc, margins: Floats) -> Floats:
-    """Return the running extremum from the last sample back to each sample."""
-    return np.asarray(extremum.accumulate(margins[::-1])[::-1], dtype=np.float64)
+def _until(tree: Until, signals: Signals, grid: Grid) -> Floats:
+    left, right = _margins(tree.left, signals, grid), _margins(tree.right, signals, grid)
+    windows = grid.windows(tree.interval)
+    from_start = sliding.until(left, right, windows)
+    if tree.reading == "paper":
+        return from_start
+    # min(left from now to i) = min(left from now to the window's first sample, left from there to i).
+    return np.minimum(sliding.minimum(left, windows.up_to_first()), from_start)

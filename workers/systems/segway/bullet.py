@@ -4,7 +4,10 @@ The world is rebuilt for every rollout: a client that is used again remembers co
 would poison the next ones with wrong, finite answers.
 """
 
+import importlib
 import math
+import os
+import sys
 from array import array
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,10 +46,8 @@ class World:
     """One PyBullet client without display, for one rollout after the other."""
 
     def __init__(self) -> None:
-        import pybullet  # noqa: PLC0415  (the registry and the spec must not cost a simulator)
-
-        self._bullet: Any = pybullet
-        self._client: int = pybullet.connect(pybullet.DIRECT)
+        self._bullet: Any = _pybullet()
+        self._client: int = self._bullet.connect(self._bullet.DIRECT)
         self._segway = -1
 
     def rollout(self, start: Start, steps: int, gains: Gains, progress: Progress) -> Floats:
@@ -125,6 +126,22 @@ class World:
             MOTOR_CONSTANT * right - MOTOR_DAMPING * right_rate,
         )
         bullet.setJointMotorControlArray(segway, _WHEELS, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client)
+
+
+def _pybullet() -> Any:
+    """Import the simulator: late, because the registry and the spec must not cost it; and without its greeting.
+
+    It greets with its build time on the C library's stderr, which is the terminal of whoever started a campaign.
+    """
+    sys.stderr.flush()
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        return importlib.import_module("pybullet")
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)
 
 
 def _held(rows: Floats, steps: int) -> Floats:

@@ -1,0 +1,39 @@
+"""What is wrong with a specification, on one line."""
+
+from typing import ClassVar
+
+__all__ = ["FormulaError"]
+
+
+class FormulaError(ValueError):
+    """A specification that cannot be read, or not on this trajectory: what, where, and what to do, on one line.
+
+    `reason` says what is wrong. `position` counts the characters before the place, from the start of the text; it is
+    None where the formula is well written and does not fit the trajectory (its horizon, an interval without sample).
+    """
+
+    SHOWN: ClassVar[int] = 60
+    """Characters of the text before and after the place that are shown."""
+
+    def __init__(self, reason: str, text: str = "", position: int | None = None, length: int = 1) -> None:
+        self.reason, self.position = reason, position
+        super().__init__(
+            reason if position is None else f"{_where(text, position)}: {reason} : {_mark(text, position, length)}"
+        )
+
+
+def _where(text: str, position: int) -> str:
+    line = text.count("\n", 0, position)
+    character = position - (text.rfind("\n", 0, position) + 1) + 1
+    return f"line {line + 1}, character {character}" if "\n" in text.rstrip() else f"character {character}"
+
+
+def _mark(text: str, position: int, length: int) -> str:
+    before, here, after = text[:position], text[position : position + length], text[position + length :]
+    here = here or "end"
+    if len(before) > FormulaError.SHOWN:
+        before = "..." + before[-FormulaError.SHOWN :]
+    if len(after) > FormulaError.SHOWN:
+        after = after[: FormulaError.SHOWN] + "..."
+    line = f"{before}>>>{here}<<<{after}"
+    return "".join(character if character.isprintable() else " " for character in line).strip()

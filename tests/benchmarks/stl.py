@@ -1,0 +1,189 @@
+"""CPU microseconds of the robustness of one trajectory, ours against rtamt, and whether the two agree.
+
+rtamt 0.4.10 pins antlr4-python3-runtime 4.7, so it stays out of our lock; in an environment of its own:
+
+    python3.11 -m venv /tmp/rtamt && /tmp/rtamt/bin/pip install rtamt==0.4.10 numpy
+    PYTHONPATH=. /tmp/rtamt/bin/python -m tests.benchmarks.stl
+
+rtamt (discrete time, offline) reads the left side of `until` up to, but without, the moment of the right side, and
+cuts intervals at the end of the trajectory instead of refusing them. `f until g` of ours is its `f until (f and g)`;
+the reading of [ARA] is that, from a on. At time 0 of a trajectory that is long enough the two must agree.
+"""
+
+import importlib
+import importlib.util
+import json
+import random
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from orchestrator.stl.formula import parse
+from orchestrator.stl.horizon import check_horizon
+from orchestrator.stl.predicates import Floats, predicate_sup
+from orchestrator.stl.robustness import robustness
+from orchestrator.stl.text import text
+from orchestrator.stl.tree import (
+    REST,
+    Always,
+    And,
+    Comparison,
+    Eventually,
+    Formula,
+    Implies,
+    Interval,
+    Not,
+    Or,
+    Until,
+)
+
+COLUMNS = ("t", "phi", "x", "y")
+STEP = 10  # ms; rtamt wants intervals that are multiples of it
+SAMPLES = 1801
+AGREEMENTS = 300
+TIMED = {
+    "always": "always (abs(phi) <= 0.95)",
+    "always[0,15]": "always[0,15] (abs(phi) <= 0.95)",
+    "issue": "always[0,15] (abs(phi) <= 0.95 and (x - 2.5) * (x - 2.5) + (y - 2.5) * (y - 2.5) <= 9)",
+    "response": "always[0,10] (phi >= 0.5 implies eventually[0,2] phi <= 0.4)",
+    "until until": "(phi <= 0.9 until x >= 0.5) until (y <= 1 until x <= 0.5)",
+    "until[] until[]": "(phi <= 0.9 until[0,0.3] x >= 0.5) until[0.1,0.4] (y <= 1 until[0.1,0.3] x <= 0.5)",
+    "until_from[] until_from[]": (
+        "(phi <= 0.9 until_from[0,0.3] x >= 0.5) until_from[0.1,0.4] (y <= 1 until_from[0.1,0.3] x <= 0.5)"
+    ),
+}
+WIDE = "(phi <= 0.9 until[0,3] x >= 0.5) until[2,8] (y <= 1 until[1,4] x <= 0.5)"  # hours in rtamt
+
+
+def main() -> dict[str, float]:
+    """Return the best CPU us per evaluation, keyed `<who>/<formula>`; with rtamt, also the agreement."""
+    samples = _samples(SAMPLES)
+    results = {f"ours/{name}": _microseconds(_ours(line, samples)) for name, line in {**TIMED, "wide": WIDE}.items()}
+    tree = parse(TIMED["issue"])
+    results["ours/predicate_sup of issue"] = _microseconds(lambda: predicate_sup(tree, COLUMNS, samples, samples))
+    if importlib.util.find_spec("rtamt") is None:
+        sys.stderr.write("rtamt is not installed here; the head of tests/benchmarks/stl.py says how to compare\n")
+        return results
+    for name, line in TIMED.items():
+        theirs = Rtamt(parse(line), samples)
+        results[f"rtamt/{name}"] = _microseconds(theirs.robustness, batch=1, repeats=2)
+        results[f"difference/{name}"] = abs(theirs.robustness() - _ours(line, samples)())
+    results[f"difference/largest of {AGREEMENTS} random formulas"] = _largest_difference()
+    return results
+
+
+def _samples(size: int, seed: int = 0) -> Floats:
+    """Return a trajectory (size, 4) at multiples of STEP."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack([np.arange(size) * (STEP / 1000), rng.normal(size=(size, 3)).cumsum(axis=0) / 20])
+
+
+def _ours(line: str, samples: Floats) -> Callable[[], float]:
+    tree = parse(line, COLUMNS)
+    return lambda: robustness(tree, COLUMNS, samples)
+
+
+def _microseconds(call: Callable[[], object], *, batch: int = 100, repeats: int = 15) -> float:
+    """Return the least CPU time of a call over `repeats` batches."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time_ns()
+        for _ in range(batch):
+            call()
+        times.append((time.process_time_ns() - start) / 1000 / batch)
+    return round(min(times), 1)
+
+
+class Rtamt:
+    """One formula in rtamt, parsed beforehand as ours is."""
+
+    def __init__(self, tree: Formula, samples: Floats) -> None:
+        rtamt: Any = importlib.import_module("rtamt")
+        self._specification = rtamt.StlDiscreteTimeOfflineSpecification()
+        for name in COLUMNS[1:]:
+            self._specification.declare_var(name, "float")
+        self._specification.set_sampling_period(STEP, "ms", 0.1)
+        self._specification.spec = translate(tree)
+        self._specification.parse()
+        self._data = {("time" if name == "t" else name): samples[:, i].tolist() for i, name in enumerate(COLUMNS)}
+
+    def robustness(self) -> float:
+        """Return what rtamt says of the first sample."""
+        return float(self._specification.evaluate(self._data)[0][1])
+
+
+def translate(tree: Formula) -> str:
+    """Return the formula as rtamt reads it, with our meaning."""
+    match tree:
+        case Comparison():
+            return f"({text(tree)})"
+        case Not(operand):
+            return f"(not {translate(operand)})"
+        case And(left, right):
+            return f"({translate(left)} and {translate(right)})"
+        case Or(left, right):
+            return f"({translate(left)} or {translate(right)})"
+        case Implies(left, right):
+            return f"({translate(left)} -> {translate(right)})"
+        case Always(operand, interval):
+            return _from(interval, lambda between: f"(always{between} {translate(operand)})")
+        case Eventually(operand, interval):
+            return _from(interval, lambda between: f"(eventually{between} {translate(operand)})")
+        case Until():
+            return _until(tree)
+
+
+def _until(tree: Until) -> str:
+    left, right, interval = translate(tree.left), translate(tree.right), tree.interval
+    both = f"({left} and {right})"
+    if tree.reading == "standard" and interval.bounded:
+        return f"({left} until{_between(interval.low, interval.high)} {both})"
+    later = Interval(0.0, interval.high - interval.low)
+    rest = _from(later, lambda between: f"({left} until{between} {both})")
+    from_start = f"(eventually{_between(interval.low, interval.low)} {rest})"
+    return from_start if tree.reading == "paper" else f"((always{_between(0.0, interval.low)} {left}) and {from_start})"
+
+
+def _from(interval: Interval, write: Callable[[str], str]) -> str:
+    """Write an operator over `interval`; rtamt has no [a,inf)."""
+    if interval == REST:
+        return write("")
+    if interval.bounded:
+        return write(_between(interval.low, interval.high))
+    return f"(eventually{_between(interval.low, interval.low)} {write('')})"
+
+
+def _between(low: float, high: float) -> str:
+    return f"[{round(low * 1000)}ms:{round(high * 1000)}ms]"
+
+
+def _largest_difference() -> float:
+    rng, differences = random.Random(0), [0.0]
+    while len(differences) <= AGREEMENTS:
+        tree, samples = _draw(rng, 3), _samples(rng.randint(5, 40), rng.randrange(2**32))
+        try:
+            check_horizon(tree, float(samples[-1, 0]))
+        except ValueError:
+            continue
+        differences.append(abs(robustness(tree, COLUMNS, samples) - Rtamt(tree, samples).robustness()))
+    return max(differences)
+
+
+def _draw(rng: random.Random, depth: int) -> Formula:
+    if depth == 0:
+        signal = rng.choice(["abs(phi)", "x - 2 * y", "x * x + y", "phi / 2 + 1"])
+        return parse(f"{signal} {rng.choice(['<=', '<', '>', '>='])} {rng.randint(0, 9) / 10}")
+    left, right = _draw(rng, rng.randrange(depth)), _draw(rng, rng.randrange(depth))
+    low, high = sorted(rng.randrange(8) * STEP / 1000 for _ in range(2))
+    interval = rng.choice([REST, Interval(low), Interval(low, high), Interval(low, high)])
+    options: list[Formula] = [Not(left), And(left, right), Or(left, right), Implies(left, right)]
+    options += [Always(left, interval), Eventually(left, interval)]
+    options += [Until(left, right, interval), Until(left, right, interval, "paper")] * 2
+    return rng.choice(options)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(main(), indent=2) + "\n")

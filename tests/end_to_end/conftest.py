@@ -1,0 +1,24 @@
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.end_to_end import processes
+from tests.end_to_end.processes import Processes
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[Processes]:
+    """Processes of one test, in its own folder."""
+    with processes.processes(tmp_path) as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run directory of the small campaign, run by two workers without trouble."""
+    folder = tmp_path_factory.mktemp("calm")
+    with processes.processes(folder) as found:
+        ended = found.run("perfbound", "run", processes.write_campaign(folder / "c.toml"), "--out", folder / "run")
+    assert ended.code == 0, ended.err
+    return folder / "run"

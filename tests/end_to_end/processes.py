@@ -1,0 +1,200 @@
+"""Real `perfbound` processes for tests: started here, and ended here by their pid."""
+
+import os
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+from tests.campaigns import FOLDER
+
+BIN = Path(sys.executable).parent
+PATIENCE = 60.0
+"""Seconds after which a test gives up: a loaded machine is slow, not wrong."""
+
+
+@dataclass
+class Ended:
+    """A process that has ended."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def fault(self) -> str:
+        """The one line on stderr of a run that could not start."""
+        assert "Traceback" not in self.err, self.err
+        assert self.err.count("\n") == 1, self.err
+        assert self.err.endswith("\n")
+        return self.err.strip()
+
+
+@dataclass
+class Process:
+    """A process in a session of its own, whose output goes to files."""
+
+    popen: subprocess.Popen[bytes]
+    folder: Path
+
+    @property
+    def pid(self) -> int:
+        return self.popen.pid
+
+    @property
+    def running(self) -> bool:
+        return self.popen.poll() is None
+
+    @property
+    def err(self) -> str:
+        return (self.folder / "err").read_text()
+
+    def signal_group(self, number: int) -> None:
+        """Send what a terminal sends to everything in the foreground."""
+        os.killpg(self.pid, number)
+
+    def wait(self, timeout: float = PATIENCE) -> Ended:
+        code = self.popen.wait(timeout)
+        return Ended(code, (self.folder / "out").read_text(), self.err)
+
+    def children(self) -> list[psutil.Process]:
+        return psutil.Process(self.pid).children(recursive=True)
+
+    def end(self) -> None:
+        """Kill the process and what it started."""
+        try:
+            family = [*self.children(), psutil.Process(self.pid)]
+        except psutil.NoSuchProcess:
+            family = []
+        for each in family:
+            try:
+                each.kill()
+            except psutil.NoSuchProcess:
+                continue
+        self.popen.wait()
+
+
+@dataclass
+class Processes:
+    """Starts processes in `folder`, and ends all of them."""
+
+    folder: Path
+    started: list[Process] = field(default_factory=list)
+
+    def start(self, program: str, *arguments: str | Path, **environment: str) -> Process:
+        logs = self.folder / f"log-{len(self.started)}"
+        logs.mkdir()
+        with (logs / "out").open("wb") as out, (logs / "err").open("wb") as err:
+            popen = subprocess.Popen(
+                [BIN / program, *arguments],
+                cwd=self.folder,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                env={**os.environ, **environment},
+                start_new_session=True,
+            )
+        process = Process(popen, logs)
+        self.started.append(process)
+        return process
+
+    def run(self, program: str, *arguments: str | Path, **environment: str) -> Ended:
+        return self.start(program, *arguments, **environment).wait()
+
+    def end(self) -> None:
+        for process in self.started:
+            process.end()
+
+
+@contextmanager
+def processes(folder: Path) -> Iterator[Processes]:
+    """Start processes that do not outlive this block."""
+    folder.mkdir(exist_ok=True)
+    started = Processes(folder)
+    try:
+        yield started
+    finally:
+        started.end()
+
+
+def write_campaign(path: Path, **changes: str) -> Path:
+    """Write the paper's Segway campaign, made small; `changes` are lines of its first table in TOML."""
+    text = (FOLDER / "segway-paper.toml").read_text()
+    for key, value in {"resolution": "7", "max_tests": "8", "horizon": "20.0", **changes}.items():
+        lines = [line for line in text.splitlines() if line.startswith(f"{key} = ")]
+        text = text.replace(lines[0], f"{key} = {value}", 1)
+    path.write_text(text)
+    return path
+
+
+ROLLOUTS = 24
+"""Of the small campaign: 8 nominal ones, and 8 pairs for the gap."""
+
+
+def wait_for(condition: Callable[[], object], timeout: float = PATIENCE) -> None:
+    """Wait until `condition()` is true.
+
+    Raises:
+        TimeoutError: it never was.
+
+    """
+    deadline = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > deadline:
+            raise TimeoutError("the condition did not come true")
+        time.sleep(0.005)
+
+
+def query(directory: Path, text: str) -> list[tuple[object, ...]]:
+    """Ask the database of a run; nothing, where there is none yet."""
+    path = directory / "campaign.db"
+    if not path.exists():
+        return []
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=10)) as connection:
+        return connection.execute(text).fetchall()
+
+
+def recorded(directory: Path) -> int:
+    """Return the number of rollouts in the database."""
+    return len(query(directory, "SELECT seq FROM rollouts"))
+
+
+def under_way(directory: Path) -> list[tuple[object, ...]]:
+    """Return (rollout, attempt, worker, pid) of the attempts that have not ended."""
+    text = (
+        "SELECT rollout, attempt, attempts.worker, pid FROM attempts LEFT JOIN outcomes USING (rollout, attempt) "
+        "WHERE outcomes.rollout IS NULL"
+    )
+    return query(directory, text)
+
+
+def of_run(directory: Path) -> list[psutil.Process]:
+    """Return the processes that belong to a run: its id or its directory stands in their command line."""
+    marks = [str(directory), *(str(row[0]) for row in query(directory, "SELECT run FROM campaign"))]
+    found = []
+    for process in psutil.process_iter(["cmdline", "status"]):
+        line = " ".join(process.info["cmdline"] or ())
+        if any(mark in line for mark in marks) and process.info["status"] != psutil.STATUS_ZOMBIE:
+            found.append(process)
+    return found
+
+
+def contents(directory: Path) -> dict[str, tuple[bytes, int]]:
+    """Return bytes and time of modification of every file."""
+    files = (path for path in sorted(directory.rglob("*")) if path.is_file())
+    return {str(path.relative_to(directory)): (path.read_bytes(), path.stat().st_mtime_ns) for path in files}
+
+
+def free_port() -> int:
+    """Return a port of the loopback that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,361 @@
+"""The main job on the real parts: processes, PyBullet, Zenoh, MCAP, SQLite; and what kills them."""
+
+import os
+import random
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+import trustme
+from mcap.reader import make_reader
+
+from orchestrator.store import lock
+from schemas.trajectory import decode
+from tests.end_to_end.processes import (
+    ROLLOUTS,
+    Process,
+    Processes,
+    free_port,
+    of_run,
+    query,
+    recorded,
+    under_way,
+    wait_for,
+    write_campaign,
+)
+
+RESUME = "perfbound: stopped; go on with: perfbound resume run\n"
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Iterator[Path]:
+    """Return the run directory; afterwards nothing but it is left."""
+    shared = set(os.listdir("/dev/shm"))
+    yield tmp_path / "run"
+    assert not list(tmp_path.rglob("*.partial"))
+    assert not lock.is_held(tmp_path / "run")
+    assert {name for name in os.listdir("/dev/shm") if "zenoh" in name} <= shared
+
+
+def start(started: Processes, *arguments: str | Path) -> Process:
+    campaign = write_campaign(started.folder / "c.toml")
+    return started.start("perfbound", "run", campaign, "--out", started.folder / "run", *arguments)
+
+
+def finished(directory: Path, calm: Path) -> bool:
+    """Whether the campaign ended with the bytes of the calm one."""
+    return (directory / "certificate.json").read_bytes() == (calm / "certificate.json").read_bytes()
+
+
+def gone(directory: Path) -> bool:
+    return not of_run(directory)
+
+
+# The calm run
+
+
+def test_every_rollout_has_its_file_and_two_workers_served_them(calm: Path) -> None:
+    rows = query(calm, "SELECT path, sha256 FROM rollouts")
+    assert len(rows) == ROLLOUTS
+    for path, _ in rows:
+        file = calm / str(path)
+        trajectory = decode(file.read_bytes())
+        assert (trajectory.columns[0], len(trajectory.samples)) == ("t", 2401)
+        with file.open("rb") as stream:
+            for _ in make_reader(stream, validate_crcs=True).iter_messages():
+                pass
+    assert {str(path) for path, _ in rows} == {
+        str(path.relative_to(calm)) for path in (calm / "trajectories").rglob("*") if path.is_file()
+    }
+    workers = query(calm, "SELECT DISTINCT pid FROM attempts JOIN outcomes USING (rollout, attempt)")
+    assert len(workers) == 2
+    assert gone(calm)
+
+
+def test_the_manifest_is_checked_by_sha256sum(calm: Path) -> None:
+    command = ["sha256sum", "--check", "--strict", "manifest.sha256"]
+    checked = subprocess.run(command, cwd=calm, capture_output=True, text=True, check=False)
+    assert checked.returncode == 0, checked.stderr
+    assert checked.stdout.count(": OK\n") == ROLLOUTS
+
+
+@pytest.mark.parametrize("workers", ["1", "3"])
+def test_the_number_of_workers_changes_no_byte(started: Processes, directory: Path, calm: Path, workers: str) -> None:
+    ended = start(started, "--workers", workers).wait()
+    assert ended.code == 0, ended.err
+    assert finished(directory, calm)
+    assert (directory / "manifest.sha256").read_bytes() == (calm / "manifest.sha256").read_bytes()
+    assert "pybullet" not in ended.err, "the simulator's greeting stays in the worker"
+    assert str(directory / "certificate.json") in ended.out
+    assert gone(directory)
+
+
+# Deaths
+
+
+def test_an_orchestrator_killed_again_and_again(started: Processes, directory: Path, calm: Path) -> None:
+    chance = random.Random(7)
+    kills = sorted(chance.sample(range(1, ROLLOUTS - 4), 3))
+    process = start(started)
+    for kill in kills:
+        wait_for(lambda kill=kill: recorded(directory) >= kill)  # type: ignore[misc]
+        time.sleep(chance.uniform(0, 0.05))
+        process.popen.kill()
+        assert process.wait().code == -signal.SIGKILL
+        assert kill <= recorded(directory) < ROLLOUTS, "killed in mid-run"
+        assert not (directory / "certificate.json").exists()
+        process = started.start("perfbound", "resume", directory)
+    ended = process.wait()
+    assert ended.code == 0, ended.err
+    assert finished(directory, calm)
+    assert query(directory, "SELECT count(*) FROM sessions") == [(4,)]
+    wait_for(lambda: gone(directory), 2)
+
+
+def test_a_killed_run_leaves_no_worker(started: Processes, directory: Path) -> None:
+    process = start(started)
+    wait_for(lambda: under_way(directory))
+    workers = process.children()
+    assert len(workers) == 2
+    process.popen.kill()
+    wait_for(lambda: not any(worker.is_running() for worker in workers), 2)
+    assert gone(directory)
+
+
+def test_a_killed_worker_shows_as_a_second_attempt(started: Processes, directory: Path, calm: Path) -> None:
+    process = start(started)
+    rollout, worker = catch(directory, lambda: recorded(directory) >= 2)
+    worker.kill()
+    ended = process.wait()
+    assert ended.code == 0, ended.err
+    assert attempts(directory, rollout) == [(1, "worker lost for 3 s"), (2, "recorded")]
+    assert finished(directory, calm)
+    assert f"local worker {worker.pid} ended (signal 9); started " in ended.err
+    assert gone(directory)
+
+
+def test_a_stopped_worker_is_lost_and_harmless_when_it_comes_back(
+    started: Processes, directory: Path, calm: Path
+) -> None:
+    process = start(started)
+    rollout, worker = catch(directory, lambda: recorded(directory) >= 2)
+    worker.suspend()
+    wait_for(lambda: (2, "recorded") in attempts(directory, rollout))
+    worker.resume()
+    assert process.running, "it comes back to a campaign that goes on"
+    ended = process.wait()
+    assert ended.code == 0, ended.err
+    assert attempts(directory, rollout) == [(1, "worker lost for 3 s"), (2, "recorded")]
+    assert finished(directory, calm)
+    assert gone(directory)
+
+
+def catch(directory: Path, when: Callable[[], bool]) -> tuple[str, psutil.Process]:
+    """Return a rollout that is under way, on its first attempt, with the process of its worker."""
+    found: list[tuple[object, ...]] = []
+
+    def under_way_now() -> bool:
+        found[:] = under_way(directory) if when() else []
+        return bool(found)
+
+    wait_for(under_way_now)
+    rollout, attempt, _, pid = found[0]
+    assert attempt == 1
+    assert isinstance(pid, int)
+    return str(rollout), psutil.Process(pid)
+
+
+def attempts(directory: Path, rollout: str) -> list[tuple[object, ...]]:
+    return query(directory, f"SELECT attempt, outcome FROM outcomes WHERE rollout = '{rollout}' ORDER BY attempt")
+
+
+# Signals, and what a person sees
+
+
+def test_ctrl_c_stops_within_three_seconds(started: Processes, directory: Path) -> None:
+    campaign = write_campaign(started.folder / "c.toml")
+    process = started.start("perfbound", "run", campaign, "--out", "run")
+    wait_for(lambda: recorded(directory) >= 3)
+    asked = time.monotonic()
+    process.signal_group(signal.SIGINT)
+    ended = process.wait()
+    assert time.monotonic() - asked < 3
+    assert (ended.code, ended.out, ended.err) == (130, "", RESUME)
+    assert gone(directory)
+    assert not lock.is_held(directory)
+
+
+def test_an_impatient_person_presses_ctrl_c_again_and_again(started: Processes, directory: Path) -> None:
+    campaign = write_campaign(started.folder / "c.toml")
+    process = started.start("perfbound", "run", campaign, "--out", "run")
+    wait_for(lambda: recorded(directory) >= 3)
+    while process.running:
+        process.signal_group(signal.SIGINT)
+        time.sleep(0.005)
+    ended = process.wait()
+    assert (ended.code, ended.err) == (130, RESUME)
+    assert gone(directory)
+
+
+def test_a_signal_that_meets_a_destructor_is_not_lost(started: Processes) -> None:
+    (started.folder / "dying.py").write_text(
+        "import os, signal, time\n"
+        "from orchestrator import cli\n"
+        "class Dying:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        time.sleep(0)\n"
+        "def run():\n"
+        "    Dying()\n"
+        "    time.sleep(30)\n"
+        "cli._main = run\n"
+        "cli.main()\n"
+    )
+    ended = started.run("python", "dying.py")
+    assert (ended.code, ended.err) == (143, "perfbound: stopped; nothing was started\n")
+
+
+def test_a_signal_before_anything_is_made(started: Processes) -> None:
+    process = start(started)
+    wait_for(process.children)  # the child that is asked for the systems
+    process.signal_group(signal.SIGINT)
+    ended = process.wait()
+    assert (ended.code, ended.err) == (130, "perfbound: stopped; nothing was started\n")
+    assert not (started.folder / "run").exists()
+
+
+def test_status_while_it_runs_when_stopped_and_at_the_end(started: Processes, directory: Path, calm: Path) -> None:
+    campaign = write_campaign(started.folder / "c.toml")
+    process = started.start("perfbound", "run", campaign, "--out", "run")
+    wait_for(lambda: recorded(directory) >= 2)
+    process_state = started.run("perfbound", "status", "run")
+    assert process.running, "it was asked in mid-run"
+    process.popen.terminate()
+    stopped = process.wait()
+    assert (stopped.code, stopped.out, stopped.err) == (143, "", RESUME)
+    assert "segway-paper  running, seed 1, run " in process_state.out
+    assert " of 8" in process_state.out
+    assert "worker local-" in process_state.out
+    after = started.run("perfbound", "status", "run").out
+    assert "segway-paper  stopped, seed 1, run " in after
+    assert after.endswith("\ngo on with: perfbound resume run\n")
+    resumed = started.run("perfbound", "resume", "run", "--workers", "1")
+    assert resumed.code == 0, resumed.err
+    assert finished(directory, calm)
+    final = started.run("perfbound", "status", "run").out
+    assert "segway-paper  finished, seed 1, run " in final
+    assert "2 starts of the orchestrator" in final
+    assert resumed.out in final, "the summary is the same"
+    assert "min over d of E[robustness of the nominal system] >= -" in final
+
+
+# Workers of their own
+
+
+def test_workers_that_outlive_the_orchestrator(started: Processes, directory: Path, calm: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    early = started.start("perfbound-worker", "--connect", endpoint, "--name", "early")
+    campaign = write_campaign(started.folder / "c.toml")
+    process = started.start("perfbound", "orchestrate", campaign, "--out", directory, "--listen", endpoint)
+    late = started.start("perfbound-worker", "--connect", endpoint, "--name", "late")
+    names = "SELECT DISTINCT pid FROM attempts"
+    wait_for(lambda: len(query(directory, names)) == 2 and recorded(directory) >= 4)
+    process.popen.kill()
+    assert process.wait().code == -signal.SIGKILL
+    assert recorded(directory) < ROLLOUTS, "in mid-run"
+    resumed = started.start("perfbound", "resume", directory, "--workers", "0", "--listen", endpoint)
+    ended = resumed.wait()
+    assert ended.code == 0, ended.err
+    assert f"waiting for workers: perfbound-worker --connect {endpoint}\n" in ended.err
+    assert finished(directory, calm)
+    assert set(query(directory, names)) == {(early.pid,), (late.pid,)}
+    assert early.running
+    assert late.running
+    late.popen.send_signal(signal.SIGINT)
+    assert late.wait(3).code == 130
+    early.popen.terminate()
+    assert early.wait(3).code == -signal.SIGTERM
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> Callable[[str], list[str]]:
+    """Return a maker of TLS options; each name stands for an authority of its own."""
+    authorities: dict[str, trustme.CA] = {}
+
+    def make(authority: str) -> list[str]:
+        ca = authorities.setdefault(authority, trustme.CA())
+        issued = ca.issue_cert("127.0.0.1")
+        folder = tmp_path / f"tls-{authority}"
+        folder.mkdir(exist_ok=True)
+        ca.cert_pem.write_to_path(folder / "ca.pem")
+        issued.private_key_pem.write_to_path(folder / "key.pem")
+        issued.cert_chain_pems[0].write_to_path(folder / "certificate.pem")
+        options = (("--tls-ca", "ca"), ("--tls-key", "key"), ("--tls-certificate", "certificate"))
+        return [part for option, name in options for part in (option, str(folder / f"{name}.pem"))]
+
+    return make
+
+
+def test_mutual_tls_keeps_strangers_out(
+    started: Processes, directory: Path, calm: Path, certificates: Callable[[str], list[str]]
+) -> None:
+    port = free_port()
+    ours, theirs = certificates("ours"), certificates("theirs")
+    campaign = write_campaign(started.folder / "c.toml")
+    listen = ["--listen", f"tls/127.0.0.1:{port}", *ours]
+    process = started.start("perfbound", "orchestrate", campaign, "--out", directory, *listen)
+    wait_for(lambda: "waiting for workers" in process.err)
+    strangers = [
+        started.start("perfbound-worker", "--connect", f"tls/127.0.0.1:{port}", *theirs),
+        started.start("perfbound-worker", "--connect", f"tcp/127.0.0.1:{port}"),
+    ]
+    wait_for(lambda: all("no answer from" in stranger.err for stranger in strangers))
+    assert not query(directory, "SELECT * FROM attempts")
+    assert all("with TLS, that both certificates are signed by --tls-ca" in stranger.err for stranger in strangers)
+    ours_worker = started.start("perfbound-worker", "--connect", f"tls/127.0.0.1:{port}", *ours)
+    ended = process.wait()
+    assert ended.code == 0, ended.err
+    assert query(directory, "SELECT DISTINCT pid FROM attempts") == [(ours_worker.pid,)]
+    assert finished(directory, calm)
+
+
+def test_local_workers_over_mutual_tls(
+    started: Processes, directory: Path, calm: Path, certificates: Callable[[str], list[str]]
+) -> None:
+    ended = start(started, "--listen", "tls/127.0.0.1:0", *certificates("ours")).wait()
+    assert ended.code == 0, ended.err
+    assert finished(directory, calm)
+
+
+# Without a campaign
+
+
+def test_one_rollout_has_equal_bytes_for_equal_seeds(started: Processes) -> None:
+    options = ["--x", "5,0", "--variant", "true", "--horizon", "2"]
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        ended = started.run("perfbound", "simulate", "segway", *options, "--seed", seed, "--out", name)
+        assert (ended.code, ended.err) == (0, "")
+        assert f"241 samples in {name}\n" in ended.out
+    a, b, c = ((started.folder / name).read_bytes() for name in "abc")
+    assert a == b
+    assert a != c
+    assert decode(a).samples[-1, 0] == 2.0
+
+
+def test_the_systems_are_listed(started: Processes) -> None:
+    ended = started.run("perfbound", "systems")
+    assert (ended.code, ended.err) == (0, "")
+    assert "segway: " in ended.out
+    assert "  option    gains = paper (allowed: paper | aggressive) tuning of the controller\n" in ended.out
+    assert "test-function: J(z) = sin(z1) cos(z2) / 2\n" in ended.out
+
+
+def test_a_folder_called_workers_is_not_ours(started: Processes) -> None:
+    (started.folder / "workers").mkdir()
+    (started.folder / "workers" / "__init__.py").write_text("raise RuntimeError('imported from the present directory')")
+    ended = started.run("perfbound", "systems")
+    assert (ended.code, ended.err) == (0, "")
