@@ -9,10 +9,11 @@ row of tests, numbered from 0; a test lives through four phases, and this table 
     complete   -          (ignored)                 closed
     closed     -          (ignored)                 -
 
-`-` is illegal: `step` raises `IllegalEvent` and nothing has changed. Three rules go beyond the table. Tests are proposed
-and observed in their order. The window is kept full: test i is proposed right after test i-window is observed, before
-any other observation, so that its z depends on the observations 0 .. i-window and never on the speed of a worker. A
-problem that has stopped proposes and observes nothing more; what still runs is withdrawn and counts as closed.
+`-` is illegal: `step` raises `IllegalEvent` and nothing has changed. Three rules go beyond the table. Tests are
+proposed and observed in their order. The window is kept full: test i is proposed right after test i-window is
+observed, before any other observation, so that its z depends on the observations 0 .. i-window and never on the speed
+of a worker. A problem that has stopped proposes and observes nothing more; what still runs is withdrawn and counts as
+closed.
 
 The state holds what is open; closed tests are a counter.
 """

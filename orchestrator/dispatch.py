@@ -1,19 +1,28 @@
 """The dispatch core: which worker has which attempt, who is lost, who hangs, what is tried again.
 
 A pure machine: `step(state, event) -> (state, actions)`. Time comes inside the events, in seconds of any one clock.
-A worker is in one of five phases, and this table is the whole of the law:
+A worker is in one of these phases, and this table is the whole of the law for the worker that an event names:
 
-    phase      WorkerUp  WorkerDown  Reported            Delivered   Tick
-    unknown    idle      (ignored)   (ignored)           unknown     -
-    idle       idle      gone        idle, or busy       idle        idle
-    sent       sent      gone        sent, or busy       idle, sent  sent, or shunned
-    busy       busy      gone        busy                idle, busy  busy, or shunned
-    shunned    shunned   gone        shunned, or idle    idle        shunned
-    gone       (back)    gone        (ignored)           gone        gone, or unknown
+    phase      WorkerUp   WorkerDown  Reported         Delivered   Tick
+    unknown    new        (ignored)   (ignored)        unknown     -
+    new        new        gone        new, idle, busy  new         new
+    idle       idle       gone        idle             idle        idle
+    sent       sent       gone        sent, busy       sent, idle  sent, shunned
+    busy       busy       gone        busy             busy, idle  busy, shunned
+    shunned    shunned    gone        shunned, idle    shunned     shunned
+    gone       (back)     gone        (ignored)        gone        gone, unknown
 
-`sent` has an assignment that no heartbeat has confirmed yet: it is sent again every `resend_after` s. `shunned` hung,
-or missed its deadline: it gets nothing until it reports idle. `gone` has lost its liveliness token: after `lost_after`
-s its attempt is lost. Reports that are late, repeated or of unknown rollouts change nothing but are acknowledged.
+`-` cannot be. `(ignored)` changes nothing. `(back)` is the phase before it was gone. Beyond the table, `HandOut` makes
+an `idle` worker `sent` if a rollout waits, and a worker whose rollout is withdrawn, or recorded from another attempt,
+becomes `shunned`. `HandOut` is an event of its own because the clock of an attempt must start when it is sent: what an
+orchestrator does with a result may take longer than the patience that it has with a worker.
+
+`new` has not said yet what it does: it may be at work since before it was lost or we were restarted. `sent` has an
+assignment that no heartbeat has confirmed yet: it is sent again every `resend_after` s. `shunned` hung, missed its
+deadline or was cancelled. Both get nothing until they report idle, and are given up every `hung_after` s that they do
+not. `gone` has lost its liveliness token: after
+`lost_after` s its attempt is lost. Reports that are late, repeated or of unknown rollouts change nothing but are
+acknowledged.
 
 The first valid result of a rollout wins, whichever attempt it came from. A rollout whose attempts failed
 `max_attempts` times is poison: it is given up with its story. Closed rollouts leave the state.
@@ -25,7 +34,7 @@ from typing import Literal
 
 from orchestrator.campaign import RolloutId
 
-WorkerPhase = Literal["idle", "sent", "busy", "shunned", "gone"]
+WorkerPhase = Literal["new", "idle", "sent", "busy", "shunned", "gone"]
 NEVER = float("inf")
 
 
@@ -52,7 +61,7 @@ class Attempt:
 class Worker:
     """What the orchestrator knows of one worker process."""
 
-    phase: WorkerPhase = "idle"
+    phase: WorkerPhase = "new"
     attempt: Attempt | None = None
     resumes_as: WorkerPhase = "idle"
     gone_at: float = NEVER
@@ -143,7 +152,14 @@ class Tick:
     at: float
 
 
-Event = Wanted | Unwanted | WorkerUp | WorkerDown | Reported | Delivered | Tick
+@dataclass(frozen=True, slots=True)
+class HandOut:
+    """Everything else is done: hand waiting rollouts to idle workers."""
+
+    at: float
+
+
+Event = Wanted | Unwanted | WorkerUp | WorkerDown | Reported | Delivered | Tick | HandOut
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,13 +236,7 @@ def initial(limits: Limits, hold_until: float = 0.0) -> State:
 
 
 def step(state: State, event: Event) -> Outcome:
-    """Apply one event; then hand waiting rollouts to idle workers."""
-    state, actions = _apply(state, event)
-    state, starts = _assign(state, event.at)
-    return state, (*actions, *starts)
-
-
-def _apply(state: State, event: Event) -> Outcome:
+    """Apply one event."""
     match event:
         case Wanted():
             return _want(state, event)
@@ -242,6 +252,8 @@ def _apply(state: State, event: Event) -> Outcome:
             return _deliver(state, event)
         case Tick():
             return _tick(state, event.at)
+        case HandOut():
+            return _assign(state, event.at)
 
 
 def _want(state: State, event: Wanted) -> Outcome:
@@ -255,14 +267,14 @@ def _forget(state: State, event: Unwanted) -> Outcome:
     for name, worker in state.workers.items():
         if worker.attempt is not None and worker.attempt.rollout in dropped:
             cancels.append(Cancel(name, worker.attempt))
-            state = _put(state, name, _freed(worker, shunned=True))
+            state = _put(state, name, _shunned(worker, event.at))
     return _close(state, dropped), tuple(cancels)
 
 
 def _up(state: State, event: WorkerUp) -> State:
     worker = state.workers.get(event.worker)
     if worker is None:
-        return _put(state, event.worker, Worker())
+        return _put(state, event.worker, Worker("new", progress_at=event.at))
     if worker.phase != "gone":
         return state
     # A rollout that was under way goes on where it was; the silence is not held against it.
@@ -285,17 +297,17 @@ def _report(state: State, event: Reported) -> Outcome:
         return _report_idle(state, event.worker, worker), ()
     if event.attempt == worker.attempt:
         return _put(state, event.worker, _advanced(worker, event)), ()
-    if event.attempt.rollout not in state.open:
-        return state, (Cancel(event.worker, event.attempt),)
-    if worker.phase == "idle" and event.attempt.rollout in state.waiting:
+    if worker.phase == "new" and event.attempt.rollout in state.waiting:
         return _adopt(state, event), ()
+    if event.attempt.rollout not in state.open or worker.phase in ("new", "shunned"):
+        return state, (Cancel(event.worker, event.attempt),)
     return state, ()
 
 
 def _report_idle(state: State, name: str, worker: Worker) -> State:
     # A worker that is `sent` may say idle because the assignment is still on its way, a `busy` one because its
     # result is: the first is sent again, the second is watched by the clock of progress.
-    return _put(state, name, Worker()) if worker.phase == "shunned" else state
+    return _put(state, name, Worker("idle")) if worker.phase in ("new", "shunned") else state
 
 
 def _advanced(worker: Worker, event: Reported) -> Worker:
@@ -323,7 +335,7 @@ def _deliver(state: State, event: Delivered) -> Outcome:
     if event.error is not None:
         state, actions = _fail(state, event.worker, event.attempt, event.error)
         return state, (*actions, acknowledge)
-    state, cancels = _cancel_others(state, event.attempt.rollout)
+    state, cancels = _cancel_others(state, event.attempt.rollout, event.at)
     state = _close(state, frozenset({event.attempt.rollout}))
     state = replace(state, recorded=state.recorded + 1)
     return state, (Record(event.worker, event.attempt), acknowledge, *cancels)
@@ -335,15 +347,15 @@ def _release(state: State, name: str, attempt: Attempt) -> State:
         return state
     if worker.phase == "gone":
         return _put(state, name, replace(worker, attempt=None, resumes_as="idle"))
-    return _put(state, name, _freed(worker, shunned=False))
+    return _put(state, name, Worker("idle"))
 
 
-def _cancel_others(state: State, rollout: RolloutId) -> Outcome:
+def _cancel_others(state: State, rollout: RolloutId, at: float) -> Outcome:
     cancels = []
     for name, worker in state.workers.items():
         if worker.attempt is not None and worker.attempt.rollout == rollout:
             cancels.append(Cancel(name, worker.attempt))
-            state = _put(state, name, _freed(worker, shunned=True))
+            state = _put(state, name, _shunned(worker, at))
     return state, tuple(cancels)
 
 
@@ -363,20 +375,22 @@ def _watch(state: State, name: str, worker: Worker, at: float) -> Outcome:
         state = replace(state, workers={key: value for key, value in state.workers.items() if key != name})
         lost = f"worker lost for {limits.lost_after:g} s"
         return _fail(state, name, worker.attempt, lost) if worker.attempt else (state, ())
+    if worker.phase in ("new", "shunned") and at - worker.progress_at >= limits.hung_after:
+        return _put(state, name, replace(worker, progress_at=at)), (GiveUp(name),)
     if worker.attempt is None:
         return state, ()
     if at - worker.progress_at >= limits.hung_after:
-        return _shun(state, name, worker, f"no progress for {limits.hung_after:g} s")
+        return _shun(state, name, worker, f"no progress for {limits.hung_after:g} s", at)
     if at - worker.started_at >= limits.deadline:
-        return _shun(state, name, worker, f"not done after {limits.deadline:g} s")
+        return _shun(state, name, worker, f"not done after {limits.deadline:g} s", at)
     if worker.phase == "sent" and at - worker.sent_at >= limits.resend_after:
         return _put(state, name, replace(worker, sent_at=at)), (Resend(name, worker.attempt),)
     return state, ()
 
 
-def _shun(state: State, name: str, worker: Worker, reason: str) -> Outcome:
+def _shun(state: State, name: str, worker: Worker, reason: str, at: float) -> Outcome:
     assert worker.attempt is not None
-    state = _put(state, name, Worker("shunned"))
+    state = _put(state, name, _shunned(worker, at))
     state, actions = _fail(state, name, worker.attempt, reason)
     return state, (Cancel(name, worker.attempt), *actions, GiveUp(name))
 
@@ -384,8 +398,8 @@ def _shun(state: State, name: str, worker: Worker, reason: str) -> Outcome:
 def _fail(state: State, name: str, attempt: Attempt, reason: str) -> Outcome:
     """Count the failure against the rollout, and queue it again or give it up."""
     known = state.open.get(attempt.rollout)
-    if known is None or attempt.rollout in state.waiting or _held(state, attempt.rollout, besides=name):
-        return state, (Fail(name, attempt, reason),)
+    if known is None or not _is_current(state, attempt.rollout):
+        return state, (Fail(name, attempt, reason),)  # told again, or another attempt is on its way
     failures = (*known.failures, f"attempt {attempt.number} on {name}: {reason}")
     state = replace(state, open={**state.open, attempt.rollout: replace(known, failures=failures)})
     if len(failures) >= state.limits.max_attempts:
@@ -393,12 +407,11 @@ def _fail(state: State, name: str, attempt: Attempt, reason: str) -> Outcome:
     return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, reason),)
 
 
-def _held(state: State, rollout: RolloutId, besides: str) -> bool:
-    return any(
-        worker.attempt is not None and worker.attempt.rollout == rollout
-        for name, worker in state.workers.items()
-        if name != besides
-    )
+def _is_current(state: State, rollout: RolloutId) -> bool:
+    """Whether nothing has been decided on the rollout since the attempt that failed now."""
+    poison = len(state.open[rollout].failures) >= state.limits.max_attempts
+    held = any(worker.attempt is not None and worker.attempt.rollout == rollout for worker in state.workers.values())
+    return not (poison or held or rollout in state.waiting)
 
 
 def _assign(state: State, at: float) -> Outcome:
@@ -423,11 +436,11 @@ def _start(state: State, name: str, at: float) -> tuple[State, Start]:
     return replace(state, open={**state.open, rollout: known}, waiting=tuple(waiting)), Start(name, attempt)
 
 
-def _freed(worker: Worker, *, shunned: bool) -> Worker:
-    """Return the worker without its assignment; shunned until it reports idle if it may still be at work."""
+def _shunned(worker: Worker, at: float) -> Worker:
+    """Return the worker without its assignment, at which it may still work."""
     if worker.phase == "gone":
-        return replace(worker, attempt=None, resumes_as="shunned" if shunned else "idle")
-    return Worker("shunned") if shunned else Worker()
+        return replace(worker, attempt=None, resumes_as="shunned")
+    return Worker("shunned", progress_at=at)
 
 
 def _close(state: State, rollouts: frozenset[RolloutId]) -> State:

@@ -62,7 +62,7 @@ class Ledger:
         header = journal.header
         self.header = header
         self.config: CampaignConfig = header.config
-        self.accounts = {
+        self.accounts: dict[str, Account] = {
             problem.name: Account(problem, first_link(header, problem.name)) for problem in self.config.problems
         }
         self.state = campaign.initial(tuple(plan(self.config, problem) for problem in self.config.problems))
@@ -89,6 +89,8 @@ class Ledger:
         try:
             for fact in self._journal.facts():
                 self._apply(fact)
+            if any(len(self.accounts[each.plan.problem].observations) != each.observed for each in self.state.problems):
+                raise IllegalEvent("an observation without its bound")
         except (IllegalEvent, KeyError) as error:
             raise JournalError(
                 f"{self._directory}: the facts contradict each other ({error}); restore the database from a copy"

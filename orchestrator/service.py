@@ -9,6 +9,7 @@ import hashlib
 import os
 import queue
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -22,7 +23,7 @@ from orchestrator.store.journal import Journal
 from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from schemas import __version__
 from schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
-from schemas.trajectory import Trajectory, TrajectoryError, decode
+from schemas.trajectory import Trajectory, TrajectoryError, read
 
 TICK = 0.25
 """Seconds between two looks at the clock."""
@@ -44,7 +45,7 @@ class Seen:
     """What the view is shown of the moment."""
 
     ledger: Ledger
-    workers: dict[str, str]
+    workers: Mapping[str, str]
     """Name and phase of every worker."""
     recorded: int
     """Rollouts since this orchestrator started."""
@@ -116,26 +117,28 @@ class Service:
             self._dispatch(self._wanted(work, attempts))
         self._send()
         while not self._ledger.done:
-            self._turn(self._receive())
+            self._turn(*self._receive())
         self._view.show(self._seen())
 
-    def _receive(self) -> list[Inbound | Interrupted]:
-        """Wait for the next message or tick; return all messages that are there."""
+    def _receive(self) -> tuple[list[Inbound | Interrupted], float]:
+        """Wait for the next message or tick; return messages, and the time up to which they are all that came."""
         messages: list[Inbound | Interrupted] = []
         while len(messages) < TURN:
-            wait = 0.0 if messages else max(0.0, self._next_tick - time.monotonic())
+            now = time.monotonic()
+            wait = 0.0 if messages else max(0.0, self._next_tick - now)
             try:
                 messages.append(self.inbox.get(timeout=wait) if wait > 0 else self.inbox.get_nowait())
             except queue.Empty:
-                break
-        return messages
+                return messages, now + wait
+        return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
 
-    def _turn(self, messages: list[Inbound | Interrupted]) -> None:
+    def _turn(self, messages: list[Inbound | Interrupted], complete: float) -> None:
         with self._journal.transaction():
             for message in messages:
                 self._take(message)
-            if time.monotonic() >= self._next_tick and len(messages) < TURN:
-                self._tick()
+            if complete >= self._next_tick:
+                self._tick(complete)
+            self._dispatch(dispatch.HandOut(time.monotonic()))
         self._send()
 
     def _take(self, message: Inbound | Interrupted) -> None:
@@ -186,9 +189,10 @@ class Service:
         if spec.name not in state.systems:
             return f"the worker has no system {spec.name!r}; install the package that provides it"
         if state.systems[spec.name] != self._spec_sha256:
+            planned = ", ".join(f"{name} {version}" for name, version in spec.versions.items())
             return (
-                f"the worker's {spec.name!r} differs from the one this campaign was planned for "
-                f"({', '.join(f'{name} {version}' for name, version in spec.versions.items())}); install the same versions"
+                f"the worker's {spec.name!r} differs from the one this campaign was planned for ({planned}); "
+                "install the same versions"
             )
         return None
 
@@ -215,15 +219,19 @@ class Service:
         if hashlib.sha256(payload).hexdigest() != header.sha256:
             return None, "the result does not have the sha256 that its header names"
         try:
-            trajectory = decode(payload)
+            file = read(payload)
         except TrajectoryError as fault:
             return None, f"the result is not a trajectory: {fault}"
-        if trajectory.columns != self._columns:
-            return None, f"the trajectory has the columns {', '.join(trajectory.columns)}"
-        return trajectory, None
+        wanted = self._ledger.request(rollout).model_dump(mode="json")
+        if file.request != wanted:
+            differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
+            return None, f"the trajectory was simulated for another request (other {', '.join(differing)[:200]})"
+        if file.trajectory.columns != self._columns:
+            return None, f"the trajectory has the columns {', '.join(file.trajectory.columns)[:200]}"
+        return file.trajectory, None
 
-    def _tick(self) -> None:
-        now = time.monotonic()
+    def _tick(self, now: float) -> None:
+        # `now` is not later than the last look into the inbox: what waits there since is no silence of a worker.
         self._next_tick = now + TICK
         if self._fleet is not None:
             for news in self._fleet.tend():

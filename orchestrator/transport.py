@@ -151,7 +151,7 @@ def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> 
         transport = ZenohTransport(session, _chosen(session, endpoint))
         yield transport
     finally:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
         if transport is not None:
             transport.join()
 
@@ -159,7 +159,7 @@ def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> 
 def _explain(endpoint: str, error: str) -> str:
     if "Address already in use" in error:
         return f"--listen {endpoint}: this endpoint is in use; choose another port, or 0 for a free one"
-    reason = error.split(" at /")[0][:300]
+    reason = error.split(" at /", maxsplit=1)[0][:300]
     return f"--listen {endpoint}: cannot listen there ({reason}); check the address and the TLS files"
 
 

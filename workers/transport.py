@@ -134,7 +134,7 @@ def connect(endpoint: str, tls: Tls | None, waiting: Callable[[], None]) -> Iter
         uplink = ZenohUplink(session)
         yield uplink
     finally:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
         if uplink is not None:
             uplink.wait_closed()
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from schemas import __version__
-from schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
+from schemas.messages import MAX_RESULT, PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
 from workers.simulate import run
 from workers.systems import UnknownSystemError, available, load
 from workers.systems.base import Cancelled, SimulationError
@@ -22,6 +22,10 @@ RESEND = 1.0
 
 class RefusedError(Exception):
     """The orchestrator does not want this worker; the message says why and what to do."""
+
+
+Key = tuple[str, int]
+"""Rollout and number of an attempt."""
 
 
 @dataclass
@@ -39,10 +43,10 @@ class Worker:
         self._uplink = uplink
         self._inbox: queue.SimpleQueue[Assign | Refuse] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._outbox: dict[tuple[str, int], _Parcel] = {}
+        self._outbox: dict[Key, _Parcel] = {}
         self._accepted: Assign | None = None
-        self._cancelled: tuple[str, int] | None = None
-        self._progress = 0
+        self._cancelled: Key | None = None
+        self._progress: tuple[Key | None, int] = (None, 0)
         self._leaving = False
         self._changed = threading.Event()
         self._systems = {system: load(system).spec.digest for system in available()}
@@ -84,17 +88,17 @@ class Worker:
             heart.join(timeout=1.0)
 
     def _accept(self, assign: Assign) -> None:
-        key = (assign.request.rollout, assign.attempt)
+        key = _key(assign)
         with self._lock:
-            current = self._accepted
-            if key in self._outbox or (current and key == (current.request.rollout, current.attempt)):
-                return  # a repeat
+            current = self._accepted and _key(self._accepted)
+            if key in self._outbox or (current and key[0] == current[0] and key[1] <= current[1]):
+                return  # a repeat, or overtaken by a later attempt
             self._accepted = assign
         self._inbox.put(assign)
 
     def _simulate(self, assign: Assign) -> None:
-        key = (assign.request.rollout, assign.attempt)
-        self._progress = 0
+        key = _key(assign)
+        self._progress = (key, 0)
         self._changed.set()
         cpu, wall = time.process_time(), time.monotonic()
         payload, error = b"", ""
@@ -104,16 +108,19 @@ class Worker:
             self._finish(assign)
             return
         except (SimulationError, UnknownSystemError) as fault:
-            error = str(fault)
+            error = str(fault) or type(fault).__name__
         except Exception as fault:  # noqa: BLE001  (whatever a system raises is the orchestrator's to judge)
             error = f"{type(fault).__name__}: {fault}"
+        if len(payload) > MAX_RESULT:
+            error = f"the trajectory's file has {len(payload)} bytes, more than the {MAX_RESULT} of a result"
+            payload = b""
         header = ResultHeader(
             rollout=key[0],
             attempt=key[1],
             worker=self.name,
             outcome="failed" if error else "done",
             sha256="" if error else hashlib.sha256(payload).hexdigest(),
-            error=error[:4000],
+            error=error.encode(errors="backslashreplace").decode()[:4000],  # a file name in it may be no UTF-8
             cpu_seconds=time.process_time() - cpu,
             wall_seconds=time.monotonic() - wall,
         )
@@ -122,8 +129,8 @@ class Worker:
         self._finish(assign)
         self._uplink.deliver(header, payload)
 
-    def _advance(self, key: tuple[str, int], step: int) -> None:
-        self._progress = step
+    def _advance(self, key: Key, step: int) -> None:
+        self._progress = (key, step)
         if self._cancelled == key:
             raise Cancelled
 
@@ -142,6 +149,7 @@ class Worker:
 
     def _state(self) -> WorkerState:
         current = self._accepted
+        running, step = self._progress  # perhaps of an attempt before the accepted one
         return WorkerState(
             protocol=PROTOCOL,
             version=__version__,
@@ -152,7 +160,7 @@ class Worker:
             state="busy" if current else "idle",
             rollout=current.request.rollout if current else None,
             attempt=current.attempt if current else None,
-            progress=self._progress if current else 0,
+            progress=step if current and running == _key(current) else 0,
         )
 
     def _deliver_again(self) -> None:
@@ -162,3 +170,7 @@ class Worker:
         for parcel in late:
             parcel.sent_at = now
             self._uplink.deliver(parcel.header, parcel.payload)
+
+
+def _key(assign: Assign) -> Key:
+    return assign.request.rollout, assign.attempt

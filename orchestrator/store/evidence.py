@@ -20,10 +20,10 @@ def write(path: Path, data: bytes) -> None:
     """Write a file durably: temporary file, fsync, rename, fsync of the folder.
 
     Raises:
-        OSError: the disk is full or the folder cannot be written; `path` is as it was.
+        OSError: the disk is full or the folder cannot be written; no half-written file is left.
 
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _make_folder(path.parent)
     temporary = path.with_name(path.name + TEMPORARY)
     try:
         with temporary.open("wb") as file:
@@ -34,11 +34,23 @@ def write(path: Path, data: bytes) -> None:
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    _sync_folder(path.parent)
+
+
+def _make_folder(folder: Path) -> None:
+    """Make a folder and its parents so that they, too, outlive a power cut."""
+    if not folder.is_dir():
+        _make_folder(folder.parent)
+        folder.mkdir(exist_ok=True)
+        _sync_folder(folder.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(folder)
+        os.fsync(descriptor)
     finally:
-        os.close(folder)
+        os.close(descriptor)
 
 
 def read(directory: Path, relative: str, sha256: str) -> bytes:
@@ -55,7 +67,8 @@ def read(directory: Path, relative: str, sha256: str) -> bytes:
     found = hashlib.sha256(data).hexdigest()
     if found != sha256:
         raise EvidenceError(
-            f"{directory / relative}: sha256 {found[:12]}... is not the recorded {sha256[:12]}...; restore it from a copy"
+            f"{directory / relative}: sha256 {found[:12]}... is not the recorded {sha256[:12]}...; "
+            "restore it from a copy"
         )
     return data
 

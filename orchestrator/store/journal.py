@@ -203,8 +203,9 @@ class Journal:
         joined = tables.rollouts.join(
             tables.observations, (rollouts.problem == seen.problem) & (rollouts.test == seen.test)
         )
-        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate, rollouts.sha256, rollouts.path)
-        order = [problem.name for problem in self.header.config.problems]
+        rollout = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
+        columns = (*rollout, rollouts.sha256, rollouts.path)
+        order: list[str] = [problem.name for problem in self.header.config.problems]
         with self._connection.begin():
             rows = self._connection.execute(sa.select(*columns).select_from(joined)).all()
         found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
@@ -239,7 +240,9 @@ def existing(directory: Path) -> Path:
     """
     path = directory / DATABASE
     if not path.is_file():
-        raise JournalError(f"{directory}: no campaign here (no {DATABASE}); start one with `perfbound run CAMPAIGN.toml`")
+        raise JournalError(
+            f"{directory}: no campaign here (no {DATABASE}); start one with `perfbound run CAMPAIGN.toml`"
+        )
     return path
 
 
@@ -247,7 +250,7 @@ def read_header(connection: Connection, directory: Path) -> Header:
     """Read the first fact.
 
     Raises:
-        JournalError: the database is of another schema version, or has no header.
+        JournalError: the database is of another schema version, or its header is missing or was changed.
 
     """
     version = connection.execute(sa.select(tables.schema.c.version)).scalar()
@@ -256,12 +259,19 @@ def read_header(connection: Connection, directory: Path) -> Header:
             f"{directory / DATABASE}: schema version {version}, this perfbound reads {tables.SCHEMA_VERSION}; "
             "use the perfbound that wrote it, or a newer one"
         )
-    row = connection.execute(sa.select(tables.campaign)).one()
-    config = CampaignConfig.model_validate_json(row.config)
-    if config.digest != row.config_sha256:
-        raise JournalError(f"{directory / DATABASE}: the stored campaign file was changed after the start")
-    spec = SystemSpec.model_validate_json(row.system)
-    return Header(row.run, config, spec, json.loads(row.software))
+    row = connection.execute(sa.select(tables.campaign)).first()
+    try:
+        if row is None:
+            raise ValueError("it is missing")
+        config = CampaignConfig.model_validate_json(row.config)
+        if config.digest != row.config_sha256:
+            raise ValueError("the campaign file is another one")
+        return Header(row.run, config, SystemSpec.model_validate_json(row.system), json.loads(row.software))
+    except ValueError as error:
+        reason = str(error).splitlines()[0]
+        raise JournalError(
+            f"{directory / DATABASE}: the header was changed after the start ({reason}); restore it from a copy"
+        ) from None
 
 
 def read_facts(connection: Connection) -> Iterator[Fact]:
@@ -273,10 +283,14 @@ def read_facts(connection: Connection) -> Iterator[Fact]:
     for row in connection.execute(sa.select(tables.rollouts)):
         rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
         rows.append((row.seq, RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)))
-    for row in connection.execute(sa.select(tables.observations)):
-        rows.append((row.seq, ObservationFact(row.problem, row.test, row.y, row.chain)))
-    for row in connection.execute(sa.select(tables.bounds)):
-        rows.append((row.seq, BoundFact(row.problem, row.test, row.epsilon, row.stopped_by)))
+    rows += [
+        (row.seq, ObservationFact(row.problem, row.test, row.y, row.chain))
+        for row in connection.execute(sa.select(tables.observations))
+    ]
+    rows += [
+        (row.seq, BoundFact(row.problem, row.test, row.epsilon, row.stopped_by))
+        for row in connection.execute(sa.select(tables.bounds))
+    ]
     rows.sort(key=lambda pair: pair[0])
     for _, fact in rows:
         yield fact

@@ -1,11 +1,11 @@
 """What is generated from the models is current."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import jsonschema
 import pytest
-import tomllib
 
 from schemas.__main__ import FOLDER, REFERENCE, texts
 from schemas.campaign import parse

@@ -1,0 +1,248 @@
+"""Method `scenario`: the least risk of K scenarios from rollouts alone, without a kernel.
+
+| symbol  | name          | meaning                                                | shape  | unit               |
+|---------|---------------|--------------------------------------------------------|--------|--------------------|
+| z_k     | `scenarios`   | the K starting conditions that Z consists of           | (K, p) | parameter          |
+| rho     | `values`      | robustness of true rollouts, clipped to [-m, M]        | ()     | unit of robustness |
+| [-m, M] | `clip`        |                                                        | (2,)   | unit of robustness |
+| r       | `risk_weight` | weight of the standard deviation                       | ()     | -                  |
+| risk_k  |               | E rho - r sd(rho) in scenario k; rho* = min_k risk_k   | (K,)   | unit of robustness |
+| c, s    | `constants`   | of the linearised risk X, fixed beforehand             | ()     | unit of robustness |
+| x       |               | X (or rho, for `bhatia-davis`) moved and scaled to [0, 1] | ()  | -                  |
+| L_k     | `lower`       | betting lower bound of risk_k at the full delta        | (K,)   | unit of robustness |
+| ell     | `ell`         | min_k L_k                                              | ()     | unit of robustness |
+| U       | `upper`       | upper bound of what ell tends to                       | ()     | unit of robustness |
+| delta   | `delta`       | failure probability                                    | ()     | -                  |
+| alpha   | `alpha`       | tolerance                                              | ()     | unit of robustness |
+
+Assumed: rollouts are independent, those of one scenario have one law, and robustness is clipped. Nothing else.
+
+Three claims, each with its own 1 - delta, each at all times at once (whoever reads two of them pays the sum):
+
+`ell`   rho* >= ell. No union over scenarios [B82]: ell > rho* needs L_k > risk_k for the fixed k that attains rho*.
+`each`  risk_k >= each_k for all k at once, by a union: each_k runs at delta/K.
+`upper` min_k E[X_k] <= U (phi(min_k E[rho_k]) <= U for `bhatia-davis`). That is what ell tends to with ever more
+        rollouts, and not above rho*; so U says what rollouts can still bring, and is no upper bound of rho* itself.
+        (Neither ell nor U is ever reported below c0 - h sqrt(1 + r^2), the least risk that a law on the clip can have.)
+        One wealth for all scenarios: if every mean of 1 - x is at most m, then betting on any of them loses.
+
+Stop when upper - ell <= alpha. `ell` holds at every stopping time, so the stop rule spends nothing of its delta.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+
+from orchestrator.bounds.betting import CAREFUL, GRID, BettingSequence, Floats, Past
+from orchestrator.bounds.composition import STEP
+from orchestrator.bounds.risk import bhatia_davis, check_range, linearised, linearised_range
+
+Risk = Literal["linearised", "bhatia-davis"]
+
+MAX_SCENARIOS = 1000
+"""Each scenario keeps about 100 kB of wealth."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioState:
+    """What is known of one scenario; all but `rollouts` in the unit of robustness, bounds rounded down to 1e-9.
+
+    `lower` serves the minimum over scenarios alone, `each` is the claim about this scenario (delta/K). `mean` is the
+    mean of X so far, or of rho for `bhatia-davis`; None without a rollout.
+    """
+
+    rollouts: int
+    mean: float | None
+    lower: float
+    each: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioBound:
+    """What holds now: `ell` with probability 1 - delta, `upper` with its own 1 - delta; scenario `worst` has ell."""
+
+    ell: float
+    upper: float
+    worst: int
+    scenarios: tuple[ScenarioState, ...]
+
+    @property
+    def gap(self) -> float:
+        """What rollouts can still bring; negative: an assumption is wrong, or an event of probability 2 delta."""
+        return self.upper - self.ell
+
+
+class ScenarioMethod:
+    """Betting bounds of K scenarios, and which of them is to be tested next.
+    Implements THEORY section 4.
+
+    A test is a batch of true rollouts of one scenario. What was observed, in test order, is all the state: observing
+    the same values again in the same order rebuilds it to the bit. `constants` are (c, s) and belong to `linearised`.
+
+    Raises:
+        ValueError: a parameter is outside its range, constants are missing or too many, scenarios are not finite, are
+            doubled, or are more than MAX_SCENARIOS.
+
+    >>> method = ScenarioMethod(np.array([[0.0], [1.0]]), clip=(-0.05, 0.75), risk_weight=0.2, delta=0.05, alpha=0.02,
+    ...                         constants=(0.7, 0.09))
+    >>> method.propose(), method.propose(pending=(0,))
+    (0, 1)
+    >>> for index, value in ((0, 0.7), (1, 0.65)):
+    ...     method.observe(index, [value] * 100)
+    >>> bound = method.bound()
+    >>> bound.worst, method.propose(), bound.ell <= 0.65 - 0.1 * (0.05**2 / 0.09 + 0.09) <= bound.upper
+    (1, 1, True)
+
+    """
+
+    def __init__(
+        self,
+        scenarios: Floats,
+        *,
+        clip: tuple[float, float],
+        risk_weight: float,
+        delta: float,
+        alpha: float,
+        risk: Risk = "linearised",
+        constants: tuple[float, float] | None = None,
+    ) -> None:
+        self.scenarios = _checked_scenarios(scenarios)
+        check_range(clip, risk_weight)
+        if not (0.0 < delta < 1.0 and math.isfinite(alpha) and alpha > 0):
+            raise ValueError(f"delta must lie in (0, 1) and alpha be positive, not {delta!r} and {alpha!r}")
+        if risk not in {"linearised", "bhatia-davis"} or (constants is None) == (risk == "linearised"):
+            raise ValueError(f"risk is 'linearised' with constants (c, s), or 'bhatia-davis' without; not {risk!r}")
+        size = len(self.scenarios)
+        self.probability = 1.0 - delta
+        self._clip, self._risk_weight, self._alpha, self._constants = clip, risk_weight, alpha, constants
+        self._range = clip if constants is None else linearised_range(clip, risk_weight, *constants)
+        least = bhatia_davis(clip[0], clip, risk_weight)  # no law on the clip has a lower risk
+        self._least = math.floor(Fraction(least - 1e-12) * STEP) / STEP
+        self._lower = [BettingSequence((delta, delta / size)) for _ in range(size)]
+        self._upper = BettingSequence((delta,), CAREFUL)  # of the largest mean of 1 - x, all scenarios together
+        self._above = [Past(imaginary=1) for _ in range(size)]
+        self._below = [Past() for _ in range(size)]
+        self._tests = [0] * size
+        self._states = [self._state(k) for k in range(size)]
+
+    @property
+    def n(self) -> int:
+        """Number of tests observed."""
+        return sum(self._tests)
+
+    def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> int:
+        """Return the scenario of the next test; it changes nothing.
+
+        First every scenario once, in order; `first` may choose the very first. Then the one whose lower bound is least,
+        a test in flight counting as one that brings the bound nearer to the mean: bound = mean - constant/tests.
+        Ties go to the lowest index. `pending` holds the scenarios of the tests in flight, one entry per test.
+
+        Raises:
+            ValueError: `first` is given after the first proposal.
+            IndexError: `first` or an entry of `pending` is no scenario.
+
+        """
+        size = len(self._tests)
+        for index in (*pending, *(() if first is None else (first,))):
+            _check_index(index, size)
+        if first is not None:
+            if self.n or pending:
+                raise ValueError("first is for the first proposal only")
+            return first
+        flying = [0] * size
+        for index in pending:
+            flying[index] += 1
+        for k in range(size):
+            if not self._tests[k] and not flying[k]:
+                return k
+        return min(range(size), key=lambda k: (self._outlook(k, flying[k]), k))
+
+    def observe(self, index: int, values: Sequence[float]) -> None:
+        """Add the robustness of every rollout of one test of scenario `index`; on an error nothing changes.
+
+        Raises:
+            ValueError: there is no value, or one is outside the clip or not finite.
+            IndexError: no scenario has this index.
+
+        """
+        _check_index(index, len(self._tests))
+        low, high = self._clip
+        if not values or not all(low <= value <= high for value in values):
+            raise ValueError(f"a test needs values within the clip [{low}, {high}], not {list(values)}")
+        for value in values:
+            x = self._scaled(value)
+            self._lower[index].observe(x, self._above[index])
+            self._upper.observe(1.0 - x, self._below[index])
+            self._above[index].add(x)
+            self._below[index].add(1.0 - x)
+        self._tests[index] += 1
+        self._states[index] = self._state(index)
+
+    def bound(self) -> ScenarioBound:
+        """Return what holds now, whenever it is asked for; units as in ScenarioBound.
+        Implements eq. (intersection-union) of [B82].
+
+        Formula: ell = min_k L_k; {min_k L_k > rho*} lies in {L_k* > risk_k*} for the fixed k* with risk_k* = rho*, so
+        that the full delta serves every scenario. Assumes what the head of this module says.
+        """
+        worst = min(range(len(self._states)), key=lambda k: (self._states[k].lower, k))
+        upper = self._risk_of(GRID - self._upper.rejected(), up=True)
+        return ScenarioBound(self._states[worst].lower, upper, worst, tuple(self._states))
+
+    def stops(self) -> bool:
+        """Return whether further rollouts can bring at most alpha: 0 <= upper - ell <= alpha."""
+        return 0.0 <= self.bound().gap <= self._alpha
+
+    @property
+    def refuted(self) -> bool:
+        """Whether upper < ell: at confidence 1 - 2 delta, rollouts are not independent with one law per scenario."""
+        return self.bound().gap < 0.0
+
+    def _outlook(self, k: int, flying: int) -> float:
+        """Return the lower bound of x that is to be expected once the tests in flight are in."""
+        past, lower = self._below[k], self._lower[k].lower()
+        mean = 1.0 - past.mean if past.count else 1.0
+        tests = self._tests[k]
+        return mean - (mean - lower) * (tests / (tests + flying)) if flying else lower
+
+    def _scaled(self, value: float) -> float:
+        low, high = self._range
+        found = value if self._constants is None else linearised(value, self._risk_weight, *self._constants)
+        return min(max((found - low) / (high - low), 0.0), 1.0)  # leaves [0, 1] by rounding at most
+
+    def _state(self, k: int) -> ScenarioState:
+        lower, each = (self._risk_of(self._lower[k].rejected(level), up=False) for level in (0, 1))
+        low, high = self._range
+        mean = high - (high - low) * self._below[k].mean if self._below[k].count else None
+        return ScenarioState(self._below[k].count, mean, lower, each)
+
+    def _risk_of(self, g: int, *, up: bool) -> float:
+        """Return the bound of the risk that the candidate g/G stands for, rounded outward to 1e-9."""
+        low, high = (Fraction(end) for end in self._range)
+        unit = low + (high - low) * Fraction(g, GRID)
+        if self._constants is None:  # 1e-12 is far more than phi can lose to rounding
+            unit = Fraction(bhatia_davis(float(unit), self._clip, self._risk_weight) + (1e-12 if up else -1e-12))
+        bound = min(math.ceil(unit * STEP) / STEP, self._clip[1]) if up else math.floor(unit * STEP) / STEP
+        return max(bound, self._least)  # for the upper bound too: ell never tends to less
+
+
+def _checked_scenarios(scenarios: Floats) -> Floats:
+    found = np.array(scenarios, dtype=np.float64)
+    if found.ndim != 2 or not 1 <= len(found) <= MAX_SCENARIOS or not np.isfinite(found).all():
+        raise ValueError(f"scenarios are 1 to {MAX_SCENARIOS} rows of finite numbers, not an array of {found.shape}")
+    seen: dict[tuple[float, ...], int] = {}
+    for k, x in enumerate(tuple(row) for row in (found + 0.0).tolist()):  # + 0.0: -0.0 and 0.0 are one number
+        if x in seen:
+            raise ValueError(f"scenarios {seen[x]} and {k} are the same, {x}; keep one of them")
+        seen[x] = k
+    found.setflags(write=False)
+    return found
+
+
+def _check_index(index: int, size: int) -> None:
+    if not 0 <= index < size:
+        raise IndexError(f"scenario {index} is outside the {size} scenarios")

@@ -1,0 +1,356 @@
+"""Both transport ports in memory, joined by a scripted network; and a whole campaign in one process.
+
+The network carries bytes under the keys of the protocol, as Zenoh does, and reads them with the same functions of
+`schemas.messages`. What it loses, delays and repeats follows from a seed; liveliness tokens are never lost.
+"""
+
+import heapq
+import itertools
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from orchestrator.certificate import files
+from orchestrator.certificate.issue import issue, manifest
+from orchestrator.ledger import Ledger
+from orchestrator.service import Interrupted, Seen, Service
+from orchestrator.store import evidence
+from orchestrator.store.journal import Header, Journal
+from orchestrator.store.lock import campaign_lock
+from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
+from orchestrator.versions import software
+from schemas import keys
+from schemas.campaign import CampaignConfig, check_against
+from schemas.messages import (
+    MAX_RESULT,
+    MessageError,
+    Refuse,
+    Request,
+    ResultHeader,
+    WorkerState,
+    decode_header,
+    decode_request,
+    decode_state,
+    encode,
+)
+from workers.systems import load
+from workers.transport import Receiver, Uplink
+from workers.worker import RefusedError, Worker
+
+# The network
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What the network does to a message: shares in [0, 1], and the longest delay in s (so that messages overtake)."""
+
+    seed: int = 0
+    loss: float = 0.0
+    duplication: float = 0.0
+    delay: float = 0.0
+
+
+class Network:
+    """One thread that carries messages; closed, it carries nothing more."""
+
+    def __init__(self, faults: Faults | None = None) -> None:
+        self._faults = faults or Faults()
+        self._luck = random.Random(self._faults.seed)
+        self._order = itertools.count()
+        self._agenda: list[tuple[float, int, Callable[[], None]]] = []
+        self._changed = threading.Condition()
+        self._closed = False
+        self.transports: dict[str, InMemoryTransport] = {}
+        """By orchestrator."""
+        self.uplinks: dict[tuple[str, str], InMemoryUplink] = {}
+        """By run and worker."""
+        self._thread = threading.Thread(target=self._carry, name="in-memory network")
+        self._thread.start()
+
+    def __enter__(self) -> "Network":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def put(self, key: str, payload: bytes, attachment: bytes | None = None) -> None:
+        """Send bytes to whoever listens to `key`; they may be lost, late or repeated."""
+        with self._changed:
+            if self._luck.random() < self._faults.loss:
+                return
+            copies = 2 if self._luck.random() < self._faults.duplication else 1
+            for _ in range(copies):
+                delay = self._luck.uniform(0, self._faults.delay)
+                self._schedule(lambda: self._arrive(key, payload, attachment), delay)
+
+    def tell(self, act: Callable[[], None]) -> None:
+        """Carry a liveliness token: soon, in order, and surely."""
+        with self._changed:
+            self._schedule(act, 0.0)
+
+    def _schedule(self, act: Callable[[], None], delay: float) -> None:
+        heapq.heappush(self._agenda, (time.monotonic() + delay, next(self._order), act))
+        self._changed.notify()
+
+    def _carry(self) -> None:
+        while True:
+            with self._changed:
+                while not self._closed and not (self._agenda and self._agenda[0][0] <= time.monotonic()):
+                    self._changed.wait(self._agenda[0][0] - time.monotonic() if self._agenda else None)
+                if self._closed:
+                    return
+                _, _, act = heapq.heappop(self._agenda)
+            act()
+
+    def _arrive(self, key: str, payload: bytes, attachment: bytes | None) -> None:
+        _, run, kind, worker, *_ = key.split("/")
+        if kind == "request" and (uplink := self.uplinks.get((run, worker))) is not None:
+            uplink.arrive(payload)
+        for receiver in [*self.transports.values()] if kind == "up" else ():
+            if receiver.run == run:
+                receiver.arrive(key, payload, attachment)
+
+
+class InMemoryTransport:
+    """The orchestrator's port."""
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+        self._sink: Sink | None = None
+        self._name = ""
+        self.run = ""
+
+    @property
+    def endpoint(self) -> str:
+        """Where workers connect."""
+        return "memory/here:0"
+
+    def start(self, run: str, sink: Sink) -> None:
+        """Listen, hear of the workers that are alive, then show ourselves."""
+        self.run, self._sink = run, sink
+        self._name = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}")
+        self._network.tell(lambda: self._appear(run))
+
+    def _appear(self, run: str) -> None:
+        self._network.transports[self._name] = self
+        for worker in [worker for of, worker in self._network.uplinks if of == run]:
+            self.hear(worker, alive=True)
+
+    def send(self, worker: str, message: Request) -> None:
+        """Send a request."""
+        self._network.put(keys.request(self.run, worker), encode(message))
+
+    def stop(self) -> None:
+        """Hear nothing more."""
+        self._sink = None
+        self._network.tell(self._disappear)
+
+    def _disappear(self) -> None:
+        self._network.transports.pop(self._name, None)
+
+    def hear(self, worker: str, *, alive: bool) -> None:
+        """Take a worker's token."""
+        self._deliver(Token(time.monotonic(), worker, alive))
+
+    def arrive(self, key: str, payload: bytes, attachment: bytes | None) -> None:
+        """Take what a worker put."""
+        at, worker = time.monotonic(), keys.worker_of(key)
+        try:
+            self._deliver(_read(at, key, payload, attachment))
+        except MessageError as error:
+            self._deliver(Garbage(at, worker, str(error)))
+
+    def _deliver(self, message: Inbound) -> None:
+        if (sink := self._sink) is not None:
+            sink(message)
+
+
+def _read(at: float, key: str, payload: bytes, attachment: bytes | None) -> Inbound:
+    worker = keys.worker_of(key)
+    if keys.last(key) == "state":
+        return Heartbeat(at, worker, decode_state(payload))
+    if attachment is None:
+        raise MessageError("a result without its header")
+    if len(payload) > MAX_RESULT:
+        raise MessageError(f"{len(payload)} bytes are more than the {MAX_RESULT} of a trajectory")
+    return Result(at, worker, decode_header(attachment), payload)
+
+
+class InMemoryUplink:
+    """A worker's port."""
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+        self._run, self._worker = "", ""
+        self._receive: Receiver | None = None
+
+    def orchestrators(self) -> list[tuple[str, str]]:
+        """Return (orchestrator, run) of all that are alive, the oldest first."""
+        return sorted((name, each.run) for name, each in self._network.transports.copy().items())
+
+    def join(self, run: str, worker: str, receive: Receiver) -> None:
+        """Listen for requests, then show ourselves."""
+        self._run, self._worker, self._receive = run, worker, receive
+        self._network.tell(self._appear)
+
+    def _appear(self) -> None:
+        self._network.uplinks[self._run, self._worker] = self
+        self._show(self._run, self._worker, alive=True)
+
+    def leave(self) -> None:
+        """No longer listen or show."""
+        self._receive = None
+        run, worker = self._run, self._worker
+        self._network.tell(lambda: self._disappear(run, worker))
+
+    def _disappear(self, run: str, worker: str) -> None:
+        if self._network.uplinks.pop((run, worker), None) is not None:
+            self._show(run, worker, alive=False)
+
+    def _show(self, run: str, worker: str, *, alive: bool) -> None:
+        for each in [*self._network.transports.values()]:
+            if each.run == run:
+                each.hear(worker, alive=alive)
+
+    def report(self, state: WorkerState) -> None:
+        """Send a heartbeat."""
+        self._network.put(keys.state(self._run, self._worker), encode(state))
+
+    def deliver(self, header: ResultHeader, payload: bytes) -> None:
+        """Send a result."""
+        key = keys.result(self._run, self._worker, header.rollout, header.attempt)
+        self._network.put(key, payload, encode(header))
+
+    def arrive(self, payload: bytes) -> None:
+        """Take a request."""
+        if (receive := self._receive) is not None:
+            try:
+                receive(decode_request(payload))
+            except MessageError:
+                return
+
+
+# A campaign
+
+Wrap = Callable[[InMemoryUplink], Uplink]
+"""What stands between a worker and the network: a liar, for instance."""
+
+
+class Log:
+    """A view that keeps what it is told, and may do something at every look."""
+
+    def __init__(self, look: Callable[[Seen], None] = lambda _: None) -> None:
+        self.lines: list[str] = []
+        self._look = look
+
+    def say(self, line: str) -> None:
+        """Keep a line."""
+        self.lines.append(line)
+
+    def show(self, seen: Seen) -> None:
+        """Look."""
+        self._look(seen)
+
+
+@contextmanager
+def working(network: Network, run: str, wraps: Sequence[Wrap]) -> Iterator[list[str]]:
+    """Run one worker in a thread for each of `wraps`; yield the reasons why workers were refused."""
+    refused: list[str] = []
+
+    def live(worker: Worker, uplink: Uplink) -> None:
+        uplink.join(run, worker.name, worker.receive)
+        try:
+            worker.serve(lambda _: False)
+        except RefusedError as error:
+            refused.append(str(error))
+        uplink.leave()
+
+    threads, workers = [], []
+    for number, wrap in enumerate(wraps):
+        uplink = wrap(InMemoryUplink(network))
+        worker = Worker(keys.fresh_id(f"worker-{number}"), uplink)
+        threads.append(threading.Thread(target=live, args=(worker, uplink), name=worker.name))
+        workers.append(worker)
+    for thread in threads:
+        thread.start()
+    try:
+        yield refused
+    finally:
+        for worker in workers:
+            worker.receive(Refuse(reason="the test is over"))
+        for thread in threads:
+            thread.join()
+
+
+def begin(directory: Path, config: CampaignConfig) -> None:
+    """Make the run directory of a campaign."""
+    spec = load(config.system.name).spec
+    check_against(config, spec, "test")
+    directory.mkdir(parents=True)
+    Journal.create(directory, Header.new(config, spec, software(spec))).close()
+
+
+def serve(
+    directory: Path,
+    network: Network,
+    log: Log,
+    *,
+    stop: Callable[[Seen], bool] = lambda _: False,
+    resumed: bool = False,
+) -> str:
+    """Be the orchestrator of the campaign in `directory`, once; return the certificate's text.
+
+    Raises:
+        Stopped: `stop` said so, which is asked at every tick.
+        PerfboundError: as `Service.run`.
+
+    """
+    with campaign_lock(directory), ExitStack() as stack:
+        journal = Journal.open(directory)
+        stack.callback(journal.close)
+        evidence.sweep(directory)
+        ledger = Ledger(directory, journal)
+        ledger.replay()
+        if not ledger.done:
+            port = InMemoryTransport(network)
+            stack.callback(port.stop)
+            server = Service(ledger, journal, port, None, log, resumed=resumed)
+            log._look = lambda seen: server.inbox.put(Interrupted(2)) if stop(seen) else None
+            port.start(journal.header.run, server.inbox.put)
+            server.run()
+        found = manifest((sha256, path) for _, sha256, path in journal.observed())
+        files.write(directory, issue(journal.header, ledger.accounts, found), found.manifest)
+    return (directory / files.CERTIFICATE).read_text()
+
+
+def run_of(directory: Path) -> str:
+    """Return the run id of a campaign."""
+    journal = Journal.open(directory)
+    journal.close()
+    return journal.header.run
+
+
+def campaign(
+    directory: Path,
+    config: CampaignConfig,
+    *,
+    workers: int = 1,
+    faults: Faults | None = None,
+    wraps: Sequence[Wrap] = (),
+    log: Log | None = None,
+) -> str:
+    """Run a campaign in a new `directory` with honest workers and those of `wraps`; return its certificate."""
+    begin(directory, config)
+    honest: list[Wrap] = [lambda uplink: uplink] * workers
+    with Network(faults) as network, working(network, run_of(directory), [*honest, *wraps]):
+        return serve(directory, network, log or Log())
