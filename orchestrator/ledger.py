@@ -31,6 +31,9 @@ from schemas.campaign import ROLLED_OUT, CampaignConfig, Problem
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import Trajectory, decode
 
+ROUND_OFF = 1e-9
+"""A bound recomputed on another CPU may differ by less."""
+
 
 @dataclass(slots=True)
 class Work:
@@ -73,6 +76,7 @@ class Ledger:
         self._options = {option.name: option.default for option in header.spec.options} | self.config.system.options
         self._config_sha256, self._spec_sha256 = self.config.digest, header.spec.digest
         self._trajectories: dict[RolloutId, Trajectory] = {}
+        self._recomputed: dict[str, BoundFact] = {}
 
     @property
     def done(self) -> bool:
@@ -108,6 +112,10 @@ class Ledger:
             OSError: the disk is full.
 
         """
+        try:
+            robustness = self._observer.robustness(trajectory)
+        except ValueError as error:
+            raise PerfboundError(f"rollout {rollout}: {error}") from None
         path = evidence.relative_path(rollout)
         evidence.write(self._directory / path, payload)
         self._trajectories[rollout] = trajectory
@@ -117,7 +125,7 @@ class Ledger:
             sha256=hashlib.sha256(payload).hexdigest(),
             size=len(payload),
             path=path,
-            robustness=self._observer.robustness(trajectory),
+            robustness=robustness,
         )
         return self._advance(self._write(fact))
 
@@ -166,7 +174,10 @@ class Ledger:
         account = self.accounts[problem]
         facts = sorted(account.rollouts[test], key=lambda fact: fact.rollout)
         trajectories = {(f.rollout.variant, f.rollout.replicate): self._trajectory(f) for f in facts}
-        y = self._observer.observe(account.problem, trajectories)
+        try:
+            y = self._observer.observe(account.problem, trajectories)
+        except ValueError as error:
+            raise PerfboundError(f"problem {problem}, test {test}: {error}") from None
         link = next_link(account.link, account.proposals[test], facts, y)
         self._write(ObservationFact(problem, test, y, link))
         return self._write(self._bound(account, test, y))
@@ -200,6 +211,8 @@ class Ledger:
                 self._close(fact, live=live)
                 return ()
             case BoundFact():
+                if not live:
+                    self._compare(fact)
                 self.accounts[fact.problem].last_bound = fact
                 return self._step(campaign.Observed(fact.problem, fact.test, fact.stopped_by == "converged"))
 
@@ -219,7 +232,17 @@ class Ledger:
             if rollout.robustness is not None:
                 account.robustness.append(rollout.robustness)
         if not live:
-            self._bound(account, fact.test, fact.y)
+            self._recomputed[fact.problem] = self._bound(account, fact.test, fact.y)
+
+    def _compare(self, fact: BoundFact) -> None:
+        """Refuse a bound that does not follow from the observations before it."""
+        ours = self._recomputed[fact.problem]
+        known, given = ours.epsilon or 0.0, fact.epsilon or 0.0
+        if ours.stopped_by != fact.stopped_by or not abs(known - given) <= ROUND_OFF:
+            raise JournalError(
+                f"{self._directory}: the bound after test {fact.test} of {fact.problem} is not the one that follows "
+                "from the observations; restore the database from a copy"
+            )
 
     def _step(self, event: campaign.Event) -> tuple[campaign.Action, ...]:
         self.state, actions = campaign.step(self.state, event)

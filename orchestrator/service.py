@@ -264,9 +264,7 @@ class Service:
                 case dispatch.Poison(rollout, story):
                     self._poisoned = (rollout, story)
 
-    def _record(
-        self, worker: str, attempt: Attempt, result: tuple[ResultHeader, bytes, Trajectory | None]
-    ) -> None:
+    def _record(self, worker: str, attempt: Attempt, result: tuple[ResultHeader, bytes, Trajectory | None]) -> None:
         header, payload, trajectory = result
         assert trajectory is not None, "only a checked result is recorded"
         work = self._ledger.record(attempt.rollout, payload, trajectory)

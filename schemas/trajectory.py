@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, McapRecord, Metadata
+from mcap.records import Attachment, Chunk, McapRecord, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from numpy.typing import NDArray
@@ -248,9 +248,10 @@ def _check_checksums(data: bytes) -> None:
 
 
 def _evidence(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
-    """Return the metadata record and both attachments; chunks stay compressed, they are for eyes only."""
+    """Return the metadata record and both attachments; they stand before the first chunk, the rest is for eyes only."""
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True, record_size_limit=len(data))
-    records: list[McapRecord] = list(itertools.islice(reader.records, MAX_RECORDS + 1))
+    before_chunks = itertools.takewhile(lambda record: not isinstance(record, Chunk), reader.records)
+    records: list[McapRecord] = list(itertools.islice(before_chunks, MAX_RECORDS + 1))
     if len(records) > MAX_RECORDS:
         raise TrajectoryError(f"more than {MAX_RECORDS} records")
     metadata = [record.metadata for record in records if isinstance(record, Metadata)]

@@ -51,9 +51,7 @@ class ZenohUplink:
         self._joined: tuple[Any, ...] = ()
         self._threads: list[threading.Thread] = []
         liveliness = session.liveliness()
-        tokens = liveliness.declare_subscriber(
-            keys.ANY_ORCHESTRATOR, zenoh.handlers.FifoChannel(1024), history=True
-        )
+        tokens = liveliness.declare_subscriber(keys.ANY_ORCHESTRATOR, zenoh.handlers.FifoChannel(1024), history=True)
         self._pump(tokens, self._see)
 
     def orchestrators(self) -> list[tuple[str, str]]:

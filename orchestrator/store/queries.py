@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import sqlalchemy as sa
 from sqlalchemy import Connection
@@ -48,7 +49,8 @@ def reading(directory: Path) -> Iterator[Connection]:
 
     """
     path = existing(directory).resolve()
-    engine = sa.create_engine(f"sqlite:///file:{path}?mode=ro&uri=true")
+    read_only = sa.URL.create("sqlite", database=f"file:{quote(str(path))}?mode=ro&uri=true")
+    engine = sa.create_engine(read_only)
     try:
         with engine.connect() as connection:
             yield connection
