@@ -49,8 +49,8 @@ def reading(directory: Path) -> Iterator[Connection]:
 
     """
     path = existing(directory).resolve()
-    read_only = sa.URL.create("sqlite", database=f"file:{quote(str(path))}?mode=ro&uri=true")
-    engine = sa.create_engine(read_only)
+    read_only = {"mode": "ro", "uri": "true"}
+    engine = sa.create_engine(sa.URL.create("sqlite", database=f"file:{quote(str(path))}", query=read_only))
     try:
         with engine.connect() as connection:
             yield connection

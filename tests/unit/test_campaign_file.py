@@ -211,7 +211,7 @@ def problems(name: str) -> st.SearchStrategy[dict[str, Any]]:
         "sigma": st.sampled_from(["variance", "std"]),
         "tail": st.sampled_from(["gaussian", "sub-gaussian"]),
         "resolution": st.integers(2, 40),
-        "max_tests": st.integers(1, 10_000),
+        "max_tests": st.integers(2, 10_000),
         "gap": gaps,
     }
     if name == "maximum":

@@ -16,7 +16,7 @@ from orchestrator.campaign import RolloutId
 from orchestrator.dispatch import Attempt
 from orchestrator.errors import JournalError, PerfboundError
 from orchestrator.ledger import Ledger
-from orchestrator.store import tables
+from orchestrator.store import queries, tables
 from orchestrator.store.journal import (
     DATABASE,
     BoundFact,
@@ -324,3 +324,13 @@ def test_one_orchestrator_at_a_time_even_after_a_kill(tmp_path: Path) -> None:
         assert is_held(tmp_path)
     assert not is_held(tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["with space", "what?", "50%", "a#b&c=d", "mode=ro"])
+def test_a_run_directory_of_any_name_is_written_and_read(tmp_path: Path, name: str) -> None:
+    directory = tmp_path / name
+    directory.mkdir()
+    header = a_header()
+    Journal.create(directory, header).close()
+    assert {path.name for path in tmp_path.iterdir()} == {name}
+    assert queries.progress(directory).header == header
