@@ -24,7 +24,7 @@ from typing import Literal, NamedTuple
 from orchestrator.errors import IllegalEvent
 
 Phase = Literal["absent", "running", "complete", "closed"]
-StoppedBy = Literal["converged", "budget"]
+StoppedBy = Literal["converged", "budget", "refuted"]
 
 LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("absent", "Proposed"): ("running",),
@@ -134,11 +134,11 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """A test has its y; `satisfied` says whether the stop rule of the method holds."""
+    """A test has its y; `verdict` says why the method ends the problem here, if it does."""
 
     problem: str
     test: int
-    satisfied: bool
+    verdict: Literal["converged", "refuted"] | None = None
 
 
 Event = Proposed | Recorded | Observed
@@ -253,8 +253,8 @@ def _observe(problem: ProblemState, event: Observed) -> tuple[ProblemState, tupl
         due = f"test {problem.observed} is to be observed" if event.test != problem.observed else "a proposal is due"
         raise IllegalEvent(f"{event} is not allowed: {due} before it")
     problem = replace(problem, observed=problem.observed + 1, open=problem.open[1:])
-    if event.satisfied or problem.observed >= problem.plan.max_tests:
-        stopped = replace(problem, stopped_by="converged" if event.satisfied else "budget")
+    if event.verdict is not None or problem.observed >= problem.plan.max_tests:
+        stopped = replace(problem, stopped_by=event.verdict or "budget")
         left = tuple(rollout for test in problem.open for rollout in _ordered(problem.plan, test))
         return stopped, (Withdraw(left),) if left else ()
     return problem, _next(problem)

@@ -8,12 +8,12 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from orchestrator import campaign
 from orchestrator.campaign import RolloutId
 from orchestrator.errors import IllegalEvent, JournalError, PerfboundError
-from orchestrator.gp.posterior import SingularKernelError
-from orchestrator.observation import Observer
+from orchestrator.observation import Observation, Observer, shared
 from orchestrator.proposer import Proposer
 from orchestrator.seeds import rollout_seed
 from orchestrator.store import evidence
@@ -29,6 +29,7 @@ from orchestrator.store.journal import (
 )
 from schemas.campaign import ROLLED_OUT, CampaignConfig, Problem
 from schemas.rollout import RolloutRequest
+from schemas.system import SystemSpec
 from schemas.trajectory import Trajectory, decode
 
 ROUND_OFF = 1e-9
@@ -52,6 +53,8 @@ class Account:
     proposals: dict[int, ProposalFact] = field(default_factory=dict)
     rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
     observations: list[float] = field(default_factory=list)
+    each: list[tuple[float, ...]] = field(default_factory=list)
+    nodes: list[int] = field(default_factory=list)
     robustness: list[float] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
     last_proposal: ProposalFact | None = None
@@ -68,11 +71,12 @@ class Ledger:
         self.accounts: dict[str, Account] = {
             problem.name: Account(problem, first_link(header, problem.name)) for problem in self.config.problems
         }
-        self.state = campaign.initial(tuple(plan(self.config, problem) for problem in self.config.problems))
+        plans = (plan(self.config, header.spec, problem) for problem in self.config.problems)
+        self.state = campaign.initial(tuple(plans))
         self._directory = directory
         self._journal = journal
         self._observer = Observer(self.config, header.spec)
-        self._proposer = Proposer(self.config, header.spec)
+        self.proposer = Proposer(self.config, header.spec)
         self._options = {option.name: option.default for option in header.spec.options} | self.config.system.options
         self._config_sha256, self._spec_sha256 = self.config.digest, header.spec.digest
         self._trajectories: dict[RolloutId, Trajectory] = {}
@@ -166,8 +170,9 @@ class Ledger:
 
     def _propose(self, problem: str, test: int) -> ProposalFact:
         try:
-            return self._proposer.propose(problem, test)
-        except SingularKernelError as error:
+            pending = [proposal.node for proposal in self.accounts[problem].proposals.values()]
+            return self.proposer.propose(problem, test, pending)
+        except ValueError as error:
             raise PerfboundError(f"problem {problem}, test {test}: {error}") from None
 
     def _observe(self, problem: str, test: int) -> tuple[campaign.Action, ...]:
@@ -175,19 +180,19 @@ class Ledger:
         facts = sorted(account.rollouts[test], key=lambda fact: fact.rollout)
         trajectories = {(f.rollout.variant, f.rollout.replicate): self._trajectory(f) for f in facts}
         try:
-            y = self._observer.observe(account.problem, trajectories)
+            found = self._observer.observe(account.problem, trajectories)
         except ValueError as error:
             raise PerfboundError(f"problem {problem}, test {test}: {error}") from None
-        link = next_link(account.link, account.proposals[test], facts, y)
-        self._write(ObservationFact(problem, test, y, link))
-        return self._write(self._bound(account, test, y))
+        link = next_link(account.link, account.proposals[test], facts, found.y, found.each)
+        self._write(ObservationFact(problem, test, found.y, found.each, link))
+        return self._write(self._bound(account, test, found))
 
-    def _bound(self, account: Account, test: int, y: float) -> BoundFact:
+    def _bound(self, account: Account, test: int, found: Observation) -> BoundFact:
         last = test + 1 >= self.config.max_tests_of(account.problem)
         assert account.last_proposal is not None
         try:
-            return self._proposer.observe(account.last_proposal, y, last=last)
-        except SingularKernelError as error:
+            return self.proposer.observe(account.last_proposal, found, last=last)
+        except ValueError as error:
             raise PerfboundError(f"problem {account.problem.name}, test {test}: {error}") from None
 
     def _trajectory(self, fact: RolloutFact) -> Trajectory:
@@ -214,31 +219,33 @@ class Ledger:
                 if not live:
                     self._compare(fact)
                 self.accounts[fact.problem].last_bound = fact
-                return self._step(campaign.Observed(fact.problem, fact.test, fact.stopped_by == "converged"))
+                return self._step(campaign.Observed(fact.problem, fact.test, _verdict(fact)))
 
     def _close(self, fact: ObservationFact, *, live: bool) -> None:
         """Move an observed test from the open ones into the sums."""
         account = self.accounts[fact.problem]
         proposal, rollouts = account.proposals.pop(fact.test), account.rollouts.pop(fact.test, [])
-        if next_link(account.link, proposal, rollouts, fact.y) != fact.chain:
+        if next_link(account.link, proposal, rollouts, fact.y, fact.each) != fact.chain:
             raise JournalError(
                 f"{self._directory}: the facts of test {fact.test} of {fact.problem} were changed after they were "
                 "written (hash chain); restore the database from a copy"
             )
         account.link, account.last_proposal = fact.chain, proposal
         account.observations.append(fact.y)
+        account.each.append(fact.each)
+        account.nodes.append(proposal.node)
         for rollout in rollouts:
             account.counts[rollout.rollout.variant] += 1
             if rollout.robustness is not None:
                 account.robustness.append(rollout.robustness)
         if not live:
-            self._recomputed[fact.problem] = self._bound(account, fact.test, fact.y)
+            self._recomputed[fact.problem] = self._bound(account, fact.test, Observation(fact.y, fact.each))
 
     def _compare(self, fact: BoundFact) -> None:
         """Refuse a bound that does not follow from the observations before it."""
         ours = self._recomputed[fact.problem]
-        known, given = ours.epsilon or 0.0, fact.epsilon or 0.0
-        if ours.stopped_by != fact.stopped_by or not abs(known - given) <= ROUND_OFF:
+        same = all(_close_to(a, b) for a, b in ((ours.upper, fact.upper), (ours.lower, fact.lower)))
+        if ours.stopped_by != fact.stopped_by or not same:
             raise JournalError(
                 f"{self._directory}: the bound after test {fact.test} of {fact.problem} is not the one that follows "
                 "from the observations; restore the database from a copy"
@@ -249,8 +256,20 @@ class Ledger:
         return actions
 
 
-def plan(config: CampaignConfig, problem: Problem) -> campaign.Plan:
+def _verdict(fact: BoundFact) -> Literal["converged", "refuted"] | None:
+    return None if fact.stopped_by == "budget" else fact.stopped_by
+
+
+def _close_to(a: float | None, b: float | None) -> bool:
+    return a is b if a is None or b is None else a == b or abs(a - b) <= ROUND_OFF
+
+
+def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> campaign.Plan:
     """Return what is fixed about a problem before its first test."""
-    replicates = range(config.replicates_of(problem))
-    rollouts = tuple((variant, replicate) for replicate in replicates for variant in ROLLED_OUT[problem.name])
+    rollouts = tuple(
+        (variant, replicate)
+        for replicate in range(config.replicates_of(problem))
+        for variant in ROLLED_OUT[problem.name]
+        if replicate == 0 or not shared(spec, problem, variant)
+    )
     return campaign.Plan(problem.name, config.window_of(problem), config.max_tests_of(problem), rollouts)

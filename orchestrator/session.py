@@ -28,7 +28,9 @@ from orchestrator.store.journal import DATABASE, Header, Journal, existing
 from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import ZenohTransport, listen
 from orchestrator.versions import software
-from schemas.campaign import CampaignConfig, CampaignError, check_against, parse
+from schemas.campaign import CampaignConfig, CampaignError
+from schemas.campaign_check import check_against
+from schemas.campaign_file import parse
 from schemas.certificate import Certificate
 from schemas.link import Tls
 from schemas.system import SystemSpec
@@ -261,7 +263,7 @@ def _certify(directory: Path, journal: Journal, ledger: "Ledger") -> None:
     from orchestrator.certificate.issue import issue, manifest  # noqa: PLC0415
 
     found = manifest((sha256, path) for _, sha256, path in journal.observed())
-    files.write(directory, issue(journal.header, ledger.accounts, found), found.manifest)
+    files.write(directory, issue(journal.header, ledger.accounts, ledger.proposer.methods, found), found.manifest)
 
 
 @contextmanager

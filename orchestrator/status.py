@@ -44,7 +44,7 @@ def _problems(progress: queries.CampaignProgress) -> Table:
         table.add_column(name, justify="left" if name == "problem" else "right")
     config = progress.header.config
     for problem, found in zip(config.problems, progress.problems, strict=True):
-        bound = -found.epsilon if found.epsilon is not None and problem.name in MINIMA else found.epsilon
+        bound = -found.upper if found.upper is not None and problem.name in MINIMA else found.upper
         table.add_row(
             problem.name,
             f"{found.tests} of {config.max_tests_of(problem)}",

@@ -23,6 +23,12 @@ QUANTITIES = {
     "J_star": "J* (maximum of the expectation)",
 }
 
+BUDGET = {
+    "paper": "the bound contains the difference",
+    "rigorous": "the bound holds all the same",
+    "scenario": "the bound holds all the same",
+}
+
 
 def outward(bound: float, sense: str) -> str:
     """Return a bound with four digits that promises no more than `bound` does.
@@ -92,9 +98,11 @@ def _rule(claim: Claim) -> str:
 def _problem(problem: ProblemResult, console: Console) -> None:
     sense = ">=" if problem.sense == "min" else "<="
     alpha = problem.parameters.get("alpha")
+    left = _left(problem)
     end = {
-        "converged": f"converged: F = {problem.last_F:.4f} is at most alpha = {alpha}",
-        "budget": f"NOT converged: its budget ended at F = {problem.last_F:.4f}, alpha is {alpha}",
+        "converged": f"converged: {left} is at most alpha = {alpha}",
+        "budget": f"NOT converged: its budget ended at {left}, alpha is {alpha}; {BUDGET[problem.method]}",
+        "refuted": "REFUTED: the data contradict the assumptions, so its bound is worth nothing",
     }[problem.stopped_by]
     _line(console, f"  {problem.name}", "bold")
     _line(
@@ -105,6 +113,14 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     rollouts = f"{problem.rollouts.nominal} nominal and {problem.rollouts.true} true rollouts"
     _line(console, f"    {problem.tests} tests with {rollouts}")
     _line(console, f"    {end}", "" if problem.stopped_by == "converged" else "yellow")
+
+
+def _left(problem: ProblemResult) -> str:
+    """Say how far the bound may be from what it bounds."""
+    if problem.last_F is not None:
+        return f"F = {problem.last_F:.4f}"
+    width = abs((problem.partner or 0.0) - problem.bound)
+    return f"{'what rollouts can still bring' if problem.method == 'scenario' else 'upper - lower'} = {width:.4f}"
 
 
 def _assumptions(assumptions: list[Assumption], console: Console) -> None:

@@ -20,7 +20,7 @@ PLAIN_PERIOD = 10.0
 
 def bound_in_sense(account: Account) -> float | None:
     """Return the bound so far in the unit and sense of the problem: -eps for a minimum."""
-    bound = account.last_bound.epsilon if account.last_bound else None
+    bound = account.last_bound.upper if account.last_bound else None
     return -bound if bound is not None and account.problem.name in MINIMA else bound
 
 

@@ -1,23 +1,21 @@
 """The campaign file: every key, its unit, its range and its meaning."""
 
-import difflib
-import json
-import tomllib
-from collections.abc import Iterator
-from datetime import date, time
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from schemas.base import Model, digest
-from schemas.system import OptionValue, SystemSpec, Variant
+from schemas.system import OptionValue, Variant
 
 ProblemName = Literal["nominal_robustness", "sim_gap", "true_risk", "maximum"]
+MethodName = Literal["paper", "rigorous", "scenario"]
 Sense = Literal["min", "max"]
+Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
 Positive = Annotated[float, Field(gt=0)]
 
 MAX_CANDIDATES = 100_000
 """Nodes of the largest lattice; memory is O(tests x nodes)."""
+MAX_SCENARIOS = 1000
 
 SENSES: dict[ProblemName, Sense] = {
     "nominal_robustness": "min",
@@ -31,21 +29,6 @@ ROLLED_OUT: dict[ProblemName, tuple[Variant, ...]] = {
     "true_risk": ("true",),
     "maximum": ("true",),
 }
-
-
-Location = tuple[int | str, ...]
-"""Where pydantic found a fault."""
-
-_UNION_MEMBERS = ("constrained-float", "float", "str", "literal['1+eta']")
-_LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-_WORDS = {
-    ("name",): "1 to 64 of a-z, 0-9, '-' and '_', the first a letter or digit",
-    ("clip",): "[low, high], two numbers",
-    ("space",): "a table with one entry per parameter: name = { low, high, unit }",
-    ("problems",): "a list of tables, each under [[problems]]",
-    ("problems", "regulariser"): "'1+eta' or a number > 0",
-}
-"""What a key may hold, where neither the schema nor pydantic says it well."""
 
 
 class CampaignError(ValueError):
@@ -78,6 +61,41 @@ class Range(Model):
         return self
 
 
+class Scenarios(Model):
+    """Finitely many starting conditions; the claim is about these alone."""
+
+    scenarios: tuple[tuple[float, ...], ...] = Field(
+        min_length=1,
+        max_length=MAX_SCENARIOS,
+        description="starts, one number per parameter of the system; or the name of a CSV file beside this one",
+    )
+
+    @model_validator(mode="after")
+    def _distinct(self) -> "Scenarios":
+        seen: dict[tuple[float, ...], int] = {}
+        for number, scenario in enumerate(self.scenarios):
+            if len(scenario) != len(self.scenarios[0]):
+                numbers = f"{len(scenario)} numbers, the first {len(self.scenarios[0])}"
+                raise ValueError(f"scenarios: entry {number} has {numbers}")
+            if scenario in seen:
+                raise ValueError(f"scenarios: entries {seen[scenario]} and {number} are the same, {list(scenario)}")
+            seen[scenario] = number
+        return self
+
+
+Box = dict[str, Range]
+
+
+def _space_kind(value: Any) -> str:
+    return "scenarios" if isinstance(value, Scenarios) or (isinstance(value, dict) and "scenarios" in value) else "box"
+
+
+Space = Annotated[
+    Annotated[Box, Tag("box"), Field(min_length=1)] | Annotated[Scenarios, Tag("scenarios")],
+    Discriminator(_space_kind),
+]
+
+
 class MaternKernel(Model):
     """Matern kernel of unit amplitude."""
 
@@ -86,50 +104,146 @@ class MaternKernel(Model):
 
 
 class Gap(Model):
-    """How nominal and true trajectory are compared: sup_t |column_true(t) - column_nominal(t)|."""
+    """How nominal and true trajectory are compared."""
 
-    kind: Literal["signal_sup"] = Field(default="signal_sup", description="largest difference in one column over time")
-    column: str = Field(description="a column of the system")
-    lipschitz: float = Field(default=1.0, gt=0, description="L: robustness changes by at most L times the gap")
+    kind: Literal["signal_sup", "predicate_sup", "robustness"] = Field(
+        default="signal_sup",
+        description="largest difference over time: in one column, or in any predicate of the specification; "
+        "or the signed difference nominal - true of the robustness",
+    )
+    column: str | None = Field(default=None, description="`signal_sup` only: a column of the system")
+    lipschitz: float = Field(
+        default=1.0, gt=0, description="L: robustness changes by at most L times the gap; 1 but for `signal_sup`"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Gap":
+        if (self.column is None) == (self.kind == "signal_sup"):
+            needed = "required by" if self.kind == "signal_sup" else "not allowed for"
+            raise ValueError(f"column: {needed} kind {self.kind!r}")
+        if self.kind != "signal_sup" and self.lipschitz != 1:
+            raise ValueError(f"lipschitz: {self.lipschitz:g} must be 1, or be left out, for kind {self.kind!r}")
+        return self
 
 
-class Problem(Model):
-    """One optimisation problem: what is bounded, by which method, how sure."""
+class Linearised(Model):
+    """E rho - r sd(rho) >= E[X], X = rho - (r/2) ((rho - centre)^2 / spread + spread)."""
+
+    centre: float = Field(description="about the mean of the robustness at the worst start")
+    spread: float = Field(gt=0, description="about its standard deviation there; larger is safer against falls")
+
+
+class Weighted(Model):
+    """One regulariser of a mixture that is fixed beforehand."""
+
+    value: float = Field(gt=0, description="lambda")
+    weight: float = Field(gt=0, le=1, description="the weights sum to at most 1")
+
+
+class _Problem(Model):
+    """What every optimisation problem has."""
 
     name: ProblemName = Field(description="which objective")
-    method: Literal["paper"] = Field(default="paper", description="paper: Algorithm 1 as printed")
     sense: Sense | None = Field(default=None, description="min or max; follows from the name")
     column: str | None = Field(default=None, description="`maximum` only: the column whose expectation is maximised")
     delta: float = Field(gt=0, lt=1, description="failure probability of the confidence band")
     alpha: float = Field(gt=0, description="tolerance; unit of the objective")
-    c: float = Field(gt=0, description="margin for the noise of the last observation; unit of the objective")
-    rkhs_norm: float = Field(gt=0, description="B: bound on the norm of the centred objective")
-    noise_scale: float = Field(
-        ge=0,
-        description="R: sub-Gaussian noise of one rollout; of one observation for true_risk, which is not a mean",
-    )
-    prior_mean: float = Field(default=0.0, description="m0: the GP models J - m0, J the maximised objective")
-    kernel: MaternKernel = Field(description="Matern kernel of unit amplitude; the amplitude lives in B")
-    regulariser: Literal["1+eta"] | Positive = Field(default="1+eta", description="lambda on the diagonal of K")
-    sigma: Literal["variance", "std"] = Field(default="variance", description="how eq. (GP_sigma) is read")
-    tail: Literal["gaussian", "sub-gaussian"] = Field(default="gaussian", description="tail of the noise in Delta")
-    window: int | None = Field(default=None, ge=1, description="overrides the campaign's")
+    window: int | None = Field(default=None, ge=1, le=10_000, description="overrides the campaign's")
     replicates: int | None = Field(default=None, ge=1, le=100_000, description="overrides the campaign's")
     resolution: int | None = Field(default=None, ge=2, description="overrides the campaign's")
-    max_tests: int | None = Field(default=None, ge=1, description="overrides the campaign's")
+    max_tests: int | None = Field(default=None, ge=1, le=1_000_000, description="overrides the campaign's")
     gap: Gap | None = Field(default=None, description="overrides the campaign's")
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Problem":
+    def _consistent(self) -> "_Problem":
         if self.sense not in (None, SENSES[self.name]):
             raise ValueError(f"sense: {self.sense!r} must be {SENSES[self.name]!r} for {self.name}, or be left out")
-        if self.noise_scale == 0:
-            raise ValueError(f"noise_scale: 0 has no meaning in method {self.method!r}: allowed is a number > 0")
         if self.column is not None and self.name != "maximum":
             raise ValueError(f"column: only problem 'maximum' has one, not {self.name!r}")
         if self.column is None and self.name == "maximum":
             raise ValueError("column: required by problem 'maximum': the column whose expectation is maximised")
         return self
+
+
+class _KernelProblem(_Problem):
+    """What the methods with a Gaussian process have."""
+
+    rkhs_norm: float = Field(gt=0, description="B: bound on the norm of the centred objective")
+    prior_mean: float = Field(default=0.0, description="m0: the GP models J - m0, J the maximised objective")
+    kernel: MaternKernel = Field(description="Matern kernel of unit amplitude; the amplitude lives in B")
+
+
+class PaperProblem(_KernelProblem):
+    """Algorithm 1 of the paper, as printed."""
+
+    method: Literal["paper"] = Field(description="Algorithm 1 as printed")
+    c: float = Field(gt=0, description="margin for the noise of the last observation; unit of the objective")
+    noise_scale: float = Field(
+        ge=0,
+        description="R: sub-Gaussian noise of one rollout; of one observation for true_risk, which is not a mean",
+    )
+    regulariser: Literal["1+eta"] | Positive = Field(default="1+eta", description="lambda on the diagonal of K")
+    sigma: Literal["variance", "std"] = Field(default="variance", description="how eq. (GP_sigma) is read")
+    tail: Literal["gaussian", "sub-gaussian"] = Field(default="gaussian", description="tail of the noise in Delta")
+
+    @model_validator(mode="after")
+    def _noisy(self) -> "PaperProblem":
+        if self.noise_scale == 0:
+            raise ValueError("noise_scale: 0 has no meaning in method 'paper': allowed is a number > 0")
+        return self
+
+
+class RigorousProblem(_KernelProblem):
+    """An anytime bound from one confidence set."""
+
+    method: Literal["rigorous"] = Field(description="bounds that hold at every moment")
+    noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] = Field(
+        description="R: sub-Gaussian noise of one rollout; 'derived' from the clip by Hoeffding; 0 without noise"
+    )
+    regulariser: Positive | tuple[Weighted, ...] | None = Field(
+        default=None, description="lambda, or a mixture fixed beforehand; by default four values from R and B"
+    )
+    misspecification: float = Field(
+        default=0.0, ge=0, description="tau: J - m0 may differ so much from a function of norm B"
+    )
+    round_off: float = Field(default=1e-9, gt=0, description="tau0: round-off of a simulator without noise")
+    slack: float | None = Field(default=None, gt=0, description="what the box may add to its lattice; default alpha/4")
+    linearised: Linearised | None = Field(default=None, description="`true_risk` only: the risk as an expectation")
+
+    @model_validator(mode="after")
+    def _rigorous(self) -> "RigorousProblem":
+        if (self.linearised is None) == (self.name == "true_risk"):
+            raise ValueError("linearised: required by problem 'true_risk' with method 'rigorous', and only there")
+        if isinstance(self.regulariser, tuple) and sum(each.weight for each in self.regulariser) > 1 + 1e-12:
+            raise ValueError("regulariser: the weights must sum to at most 1")
+        if self.noise_scale == "derived" and self.name == "maximum":
+            raise ValueError("noise_scale: 'derived' needs a clipped objective, which 'maximum' has not: give a number")
+        if self.slack is not None and self.slack > self.alpha:
+            raise ValueError(f"slack: {self.slack:g} must be at most alpha = {self.alpha:g}")
+        return self
+
+
+class ScenarioProblem(_Problem):
+    """Betting bounds on finitely many starts, without a kernel."""
+
+    method: Literal["scenario"] = Field(description="finitely many starts, no kernel")
+    linearised: Linearised | None = Field(
+        default=None, description="the risk as an expectation; without it the mean and Bhatia-Davis"
+    )
+
+    @model_validator(mode="after")
+    def _direct(self) -> "ScenarioProblem":
+        if self.name != "true_risk":
+            raise ValueError(f"name: method 'scenario' bounds 'true_risk', not {self.name!r}")
+        return self
+
+
+Problem = PaperProblem | RigorousProblem | ScenarioProblem
+PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
+    "paper": PaperProblem,
+    "rigorous": RigorousProblem,
+    "scenario": ScenarioProblem,
+}
 
 
 class CampaignConfig(Model):
@@ -146,8 +260,9 @@ class CampaignConfig(Model):
     clip: tuple[float, float] | None = Field(default=None, description="[-m, M]: robustness is clipped to it")
     specification: str | None = Field(default=None, max_length=10_000, description="STL formula over the columns")
     gap: Gap | None = Field(default=None, description="how true and nominal trajectory are compared")
-    composition: Literal["product", "sum", "single"] = Field(
-        description="how the claim follows: Theorem 2 with the product or the sum rule, or one problem alone"
+    composition: Rule = Field(
+        description="how the first claim follows: Theorem 2 with the product or the sum rule, Bhatia-Davis from two "
+        "extremes or pointwise, or one problem alone"
     )
     visual: Literal["all", "none"] = Field(
         default="all", description="what is drawn for people in each trajectory file"
@@ -158,8 +273,10 @@ class CampaignConfig(Model):
     hung_after: float = Field(default=10.0, ge=1, description="s without progress after which a worker is given up")
     deadline: float = Field(default=600.0, ge=1, description="s that one attempt may last")
     system: SystemChoice = Field(description="the system under test")
-    space: dict[str, Range] = Field(min_length=1, description="D: all starting conditions")
-    problems: tuple[Problem, ...] = Field(min_length=1, description="what is bounded")
+    space: Space = Field(description="D: all starting conditions, a range per parameter or a list of scenarios")
+    problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
+        min_length=1, description="what is bounded"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "CampaignConfig":
@@ -169,12 +286,12 @@ class CampaignConfig(Model):
         if self.clip is not None and not self.clip[0] < self.clip[1]:
             raise ValueError(f"clip: {list(self.clip)} must be [low, high] with low < high")
         for problem in self.problems:
-            self._check_problem(problem)
-        self._check_composition(set(names))
+            self._check_objective(problem)
+            self._check_method(problem)
+        self._check_composition(set(names), {problem.method for problem in self.problems})
         return self
 
-    def _check_problem(self, problem: Problem) -> None:
-        where = f"problems.{problem.name}"
+    def _check_objective(self, problem: Problem) -> None:
         if problem.name != "maximum":
             for key in ("specification", "clip"):
                 if getattr(self, key) is None:
@@ -183,23 +300,42 @@ class CampaignConfig(Model):
                 raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
         if problem.name == "sim_gap" and self.gap_of(problem) is None:
             raise ValueError('gap: required by problem \'sim_gap\', e.g. { kind = "signal_sup", column = "phi" }')
-        if problem.name == "true_risk" and self.replicates_of(problem) < 2:
-            raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
-        if self.window_of(problem) != 1:
-            raise ValueError(f"{where}.window: Algorithm 1 is sequential, method {problem.method!r} allows 1 only")
-        if self.max_tests_of(problem) < 2:
-            raise ValueError(f"{where}.max_tests: method {problem.method!r} gives no bound before the second test")
-        nodes = self.resolution_of(problem) ** len(self.space)
+
+    def _check_method(self, problem: Problem) -> None:
+        where = f"problems.{problem.name}"
+        if problem.method == "scenario" and isinstance(self.space, dict):
+            raise ValueError(f"{where}.method: 'scenario' needs a list of scenarios under [space]")
+        if problem.method == "paper":
+            if not isinstance(self.space, dict):
+                raise ValueError(f"{where}.method: 'paper' needs a box under [space]: low and high per parameter")
+            if problem.name == "true_risk" and self.replicates_of(problem) < 2:
+                raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
+            if self.window_of(problem) != 1:
+                raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
+            if self.max_tests_of(problem) < 2:
+                raise ValueError(f"{where}.max_tests: method 'paper' gives no bound before the second test")
+        nodes = self.candidates_of(problem)
         if nodes > MAX_CANDIDATES:
             raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {MAX_CANDIDATES} allowed")
 
-    def _check_composition(self, names: set[str]) -> None:
-        if self.composition == "single" and len(names) != 1:
-            raise ValueError("composition: 'single' is for one problem; allowed here: 'product', 'sum'")
-        if self.composition != "single" and not {"nominal_robustness", "sim_gap"} <= names:
-            raise ValueError(f"composition: {self.composition!r} needs the problems 'nominal_robustness' and 'sim_gap'")
-        if self.composition == "single" and names & {"nominal_robustness", "sim_gap"}:
-            raise ValueError("composition: 'single' makes a claim of 'true_risk' or 'maximum' only")
+    def _check_composition(self, names: set[ProblemName], methods: set[MethodName]) -> None:
+        rule = self.composition
+        pair = {"nominal_robustness", "sim_gap"}
+        if rule == "single":
+            if len(names) != 1:
+                raise ValueError("composition: 'single' is for one problem; allowed here: 'product', 'sum'")
+            if names & pair:
+                raise ValueError("composition: 'single' makes a claim of 'true_risk' or 'maximum' only")
+            return
+        if not pair <= names:
+            raise ValueError(f"composition: {rule!r} needs the problems 'nominal_robustness' and 'sim_gap'")
+        if rule == "product" and methods != {"paper"}:
+            raise ValueError("composition: 'product' is for method 'paper'; 'sum' holds for every method")
+        if rule in ("bhatia-davis", "pointwise") and methods != {"rigorous"}:
+            raise ValueError(f"composition: {rule!r} needs method 'rigorous' in both problems")
+        resolutions = {self.resolution_of(problem) for problem in self.problems if problem.name in pair}
+        if rule == "pointwise" and len(resolutions) != 1:
+            raise ValueError("composition: 'pointwise' needs one resolution for both problems")
 
     def gap_of(self, problem: Problem) -> Gap | None:
         """Return the gap of one problem."""
@@ -210,216 +346,24 @@ class CampaignConfig(Model):
         return problem.window or self.window
 
     def replicates_of(self, problem: Problem) -> int:
-        """Rollouts per test and variant of one problem."""
+        """Return the rollouts per test and variant of one problem."""
         return problem.replicates or self.replicates
 
     def resolution_of(self, problem: Problem) -> int:
-        """Lattice nodes per parameter of one problem."""
+        """Return the lattice nodes per parameter of one problem."""
         return problem.resolution or self.resolution
 
     def max_tests_of(self, problem: Problem) -> int:
-        """Budget of one problem."""
+        """Return the budget of one problem."""
         return problem.max_tests or self.max_tests
+
+    def candidates_of(self, problem: Problem) -> int:
+        """Return how many starting conditions a problem chooses from."""
+        if isinstance(self.space, Scenarios):
+            return len(self.space.scenarios)
+        return int(self.resolution_of(problem) ** len(self.space))
 
     @property
     def digest(self) -> str:
         """Identity of the campaign, whatever the layout of its file."""
         return digest(self.model_dump(mode="json"))
-
-
-def parse(data: bytes, source: str, **overrides: Any) -> CampaignConfig:
-    """Read the bytes of a campaign file; `overrides` replace top-level keys.
-
-    Raises:
-        CampaignError: one line with the file, the key and the allowed values.
-
-    """
-    try:
-        table = tomllib.loads(data.decode("utf-8-sig"))
-        dates = [f"{key}: {value}" for key, value in _leaves(table, "") if isinstance(value, date | time)]
-        text = json.dumps({**table, **overrides}, default=str)
-    except UnicodeDecodeError as error:
-        raise CampaignError(f"{source}: not UTF-8 (byte {error.start}); save the file as UTF-8") from None
-    except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and lists without end
-        raise CampaignError(f"{source}: not TOML: {str(error).partition(';')[0]}") from None
-    if not table:
-        raise CampaignError(f"{source}: the file is empty; see deploy/campaigns for examples")
-    if dates:
-        raise CampaignError(f"{source}: {dates[0]} is a date or time, which no key takes; put text in quotes")
-    try:
-        return CampaignConfig.model_validate_json(text)
-    except ValidationError as error:
-        raise CampaignError(f"{source}: {_explain(error, table)}") from None
-
-
-def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield (key, value) of everything in a TOML value that is neither table nor list."""
-    inner: Any = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else None
-    if inner is None:
-        yield key, value
-        return
-    for part, child in inner:
-        yield from _leaves(child, f"{key}.{part}" if key else str(part))
-
-
-def _explain(error: ValidationError, table: dict[str, Any]) -> str:
-    """Return the first fault in one line: key, value, what is allowed; and how many more there are."""
-    # A misspelt key makes two faults; the one to read is that it is unknown, not that the right one is missing.
-    faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
-    text = _describe(faults[0], _key(faults[0]["loc"], table))
-    places = {_without_union(fault["loc"]) for fault in faults}
-    # A list is "too short" for pydantic if its entries are wrong: that is no fault of its own.
-    more = sum(not any(other != place == other[: len(place)] for other in places) for place in places) - 1
-    return text if more == 0 else f"{text} (and {more} more)"
-
-
-def _key(location: Location, table: dict[str, Any]) -> str:
-    """Return the dotted key of a fault; a problem goes by its name."""
-    parts = [str(part) for part in _without_union(location)]
-    if parts and parts[0] == "problems" and len(parts) > 1 and parts[2:] != ["name"]:
-        problem = table["problems"][int(parts[1])]
-        name = problem.get("name") if isinstance(problem, dict) else None
-        parts[1] = name if isinstance(name, str) and name in SENSES else parts[1]
-    return ".".join(parts)
-
-
-def _without_union(location: Location) -> Location:
-    """Drop pydantic's name of the member of a union."""
-    return location[:-1] if location and location[-1] in _UNION_MEMBERS else location
-
-
-def _describe(fault: Any, key: str) -> str:
-    kind, message, location = fault["type"], str(fault["msg"]), _without_union(fault["loc"])
-    if kind == "extra_forbidden":
-        allowed = list(_model_at(location[:-1]).model_fields)
-        near = difflib.get_close_matches(str(location[-1]), allowed, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        return f"{key}: unknown key; {hint}allowed are {', '.join(sorted(allowed))}"
-    if kind == "value_error":
-        reason = message.removeprefix("Value error, ")
-        return f"{key}.{reason}" if key else reason
-    if kind == "json_invalid":
-        return f"not a value that JSON can hold: {message}"
-    allowed_text = _allowed(location) or message.removeprefix("Input should be ").replace("an object", "a table")
-    if kind == "missing" and isinstance(location[-1], str):
-        what = "" if allowed_text == message else f": {allowed_text}"
-        return f"{key}: this key is required{what}"
-    value = fault.get("input")
-    shown = "a table" if isinstance(value, dict) else repr(value)[:80]
-    return f"{key}: {shown} is not allowed: allowed is {allowed_text}"
-
-
-def _allowed(location: Location) -> str:
-    """Return what a key may hold, in words; empty where pydantic says it better."""
-    names = tuple(part for part in location if isinstance(part, str))
-    if names in _WORDS:
-        return _WORDS[names]
-    if names[0] == "system" and names[-1] != "name":
-        return "text or a number, as the system has it: see `perfbound systems`"
-    field = _model_at(location[:-1]).model_fields.get(names[-1])
-    if field is not None and get_origin(field.annotation) is Literal:
-        return f"one of {', '.join(map(repr, get_args(field.annotation)))}"
-    kinds = {field.annotation, *get_args(field.annotation)} if field else set()
-    number = "a whole number" if int in kinds else "a number" if float in kinds else ""
-    if field is None or not number:
-        return "text in quotes" if str in kinds else ""
-    limits = [
-        f"{sign} {limit}"
-        for constraint in field.metadata
-        for bound, sign in _LIMITS.items()
-        if (limit := getattr(constraint, bound, None)) is not None
-    ]
-    return f"{number} {' and '.join(limits)}".strip()
-
-
-def _model_at(location: Location) -> type[Model]:
-    """Return the model of the table at a place in the file."""
-    models: dict[int | str, type[Model]] = {
-        "problems": Problem,
-        "kernel": MaternKernel,
-        "gap": Gap,
-        "space": Range,
-        "system": SystemChoice,
-    }
-    if location and location[0] in ("space", "system"):  # whose keys are the user's
-        return models[location[0]]
-    names = [part for part in location if part in models]
-    return models[names[-1]] if names else CampaignConfig
-
-
-def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
-    """Check what only the system under test can decide: parameters, columns, options, horizon.
-
-    Raises:
-        CampaignError: one line with the file, the key and the allowed values.
-
-    """
-    for fault in _faults(config, spec):
-        raise CampaignError(f"{source}: {fault}")
-
-
-def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    return [*_space_faults(config, spec), *_option_faults(config, spec), *_rollout_faults(config, spec)]
-
-
-def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    known = {parameter.name: parameter for parameter in spec.parameters}
-    faults = [
-        f"space.{name}: unknown parameter; {spec.name} has {', '.join(known)}" for name in config.space.keys() - known
-    ]
-    faults += [f"space.{name}: this parameter of {spec.name} is required" for name in known if name not in config.space]
-    for name, box in config.space.items():
-        parameter = known.get(name)
-        if parameter is None:
-            continue
-        if not parameter.low <= box.low <= box.high <= parameter.high:
-            faults.append(
-                f"space.{name}: [{box.low:g}, {box.high:g}] leaves [{parameter.low:g}, {parameter.high:g}] "
-                f"{parameter.unit}, the range of {spec.name}"
-            )
-        if box.unit not in ("", parameter.unit):
-            faults.append(f"space.{name}.unit: {box.unit!r} is not allowed: {spec.name} takes {parameter.unit!r}")
-    return faults
-
-
-def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    known = {option.name: option for option in spec.options}
-    faults = []
-    for name, value in config.system.options.items():
-        option = known.get(name)
-        if option is None:
-            allowed = ", ".join(["name", *known])
-            faults.append(f"system.{name}: unknown key; allowed for {spec.name} are {allowed}")
-        elif option.choices:
-            if value not in option.choices:
-                faults.append(f"system.{name}: {value!r} is not allowed: choose from {', '.join(option.choices)}")
-        elif not isinstance(value, int | float) or not _within(value, option.low, option.high):
-            limits = [
-                f"{sign} {limit:g}" for sign, limit in ((">=", option.low), ("<=", option.high)) if limit is not None
-            ]
-            allowed = " ".join(["a number", " and ".join(limits), option.unit]).strip()
-            faults.append(f"system.{name}: {value!r} is not allowed: allowed is {allowed}")
-    return faults
-
-
-def _within(value: float, low: float | None, high: float | None) -> bool:
-    return (low is None or low <= value) and (high is None or value <= high)
-
-
-def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    columns = [column.name for column in spec.columns]
-    faults = []
-    if config.horizon > spec.max_horizon:
-        faults.append(f"horizon: {config.horizon:g} s is more than the {spec.max_horizon:g} s of {spec.name}")
-    for problem in config.problems:
-        missing = set(ROLLED_OUT[problem.name]) - set(spec.variants)
-        if missing:
-            faults.append(f"problems.{problem.name}: {spec.name} has no variant {', '.join(sorted(missing))}")
-    chosen = {"gap.column": config.gap.column if config.gap else None}
-    for problem in config.problems:
-        chosen[f"problems.{problem.name}.gap.column"] = problem.gap.column if problem.gap else None
-        chosen[f"problems.{problem.name}.column"] = problem.column
-    for key, column in chosen.items():
-        if column is not None and column not in columns:
-            faults.append(f"{key}: no column {column!r}; {spec.name} has {', '.join(columns)}")
-    return faults

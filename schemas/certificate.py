@@ -6,13 +6,13 @@ from typing import Literal
 from pydantic import Field
 
 from schemas.base import Model
-from schemas.campaign import ProblemName, Sense
+from schemas.campaign import ProblemName, Rule, Sense
 
 STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE = "urn:perfbound:certificate:v1"
 
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
-StoppedBy = Literal["converged", "budget"]
+StoppedBy = Literal["converged", "budget", "refuted"]
 
 
 class Subject(Model):
@@ -37,7 +37,7 @@ class Claim(Model):
     sense: Literal[">=", "<="]
     bound: float
     probability: float
-    rule: Literal["product", "sum", "single"]
+    rule: Rule
     method: str
     assumptions: tuple[str, ...]
 
@@ -57,13 +57,14 @@ class ProblemResult(Model):
     method: str
     sense: Sense
     bound: float
+    partner: float | None = Field(description="the bound from the other side; None in method paper, which has none")
     probability: float
-    probabilities: dict[Literal["gaussian", "sub-gaussian"], float]
+    probabilities: dict[Literal["gaussian", "sub-gaussian", "bound"], float]
     tests: int
     rollouts: Rollouts
     stopped_by: StoppedBy
     parameters: dict[str, object]
-    last_F: float  # noqa: N815  (the paper's symbol)
+    last_F: float | None  # noqa: N815  (the paper's symbol)
 
 
 class Assumption(Model):
@@ -77,7 +78,7 @@ class Assumption(Model):
 class Composition(Model):
     """bound = nominal_bound - gap_term - risk_term."""
 
-    rule: Literal["product", "sum"]
+    rule: Rule
     nominal_bound: float
     gap_bound: float
     lipschitz: float

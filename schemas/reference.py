@@ -6,7 +6,19 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from schemas.campaign import CampaignConfig, Gap, MaternKernel, Problem, Range, SystemChoice
+from schemas.campaign import (
+    CampaignConfig,
+    Gap,
+    Linearised,
+    MaternKernel,
+    PaperProblem,
+    Range,
+    RigorousProblem,
+    ScenarioProblem,
+    Scenarios,
+    SystemChoice,
+    Weighted,
+)
 
 HEAD = """# Reference: campaign files
 
@@ -18,9 +30,14 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Top level", "", CampaignConfig),
     ("[system]", "And the options of the system, by name: `perfbound systems` lists them.", SystemChoice),
     ("[space]", 'One entry per parameter of the system: `x = { low = 0.0, high = 5.0, unit = "m" }`.', Range),
-    ("[[problems]]", "One table per optimisation problem; each name at most once.", Problem),
+    ("[space], scenarios", "Instead of ranges: `scenarios = [[0.5, 0.5], [1.5, 0.5]]`.", Scenarios),
+    ("[[problems]], method paper", "One table per optimisation problem; each name at most once.", PaperProblem),
+    ("[[problems]], method rigorous", "", RigorousProblem),
+    ("[[problems]], method scenario", "", ScenarioProblem),
     ("kernel", "", MaternKernel),
     ("gap", "", Gap),
+    ("linearised", "", Linearised),
+    ("regulariser, entries of a mixture", "", Weighted),
 )
 
 

@@ -25,7 +25,8 @@ from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
 from orchestrator.versions import software
 from schemas import keys
-from schemas.campaign import CampaignConfig, check_against
+from schemas.campaign import CampaignConfig
+from schemas.campaign_check import check_against
 from schemas.messages import (
     MAX_RESULT,
     MessageError,
@@ -329,7 +330,7 @@ def serve(
             port.start(journal.header.run, server.inbox.put)
             server.run()
         found = manifest((sha256, path) for _, sha256, path in journal.observed())
-        files.write(directory, issue(journal.header, ledger.accounts, found), found.manifest)
+        files.write(directory, issue(journal.header, ledger.accounts, ledger.proposer.methods, found), found.manifest)
     return (directory / files.CERTIFICATE).read_text()
 
 

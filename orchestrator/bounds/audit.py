@@ -199,6 +199,135 @@ def centred_risk(problem: str, replicates: int) -> Assumption:
     return Assumption(f"centred_noise/{problem}", "refuted", detail)
 
 
+def norm_from_data(problem: str, *, b_min: float, rkhs_norm: float, delta: float, noise_scale: float) -> Assumption:
+    """Test the norm bound B against the smallest norm that the data allow (method `rigorous`).
+    Implements THEORY section 5.
+
+    Formula: B_min = max over n and over a, 7 decades, of sqrt(max(0, y'(K + aI)^-1 y - Q/a)); refuted if B_min > B. The
+    maximum over n is never withdrawn and costs nothing: the confidence set holds for all n at once.
+
+    Raises:
+        ValueError: `b_min` is negative or not finite.
+
+    >>> norm_from_data("sim_gap", b_min=0.5, rkhs_norm=0.2, delta=0.05, noise_scale=0.05).status
+    'refuted'
+
+    """
+    if not (math.isfinite(b_min) and b_min >= 0):
+        raise ValueError(f"b_min must be a finite number >= 0, not {b_min!r}")
+    sure = "with certainty" if noise_scale == 0 else f"at confidence {_number(1 - delta)}"
+    numbers = f"the observations need a norm of at least {_number(b_min)} {sure}; B = {_number(rkhs_norm)}"
+    if b_min > rkhs_norm:
+        detail = f"{numbers} is below it, so B, R, the kernel, the prior mean or the independence is wrong."
+        return Assumption(f"rkhs_norm/{problem}", "refuted", detail)
+    detail = (
+        f"{numbers} leaves a margin of {_number(rkhs_norm - b_min)}, and this is not evidence for B: a B that is far "
+        "too small often passes."
+    )
+    return Assumption(f"rkhs_norm/{problem}", "not refuted", detail)
+
+
+def bounds_agree(problem: str, *, upper: float, lower: float) -> Assumption:
+    """Test whether the proven upper bound lies above the proven lower bound (method `rigorous`).
+    Implements THEORY section 5.
+
+    Formula: refuted if min U < max L - 1e-9.
+    """
+    numbers = f"the smallest upper bound is {_number(upper)} and the largest lower bound {_number(lower)}"
+    if upper < lower - 1e-9:
+        detail = f"{numbers}: they contradict each other, so at least one assumption behind them is wrong."
+        return Assumption(f"bounds_agree/{problem}", "refuted", detail)
+    return Assumption(f"bounds_agree/{problem}", "not refuted", f"{numbers}, which is not evidence for either.")
+
+
+def replicate_spread(problem: str, replicates: Sequence[Sequence[float]], *, noise_scale: float) -> Assumption:
+    """Compare the spread of replicates with R of one rollout: a hint, since R-sub-Gaussian noise has variance <= R^2.
+
+    Formula: pooled sd = sqrt(sum (v - mean of its test)^2 / (values - tests)).
+
+    Raises:
+        ValueError: a value is not finite.
+
+    """
+    groups = [values for values in replicates if len(values) > 1]
+    freedom = sum(len(values) - 1 for values in groups)
+    name = f"replicate_spread/{problem}"
+    if not freedom:
+        return Assumption(name, "assumed", "no test has two replicates, so nothing was compared with the noise scale.")
+    means = [math.fsum(values) / len(values) for values in groups]
+    squares = math.fsum((v - mean) ** 2 for values, mean in zip(groups, means, strict=True) for v in values)
+    if not math.isfinite(squares):
+        raise ValueError(f"the audit of {problem} needs finite replicates")
+    sd = math.sqrt(squares / freedom)
+    verdict = (
+        "above it, a hint that R is too small" if sd > noise_scale else "not above it, which is not evidence for R"
+    )
+    detail = (
+        f"the replicates of {len(groups)} tests have a pooled standard deviation of {_number(sd)} per rollout; the "
+        f"noise scale is {_number(noise_scale)} and the spread is {verdict}."
+    )
+    return Assumption(name, "assumed" if sd > noise_scale else "not refuted", detail)
+
+
+def deterministic_variant(problem: str, replicates: Sequence[Sequence[float]]) -> Assumption:
+    """Test R = 0: rollouts of one test must agree bit by bit, and so must tests at one place.
+
+    `replicates` holds the values of equal inputs: one inner sequence per place.
+
+    >>> deterministic_variant("nominal_robustness", [(0.7, 0.7), (0.6, 0.61)]).status
+    'refuted'
+    """
+    name = f"deterministic/{problem}"
+    repeated = [values for values in replicates if len(values) > 1]
+    differing = sum(any(value != values[0] for value in values) for values in repeated)
+    if differing:
+        detail = (
+            f"at {differing} of {len(repeated)} repeated places the values differ although R = 0 says that the variant "
+            "is deterministic: give R > 0."
+        )
+        return Assumption(name, "refuted", detail)
+    if not repeated:
+        return Assumption(
+            name, "assumed", "R = 0 is taken from the campaign file, and no place was repeated to test it."
+        )
+    detail = f"the values at {len(repeated)} repeated places agree bit by bit, as R = 0 demands."
+    return Assumption(name, "not refuted", detail)
+
+
+def noise_range(problem: str, *, noise_scale: float, hoeffding: float) -> Assumption:
+    """Compare R with half the range of the observation, both per rollout: from there on R is proven, not assumed.
+
+    >>> noise_range("sim_gap", noise_scale=0.4, hoeffding=0.4).status
+    'derived'
+    """
+    numbers = f"the noise scale per rollout is {_number(noise_scale)}, and the clip alone proves {_number(hoeffding)}"
+    if noise_scale >= hoeffding:
+        detail = f"{numbers} (Hoeffding's lemma), so it needs no assumption."
+        return Assumption(f"noise_scale/{problem}", "derived", detail)
+    detail = f"{numbers}: the smaller number is taken from the campaign file."
+    return Assumption(f"noise_scale/{problem}", "assumed", detail)
+
+
+def certified_box(problem: str, *, nodes: float, slack: float) -> Assumption:
+    """Say that the bound covers the box between the nodes, and what that added."""
+    detail = (
+        f"the largest upper value on the candidates is {_number(nodes)}, and covering the box between them adds "
+        f"{_number(slack)}, which the bound contains."
+    )
+    return Assumption(f"lattice/{problem}", "derived", detail)
+
+
+def misspecification(problem: str, *, tau: float, nu: float, length_scale: float, rkhs_norm: float) -> Assumption:
+    """Say that the objective is taken to lie in the ball of the kernel, up to tau."""
+    near = "lies in" if tau == 0 else f"is nowhere further than {_number(tau)} from"
+    detail = (
+        f"the objective minus the prior mean {near} the ball of radius {_number(rkhs_norm)} of the Matern kernel with "
+        f"nu = {_number(nu)} and length scale {_number(length_scale)}: a choice in the campaign file that no data can "
+        "prove."
+    )
+    return Assumption(f"kernel/{problem}", "assumed", detail)
+
+
 def _number(value: float) -> str:
     """Format compactly and equally everywhere: up to 6 significant digits, no trailing zeros."""
     return f"{value:.6g}"

@@ -9,6 +9,9 @@
 | [-m, M]   | `clip`          | range of the clipped robustness                                 | unit of robustness |
 | ell       | `ell`           | lower bound of min_d E[rho] - r sd(rho) of the true system      | unit of robustness |
 | Delta_j   | `probabilities` | probability of each bound                                       | -    |
+| b, mu     | `mean`          | (lower bound of) the least expected robustness of the true system | unit of robustness |
+| c0, h     |                 | (M - m)/2, (M + m)/2: centre and half width of the clip         | unit of robustness |
+| phi(mu)   | `bhatia_davis`  | least E - r sd of a variable in [-m, M] with mean mu            | unit of robustness |
 """
 
 import math
@@ -17,7 +20,15 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Literal
 
+from orchestrator.bounds.cover import certified_maximum
+from orchestrator.bounds.envelope import Envelope
+from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.points import Points
+
 Rule = Literal["product", "sum"]
+GapKind = Literal["signal_sup", "predicate_sup", "robustness"]
+NoiseKind = Literal["nominal_robustness", "signal_sup", "predicate_sup", "robustness"]
+VarianceBound = Literal["popoviciu", "bhatia-davis"]
 
 STEP = 10**9
 """Bounds are whole multiples of 1/STEP."""
@@ -101,6 +112,204 @@ def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
     if rule == "sum":
         return max(0.0, 1.0 - math.fsum(1.0 - p for p in probabilities))
     raise ValueError(f"rule is 'product' or 'sum', not {rule!r}")
+
+
+def bhatia_davis(mean: float, risk_weight: float, clip: tuple[float, float]) -> float:
+    """Return the least possible E - r sd of a variable in [-m, M] whose mean is at least `mean`, unit of robustness.
+    Implements eq. (variance) of [BD], THEORY section 3.2.
+
+    Formula: phi(mu) = mu - r sqrt((M - mu)(mu + m)) is convex with its minimum c0 - h sqrt(1 + r^2) at
+    c0 - h/sqrt(1 + r^2); right of it phi(b), left of it that minimum, b clipped to [-m, M].
+
+    Raises:
+        ValueError: a number is not finite, r is negative, or the clip is empty.
+
+    >>> round(bhatia_davis(0.558, 0.2, (-0.05, 0.75)), 6)
+    0.489667
+    >>> round(bhatia_davis(-0.05, 0.2, (-0.05, 0.75)), 6)
+    -0.057922
+
+    """
+    low, high = _checked_clip(clip)
+    _check_weight(risk_weight)
+    if not math.isfinite(mean):
+        raise ValueError(f"a bound needs finite numbers, not {mean!r}")
+    b, root = min(max(mean, low), high), math.sqrt(1.0 + risk_weight**2)
+    centre, half = (high + low) / 2.0, (high - low) / 2.0
+    if b <= centre - half / root:
+        return centre - half * root
+    return b - risk_weight * math.sqrt((high - b) * (b - low))
+
+
+@dataclass(frozen=True, slots=True)
+class RiskBound:
+    """ell <= min_d E[rho] - r sd(rho) and mean <= min_d E[rho] of the true system, with this probability."""
+
+    mean: float
+    ell: float
+    probability: float
+
+
+def compose_mean(
+    robustness: float, gap: float, *, kind: GapKind, clip: tuple[float, float], lipschitz: float = 1.0
+) -> float:
+    """Return the lower bound of the least expected true robustness that follows from two extremes, rounded down.
+    Implements THEORY section 3.1.
+
+    Formula: b = rho~ - L e~ for `signal_sup`; rho~ - e~ for `predicate_sup`, since min/max robustness is 1-Lipschitz in
+    it, and for `robustness`, the signed gap E[rho(nominal) - rho(true)]; never below -m, where the clip ends.
+    Assumes for `signal_sup` |rho(s) - rho(z)| <= L ||s - z||, otherwise nothing.
+
+    Raises:
+        ValueError: a number is not finite, L is negative or given for another kind, or the clip is empty.
+
+    >>> compose_mean(0.688, 0.13, kind="robustness", clip=(-0.05, 0.75))
+    0.558
+
+    """
+    low, _ = _checked_clip(clip)
+    lip = _decimal(lipschitz)
+    if lip < 0 or (kind != "signal_sup" and lip != 1):
+        raise ValueError(f"lipschitz is {lipschitz!r}; it must not be negative, and only signal_sup has one")
+    exact = _decimal(robustness) - lip * _decimal(gap)
+    return max(round_down(low), _on_lattice(math.floor(exact * STEP)))
+
+
+def compose_risk(
+    mean: float,
+    *,
+    risk_weight: float,
+    clip: tuple[float, float],
+    variance: VarianceBound,
+    spent: Sequence[tuple[float, float]],
+) -> RiskBound:
+    """Return the bound of the risk that follows from the bound `mean` of the least expected robustness, rounded down.
+    Implements THEORY section 3.2 and 3.4.
+
+    Formula: ell = phi(b) (`bhatia_davis`), or b - r (M + m)/2 (`popoviciu`, as in Theorem 2 of [ARA]); the probability
+    is that of `confidence`.
+
+    Raises:
+        ValueError: a number is outside its range.
+
+    >>> compose_risk(0.558, risk_weight=0.2, clip=(-0.05, 0.75), variance="bhatia-davis", spent=((0.05, 0.05),))
+    RiskBound(mean=0.558, ell=0.489666..., probability=0.95)
+
+    """
+    low, high = _checked_clip(clip)
+    _check_weight(risk_weight)
+    if variance == "bhatia-davis":
+        ell = round_down(bhatia_davis(mean, risk_weight, clip) - STEP**-1 / 1000.0)  # round-off of the square root
+    elif variance == "popoviciu":
+        spread = _decimal(risk_weight) * (_decimal(high) - _decimal(low)) / 2
+        ell = _on_lattice(math.floor((_decimal(mean) - spread) * STEP))
+    else:
+        raise ValueError(f"variance is 'popoviciu' or 'bhatia-davis', not {variance!r}")
+    return RiskBound(mean, ell, confidence(spent))
+
+
+def confidence(spent: Sequence[tuple[float, float]]) -> float:
+    """Return the probability that all bounds hold at once, from (delta_j, R_j) of each, rounded down.
+    Implements THEORY section 3.4.
+
+    Formula: 1 - sum of delta_j over the problems with R_j > 0: a bound without noise is certain and spends nothing.
+
+    Raises:
+        ValueError: a delta is outside (0, 1), an R is negative, or none is given.
+
+    >>> confidence([(0.05, 0.0), (0.05, 0.05)])
+    0.95
+
+    """
+    if not spent:
+        raise ValueError("a composition needs at least one bound")
+    for delta, noise in spent:
+        if not (0.0 < delta < 1.0 and noise >= 0.0):
+            raise ValueError(f"delta must lie in (0, 1) and R must not be negative, not {delta!r} and {noise!r}")
+    exact = 1 - sum((_decimal(delta) for delta, noise in spent if noise > 0), start=Fraction(0))
+    return max(0.0, _on_lattice(math.floor(exact * STEP)))
+
+
+def pointwise_mean(
+    robustness: Envelope,
+    gap: Envelope,
+    candidates: Lattice | Points,
+    *,
+    clip: tuple[float, float],
+    lipschitz: float = 1.0,
+    slack: float,
+    extremes: float,
+    max_cells: int = 20_000,
+) -> float:
+    """Return the lower bound of the least expected true robustness from two bands over one Z, rounded down.
+    Implements THEORY section 3.3.
+
+    Formula: min_d [LCB_rho(d) - L UCB_gap(d)] = -max_d [U_1(d) + L U_2(d)], U_1 being the upper band of J = -rho; over
+    a box the maximum is certified to within `slack`. `extremes` (`compose_mean`) holds on the same event, so the larger
+    one counts.
+    Assumes that both bands hold: their deltas add up as in `confidence`.
+
+    Raises:
+        ValueError: slack or L is not positive, or the clip is empty.
+
+    """
+    if not (slack > 0 and lipschitz > 0):
+        raise ValueError(f"slack and lipschitz must be positive, not {slack!r} and {lipschitz!r}")
+    low, _ = _checked_clip(clip)
+    bands = (robustness, gap.scaled(lipschitz))
+    top = float((bands[0].at(candidates.nodes)[0] + bands[1].at(candidates.nodes)[0]).max())
+    if isinstance(candidates, Lattice):
+        top = certified_maximum(bands, candidates, nodes=top, slack=slack, max_cells=max_cells).upper
+    return max(extremes, round_down(max(low, -top)))
+
+
+def derived_noise_scale(
+    kind: NoiseKind,
+    clip: tuple[float, float],
+    *,
+    deterministic_nominal: bool,
+    common_seeds: bool,
+    lipschitz: float = 1.0,
+) -> float:
+    """Return the R of one rollout (or pair) that boundedness alone proves, in the unit of the observation.
+    Implements eq. (Hoeffding's lemma) of THEORY section 3.1.
+
+    Formula: half the range of y. (M + m)/2 for a robustness and for a sup gap clipped at (M + m)/L (divided by L: the
+    unit of the signal); for the signed gap (M + m)/2 with a deterministic nominal system, (M + m)/sqrt(2) for
+    independent draws, M + m with common seeds. 0 for the robustness of a deterministic nominal system.
+
+    Raises:
+        ValueError: the clip is empty, the kind is unknown, or L is not positive.
+
+    >>> derived_noise_scale("robustness", (-0.05, 0.75), deterministic_nominal=True, common_seeds=False)
+    0.4
+
+    """
+    low, high = _checked_clip(clip)
+    if not (math.isfinite(lipschitz) and lipschitz > 0):
+        raise ValueError(f"lipschitz must be a positive finite number, not {lipschitz!r}")
+    width = float(_decimal(high) - _decimal(low))
+    if kind == "nominal_robustness":
+        return 0.0 if deterministic_nominal else width / 2.0
+    if kind == "signal_sup":
+        return width / (2.0 * lipschitz)
+    if kind == "predicate_sup":
+        return width / 2.0
+    if kind == "robustness":
+        return width / 2.0 if deterministic_nominal else width if common_seeds else width / math.sqrt(2.0)
+    raise ValueError(f"no noise scale can be derived for {kind!r}")
+
+
+def _checked_clip(clip: tuple[float, float]) -> tuple[float, float]:
+    low, high = clip
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end, both finite")
+    return low, high
+
+
+def _check_weight(risk_weight: float) -> None:
+    if not (math.isfinite(risk_weight) and risk_weight >= 0):
+        raise ValueError(f"risk_weight must be a finite number >= 0, not {risk_weight!r}")
 
 
 def round_down(x: float) -> float:

@@ -5,7 +5,7 @@ import json
 import os
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,8 +49,8 @@ class ProposalFact:
     test: int
     node: int
     x: tuple[float, ...]
-    mu: float
-    sigma: float
+    mu: float | None
+    sigma: float | None
     beta: float | None
     F: float | None
 
@@ -69,11 +69,12 @@ class RolloutFact:
 
 @dataclass(frozen=True, slots=True)
 class ObservationFact:
-    """y of a test; `chain` is the head of the problem's hash chain after it."""
+    """y of a test, and what each replicate contributed; `chain` is the head of the problem's hash chain after it."""
 
     problem: str
     test: int
     y: float
+    each: tuple[float, ...]
     chain: str
 
 
@@ -83,7 +84,8 @@ class BoundFact:
 
     problem: str
     test: int
-    epsilon: float | None
+    upper: float | None
+    lower: float | None
     stopped_by: StoppedBy | None
 
 
@@ -95,7 +97,7 @@ def first_link(header: Header, problem: str) -> str:
     return digest({"config": header.config.digest, "system": header.spec.digest, "problem": problem})
 
 
-def next_link(link: str, proposal: ProposalFact, rollouts: list[RolloutFact], y: float) -> str:
+def next_link(link: str, proposal: ProposalFact, rollouts: list[RolloutFact], y: float, each: Sequence[float]) -> str:
     """Return the head of a problem's hash chain after one more observed test.
 
     Rollouts enter in the order of their ids, whatever order they arrived in.
@@ -104,6 +106,7 @@ def next_link(link: str, proposal: ProposalFact, rollouts: list[RolloutFact], y:
         "test": [proposal.test, proposal.node, proposal.x, proposal.mu, proposal.sigma, proposal.beta, proposal.F],
         "rollouts": sorted([str(fact.rollout), fact.seed, fact.sha256] for fact in rollouts),
         "y": y,
+        "each": list(each),
     }
     return hashlib.sha256((link + canonical_json(fact)).encode()).hexdigest()
 
@@ -284,11 +287,11 @@ def read_facts(connection: Connection) -> Iterator[Fact]:
         rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
         rows.append((row.seq, RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)))
     rows += [
-        (row.seq, ObservationFact(row.problem, row.test, row.y, row.chain))
+        (row.seq, ObservationFact(row.problem, row.test, row.y, tuple(json.loads(row.each)), row.chain))
         for row in connection.execute(sa.select(tables.observations))
     ]
     rows += [
-        (row.seq, BoundFact(row.problem, row.test, row.epsilon, row.stopped_by))
+        (row.seq, BoundFact(row.problem, row.test, row.upper, row.lower, row.stopped_by))
         for row in connection.execute(sa.select(tables.bounds))
     ]
     rows.sort(key=lambda pair: pair[0])
@@ -320,7 +323,8 @@ def _row(fact: Fact) -> tuple[sa.Table, dict[str, Any]]:
             row |= fact.rollout._asdict()
             table = tables.rollouts
         case ObservationFact():
-            row, table = _fields(fact), tables.observations
+            row = _fields(fact) | {"each": canonical_json(list(fact.each))}
+            table = tables.observations
         case BoundFact():
             row, table = _fields(fact), tables.bounds
     canonical_json(row)

@@ -22,7 +22,8 @@ class ProblemProgress:
     tests: int
     rollouts: int
     last_F: float | None  # noqa: N815  (the paper's symbol)
-    epsilon: float | None
+    upper: float | None
+    lower: float | None
     stopped_by: str | None
 
 
@@ -82,7 +83,7 @@ def _problem(connection: Connection, name: str) -> ProblemProgress:
     tests, rollouts, bounds = tables.tests, tables.rollouts, tables.bounds
     joined = bounds.join(tests, (bounds.c.problem == tests.c.problem) & (bounds.c.test == tests.c.test))
     last = connection.execute(
-        sa.select(tests.c.F, bounds.c.epsilon, bounds.c.stopped_by, bounds.c.test)
+        sa.select(tests.c.F, bounds.c.upper, bounds.c.lower, bounds.c.stopped_by, bounds.c.test)
         .select_from(joined)
         .where(bounds.c.problem == name)
         .order_by(bounds.c.test.desc())
@@ -91,8 +92,8 @@ def _problem(connection: Connection, name: str) -> ProblemProgress:
     count = sa.select(sa.func.count()).select_from(rollouts).where(rollouts.c.problem == name)
     recorded = connection.execute(count).scalar_one()
     if last is None:
-        return ProblemProgress(name, 0, recorded, None, None, None)
-    return ProblemProgress(name, last.test + 1, recorded, last.F, last.epsilon, last.stopped_by)
+        return ProblemProgress(name, 0, recorded, None, None, None, None)
+    return ProblemProgress(name, last.test + 1, recorded, last.F, last.upper, last.lower, last.stopped_by)
 
 
 def _rate(connection: Connection) -> float:

@@ -35,8 +35,8 @@ tests = Table(
     Column("test", Integer, nullable=False),
     Column("node", Integer, nullable=False),  # index of z on the lattice
     Column("x", Text, nullable=False),  # z, JSON, units of the parameters
-    Column("mu", REAL, nullable=False),
-    Column("sigma", REAL, nullable=False),
+    Column("mu", REAL),
+    Column("sigma", REAL),
     Column("beta", REAL),  # NULL for the first test, which nothing chose
     Column("F", REAL),
     UniqueConstraint("problem", "test"),
@@ -68,6 +68,7 @@ observations = Table(
     Column("problem", Text, nullable=False),
     Column("test", Integer, nullable=False),
     Column("y", REAL, nullable=False),  # of the maximised objective J
+    Column("each", Text, nullable=False),  # what each replicate contributed, JSON
     Column("chain", Text, nullable=False),  # head of the problem's hash chain after this observation
     UniqueConstraint("problem", "test"),
     ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
@@ -80,7 +81,8 @@ bounds = Table(
     Column("seq", Integer, primary_key=True),
     Column("problem", Text, nullable=False),
     Column("test", Integer, nullable=False),
-    Column("epsilon", REAL),  # upper bound on J if the campaign stopped here; NULL before the first proposal
+    Column("upper", REAL),  # upper bound on max J if the campaign stopped here; NULL where the method has none yet
+    Column("lower", REAL),  # its partner; NULL in method paper, which has none
     Column("stopped_by", Text),
     UniqueConstraint("problem", "test"),
     ForeignKeyConstraint(["problem", "test"], ["observations.problem", "observations.test"]),

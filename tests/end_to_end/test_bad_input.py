@@ -129,7 +129,7 @@ def changed(old: str, new: str) -> str:
         ('name = "segway-paper"', 'name = "-rf"', "name", "the first a letter or digit"),
         ('name = "segway-paper"', 'name = "a\\nb"', "name", r"'a\nb' is not allowed"),
         ("seed = 1\n", 'seed = 1\n"\\n\\u001b[2J" = 1\n', r"\n\x1b[2J", "unknown key"),
-        ('composition = "product"', "", "composition", "this key is required: one of 'product', 'sum', 'single'"),
+        ('composition = "product"', "", "composition", "this key is required: one of 'product', 'sum', "),
     ],
 )
 def test_a_wrong_key_is_named_with_what_is_allowed(here: Here, old: str, new: str, key: str, allowed: str) -> None:

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from orchestrator.bounds import audit
+from orchestrator.bounds.confidence import mixture
+from orchestrator.bounds.rigorous import RigorousMethod
 from orchestrator.gp.kernels import Matern
 from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.points import Points
 
 
 def norm(y: list[float], **changed: float) -> audit.Assumption:
@@ -52,6 +55,68 @@ class TestNorm:
     def test_refuses(self, y: list[float]) -> None:
         with pytest.raises(ValueError, match="sim_gap needs finite"):
             norm(y)
+
+
+class TestRigorous:
+    def test_norm_from_data(self) -> None:
+        def result(b_min: float, noise: float = 0.05) -> audit.Assumption:
+            return audit.norm_from_data("gap", b_min=b_min, rkhs_norm=0.2, delta=0.05, noise_scale=noise)
+
+        assert (result(0.21).id, result(0.21).status) == ("rkhs_norm/gap", "refuted")
+        assert "at least 0.21 at confidence 0.95" in result(0.21).detail
+        assert "with certainty" in result(0.21, noise=0.0).detail
+        assert result(0.2).status == "not refuted"
+        assert "margin of 0.05" in result(0.15).detail
+        assert "not evidence" in result(0.15).detail
+        with pytest.raises(ValueError, match="b_min"):
+            result(math.nan)
+
+    def test_the_papers_test_function_is_refuted(self) -> None:
+        lattice, rng = Lattice((0, 0), (5, 5), 51), np.random.default_rng(0)
+        points = Points(tuple(map(tuple, lattice.nodes[rng.choice(2601, 25, replace=False)].tolist())))
+        method = RigorousMethod(
+            points,
+            Matern(10, 1.0),
+            rkhs_norm=0.25,
+            noise_scale=0.005,
+            delta=0.05,
+            alpha=0.015,
+            regularisers=mixture(0.25, 0.005),
+        )
+        for z, (x, y) in enumerate(points.nodes):
+            method.observe(z, math.sin(x) * math.cos(y) / 2 + rng.normal(0, 0.001))
+        assert method.bound().status == "refuted"
+        assert 0.6 <= method.bound().b_min <= 1.0
+
+    def test_bounds_agree(self) -> None:
+        assert audit.bounds_agree("a", upper=0.5, lower=0.4).status == "not refuted"
+        assert audit.bounds_agree("a", upper=0.4, lower=0.4 + 5e-10).status == "not refuted"
+        assert audit.bounds_agree("a", upper=0.4, lower=0.41).status == "refuted"
+
+    def test_replicate_spread_is_a_hint(self) -> None:
+        wide = audit.replicate_spread("a", [(0.0, 1.0), (0.5, 0.5)], noise_scale=0.1)
+        assert (wide.id, wide.status) == ("replicate_spread/a", "assumed")
+        assert "0.5 per rollout" in wide.detail
+        assert "hint" in wide.detail
+        assert audit.replicate_spread("a", [(0.0, 0.1)], noise_scale=0.1).status == "not refuted"
+        assert "no test has two" in audit.replicate_spread("a", [(0.0,)], noise_scale=0.1).detail
+        with pytest.raises(ValueError, match="finite"):
+            audit.replicate_spread("a", [(0.0, math.nan)], noise_scale=0.1)
+
+    def test_deterministic_variant(self) -> None:
+        assert audit.deterministic_variant("a", [(0.5, 0.5), (0.1,)]).status == "not refuted"
+        assert audit.deterministic_variant("a", [(0.5, math.nextafter(0.5, 1))]).status == "refuted"
+        assert audit.deterministic_variant("a", [(math.nan, math.nan)]).status == "refuted"
+        assert audit.deterministic_variant("a", [(0.5,)]).status == "assumed"
+
+    def test_noise_range(self) -> None:
+        assert audit.noise_range("a", noise_scale=0.4, hoeffding=0.4).status == "derived"
+        assert audit.noise_range("a", noise_scale=0.39, hoeffding=0.4).status == "assumed"
+
+    def test_kernel(self) -> None:
+        plain = audit.misspecification("a", tau=0.0, nu=0.5, length_scale=4, rkhs_norm=0.15)
+        assert (plain.id, plain.status) == ("kernel/a", "assumed")
+        assert "further than 0.01" in audit.misspecification("a", tau=0.01, nu=0.5, length_scale=4, rkhs_norm=1).detail
 
 
 class TestOthers:
@@ -119,6 +184,19 @@ class TestOthers:
             audit.independent_problems(["a", "b"], "sum"),
             audit.workers_honest(),
             audit.centred_risk("a", 2),
+            audit.norm_from_data("a", b_min=0.1, rkhs_norm=0.2, delta=0.05, noise_scale=0.1),
+            audit.norm_from_data("a", b_min=0.3, rkhs_norm=0.2, delta=0.05, noise_scale=0.0),
+            audit.bounds_agree("a", upper=1.0, lower=0.0),
+            audit.bounds_agree("a", upper=0.0, lower=1.0),
+            audit.replicate_spread("a", [(0.0, 1.0)], noise_scale=0.1),
+            audit.replicate_spread("a", [], noise_scale=0.1),
+            audit.deterministic_variant("a", [(0.0, 1.0)]),
+            audit.deterministic_variant("a", [(1.0, 1.0)]),
+            audit.deterministic_variant("a", []),
+            audit.noise_range("a", noise_scale=0.1, hoeffding=0.4),
+            audit.noise_range("a", noise_scale=0.4, hoeffding=0.4),
+            audit.certified_box("a", nodes=0.5, slack=0.01),
+            audit.misspecification("a", tau=0.0, nu=0.5, length_scale=4.0, rkhs_norm=0.15),
         ]
         for result in results:
             assert result.detail.endswith(".")

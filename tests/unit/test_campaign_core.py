@@ -59,12 +59,12 @@ HISTORY: dict[Phase, list[Event]] = {
     "absent": [],
     "running": [Proposed("p", 0)],
     "complete": [Proposed("p", 0), Recorded(rollout(0)), Recorded(rollout(0, "true"))],
-    "closed": [Proposed("p", 0), Recorded(rollout(0)), Recorded(rollout(0, "true")), Observed("p", 0, False)],
+    "closed": [Proposed("p", 0), Recorded(rollout(0)), Recorded(rollout(0, "true")), Observed("p", 0)],
 }
 EVENTS: dict[str, Event] = {
     "Proposed": Proposed("p", 0),
     "Recorded": Recorded(rollout(0)),
-    "Observed": Observed("p", 0, False),
+    "Observed": Observed("p", 0),
 }
 
 
@@ -106,7 +106,7 @@ def test_every_cell_of_the_table(phase: Phase, name: str) -> None:
 
 @pytest.mark.parametrize("name", EVENTS)
 def test_a_stopped_problem_proposes_and_observes_nothing_more(name: str) -> None:
-    history = [*HISTORY["complete"], Proposed("p", 1), Observed("p", 0, True)]
+    history = [*HISTORY["complete"], Proposed("p", 1), Observed("p", 0, "converged")]
     state = replay((a_plan(window=2),), history)
     assert state.done
     assert state.problems[0].phase(1) == "closed"
@@ -114,7 +114,7 @@ def test_a_stopped_problem_proposes_and_observes_nothing_more(name: str) -> None
         assert step(state, Recorded(rollout(1))) == (state, ())
         return
     for test in range(3):
-        event = Proposed("p", test) if name == "Proposed" else Observed("p", test, False)
+        event = Proposed("p", test) if name == "Proposed" else Observed("p", test)
         with pytest.raises(IllegalEvent):
             step(state, event)
 
@@ -127,10 +127,10 @@ def test_a_stopped_problem_proposes_and_observes_nothing_more(name: str) -> None
         (
             2,
             [Proposed("p", 0), Proposed("p", 1), Recorded(rollout(1)), Recorded(rollout(1, "true"))],
-            Observed("p", 1, False),
+            Observed("p", 1),
             "test 0 is to be observed",
         ),
-        (2, HISTORY["complete"], Observed("p", 0, False), "a proposal is due"),
+        (2, HISTORY["complete"], Observed("p", 0), "a proposal is due"),
         (1, HISTORY["running"], Recorded(rollout(0, "true", 1)), "no such rollout"),
         (1, [], Proposed("q", 0), "no problem 'q'"),
     ],
@@ -144,7 +144,7 @@ def test_the_rules_beyond_the_table(window: int, history: list[Event], event: Ev
 
 def test_the_budget_ends_a_problem() -> None:
     state = replay((a_plan(max_tests=1),), HISTORY["complete"])
-    state, actions = step(state, Observed("p", 0, False))
+    state, actions = step(state, Observed("p", 0))
     assert (state.problems[0].stopped_by, actions) == ("budget", (Certify(),))
     with pytest.raises(IllegalEvent):
         step(state, Proposed("p", 1))
@@ -152,7 +152,7 @@ def test_the_budget_ends_a_problem() -> None:
 
 def test_what_still_runs_at_the_stop_is_withdrawn() -> None:
     history = [*HISTORY["complete"], Proposed("p", 1), Proposed("p", 2), Recorded(rollout(1))]
-    state, actions = step(replay((a_plan(window=3),), history), Observed("p", 0, True))
+    state, actions = step(replay((a_plan(window=3),), history), Observed("p", 0, "converged"))
     check(state)
     assert actions == (Withdraw((rollout(1, "true"), rollout(2), rollout(2, "true"))), Certify())
 
@@ -260,7 +260,7 @@ class Driver:
                 return Proposed(problem, test)
             case Observe(problem, test):
                 self._note("observe", problem, test)
-                return Observed(problem, test, satisfied=test == self.courses[problem].stop)
+                return Observed(problem, test, "converged" if test == self.courses[problem].stop else None)
             case Simulate(rollouts):
                 self.wanted |= set(rollouts) - self.recorded
                 self.asked |= set(rollouts)

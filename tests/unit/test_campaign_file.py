@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.campaign import SENSES, CampaignConfig, CampaignError, check_against, parse
+from schemas.campaign import SENSES, CampaignConfig, CampaignError, PaperProblem
+from schemas.campaign_check import check_against
+from schemas.campaign_file import parse
 from schemas.system import Column, Option, Parameter, SystemSpec
 from tests.campaigns import FOLDER, config, table
 
@@ -42,6 +44,7 @@ def test_what_a_file_leaves_out_has_a_default() -> None:
     assert (found.risk_weight, found.visual, found.max_attempts) == (0.2, "all", 5)
     assert (found.hung_after, found.deadline) == (10.0, 600.0)
     problem = found.problems[0]
+    assert isinstance(problem, PaperProblem)
     assert (problem.prior_mean, problem.regulariser, problem.sigma, problem.tail) == (
         0.0,
         "1+eta",
@@ -196,6 +199,7 @@ ranges = st.tuples(st.floats(-1e6, 1e6), st.floats(0.5, 1e6)).map(
 def problems(name: str) -> st.SearchStrategy[dict[str, Any]]:
     needed: dict[str, Any] = {
         "name": st.just(name),
+        "method": st.just("paper"),
         "delta": st.floats(min_value=1e-9, max_value=0.999),
         "alpha": numbers,
         "c": numbers,

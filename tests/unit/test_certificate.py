@@ -9,7 +9,9 @@ from orchestrator.certificate import files
 from orchestrator.certificate.issue import issue, manifest
 from orchestrator.errors import EvidenceError
 from orchestrator.ledger import Account
+from orchestrator.proposer import Proposer
 from orchestrator.store.journal import BoundFact, Header, ProposalFact
+from schemas.campaign import PaperProblem
 from schemas.certificate import PREDICATE_TYPE, STATEMENT_TYPE, Certificate
 from schemas.system import Column, Parameter, SystemSpec
 from tests.campaigns import config
@@ -27,6 +29,7 @@ FILES = [("ab" * 32, "trajectories/a.mcap"), ("cd" * 32, "trajectories/b.mcap")]
 def account(problem_index: int, y: float, campaign: str = "segway-paper", **changes: object) -> Account:
     """Return a problem that stopped after two tests, the last one with observation y of J."""
     problem = config(campaign, **changes).problems[problem_index]
+    assert isinstance(problem, PaperProblem)
     return Account(
         problem,
         link="0" * 64,
@@ -34,15 +37,19 @@ def account(problem_index: int, y: float, campaign: str = "segway-paper", **chan
         robustness=[0.71, 0.75],
         counts={"nominal": 2, "true": 2 * (problem_index == 1)},
         last_proposal=ProposalFact(problem.name, 1, 3, (5.0, 0.0), 0.1, 0.01, 0.4, 0.0099),
-        last_bound=BoundFact(problem.name, 1, y + problem.alpha + problem.c, "converged"),
+        last_bound=BoundFact(problem.name, 1, y + problem.alpha + problem.c, None, "converged"),
     )
+
+
+def issued(header: Header, accounts: dict[str, Account]) -> Certificate:
+    return issue(header, accounts, Proposer(header.config, SPEC).methods, manifest(FILES))
 
 
 def certificate(**changes: object) -> Certificate:
     """Return the certificate of the paper's Table I: last observations .71 and .27."""
     header = Header("0" * 16, config("segway-paper", **changes), SPEC, {"perfbound": "0"})
     accounts = {"nominal_robustness": account(0, -0.71), "sim_gap": account(1, 0.27)}
-    return issue(header, accounts, manifest(FILES))
+    return issued(header, accounts)
 
 
 def test_the_papers_table_gives_the_papers_claim() -> None:
@@ -74,7 +81,7 @@ def test_the_papers_norm_bound_is_refuted_and_the_claim_rests_on_it() -> None:
 def test_bounds_are_rounded_to_the_safe_side() -> None:
     header = Header("0" * 16, config("segway-paper"), SPEC, {})
     accounts = {"nominal_robustness": account(0, -0.7099999999), "sim_gap": account(1, 0.2700000004)}
-    nominal, gap = issue(header, accounts, manifest(FILES)).predicate.problems
+    nominal, gap = issued(header, accounts).predicate.problems
     assert (nominal.bound, gap.bound) == (0.459999999, 0.380000001)
 
 
@@ -90,7 +97,7 @@ def test_text_is_an_in_toto_statement_with_sorted_keys() -> None:
 def test_the_run_id_is_not_in_it() -> None:
     header = Header("feedfacefeedface", config("segway-paper"), SPEC, {"perfbound": "0"})
     accounts = {"nominal_robustness": account(0, -0.71), "sim_gap": account(1, 0.27)}
-    assert issue(header, accounts, manifest(FILES)).to_json() == certificate().to_json()
+    assert issued(header, accounts).to_json() == certificate().to_json()
 
 
 def test_a_damaged_certificate_is_an_error_not_a_missing_one(tmp_path) -> None:  # type: ignore[no-untyped-def]

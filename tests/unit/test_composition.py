@@ -3,12 +3,32 @@
 import math
 from fractions import Fraction
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.bounds.composition import Composition, Rule, compose, joint_probability, round_down, round_up
+from orchestrator.bounds.composition import (
+    Composition,
+    RiskBound,
+    Rule,
+    VarianceBound,
+    bhatia_davis,
+    compose,
+    compose_mean,
+    compose_risk,
+    confidence,
+    derived_noise_scale,
+    joint_probability,
+    pointwise_mean,
+    round_down,
+    round_up,
+)
 from orchestrator.bounds.paper import mills_probability
+from orchestrator.bounds.rigorous import RigorousMethod
+from orchestrator.gp.kernels import Floats, Matern
+from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.points import Points
 
 finite = st.floats(-1e6, 1e6, allow_nan=False)
 RULES: tuple[Rule, ...] = ("sum", "product")
@@ -108,3 +128,125 @@ class TestRounding:
             round_down(x)
         with pytest.raises(ValueError, match="finite"):
             round_up(x)
+
+
+CLIP = (-0.05, 0.75)
+VARIANCES: tuple[VarianceBound, ...] = ("bhatia-davis", "popoviciu")
+
+
+class TestBhatiaDavis:
+    def test_vector(self) -> None:
+        assert bhatia_davis(0.558, 0.2, CLIP) == pytest.approx(0.489667, abs=5e-7)
+        risk = {v: compose_risk(0.558, risk_weight=0.2, clip=CLIP, variance=v, spent=[(0.05, 0.1)]) for v in VARIANCES}
+        assert risk["popoviciu"] == RiskBound(0.558, 0.478, 0.95)
+        assert risk["bhatia-davis"].ell == pytest.approx(0.489667, abs=5e-7)
+        assert risk["bhatia-davis"].ell <= bhatia_davis(0.558, 0.2, CLIP)
+
+    @given(st.floats(-0.2, 0.9), st.floats(0, 5))
+    def test_is_the_least_value_right_of_the_bound(self, b: float, r: float) -> None:
+        means = np.linspace(min(max(b, -0.05), 0.75), 0.75, 2001)
+        values = means - r * np.sqrt(np.maximum((0.75 - means) * (means + 0.05), 0.0))
+        ell = bhatia_davis(b, r, CLIP)
+        assert ell <= values.min() + 1e-12
+        assert ell >= values.min() - 1e-3 * (1 + r)
+
+    @given(st.floats(-0.05, 0.75), st.floats(-0.05, 0.75), st.floats(0, 5))
+    def test_monotone_and_never_below_popoviciu(self, one: float, other: float, r: float) -> None:
+        low, high = sorted((one, other))
+        assert bhatia_davis(low, r, CLIP) <= bhatia_davis(high, r, CLIP) + 1e-12
+        assert bhatia_davis(low, r, CLIP) >= low - r * 0.4 - 1e-12
+
+    @given(st.lists(st.floats(-0.05, 0.75), min_size=2, max_size=9), st.floats(0, 2))
+    def test_holds_for_every_sample(self, values: list[float], r: float) -> None:
+        risk = float(np.mean(values)) - r * float(np.std(values))
+        assert bhatia_davis(float(np.mean(values)), r, CLIP) <= risk + 1e-9
+
+    def test_refuses(self) -> None:
+        for wrong in ((math.nan, 0.2, CLIP), (0.5, -1.0, CLIP), (0.5, 0.2, (0.75, -0.05))):
+            with pytest.raises(ValueError, match="finite|risk_weight|clip"):
+                bhatia_davis(*wrong)
+        with pytest.raises(ValueError, match="popoviciu"):
+            compose_risk(0.5, risk_weight=0.2, clip=CLIP, variance="chebyshev", spent=[(0.1, 0.1)])  # type: ignore[arg-type]
+
+
+class TestGaps:
+    def test_means(self) -> None:
+        assert compose_mean(0.688, 0.13, kind="robustness", clip=CLIP) == 0.558
+        assert compose_mean(0.688, 0.13, kind="predicate_sup", clip=CLIP) == 0.558
+        assert compose_mean(0.688, 0.065, kind="signal_sup", clip=CLIP, lipschitz=2.0) == 0.558
+        assert compose_mean(0.1, 0.5, kind="predicate_sup", clip=CLIP) == -0.05
+
+    @pytest.mark.parametrize(("kind", "lipschitz"), [("signal_sup", -1.0), ("robustness", 2.0)])
+    def test_refuses_lipschitz(self, kind: str, lipschitz: float) -> None:
+        with pytest.raises(ValueError, match="lipschitz"):
+            compose_mean(0.5, 0.1, kind=kind, clip=CLIP, lipschitz=lipschitz)  # type: ignore[arg-type]
+
+    def test_derived_noise_scale(self) -> None:
+        def scale(kind: str, nominal: bool, common: bool, lipschitz: float = 1.0) -> float:
+            return derived_noise_scale(
+                kind,  # type: ignore[arg-type]
+                CLIP,
+                deterministic_nominal=nominal,
+                common_seeds=common,
+                lipschitz=lipschitz,
+            )
+
+        assert scale("nominal_robustness", True, False) == 0.0
+        assert scale("nominal_robustness", False, False) == 0.4
+        assert scale("signal_sup", True, False, 2.0) == 0.2
+        assert scale("predicate_sup", False, True) == 0.4
+        assert scale("robustness", True, True) == 0.4
+        assert scale("robustness", False, False) == pytest.approx(0.8 / math.sqrt(2))
+        assert scale("robustness", False, True) == 0.8
+        for kind, lipschitz in (("true_risk", 1.0), ("signal_sup", 0.0)):
+            with pytest.raises(ValueError, match="derived|lipschitz"):
+                scale(kind, True, False, lipschitz)
+
+
+class TestConfidence:
+    def test_certainty_spends_nothing(self) -> None:
+        assert confidence([(0.05, 0.0), (0.05, 0.1)]) == 0.95
+        assert confidence([(0.05, 0.1), (0.05, 0.1)]) == 0.9
+        assert confidence([(0.05, 0.0)]) == 1.0
+        assert confidence([(0.7, 1.0), (0.7, 1.0)]) == 0.0
+
+    @pytest.mark.parametrize("wrong", [[], [(0.0, 0.1)], [(0.1, -0.1)]])
+    def test_refuses(self, wrong: list[tuple[float, float]]) -> None:
+        with pytest.raises(ValueError, match="at least one|delta"):
+            confidence(wrong)
+
+
+class TestPointwise:
+    LATTICE = Lattice((0.0, 0.0), (5.0, 5.0), 6)
+
+    def method(self, candidates: Lattice | Points, kernel: Matern, values: Floats, mean: float) -> RigorousMethod:
+        method = RigorousMethod(
+            candidates, kernel, rkhs_norm=0.3, noise_scale=0.0, delta=0.05, alpha=0.01, regularisers=(), prior_mean=mean
+        )
+        for z in range(0, 36, 3):
+            method.observe(z, float(values[z]))
+        return method
+
+    @pytest.mark.parametrize("finite", [True, False])
+    def test_between_the_extremes_and_the_truth(self, finite: bool) -> None:
+        nodes = self.LATTICE.nodes
+        candidates = Points(tuple(map(tuple, nodes.tolist()))) if finite else self.LATTICE
+        rough, smooth = Matern(0.5, 4.0), Matern(2.5, 3.0)
+        rho = 0.7 - 0.1 * np.exp(-np.linalg.norm(nodes - [5, 5], axis=1) / 4)
+        gap = 0.03 + 0.1 * Matern(2.5, 3.0)(np.linalg.norm(nodes, axis=1))
+        one = self.method(candidates, rough, -rho, -0.7)
+        two = self.method(candidates, smooth, gap, 0.03)
+        extremes = compose_mean(-one.bound().upper, two.bound().upper, kind="robustness", clip=CLIP)
+        mean = pointwise_mean(one.envelope, two.envelope, candidates, clip=CLIP, slack=0.005, extremes=-0.05)
+        brute = float((-one.envelope.at(nodes)[0] - two.envelope.at(nodes)[0]).min())
+        assert mean <= brute
+        assert mean >= brute - (1e-8 if finite else 0.06)
+        assert extremes < mean <= (rho - gap).min()
+        assert pointwise_mean(one.envelope, two.envelope, candidates, clip=CLIP, slack=0.005, extremes=0.6) == 0.6
+        scaled = two.envelope.scaled(2.0)
+        np.testing.assert_allclose(scaled.at(nodes)[0], 2 * two.envelope.at(nodes)[0], atol=1e-12)
+
+    def test_refuses(self) -> None:
+        envelope = self.method(self.LATTICE, Matern(0.5, 4.0), np.zeros(36), 0.0).envelope
+        with pytest.raises(ValueError, match="slack"):
+            pointwise_mean(envelope, envelope, self.LATTICE, clip=CLIP, slack=0.0, extremes=0.0)

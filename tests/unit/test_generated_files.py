@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 
 from schemas.__main__ import FOLDER, REFERENCE, texts
-from schemas.campaign import parse
+from schemas.campaign_file import parse
 from schemas.reference import page
 
 CAMPAIGNS = sorted((Path(__file__).parents[2] / "deploy" / "campaigns").glob("*.toml"))

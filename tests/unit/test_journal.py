@@ -29,7 +29,8 @@ from orchestrator.store.journal import (
 )
 from orchestrator.store.lock import campaign_lock, is_held
 from orchestrator.versions import software
-from schemas.campaign import CampaignConfig, parse
+from schemas.campaign import CampaignConfig
+from schemas.campaign_file import parse
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import decode
 from workers.simulate import run
@@ -40,8 +41,8 @@ R0 = RolloutId("maximum", 0, "true", 0)
 FACTS: list[Fact] = [
     ProposalFact("maximum", 0, 7, (0.5, 1 / 3), 0.0, 1.0, None, None),
     RolloutFact(R0, 2**53 - 1, "a" * 64, 1234, "trajectories/x", None),
-    ObservationFact("maximum", 0, -0.1, "b" * 64),
-    BoundFact("maximum", 0, None, None),
+    ObservationFact("maximum", 0, -0.1, (-0.2, 0.0), "b" * 64),
+    BoundFact("maximum", 0, None, None, None),
     ProposalFact("maximum", 1, 0, (5.0, -0.0), 1e-300, 0.1 + 0.2, 2.0, 3.0),
 ]
 
@@ -124,8 +125,8 @@ def test_nothing_is_changed_or_removed(journal: Journal, tmp_path: Path, table: 
         ProposalFact("maximum", 0, 7, (0.5,), float("nan"), 1.0, None, None),
         ProposalFact("maximum", 0, 7, (0.5,), 0.0, 1.0, None, float("inf")),
         RolloutFact(R0, 1, "a" * 64, 1, "x", float("nan")),
-        ObservationFact("maximum", 0, float("nan"), "b" * 64),
-        BoundFact("maximum", 0, float("nan"), None),
+        ObservationFact("maximum", 0, float("nan"), (), "b" * 64),
+        BoundFact("maximum", 0, float("nan"), None, None),
     ],
 )
 def test_a_number_that_is_not_finite_is_refused(journal: Journal, fact: Fact) -> None:
@@ -286,7 +287,7 @@ def test_a_replay_rebuilds_everything(finished: Path) -> None:
         "DELETE FROM tests WHERE test = 2",
         "DELETE FROM bounds WHERE test = 1",
         "DELETE FROM bounds WHERE test = 3",
-        "UPDATE bounds SET epsilon = epsilon - 1e-6 WHERE test = 2",
+        "UPDATE bounds SET upper = upper - 1e-6 WHERE test = 2",
         "UPDATE bounds SET stopped_by = 'converged' WHERE test = 2",
     ],
 )

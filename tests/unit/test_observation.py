@@ -24,7 +24,7 @@ def trajectory(*phi: float) -> Trajectory:
 
 def observe(campaign: str, trajectories: dict[tuple[str, int], Trajectory], problem: int = 0) -> float:
     chosen = config(campaign)
-    return Observer(chosen, SPEC).observe(chosen.problems[problem], trajectories)
+    return Observer(chosen, SPEC).observe(chosen.problems[problem], trajectories).y
 
 
 def test_nominal_robustness_is_minus_the_mean_of_the_clipped_robustness() -> None:

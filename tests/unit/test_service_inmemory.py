@@ -22,7 +22,8 @@ from orchestrator.store import evidence
 from orchestrator.store.journal import DATABASE, Journal
 from orchestrator.transport import Heartbeat, Result, Sink, Token
 from schemas import __version__
-from schemas.campaign import CampaignConfig, parse
+from schemas.campaign import CampaignConfig
+from schemas.campaign_file import parse
 from schemas.messages import MAX_RESULT, PROTOCOL, Assign, Request, ResultHeader, WorkerState
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import Trajectory, encode, read
@@ -112,7 +113,10 @@ def _has_recorded(limit: int, seen: Seen) -> bool:
 
 
 @pytest.mark.parametrize("faults", [Faults(), Faults(7, loss=0.1, duplication=0.3, delay=0.03)])
-def test_stops_and_resumes_change_nothing(tmp_path: Path, calm: Calm, faults: Faults) -> None:
+def test_stops_and_resumes_change_nothing(
+    tmp_path: Path, calm: Calm, faults: Faults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "TICK", 0.001)  # a stop is asked for at ticks: as often as there are messages
     directory, luck, stops = tmp_path / "run", random.Random(3), 0
     begin(directory, LOSSY)
     with Network(faults) as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):

@@ -1,0 +1,106 @@
+"""What only the system under test can decide about a campaign: parameters, columns, options, horizon."""
+
+from collections.abc import Iterator
+
+from schemas.campaign import ROLLED_OUT, CampaignConfig, CampaignError, Scenarios
+from schemas.system import SystemSpec
+
+
+def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
+    """Check what only the system under test can decide: parameters, columns, options, horizon.
+
+    Raises:
+        CampaignError: one line with the file, the key and the allowed values.
+
+    """
+    for fault in _faults(config, spec):
+        raise CampaignError(f"{source}: {fault}")
+
+
+def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    return [*_space_faults(config, spec), *_option_faults(config, spec), *_rollout_faults(config, spec)]
+
+
+def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    if isinstance(config.space, Scenarios):
+        return list(_scenario_faults(config.space, spec))
+    known = {parameter.name: parameter for parameter in spec.parameters}
+    faults = [
+        f"space.{name}: unknown parameter; {spec.name} has {', '.join(known)}" for name in config.space.keys() - known
+    ]
+    faults += [f"space.{name}: this parameter of {spec.name} is required" for name in known if name not in config.space]
+    for name, box in config.space.items():
+        parameter = known.get(name)
+        if parameter is None:
+            continue
+        if not parameter.low <= box.low <= box.high <= parameter.high:
+            faults.append(
+                f"space.{name}: [{box.low:g}, {box.high:g}] leaves [{parameter.low:g}, {parameter.high:g}] "
+                f"{parameter.unit}, the range of {spec.name}"
+            )
+        if box.unit not in ("", parameter.unit):
+            faults.append(f"space.{name}.unit: {box.unit!r} is not allowed: {spec.name} takes {parameter.unit!r}")
+    return faults
+
+
+def _scenario_faults(space: Scenarios, spec: SystemSpec) -> Iterator[str]:
+    names = [parameter.name for parameter in spec.parameters]
+    for number, scenario in enumerate(space.scenarios):
+        if len(scenario) != len(names):
+            yield f"space.scenarios: entry {number} is {list(scenario)}; {spec.name} takes {', '.join(names)}"
+            return
+        for parameter, value in zip(spec.parameters, scenario, strict=True):
+            if not parameter.low <= value <= parameter.high:
+                yield (
+                    f"space.scenarios: entry {number}, {parameter.name} = {value:g} leaves "
+                    f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}, the range of {spec.name}"
+                )
+
+
+def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    known = {option.name: option for option in spec.options}
+    faults = []
+    for name, value in config.system.options.items():
+        option = known.get(name)
+        if option is None:
+            allowed = ", ".join(["name", *known])
+            faults.append(f"system.{name}: unknown key; allowed for {spec.name} are {allowed}")
+        elif option.choices:
+            if value not in option.choices:
+                faults.append(f"system.{name}: {value!r} is not allowed: choose from {', '.join(option.choices)}")
+        elif not isinstance(value, int | float) or not _within(value, option.low, option.high):
+            limits = [
+                f"{sign} {limit:g}" for sign, limit in ((">=", option.low), ("<=", option.high)) if limit is not None
+            ]
+            allowed = " ".join(["a number", " and ".join(limits), option.unit]).strip()
+            faults.append(f"system.{name}: {value!r} is not allowed: allowed is {allowed}")
+    return faults
+
+
+def _within(value: float, low: float | None, high: float | None) -> bool:
+    return (low is None or low <= value) and (high is None or value <= high)
+
+
+def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
+    columns = [column.name for column in spec.columns]
+    faults = []
+    if config.horizon > spec.max_horizon:
+        faults.append(f"horizon: {config.horizon:g} s is more than the {spec.max_horizon:g} s of {spec.name}")
+    for problem in config.problems:
+        missing = set(ROLLED_OUT[problem.name]) - set(spec.variants)
+        if missing:
+            faults.append(f"problems.{problem.name}: {spec.name} has no variant {', '.join(sorted(missing))}")
+        noisy = set(ROLLED_OUT[problem.name]) & set(spec.noisy)
+        if problem.method == "rigorous" and problem.noise_scale == 0 and noisy and config.replicates_of(problem) == 1:
+            faults.append(
+                f"problems.{problem.name}.noise_scale: 0 has no meaning for the {' and '.join(sorted(noisy))} variant "
+                f"of {spec.name}, whose rollouts depend on the seed: allowed is 'derived' or a number > 0"
+            )
+    chosen = {"gap.column": config.gap.column if config.gap else None}
+    for problem in config.problems:
+        chosen[f"problems.{problem.name}.gap.column"] = problem.gap.column if problem.gap else None
+        chosen[f"problems.{problem.name}.column"] = problem.column
+    for key, column in chosen.items():
+        if column is not None and column not in columns:
+            faults.append(f"{key}: no column {column!r}; {spec.name} has {', '.join(columns)}")
+    return faults

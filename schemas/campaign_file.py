@@ -1,0 +1,183 @@
+"""From the bytes of a campaign file to a CampaignConfig, or to one line that says what is wrong with them."""
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from datetime import date, time
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import ValidationError
+
+from schemas.base import Model
+from schemas.campaign import (
+    PROBLEM_MODELS,
+    SENSES,
+    CampaignConfig,
+    CampaignError,
+    Gap,
+    Linearised,
+    MaternKernel,
+    Range,
+    Scenarios,
+    SystemChoice,
+    Weighted,
+)
+
+Location = tuple[int | str, ...]
+"""Where pydantic found a fault."""
+
+_UNION_MEMBER = re.compile(r"constrained-float|float|str|(literal|tuple|function-.*)\[.*")
+_LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+_WORDS = {
+    ("name",): "1 to 64 of a-z, 0-9, '-' and '_', the first a letter or digit",
+    ("clip",): "[low, high], two numbers",
+    ("space",): "a table with one entry per parameter: name = { low, high, unit }",
+    ("problems",): "a list of tables, each under [[problems]]",
+    ("problems", "paper", "regulariser"): "'1+eta' or a number > 0",
+    ("problems", "rigorous", "regulariser"): "a number > 0, or a list of { value, weight }",
+    ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
+    ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
+}
+"""What a key may hold, where neither the schema nor pydantic says it well."""
+_TAGS = {*PROBLEM_MODELS, "box", "scenarios"}
+
+
+def parse(data: bytes, source: str, **overrides: Any) -> CampaignConfig:
+    """Read the bytes of a campaign file; `overrides` replace top-level keys.
+
+    Raises:
+        CampaignError: one line with the file, the key and the allowed values.
+
+    """
+    try:
+        table = tomllib.loads(data.decode("utf-8-sig"))
+        dates = [f"{key}: {value}" for key, value in _leaves(table, "") if isinstance(value, date | time)]
+        text = json.dumps({**table, **overrides}, default=str)
+    except UnicodeDecodeError as error:
+        raise CampaignError(f"{source}: not UTF-8 (byte {error.start}); save the file as UTF-8") from None
+    except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and lists without end
+        raise CampaignError(f"{source}: not TOML: {str(error).partition(';')[0]}") from None
+    if not table:
+        raise CampaignError(f"{source}: the file is empty; see deploy/campaigns for examples")
+    if dates:
+        raise CampaignError(f"{source}: {dates[0]} is a date or time, which no key takes; put text in quotes")
+    try:
+        return CampaignConfig.model_validate_json(text)
+    except ValidationError as error:
+        raise CampaignError(f"{source}: {_explain(error, table)}") from None
+
+
+def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+    """Yield (key, value) of everything in a TOML value that is neither table nor list."""
+    inner: Any = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else None
+    if inner is None:
+        yield key, value
+        return
+    for part, child in inner:
+        yield from _leaves(child, f"{key}.{part}" if key else str(part))
+
+
+def _explain(error: ValidationError, table: dict[str, Any]) -> str:
+    """Return the first fault in one line: key, value, what is allowed; and how many more there are."""
+    # A misspelt key makes two faults; the one to read is that it is unknown, not that the right one is missing.
+    faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
+    text = _describe(faults[0], _key(faults[0]["loc"], table))
+    places = {_place(fault["loc"]) for fault in faults}
+    # A list is "too short" for pydantic if its entries are wrong: that is no fault of its own.
+    more = sum(not any(other != place == other[: len(place)] for other in places) for place in places) - 1
+    return text if more == 0 else f"{text} (and {more} more)"
+
+
+def _key(location: Location, table: dict[str, Any]) -> str:
+    """Return the dotted key of a fault; a problem goes by its name."""
+    parts = [str(part) for part in _place(location)]
+    if parts and parts[0] == "problems" and len(parts) > 1 and parts[2:] != ["name"]:
+        problem = table["problems"][int(parts[1])]
+        name = problem.get("name") if isinstance(problem, dict) else None
+        parts[1] = name if isinstance(name, str) and name in SENSES else parts[1]
+    return ".".join(parts)
+
+
+def _place(location: Location) -> Location:
+    """Return the keys and positions of the file alone, without pydantic's names of the members of unions."""
+    tags = {1} if location[:1] == ("space",) else {2} if location[:1] == ("problems",) else set()
+    return tuple(
+        part
+        for position, part in enumerate(location)
+        if not (position in tags and part in _TAGS) and not (isinstance(part, str) and _UNION_MEMBER.fullmatch(part))
+    )
+
+
+def _tagged(location: Location) -> Location:
+    """Return the location without the members of unions, but with the method of a problem."""
+    method = location[2:3] if location[:1] == ("problems",) and location[2:3] and location[2] in PROBLEM_MODELS else ()
+    place = _place(location)
+    return (*place[:2], *method, *place[2:])
+
+
+def _describe(fault: Any, key: str) -> str:
+    kind, message, location = fault["type"], str(fault["msg"]), _tagged(fault["loc"])
+    if kind.startswith("union_tag"):
+        choices = f"one of {', '.join(map(repr, PROBLEM_MODELS))}"
+        found = fault["input"].get("method") if isinstance(fault["input"], dict) else fault["input"]
+        given = f"{found!r} is not allowed: allowed is" if found is not None else "this key is required:"
+        return f"{key}.method: {given} {choices}"
+    if kind == "extra_forbidden":
+        allowed = list(_model_at(location[:-1]).model_fields)
+        near = difflib.get_close_matches(str(location[-1]), allowed, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        return f"{key}: unknown key; {hint}allowed are {', '.join(sorted(allowed))}"
+    if kind == "value_error":
+        reason = message.removeprefix("Value error, ")
+        return f"{key}.{reason}" if key else reason
+    if kind == "json_invalid":
+        return f"not a value that JSON can hold: {message}"
+    allowed_text = _allowed(location) or message.removeprefix("Input should be ").replace("an object", "a table")
+    if kind == "missing" and isinstance(location[-1], str):
+        what = "" if allowed_text == message else f": {allowed_text}"
+        return f"{key}: this key is required{what}"
+    value = fault.get("input")
+    shown = "a table" if isinstance(value, dict) else repr(value)[:80]
+    return f"{key}: {shown} is not allowed: allowed is {allowed_text}"
+
+
+def _allowed(location: Location) -> str:
+    """Return what a key may hold, in words; empty where pydantic says it better."""
+    names = tuple(part for part in location if isinstance(part, str))
+    if names in _WORDS:
+        return _WORDS[names]
+    if names[0] == "system" and names[-1] != "name":
+        return "text or a number, as the system has it: see `perfbound systems`"
+    field = _model_at(location[:-1]).model_fields.get(names[-1])
+    if field is not None and get_origin(field.annotation) is Literal:
+        return f"one of {', '.join(map(repr, get_args(field.annotation)))}"
+    kinds = {field.annotation, *get_args(field.annotation)} if field else set()
+    number = "a whole number" if int in kinds else "a number" if float in kinds else ""
+    if field is None or not number:
+        return "text in quotes" if str in kinds else ""
+    limits = [
+        f"{sign} {limit}"
+        for constraint in field.metadata
+        for bound, sign in _LIMITS.items()
+        if (limit := getattr(constraint, bound, None)) is not None
+    ]
+    return f"{number} {' and '.join(limits)}".strip()
+
+
+def _model_at(location: Location) -> type[Model]:
+    """Return the model of the table at a place in the file."""
+    models: dict[int | str, type[Model]] = {
+        **dict(PROBLEM_MODELS.items()),
+        "linearised": Linearised,
+        "regulariser": Weighted,
+        "kernel": MaternKernel,
+        "gap": Gap,
+        "space": Range,
+        "system": SystemChoice,
+    }
+    if location and location[0] in ("space", "system"):  # whose keys are the user's
+        return Scenarios if location[-1] == "scenarios" else models[location[0]]
+    names = [part for part in location if part in models]
+    return models[names[-1]] if names else CampaignConfig
