@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from orchestrator import campaign
+from orchestrator import campaign, forecast
 from orchestrator.campaign import RolloutId
 from orchestrator.errors import IllegalEvent, JournalError, PerfboundError
+from orchestrator.methods import noise_per_test
 from orchestrator.observation import Observation, Observer, shared
 from orchestrator.proposer import Proposer
 from orchestrator.seeds import rollout_seed
@@ -27,7 +28,7 @@ from orchestrator.store.journal import (
     first_link,
     next_link,
 )
-from schemas.campaign import ROLLED_OUT, CampaignConfig, Problem
+from schemas.campaign import ROLLED_OUT, CampaignConfig, Problem, RigorousProblem
 from schemas.rollout import RolloutRequest
 from schemas.system import SystemSpec
 from schemas.trajectory import Trajectory, decode
@@ -103,6 +104,16 @@ class Ledger:
             raise JournalError(
                 f"{self._directory}: the facts contradict each other ({error}); restore the database from a copy"
             ) from None
+
+    def warnings(self) -> list[str]:
+        """Return what is to be said at the start: problems whose budget cannot reach their tolerance."""
+        config, spec = self.config, self.header.spec
+        found = [
+            forecast.out_of_reach(config, problem, noise_per_test(config, spec, problem))
+            for problem in config.problems
+            if isinstance(problem, RigorousProblem)
+        ]
+        return [line for line in found if line is not None]
 
     def outstanding(self) -> Work:
         """Return what is to be done at the start or after a replay; inside a transaction."""

@@ -122,7 +122,7 @@ def load(path: Path, **overrides: int) -> CampaignConfig:
         raise CampaignError(f"{path}: {error.strerror}; name a campaign file, e.g. one of deploy/campaigns") from None
     if len(data) > MAX_CAMPAIGN_FILE:
         raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; name a campaign file")
-    return parse(data, str(path), **overrides)
+    return parse(data, str(path), lambda name: (path.parent / name).read_bytes(), **overrides)
 
 
 def ask(command: str, *arguments: str) -> str:
@@ -252,6 +252,8 @@ def _conduct(
         ledger.replay()
         if not ledger.done:
             shown = stack.enter_context(view(console))
+            for line in ledger.warnings():
+                shown.say(line)
             service = Service(ledger, journal, transport, fleet, shown, resumed=resumed)
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))
             transport.start(run, service.inbox.put)

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator import summary
+from orchestrator import forecast, summary
 from orchestrator.certificate import files
 from orchestrator.session import resume_command
 from orchestrator.store import lock, queries
@@ -40,19 +40,21 @@ def show(directory: Path, console: Console) -> None:
 
 def _problems(progress: queries.CampaignProgress) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("problem", "tests", "F_i", "alpha", "bound so far", "rollouts", "stopped by"):
+    for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "tests left"):
         table.add_column(name, justify="left" if name == "problem" else "right")
     config = progress.header.config
     for problem, found in zip(config.problems, progress.problems, strict=True):
+        distance = forecast.distance(problem, found.last_F, found.upper, found.lower)
+        left = forecast.tests_left(config, problem, distance, found.tests)
         bound = -found.upper if found.upper is not None and problem.name in MINIMA else found.upper
         table.add_row(
             problem.name,
             f"{found.tests} of {config.max_tests_of(problem)}",
-            figure(found.last_F),
+            figure(distance),
             f"{problem.alpha:g}",
             figure(bound),
             str(found.rollouts),
-            found.stopped_by or "-",
+            f"ended: {found.stopped_by}" if found.stopped_by else "-" if left is None else f"about {left}",
         )
     return table
 

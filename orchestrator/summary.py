@@ -128,7 +128,7 @@ def _assumptions(assumptions: list[Assumption], console: Console) -> None:
     for group, members in _grouped(assumptions):
         _line(console, f"  {group}", "bold")
         for name, each in members:
-            head = Text(f"    {name:<15}")
+            head = Text(f"    {name:<20}")
             head.append(f"{each.status:<12}", COLOURS.get(each.status, "yellow"))
             _hanging(console, head, each.detail)
 

@@ -1,6 +1,5 @@
 """What a person sees while a campaign runs. stderr is talk; stdout is for data."""
 
-import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from orchestrator import forecast
 from orchestrator.ledger import Account
 from orchestrator.service import Seen
 from orchestrator.words import MINIMA, duration, figure
@@ -24,20 +24,19 @@ def bound_in_sense(account: Account) -> float | None:
     return -bound if bound is not None and account.problem.name in MINIMA else bound
 
 
-def time_left(account: Account, rate: float, rollouts_per_test: float) -> float | None:
-    """Guess the seconds until F_i reaches alpha; None where the decay of F cannot tell yet.
+def distance(account: Account) -> float | None:
+    """Return what has to fall to alpha: F_i, or upper - lower."""
+    proposal, bound = account.last_proposal, account.last_bound
+    if bound is None:
+        return None
+    return forecast.distance(account.problem, proposal.F if proposal else None, bound.upper, bound.lower)
 
-    F falls roughly like a power of the number of tests; the power is taken from the first to the last proposal.
-    """
-    proposal, tests = account.last_proposal, len(account.observations)
-    if proposal is None or proposal.F is None or proposal.beta is None or tests < 10 or rate <= 0:
-        return None
-    start = 2 * proposal.beta
-    if not 0 < proposal.F < start:
-        return None
-    power = math.log(start / proposal.F) / math.log(tests)
-    needed = tests * (proposal.F / account.problem.alpha) ** (1 / power)
-    return float(max(0.0, min(needed, 1e7) - tests) * rollouts_per_test / rate)
+
+def time_left(seen: Seen, account: Account, rate: float) -> float | None:
+    """Guess the seconds until a problem ends; None where its decay cannot tell yet."""
+    tests, rollouts = len(account.observations), sum(account.counts.values())
+    left = forecast.tests_left(seen.ledger.config, account.problem, distance(account), tests)
+    return None if left is None or rate <= 0 else left * rollouts / tests / rate
 
 
 class Terminal:
@@ -99,10 +98,10 @@ class Rate:
 
 
 def _status(account: Account) -> str:
-    proposal = account.last_proposal
-    decay = figure(proposal.F if proposal else None)
+    name = "F" if account.problem.method == "paper" else "upper - lower"
     return (
-        f"{account.problem.name}: test {len(account.observations)}, F {decay} (alpha {account.problem.alpha:g}), "
+        f"{account.problem.name}: test {len(account.observations)}, "
+        f"{name} {figure(distance(account))} (alpha {account.problem.alpha:g}), "
         f"bound so far {figure(bound_in_sense(account), 3)}"
     )
 
@@ -110,20 +109,18 @@ def _status(account: Account) -> str:
 def problem_table(seen: Seen, rate: float) -> Table:
     """Return one row per problem."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("problem", "tests", "F_i", "alpha", "bound so far", "rollouts", "about left"):
+    for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "about left"):
         table.add_column(name, justify="left" if name == "problem" else "right")
     running = [a for a in seen.ledger.accounts.values() if not (a.last_bound and a.last_bound.stopped_by)]
     for account in seen.ledger.accounts.values():
-        proposal, bound = account.last_proposal, account.last_bound
-        tests, rollouts = len(account.observations), sum(account.counts.values())
-        per_test = rollouts / tests if tests else 1.0
-        left = time_left(account, rate / max(1, len(running)), per_test)
+        bound, rollouts = account.last_bound, sum(account.counts.values())
+        left = time_left(seen, account, rate / max(1, len(running)))
         end = f"ended: {bound.stopped_by}" if bound and bound.stopped_by else "-" if left is None else duration(left)
         colour = "green" if bound and bound.stopped_by == "converged" else ""
         table.add_row(
             account.problem.name,
-            str(tests),
-            figure(proposal.F if proposal else None),
+            str(len(account.observations)),
+            figure(distance(account)),
             f"{account.problem.alpha:g}",
             figure(bound_in_sense(account), 3),
             str(rollouts),

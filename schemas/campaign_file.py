@@ -1,10 +1,12 @@
 """From the bytes of a campaign file to a CampaignConfig, or to one line that says what is wrong with them."""
 
+import csv
 import difflib
 import json
+import math
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import date, time
 from typing import Any, Literal, get_args, get_origin
 
@@ -44,8 +46,14 @@ _WORDS = {
 _TAGS = {*PROBLEM_MODELS, "box", "scenarios"}
 
 
-def parse(data: bytes, source: str, **overrides: Any) -> CampaignConfig:
+Beside = Callable[[str], bytes]
+"""Reads a file beside the campaign file; raises OSError."""
+
+
+def parse(data: bytes, source: str, beside: Beside | None = None, **overrides: Any) -> CampaignConfig:
     """Read the bytes of a campaign file; `overrides` replace top-level keys.
+
+    `space.scenarios` may name a CSV file, which `beside` reads; the campaign then holds its numbers.
 
     Raises:
         CampaignError: one line with the file, the key and the allowed values.
@@ -63,10 +71,42 @@ def parse(data: bytes, source: str, **overrides: Any) -> CampaignConfig:
         raise CampaignError(f"{source}: the file is empty; see deploy/campaigns for examples")
     if dates:
         raise CampaignError(f"{source}: {dates[0]} is a date or time, which no key takes; put text in quotes")
+    space = table.get("space")
+    if isinstance(space, dict) and isinstance(space.get("scenarios"), str):
+        numbers = _scenarios(space["scenarios"], source, beside)
+        text = json.dumps({**table, **overrides, "space": {**space, "scenarios": numbers}})
     try:
         return CampaignConfig.model_validate_json(text)
     except ValidationError as error:
         raise CampaignError(f"{source}: {_explain(error, table)}") from None
+
+
+def _scenarios(name: str, source: str, beside: Beside | None) -> list[list[float]]:
+    """Return the rows of a CSV file: one start a row, a header of the parameters' names allowed."""
+    where = f"{source}: space.scenarios: {name}"
+    if beside is None or "/" in name or "\\" in name or name.startswith("."):
+        raise CampaignError(f"{where!s} is not allowed: name a CSV file that stands beside the campaign file")
+    try:
+        lines = beside(name).decode("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8"
+        raise CampaignError(f"{where}: {reason}; name a CSV file beside the campaign file") from None
+    rows = [row for row in csv.reader(lines) if row]
+    if rows and not _numbers(rows[0]):
+        rows = rows[1:]
+    for number, row in enumerate(rows):
+        if not _numbers(row):
+            raise CampaignError(
+                f"{where}: row {number} is {','.join(row)[:80]!r}; allowed are numbers, one start a row"
+            )
+    return [[float(cell) for cell in row] for row in rows]
+
+
+def _numbers(row: list[str]) -> bool:
+    try:
+        return all(math.isfinite(float(cell)) for cell in row)
+    except ValueError:
+        return False
 
 
 def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:

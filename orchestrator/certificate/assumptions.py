@@ -113,7 +113,17 @@ def _scenario(account: Account, problem: ScenarioProblem, *, size: int) -> Itera
         "needs no more of the noise than this and the clip.",
     )
     if bound is not None and bound.upper is not None and bound.lower is not None:
-        yield audit.bounds_agree(name, upper=bound.upper, lower=bound.lower)
+        ell, reach = -bound.upper, -bound.lower
+        yield Assumption(
+            f"one_law_per_start/{name}",
+            "refuted" if reach < ell else "not refuted",
+            f"the bound is {ell:.6g} and what it tends to is at most {reach:.6g}, each at its own confidence; "
+            + (
+                "they contradict each other, so the rollouts of a start do not have one law."
+                if reach < ell
+                else "that they agree is not evidence."
+            ),
+        )
     if problem.linearised is not None:
         yield Assumption(
             f"linearised/{name}",

@@ -24,8 +24,14 @@ from scipy.special import kv
 from orchestrator.gp.kernels import Floats, Matern
 
 
+LARGEST_NU = 40.0
+
+
 class Radial:
     """Value, slope and curvature bound of one Matern kernel.
+
+    Raises:
+        ValueError: nu is above 40.
 
     >>> radial = Radial(Matern(nu=0.5, length_scale=2.0))
     >>> round(float(radial.value(np.array([2.0]))[0]), 6), round(float(radial.slope(np.array([2.0]))[0]), 6)
@@ -34,6 +40,8 @@ class Radial:
     """
 
     def __init__(self, kernel: Matern) -> None:
+        if kernel.nu > LARGEST_NU:
+            raise ValueError(f"kernel nu = {kernel.nu:g} overflows near 0: take a smaller nu, at most {LARGEST_NU:g}")
         self._nu = kernel.nu
         self.rate = math.sqrt(2.0 * kernel.nu) / kernel.length_scale
         self._c = 2.0 ** (1.0 - kernel.nu) / math.gamma(kernel.nu)

@@ -163,7 +163,7 @@ class TestBhatiaDavis:
 
     def test_refuses(self) -> None:
         for wrong in ((math.nan, 0.2, CLIP), (0.5, -1.0, CLIP), (0.5, 0.2, (0.75, -0.05))):
-            with pytest.raises(ValueError, match="finite|risk_weight|clip"):
+            with pytest.raises(ValueError, match=r"finite|risk_weight|clip"):
                 bhatia_davis(*wrong)
         with pytest.raises(ValueError, match="popoviciu"):
             compose_risk(0.5, risk_weight=0.2, clip=CLIP, variance="chebyshev", spent=[(0.1, 0.1)])  # type: ignore[arg-type]
@@ -199,7 +199,7 @@ class TestGaps:
         assert scale("robustness", False, False) == pytest.approx(0.8 / math.sqrt(2))
         assert scale("robustness", False, True) == 0.8
         for kind, lipschitz in (("true_risk", 1.0), ("signal_sup", 0.0)):
-            with pytest.raises(ValueError, match="derived|lipschitz"):
+            with pytest.raises(ValueError, match=r"derived|lipschitz"):
                 scale(kind, True, False, lipschitz)
 
 
@@ -212,7 +212,7 @@ class TestConfidence:
 
     @pytest.mark.parametrize("wrong", [[], [(0.0, 0.1)], [(0.1, -0.1)]])
     def test_refuses(self, wrong: list[tuple[float, float]]) -> None:
-        with pytest.raises(ValueError, match="at least one|delta"):
+        with pytest.raises(ValueError, match=r"at least one|delta"):
             confidence(wrong)
 
 

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 import sqlalchemy as sa
@@ -47,8 +48,9 @@ FACTS: list[Fact] = [
 ]
 
 
-def a_config(**changes: int) -> CampaignConfig:
-    return parse(PRESET.read_bytes(), "test", **{"resolution": 5, "max_tests": 4, **changes})
+def a_config(**changes: Any) -> CampaignConfig:
+    settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **changes}
+    return parse(PRESET.read_bytes(), "test", **settings)
 
 
 def a_header() -> Header:
@@ -304,6 +306,7 @@ def test_an_edited_fact_is_found(finished: Path, statement: str) -> None:
 HOLD = """
 import sys, time
 from pathlib import Path
+from typing import Any
 from orchestrator.store.lock import campaign_lock
 with campaign_lock(Path(sys.argv[1])):
     print("held", flush=True)

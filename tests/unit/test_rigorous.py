@@ -52,7 +52,7 @@ def exactly(norm: float, seed: int, kernel: Matern = KERNEL) -> Callable[[Floats
 
 def run(method: RigorousMethod, values: Floats, noise: Callable[[], float], tests: int, window: int = 1) -> list[int]:
     """A campaign of `tests` tests; the proposals in order."""
-    flying, done = [method.propose(3).index], []
+    flying, done = [method.propose(3).index], list[int]()
     while len(done) < tests:
         while len(flying) < window:
             flying.append(method.propose(None, flying).index)
@@ -456,6 +456,10 @@ class TestPoints:
 
 
 class TestRadial:
+    def test_refuses_what_overflows(self) -> None:
+        with pytest.raises(ValueError, match="smaller nu"):
+            Radial(Matern(41.0, 1.0))
+
     r = np.concatenate([[1e-9, 1e-3], np.linspace(0.01, 12, 400)])
 
     @pytest.mark.parametrize("nu", [0.3, 0.5, 1.0, 1.5, 2.2, 2.5, 3.5, 10.0, 20.0])
