@@ -19,6 +19,8 @@ from schemas import __version__
 if TYPE_CHECKING:
     from orchestrator.session import Link
 
+REFUTED = 3
+"""Exit code with --strict."""
 RUN_DIRECTORY = click.Path(path_type=Path, file_okay=False)
 
 
@@ -45,6 +47,9 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 out_option = click.option("--out", type=RUN_DIRECTORY, default=None, help="Run directory.  [default: runs/<name>]")
 seed_option = click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=None, help="Override the file's seed.")
+strict_option = click.option(
+    "--strict", is_flag=True, help="Exit with 3 when an assumption of the first claim is refuted."
+)
 campaign_argument = click.argument("campaign", type=click.Path(path_type=Path))
 
 
@@ -60,36 +65,41 @@ def workers_option(least: int) -> Callable[..., Any]:
 @workers_option(1)
 @out_option
 @seed_option
+@strict_option
 @link_options
-def run(campaign: Path, workers: int, out: Path | None, seed: int | None, **link: Any) -> None:
+def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, strict: bool, **link: Any) -> None:
     """Run the campaign of a CAMPAIGN file with local workers, and issue its certificate."""
-    _start(campaign, workers, out, seed, link)
+    _start(campaign, workers, out, seed, link, strict=strict)
 
 
 @cli.command()
 @campaign_argument
 @out_option
 @seed_option
+@strict_option
 @link_options
-def orchestrate(campaign: Path, out: Path | None, seed: int | None, **link: Any) -> None:
+def orchestrate(*, campaign: Path, out: Path | None, seed: int | None, strict: bool, **link: Any) -> None:
     """Run a campaign with the workers that connect, and none of its own."""
-    _start(campaign, 0, out, seed, link)
+    _start(campaign, 0, out, seed, link, strict=strict)
 
 
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
 @workers_option(0)
+@strict_option
 @link_options
-def resume(directory: Path, workers: int, **link: Any) -> None:
+def resume(*, directory: Path, workers: int, strict: bool, **link: Any) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
     from orchestrator import session  # noqa: PLC0415
 
     with _resumable(directory):
         session.resume(directory, workers=workers, link=_link(**link), console=_talk())
-        _finish(directory)
+        _finish(directory, strict=strict)
 
 
-def _start(campaign: Path, workers: int, out: Path | None, seed: int | None, link: dict[str, Any]) -> None:
+def _start(
+    campaign: Path, workers: int, out: Path | None, seed: int | None, link: dict[str, Any], *, strict: bool
+) -> None:
     from orchestrator import session  # noqa: PLC0415
 
     overrides = {} if seed is None else {"seed": seed}
@@ -97,15 +107,17 @@ def _start(campaign: Path, workers: int, out: Path | None, seed: int | None, lin
     directory = out or Path("runs") / config.name
     with _resumable(directory):
         session.start(config, campaign, workers=workers, directory=directory, link=_link(**link), console=_talk())
-        _finish(directory)
+        _finish(directory, strict=strict)
 
 
-def _finish(directory: Path) -> None:
+def _finish(directory: Path, *, strict: bool) -> None:
     from orchestrator import session, summary  # noqa: PLC0415
 
-    console = _data()
-    summary.show(session.certificate(directory), console)
+    console, found = _data(), session.certificate(directory)
+    summary.show(found, console)
     summary.written(directory, console)
+    if strict and summary.refuted(found, found.predicate.claims[0]):
+        sys.exit(REFUTED)
 
 
 @cli.command()

@@ -46,18 +46,35 @@ def outward(bound: float, sense: str) -> str:
 def show(certificate: Certificate, console: Console) -> None:
     """Print what the certificate says."""
     predicate = certificate.predicate
-    refuted = [each for each in predicate.assumptions if each.status == "refuted"]
-    if refuted:
-        _heading(console, f"REFUTED, by this campaign's own data or by derivation: {_count(refuted)}", "bold red")
-        _assumptions(refuted, console)
+    broken = [each for each in predicate.assumptions if each.status == "refuted"]
+    if broken:
+        _heading(console, f"REFUTED, by this campaign's own data or by derivation: {_count(broken)}", "bold red")
+        _assumptions(broken, console)
     for number, claim in enumerate(predicate.claims):
-        broken = sorted(set(claim.assumptions) & {each.id for each in refuted})
-        _claim(claim, predicate.composition if number == 0 else None, broken, console, first=number == 0)
+        _claim(
+            claim,
+            predicate.composition if number == 0 else None,
+            refuted(certificate, claim),
+            console,
+            first=number == 0,
+        )
+    if len(predicate.claims) > 1:
+        console.print()
+        _line(
+            console, "The first claim was chosen beforehand. Each holds with its own probability; to choose the best of"
+        )
+        _line(console, "them afterwards costs the sum of what their probabilities lack to 1.")
     _heading(console, "Problems", "bold")
     for problem in predicate.problems:
         _problem(problem, console)
     _heading(console, "Assumptions that the data do not refute", "bold")
     _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
+
+
+def refuted(certificate: Certificate, claim: Claim) -> list[str]:
+    """Return the ids of the refuted assumptions that a claim rests on."""
+    found = {each.id for each in certificate.predicate.assumptions if each.status == "refuted"}
+    return sorted(found & set(claim.assumptions))
 
 
 def written(directory: Path, console: Console) -> None:

@@ -28,11 +28,21 @@ def assumptions(header: Header, accounts: Mapping[str, Account], methods: Method
             found += _scenario(account, problem, size=methods[name].size)
         if account.robustness and header.config.clip is not None:
             found.append(audit.clipped_share(name, account.robustness, header.config.clip))
+    found.append(_finite(accounts))
     pair = [name for name in accounts if name in PAIR]
     if len(pair) == len(PAIR):
         product = header.config.composition == "product"
         found.append(audit.independent_problems(pair, "product" if product else "sum"))
     return [*found, audit.workers_honest()]
+
+
+def _finite(accounts: Mapping[str, Account]) -> Assumption:
+    rollouts = sum(sum(account.counts.values()) for account in accounts.values())
+    detail = (
+        f"all {rollouts} rollouts behind the bounds are finite, and none was dropped or redrawn because of its "
+        "outcome: one that is never finite ends the campaign without a certificate."
+    )
+    return Assumption("finite_rollouts", "derived", detail)
 
 
 def _paper(header: Header, account: Account, problem: PaperProblem) -> Iterator[Assumption]:

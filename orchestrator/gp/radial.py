@@ -23,7 +23,6 @@ from scipy.special import kv
 
 from orchestrator.gp.kernels import Floats, Matern
 
-
 LARGEST_NU = 40.0
 
 

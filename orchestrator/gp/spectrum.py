@@ -30,6 +30,8 @@ from orchestrator.gp.points import PointRows
 ROUND_OFF = 32 * np.finfo(np.float64).eps
 """Backward error of the eigenvalues and of the kernel's values, as a share of the largest eigenvalue."""
 
+LARGEST_Y = 1e100
+
 _FIRST_CAPACITY = 16
 
 
@@ -82,11 +84,11 @@ class Observations:
 
         Raises:
             IndexError: no node has this index.
-            ValueError: `y` is not finite.
+            ValueError: `y` is not finite, or its square could overflow.
 
         """
-        if not math.isfinite(y):
-            raise ValueError(f"observation {self.n} is {y!r}, not a finite number")
+        if not abs(y) <= LARGEST_Y:
+            raise ValueError(f"observation {self.n} is {y!r}, not a finite number of at most {LARGEST_Y:g}")
         row = self._rows.row(index)
         if index not in self._order:
             self._reserve()

@@ -290,6 +290,13 @@ class TestRefutation:
         method.observe(4, 0.5)
         assert method.bound().status == "refuted"
 
+    @pytest.mark.parametrize("noise", [0.0, 0.1])
+    def test_an_absurd_observation(self, noise: float) -> None:
+        method = make(noise_scale=noise)
+        method.observe(3, 1e99)
+        assert method.bound().status == "refuted"
+        assert math.isfinite(method.bound().upper)
+
     def test_replicates_without_noise_must_agree(self) -> None:
         method = make(noise_scale=0.0)
         for _ in range(3):
@@ -406,7 +413,7 @@ class TestProposals:
 
     def test_an_error_changes_nothing(self) -> None:
         method = make()
-        for index, y, error in ((0, math.nan, ValueError), (99, 0.0, IndexError)):
+        for index, y, error in ((0, math.nan, ValueError), (0, 1e200, ValueError), (99, 0.0, IndexError)):
             with pytest.raises(error):
                 method.observe(index, y)
         assert (method.n, method.bound().n) == (0, 0)

@@ -1,0 +1,48 @@
+"""Methods `rigorous` and `scenario` on the real Segway with real processes: the same bytes whatever happens."""
+
+import random
+from pathlib import Path
+
+import pytest
+
+from tests.campaigns import FOLDER
+from tests.end_to_end.processes import Processes, recorded, wait_for
+
+SMALL = {
+    "rigorous": {
+        "resolution = 26": "resolution = 7",
+        "max_tests = 400": "max_tests = 6",
+        "max_tests = 100": "max_tests = 3",
+    }
+    | {"replicates = 64": "replicates = 5"},
+    "scenario": {"max_tests = 750": "max_tests = 10", "replicates = 8": "replicates = 3"},
+}
+
+
+@pytest.mark.parametrize("method", SMALL)
+def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path, method: str) -> None:
+    text = (FOLDER / f"segway-{method}.toml").read_text()
+    for old, new in SMALL[method].items():
+        assert old in text
+        text = text.replace(old, new)
+    campaign = tmp_path / "c.toml"
+    campaign.write_text(text)
+    ended = started.run("perfbound", "run", campaign, "--out", "calm", "--workers", "3")
+    assert ended.code == 0, ended.err
+    assert "CLAIM  rho*" in ended.out
+    assert "REFUTED" not in ended.out
+    directory, luck = tmp_path / "killed", random.Random(method)
+    first = started.start("perfbound", "run", campaign, "--out", directory, "--workers", "1")
+    goal = luck.randint(1, 8)
+    wait_for(lambda: recorded(directory) >= goal)
+    assert first.running, "the kill has to come in mid-run"
+    first.popen.kill()
+    first.wait()
+    assert not (directory / "certificate.json").exists()
+    assert started.run("perfbound", "resume", directory).code == 0
+    assert (directory / "certificate.json").read_bytes() == (tmp_path / "calm" / "certificate.json").read_bytes()
+
+
+def test_strict_exits_with_3_when_the_first_claim_rests_on_a_refuted_assumption(started: Processes, calm: Path) -> None:
+    assert started.run("perfbound", "resume", calm).code == 0
+    assert started.run("perfbound", "resume", calm, "--strict").code == 3
