@@ -9,7 +9,7 @@ from schemas.base import one_blas_thread
 
 one_blas_thread()
 
-from tests.benchmarks import campaign, proposal, rollout  # noqa: E402  (numpy reads the setting once)
+from tests.benchmarks import campaign, proposal, rollout, scenario, stl  # noqa: E402  (numpy reads the setting once)
 
 OUT = Path("build/bench.json")
 
@@ -17,7 +17,7 @@ OUT = Path("build/bench.json")
 def main() -> None:
     """Run, print and write."""
     results: dict[str, dict[str, float]] = {}
-    for name, measure in (("rollout", rollout.measure), ("proposal", proposal.main), ("campaign", campaign.main)):
+    for name, measure in (("rollout", rollout.measure), ("proposal", proposal.main), ("stl", stl.main), ("scenario", scenario.main), ("campaign", campaign.main)):
         results[name] = measure()
         for key, value in results[name].items():
             sys.stdout.write(f"{name + '/' + key:58s} {value:12.4f}\n")
