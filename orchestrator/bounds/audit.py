@@ -201,7 +201,7 @@ def centred_risk(problem: str, replicates: int) -> Assumption:
 
 def norm_from_data(problem: str, *, b_min: float, rkhs_norm: float, delta: float, noise_scale: float) -> Assumption:
     """Test the norm bound B against the smallest norm that the data allow (method `rigorous`).
-    Implements THEORY section 5.
+    Implements eq. (norm) of [PB].
 
     Formula: B_min = max over n and over a, 7 decades, of sqrt(max(0, y'(K + aI)^-1 y - Q/a)); refuted if B_min > B. The
     maximum over n is never withdrawn and costs nothing: the confidence set holds for all n at once.
@@ -229,7 +229,7 @@ def norm_from_data(problem: str, *, b_min: float, rkhs_norm: float, delta: float
 
 def bounds_agree(problem: str, *, upper: float, lower: float) -> Assumption:
     """Test whether the proven upper bound lies above the proven lower bound (method `rigorous`).
-    Implements THEORY section 5.
+    Implements eq. (agreement) of [PB].
 
     Formula: refuted if min U < max L - 1e-9.
     """

@@ -22,6 +22,7 @@ from typing import Literal
 
 from orchestrator.bounds.cover import certified_maximum
 from orchestrator.bounds.envelope import Envelope
+from orchestrator.bounds.risk import bhatia_davis
 from orchestrator.gp.lattice import Lattice
 from orchestrator.gp.points import Points
 
@@ -114,33 +115,6 @@ def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
     raise ValueError(f"rule is 'product' or 'sum', not {rule!r}")
 
 
-def bhatia_davis(mean: float, risk_weight: float, clip: tuple[float, float]) -> float:
-    """Return the least possible E - r sd of a variable in [-m, M] whose mean is at least `mean`, unit of robustness.
-    Implements eq. (variance) of [BD], THEORY section 3.2.
-
-    Formula: phi(mu) = mu - r sqrt((M - mu)(mu + m)) is convex with its minimum c0 - h sqrt(1 + r^2) at
-    c0 - h/sqrt(1 + r^2); right of it phi(b), left of it that minimum, b clipped to [-m, M].
-
-    Raises:
-        ValueError: a number is not finite, r is negative, or the clip is empty.
-
-    >>> round(bhatia_davis(0.558, 0.2, (-0.05, 0.75)), 6)
-    0.489667
-    >>> round(bhatia_davis(-0.05, 0.2, (-0.05, 0.75)), 6)
-    -0.057922
-
-    """
-    low, high = _checked_clip(clip)
-    _check_weight(risk_weight)
-    if not math.isfinite(mean):
-        raise ValueError(f"a bound needs finite numbers, not {mean!r}")
-    b, root = min(max(mean, low), high), math.sqrt(1.0 + risk_weight**2)
-    centre, half = (high + low) / 2.0, (high - low) / 2.0
-    if b <= centre - half / root:
-        return centre - half * root
-    return b - risk_weight * math.sqrt((high - b) * (b - low))
-
-
 @dataclass(frozen=True, slots=True)
 class RiskBound:
     """ell <= min_d E[rho] - r sd(rho) and mean <= min_d E[rho] of the true system, with this probability."""
@@ -154,7 +128,7 @@ def compose_mean(
     robustness: float, gap: float, *, kind: GapKind, clip: tuple[float, float], lipschitz: float = 1.0
 ) -> float:
     """Return the lower bound of the least expected true robustness that follows from two extremes, rounded down.
-    Implements THEORY section 3.1.
+    Implements eq. (gap) of [PB].
 
     Formula: b = rho~ - L e~ for `signal_sup`; rho~ - e~ for `predicate_sup`, since min/max robustness is 1-Lipschitz in
     it, and for `robustness`, the signed gap E[rho(nominal) - rho(true)]; never below -m, where the clip ends.
@@ -184,7 +158,7 @@ def compose_risk(
     spent: Sequence[tuple[float, float]],
 ) -> RiskBound:
     """Return the bound of the risk that follows from the bound `mean` of the least expected robustness, rounded down.
-    Implements THEORY section 3.2 and 3.4.
+    Implements eq. (risk) of [PB].
 
     Formula: ell = phi(b) (`bhatia_davis`), or b - r (M + m)/2 (`popoviciu`, as in Theorem 2 of [ARA]); the probability
     is that of `confidence`.
@@ -199,7 +173,7 @@ def compose_risk(
     low, high = _checked_clip(clip)
     _check_weight(risk_weight)
     if variance == "bhatia-davis":
-        ell = round_down(bhatia_davis(mean, risk_weight, clip) - STEP**-1 / 1000.0)  # round-off of the square root
+        ell = round_down(bhatia_davis(mean, clip, risk_weight) - STEP**-1 / 1000.0)  # round-off of the square root
     elif variance == "popoviciu":
         spread = _decimal(risk_weight) * (_decimal(high) - _decimal(low)) / 2
         ell = _on_lattice(math.floor((_decimal(mean) - spread) * STEP))
@@ -210,7 +184,7 @@ def compose_risk(
 
 def confidence(spent: Sequence[tuple[float, float]]) -> float:
     """Return the probability that all bounds hold at once, from (delta_j, R_j) of each, rounded down.
-    Implements THEORY section 3.4.
+    Implements eq. (accounting) of [PB].
 
     Formula: 1 - sum of delta_j over the problems with R_j > 0: a bound without noise is certain and spends nothing.
 
@@ -242,7 +216,7 @@ def pointwise_mean(
     max_cells: int = 20_000,
 ) -> float:
     """Return the lower bound of the least expected true robustness from two bands over one Z, rounded down.
-    Implements THEORY section 3.3.
+    Implements eq. (pointwise) of [PB].
 
     Formula: min_d [LCB_rho(d) - L UCB_gap(d)] = -max_d [U_1(d) + L U_2(d)], U_1 being the upper band of J = -rho; over
     a box the maximum is certified to within `slack`. `extremes` (`compose_mean`) holds on the same event, so the larger
@@ -272,7 +246,7 @@ def derived_noise_scale(
     lipschitz: float = 1.0,
 ) -> float:
     """Return the R of one rollout (or pair) that boundedness alone proves, in the unit of the observation.
-    Implements eq. (Hoeffding's lemma) of THEORY section 3.1.
+    Implements eq. (Hoeffding) of [PB].
 
     Formula: half the range of y. (M + m)/2 for a robustness and for a sup gap clipped at (M + m)/L (divided by L: the
     unit of the signal); for the signed gap (M + m)/2 with a deterministic nominal system, (M + m)/sqrt(2) for

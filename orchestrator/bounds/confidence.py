@@ -119,7 +119,7 @@ def radius(spectrum: Spectrum, premises: Premises) -> float:
 
 def scales_squared(spectrum: Spectrum, premises: Premises, a: Floats) -> Floats:
     """Return g_a^2 for every a, shape (A,), in the squared unit of J; negative means that the set is empty.
-    Implements eq. (Gaussian mixture) of [FR], THEORY section 2.
+    Implements eq. (Gaussian mixture) of [FR].
 
     Formula: g_a^2 = B^2 + (Q - a y'(K + aI)^-1 y)/a without cancellation. Let l be the lambda_j with the largest term
     of the mixture and base = R^2 (Gamma(l) + 2 ln(1/delta)) - 2R^2 ln sum_j w_j exp(s_l - s_j). Then Q - a y'(K +

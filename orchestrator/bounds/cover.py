@@ -38,7 +38,7 @@ def certified_maximum(
     envelopes: Sequence[Envelope], lattice: Lattice, *, nodes: float, slack: float, max_cells: int
 ) -> Cover:
     """Return a bound of the maximum over the box of the sum of the envelopes' upper bands.
-    Implements THEORY section 2 (certified maximum over a box).
+    Implements eq. (cover) of [PB].
 
     Formula: branch and bound. The cells between the nodes are bounded by corner values and a rest (see
     `bounds.envelope`); those above the best U(z) found so far + `slack` are split in 2^p; a child is never worse than

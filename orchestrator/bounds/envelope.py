@@ -55,7 +55,7 @@ class Envelope:
 
     def band(self, kernel: Floats) -> tuple[Floats, Floats]:
         """Return (upper, lower) at N points whose kernel with the data is `kernel` (q, N); each (N,), unit J.
-        Implements eq. (Gaussian mixture) of [FR], THEORY section 2.
+        Implements eq. (Gaussian mixture) of [FR].
 
         Formula: m0 + tau + min_a (mu_a + g_a sigma_a), m0 - tau + max_a (mu_a - g_a sigma_a), never beyond m0 +- (B +
         tau).
@@ -92,7 +92,7 @@ class Envelope:
 
     def over(self, centres: Floats, half: Floats, signs: Floats) -> tuple[Floats, Floats, Floats]:
         """Bound J over cells by a linear function and a rest: corner values (N, 2^p), rest (N,), upper value at c (N,).
-        Implements THEORY section 2 (certified maximum over a box).
+        Implements eq. (cover) of [PB].
 
         Formula: (1), (2) or (3) of the module; corner v is centre + signs[v] half, `signs` (2^p, p) being +-1.
         """

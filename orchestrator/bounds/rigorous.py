@@ -133,7 +133,7 @@ class RigorousMethod:
 
     def propose(self, first_index: int | None = None, pending: Sequence[int] = ()) -> Proposal:
         """Return the next test, given all observations so far and the tests in flight; it changes nothing.
-        Implements THEORY section 2.
+        Implements eq. (proposal) of [PB].
 
         Formula: argmax over the candidates of min_a (mu_a + g_a sigma_a), ties to the lowest index. With `pending`
         nodes, whose observations are not known, mu + g sigma' at one a, sigma' being the standard deviation as if they
@@ -167,7 +167,7 @@ class RigorousMethod:
 
     def observe(self, index: int, y: float) -> None:
         """Add the observation `y` of J at candidate `index` and update the bound; on an error nothing changes.
-        Implements THEORY section 2 (anytime bound).
+        Implements eq. (anytime) of [PB].
 
         Formula: U = min(U, U_n), L = max(L, L_n), B_min = max(B_min, sqrt(max(0, B^2 - min_a g_a^2))).
 

@@ -16,7 +16,7 @@ from fractions import Fraction
 
 def linearised(value: float, risk_weight: float, c: float, s: float) -> float:
     """Return X, whose expectation is not above the risk E rho - r sd(rho), in the unit of `value`.
-    Implements THEORY section 4.
+    Implements eq. (linearised) of [PB].
 
     Formula: X = rho - (r/2)((rho - c)^2/s + s); E[X] <= E rho - r sd(rho) because sd <= sqrt(E(rho - c)^2) and, by the
     arithmetic-geometric mean, 2 sqrt(v) <= v/s + s. Equal for c = E rho, s = sd(rho). Assumes constants c and s > 0
@@ -31,7 +31,7 @@ def linearised(value: float, risk_weight: float, c: float, s: float) -> float:
 
 def linearised_range(clip: tuple[float, float], risk_weight: float, c: float, s: float) -> tuple[float, float]:
     """Return the least and the largest X over the clip, in the unit of `clip`, rounded outward to doubles.
-    Implements THEORY section 4.
+    Implements eq. (range) of [PB].
 
     Formula: X is a concave parabola in rho with its vertex at c + s/r, so the least value is at an end of the clip and
     the largest at the vertex, or at an end if the vertex lies outside. Computed exactly on the printed decimals.
@@ -56,7 +56,7 @@ def linearised_range(clip: tuple[float, float], risk_weight: float, c: float, s:
 
 def bhatia_davis(mean: float, clip: tuple[float, float], risk_weight: float) -> float:
     """Return a lower bound of the risk of every law on the clip whose mean is at least `mean`, in the unit of `clip`.
-    Implements THEORY section 3.2.
+    Implements eq. (variance) of [BD].
 
     Formula: phi(b) = b - r sqrt((M - b)(b + m)) right of its minimum at c0 - h/sqrt(1 + r^2), and left of that its
     least value c0 - h sqrt(1 + r^2); h = (M + m)/2, c0 = (M - m)/2, b clipped to [-m, M].

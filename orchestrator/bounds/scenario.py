@@ -78,7 +78,7 @@ class ScenarioBound:
 
 class ScenarioMethod:
     """Betting bounds of K scenarios, and which of them is to be tested next.
-    Implements THEORY section 4.
+    Implements eq. (scenario) of [PB].
 
     A test is a batch of true rollouts of one scenario. What was observed, in test order, is all the state: observing
     the same values again in the same order rebuilds it to the bit. `constants` are (c, s) and belong to `linearised`.

@@ -9,15 +9,23 @@ from schemas.base import one_blas_thread
 
 one_blas_thread()
 
-from tests.benchmarks import campaign, proposal, rollout, scenario, stl  # noqa: E402  (numpy reads the setting once)
+from tests.benchmarks import campaign, proposal, rigorous, rollout, scenario, stl  # noqa: E402  (numpy reads the setting once)
 
 OUT = Path("build/bench.json")
+MEASURES = {
+    "rollout": rollout.measure,
+    "proposal": proposal.main,
+    "rigorous": rigorous.main,
+    "stl": stl.main,
+    "scenario": scenario.main,
+    "campaign": campaign.main,
+}
 
 
 def main() -> None:
     """Run, print and write."""
     results: dict[str, dict[str, float]] = {}
-    for name, measure in (("rollout", rollout.measure), ("proposal", proposal.main), ("stl", stl.main), ("scenario", scenario.main), ("campaign", campaign.main)):
+    for name, measure in MEASURES.items():
         results[name] = measure()
         for key, value in results[name].items():
             sys.stdout.write(f"{name + '/' + key:58s} {value:12.4f}\n")

@@ -13,7 +13,6 @@ from orchestrator.bounds.composition import (
     RiskBound,
     Rule,
     VarianceBound,
-    bhatia_davis,
     compose,
     compose_mean,
     compose_risk,
@@ -26,6 +25,7 @@ from orchestrator.bounds.composition import (
 )
 from orchestrator.bounds.paper import mills_probability
 from orchestrator.bounds.rigorous import RigorousMethod
+from orchestrator.bounds.risk import bhatia_davis
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
 from orchestrator.gp.points import Points
@@ -136,33 +136,33 @@ VARIANCES: tuple[VarianceBound, ...] = ("bhatia-davis", "popoviciu")
 
 class TestBhatiaDavis:
     def test_vector(self) -> None:
-        assert bhatia_davis(0.558, 0.2, CLIP) == pytest.approx(0.489667, abs=5e-7)
+        assert bhatia_davis(0.558, CLIP, 0.2) == pytest.approx(0.489667, abs=5e-7)
         risk = {v: compose_risk(0.558, risk_weight=0.2, clip=CLIP, variance=v, spent=[(0.05, 0.1)]) for v in VARIANCES}
         assert risk["popoviciu"] == RiskBound(0.558, 0.478, 0.95)
         assert risk["bhatia-davis"].ell == pytest.approx(0.489667, abs=5e-7)
-        assert risk["bhatia-davis"].ell <= bhatia_davis(0.558, 0.2, CLIP)
+        assert risk["bhatia-davis"].ell <= bhatia_davis(0.558, CLIP, 0.2)
 
     @given(st.floats(-0.2, 0.9), st.floats(0, 5))
     def test_is_the_least_value_right_of_the_bound(self, b: float, r: float) -> None:
         means = np.linspace(min(max(b, -0.05), 0.75), 0.75, 2001)
         values = means - r * np.sqrt(np.maximum((0.75 - means) * (means + 0.05), 0.0))
-        ell = bhatia_davis(b, r, CLIP)
+        ell = bhatia_davis(b, CLIP, r)
         assert ell <= values.min() + 1e-12
         assert ell >= values.min() - 1e-3 * (1 + r)
 
     @given(st.floats(-0.05, 0.75), st.floats(-0.05, 0.75), st.floats(0, 5))
     def test_monotone_and_never_below_popoviciu(self, one: float, other: float, r: float) -> None:
         low, high = sorted((one, other))
-        assert bhatia_davis(low, r, CLIP) <= bhatia_davis(high, r, CLIP) + 1e-12
-        assert bhatia_davis(low, r, CLIP) >= low - r * 0.4 - 1e-12
+        assert bhatia_davis(low, CLIP, r) <= bhatia_davis(high, CLIP, r) + 1e-12
+        assert bhatia_davis(low, CLIP, r) >= low - r * 0.4 - 1e-12
 
     @given(st.lists(st.floats(-0.05, 0.75), min_size=2, max_size=9), st.floats(0, 2))
     def test_holds_for_every_sample(self, values: list[float], r: float) -> None:
         risk = float(np.mean(values)) - r * float(np.std(values))
-        assert bhatia_davis(float(np.mean(values)), r, CLIP) <= risk + 1e-9
+        assert bhatia_davis(float(np.mean(values)), CLIP, r) <= risk + 1e-9
 
     def test_refuses(self) -> None:
-        for wrong in ((math.nan, 0.2, CLIP), (0.5, -1.0, CLIP), (0.5, 0.2, (0.75, -0.05))):
+        for wrong in ((math.nan, CLIP, 0.2), (0.5, CLIP, -1.0), (0.5, (0.75, -0.05), 0.2)):
             with pytest.raises(ValueError, match=r"finite|risk_weight|clip"):
                 bhatia_davis(*wrong)
         with pytest.raises(ValueError, match="popoviciu"):
