@@ -116,7 +116,7 @@ def _finish(directory: Path, *, strict: bool) -> None:
     console, found = _data(), session.certificate(directory)
     summary.show(found, console)
     summary.written(directory, console)
-    if strict and summary.refuted(found, found.predicate.claims[0]):
+    if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
 
 

@@ -40,11 +40,12 @@ def out_of_reach(config: CampaignConfig, problem: Problem, noise: float) -> str 
         return None
     tests = config.max_tests_of(problem)
     least = 2 * noise * math.sqrt(2 * math.log(1 / problem.delta) / tests)
+    least = min(least, 2 * (problem.rkhs_norm + problem.misspecification))  # what is known before the first test
     if least <= problem.alpha:
         return None
     return (
-        f"{problem.name}: {tests} tests cannot reach alpha = {problem.alpha:g}: even if all stood at one place, upper "
-        f"and lower bound would stay about {least:.3g} apart. The budget will end it, with the bound that it has then"
+        f"{problem.name}: {tests} tests can hardly reach alpha = {problem.alpha:g}: even if all stood at one place, "
+        f"upper and lower bound would stay about {least:.3g} apart. The budget then ends it, with the bound it has"
     )
 
 

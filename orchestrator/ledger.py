@@ -4,6 +4,7 @@ Every fact takes one way, live and in a replay: `_apply`. Live, it is written to
 """
 
 import hashlib
+import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from typing import Literal
 from orchestrator import campaign, forecast
 from orchestrator.campaign import RolloutId
 from orchestrator.errors import IllegalEvent, JournalError, PerfboundError
-from orchestrator.methods import noise_per_test
+from orchestrator.methods import budget, noise_per_test
 from orchestrator.observation import Observation, Observer, shared
 from orchestrator.proposer import Proposer
 from orchestrator.seeds import rollout_seed
@@ -56,6 +57,8 @@ class Account:
     observations: list[float] = field(default_factory=list)
     each: list[tuple[float, ...]] = field(default_factory=list)
     nodes: list[int] = field(default_factory=list)
+    excess: float = -math.inf
+    """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
     robustness: list[float] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
     last_proposal: ProposalFact | None = None
@@ -199,7 +202,7 @@ class Ledger:
         return self._write(self._bound(account, test, found))
 
     def _bound(self, account: Account, test: int, found: Observation) -> BoundFact:
-        last = test + 1 >= self.config.max_tests_of(account.problem)
+        last = test + 1 >= budget(self.config, self.header.spec, account.problem)
         assert account.last_proposal is not None
         try:
             return self.proposer.observe(account.last_proposal, found, last=last)
@@ -245,12 +248,26 @@ class Ledger:
         account.observations.append(fact.y)
         account.each.append(fact.each)
         account.nodes.append(proposal.node)
+        if account.problem.name == "sim_gap":
+            account.excess = max(account.excess, self._excess(account.problem, rollouts, fact.each))
         for rollout in rollouts:
             account.counts[rollout.rollout.variant] += 1
             if rollout.robustness is not None:
                 account.robustness.append(rollout.robustness)
         if not live:
             self._recomputed[fact.problem] = self._bound(account, fact.test, Observation(fact.y, fact.each))
+
+    def _excess(self, problem: Problem, rollouts: list[RolloutFact], gaps: tuple[float, ...]) -> float:
+        gap = self.config.gap_of(problem)
+        assert gap is not None, "the campaign file was checked"
+        found = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
+        first = {variant: shared(self.header.spec, problem, variant) for variant in ("nominal", "true")}
+        differences = []
+        for replicate, value in enumerate(gaps):
+            nominal, true = (found[v, 0 if first[v] else replicate] for v in ("nominal", "true"))
+            signed = nominal - true if gap.kind == "robustness" else abs(nominal - true)
+            differences.append(signed - gap.lipschitz * value)
+        return max(differences)
 
     def _compare(self, fact: BoundFact) -> None:
         """Refuse a bound that does not follow from the observations before it."""
@@ -283,4 +300,4 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> campaign
         for variant in ROLLED_OUT[problem.name]
         if replicate == 0 or not shared(spec, problem, variant)
     )
-    return campaign.Plan(problem.name, config.window_of(problem), config.max_tests_of(problem), rollouts)
+    return campaign.Plan(problem.name, config.window_of(problem), budget(config, spec, problem), rollouts)

@@ -191,6 +191,14 @@ def noise_per_test(config: CampaignConfig, spec: SystemSpec, problem: PaperProbl
     return per_rollout / math.sqrt(config.replicates_of(problem))
 
 
+def budget(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> int:
+    """Return the most tests of a problem: without noise, no more than there are candidates to learn from."""
+    tests = config.max_tests_of(problem)
+    if isinstance(problem, RigorousProblem) and noise_per_test(config, spec, problem) == 0:
+        return min(tests, config.candidates_of(problem))
+    return tests
+
+
 def derived_noise(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> float:
     """Return R of one rollout by Hoeffding's lemma: half the range of a bounded objective."""
     clip = config.clip

@@ -88,7 +88,8 @@ class Observer:
         gaps = []
         for replicate in range(self._config.replicates_of(problem)):
             nominal = trajectories["nominal", 0 if shared(self._spec, problem, "nominal") else replicate]
-            gaps.append(self._gap(problem, nominal, trajectories["true", replicate]))
+            true = trajectories["true", 0 if shared(self._spec, problem, "true") else replicate]
+            gaps.append(self._gap(problem, nominal, true))
         return _mean(gaps)
 
     def _gap(self, problem: Problem, nominal: Trajectory, true: Trajectory) -> float:

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from orchestrator.certificate import files
 from orchestrator.errors import JournalError, PerfboundError
-from orchestrator.stl.formula import FormulaError
+from orchestrator.stl.formula import FormulaError, columns
 from orchestrator.stl.formula import parse as parse_formula
 from orchestrator.stl.horizon import check_horizon
 from orchestrator.store import evidence
@@ -188,8 +188,20 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, path: Path) -
     try:
         formula = parse_formula(config.specification, [column.name for column in spec.columns])
         check_horizon(formula, config.horizon)
+        _check_gap(config, columns(formula), path)
     except FormulaError as error:
         raise CampaignError(f"{path}: specification: {error}") from None
+
+
+def _check_gap(config: CampaignConfig, read: frozenset[str], path: Path) -> None:
+    """Refuse a gap in one column where the robustness depends on others."""
+    for problem in config.problems:
+        gap = config.gap_of(problem) if problem.name == "sim_gap" else None
+        if gap is not None and gap.kind == "signal_sup" and read != {gap.column}:
+            raise CampaignError(
+                f"{path}: gap.column: {gap.column!r} cannot carry the claim over: the specification reads "
+                f'{", ".join(sorted(read)) or "no column"}; use kind = "predicate_sup", which fits every specification'
+            )
 
 
 def _check_software(header: Header) -> None:

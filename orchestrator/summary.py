@@ -54,7 +54,7 @@ def show(certificate: Certificate, console: Console) -> None:
         _claim(
             claim,
             predicate.composition if number == 0 else None,
-            refuted(certificate, claim),
+            list(claim.refuted),
             console,
             first=number == 0,
         )
@@ -69,12 +69,6 @@ def show(certificate: Certificate, console: Console) -> None:
         _problem(problem, console)
     _heading(console, "Assumptions that the data do not refute", "bold")
     _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
-
-
-def refuted(certificate: Certificate, claim: Claim) -> list[str]:
-    """Return the ids of the refuted assumptions that a claim rests on."""
-    found = {each.id for each in certificate.predicate.assumptions if each.status == "refuted"}
-    return sorted(found & set(claim.assumptions))
 
 
 def written(directory: Path, console: Console) -> None:

@@ -16,6 +16,7 @@ Positive = Annotated[float, Field(gt=0)]
 MAX_CANDIDATES = 100_000
 """Nodes of the largest lattice; memory is O(tests x nodes)."""
 MAX_SCENARIOS = 1000
+MAX_NU = 40
 
 SENSES: dict[ProblemName, Sense] = {
     "nominal_robustness": "min",
@@ -136,7 +137,7 @@ class Linearised(Model):
 class Weighted(Model):
     """One regulariser of a mixture that is fixed beforehand."""
 
-    value: float = Field(gt=0, description="lambda")
+    value: float = Field(ge=1e-9, description="lambda")
     weight: float = Field(gt=0, le=1, description="the weights sum to at most 1")
 
 
@@ -200,7 +201,7 @@ class RigorousProblem(_KernelProblem):
     noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] = Field(
         description="R: sub-Gaussian noise of one rollout; 'derived' from the clip by Hoeffding; 0 without noise"
     )
-    regulariser: Positive | tuple[Weighted, ...] | None = Field(
+    regulariser: Annotated[float, Field(ge=1e-9)] | tuple[Weighted, ...] | None = Field(
         default=None, description="lambda, or a mixture fixed beforehand; by default four values from R and B"
     )
     misspecification: float = Field(
@@ -216,6 +217,8 @@ class RigorousProblem(_KernelProblem):
             raise ValueError("linearised: required by problem 'true_risk' with method 'rigorous', and only there")
         if isinstance(self.regulariser, tuple) and sum(each.weight for each in self.regulariser) > 1 + 1e-12:
             raise ValueError("regulariser: the weights must sum to at most 1")
+        if self.kernel.nu > MAX_NU:
+            raise ValueError(f"kernel.nu: {self.kernel.nu:g} must be at most {MAX_NU} in method 'rigorous'")
         if self.noise_scale == "derived" and self.name == "maximum":
             raise ValueError("noise_scale: 'derived' needs a clipped objective, which 'maximum' has not: give a number")
         if self.slack is not None and self.slack > self.alpha:

@@ -91,7 +91,7 @@ def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         if missing:
             faults.append(f"problems.{problem.name}: {spec.name} has no variant {', '.join(sorted(missing))}")
         noisy = set(ROLLED_OUT[problem.name]) & set(spec.noisy)
-        if problem.method == "rigorous" and problem.noise_scale == 0 and noisy and config.replicates_of(problem) == 1:
+        if problem.method == "rigorous" and problem.noise_scale == 0 and noisy:
             faults.append(
                 f"problems.{problem.name}.noise_scale: 0 has no meaning for the {' and '.join(sorted(noisy))} variant "
                 f"of {spec.name}, whose rollouts depend on the seed: allowed is 'derived' or a number > 0"

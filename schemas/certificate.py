@@ -40,6 +40,7 @@ class Claim(Model):
     rule: Rule
     method: str
     assumptions: tuple[str, ...]
+    refuted: tuple[str, ...] = Field(description="those of the assumptions that are refuted: do not rely on the claim")
 
 
 class Rollouts(Model):
@@ -57,7 +58,9 @@ class ProblemResult(Model):
     method: str
     sense: Sense
     bound: float
-    partner: float | None = Field(description="the bound from the other side; None in method paper, which has none")
+    partner: float | None = Field(
+        description="from the other side, if the method has one; of a linearised risk, of its expectation"
+    )
     probability: float
     probabilities: dict[Literal["gaussian", "sub-gaussian", "bound"], float]
     tests: int
@@ -98,6 +101,7 @@ class Evidence(Model):
 class Predicate(Model):
     """The content of the certificate."""
 
+    question: dict[str, object] = Field(description="system, space, specification, clip, r: what the claims are about")
     campaign: CampaignId
     claims: tuple[Claim, ...] = Field(min_length=1)
     problems: tuple[ProblemResult, ...]

@@ -162,7 +162,7 @@ def independent_problems(problems: Sequence[str], rule: Rule) -> Assumption:
         if rule == "product"
         else f"the failure probabilities of {names} are added: right however the problems depend on each other."
     )
-    return Assumption("independence", "derived", detail)
+    return Assumption("independence" if rule == "product" else "accounting", "derived", detail)
 
 
 def workers_honest() -> Assumption:
@@ -240,33 +240,49 @@ def bounds_agree(problem: str, *, upper: float, lower: float) -> Assumption:
     return Assumption(f"bounds_agree/{problem}", "not refuted", f"{numbers}, which is not evidence for either.")
 
 
-def replicate_spread(problem: str, replicates: Sequence[Sequence[float]], *, noise_scale: float) -> Assumption:
-    """Compare the spread of replicates with R of one rollout: a hint, since R-sub-Gaussian noise has variance <= R^2.
+def replicate_spread(
+    problem: str, replicates: Sequence[Sequence[float]], *, noise_scale: float, delta: float, planned: int
+) -> Assumption:
+    """Test R of one rollout against the spread of replicates.
+    Implements eq. (spread) of [PB].
 
-    Formula: pooled sd = sqrt(sum (v - mean of its test)^2 / (values - tests)).
+    Formula: refuted if the sum of (v - mean of its test)^2 over N values exceeds [ln(1/delta) - (N/2) ln(1-2x)] R^2/x,
+    x = min(1/4, sqrt(ln(1/delta)/planned)). For R-sub-Gaussian noise E exp(x xi^2/R^2) <= (1 - 2x)^(-1/2), so that the
+    product over the values is a supermartingale; Ville's inequality makes the test valid at every N. Between a pooled
+    standard deviation of R and the threshold there is a hint only. `planned` values were fixed beforehand.
 
     Raises:
-        ValueError: a value is not finite.
+        ValueError: a value is not finite, or delta is outside (0, 1).
+
+    >>> replicate_spread("p", [(0.0, 1.0)] * 50, noise_scale=0.1, delta=0.05, planned=100).status
+    'refuted'
 
     """
+    if not 0.0 < delta < 1.0:
+        raise ValueError(f"delta must lie in (0, 1), not {delta!r}")
     groups = [values for values in replicates if len(values) > 1]
-    freedom = sum(len(values) - 1 for values in groups)
+    values = sum(len(group) for group in groups)
+    freedom = values - len(groups)
     name = f"replicate_spread/{problem}"
     if not freedom:
         return Assumption(name, "assumed", "no test has two replicates, so nothing was compared with the noise scale.")
-    means = [math.fsum(values) / len(values) for values in groups]
-    squares = math.fsum((v - mean) ** 2 for values, mean in zip(groups, means, strict=True) for v in values)
+    means = [math.fsum(group) / len(group) for group in groups]
+    squares = math.fsum((v - mean) ** 2 for group, mean in zip(groups, means, strict=True) for v in group)
     if not math.isfinite(squares):
         raise ValueError(f"the audit of {problem} needs finite replicates")
     sd = math.sqrt(squares / freedom)
-    verdict = (
-        "above it, a hint that R is too small" if sd > noise_scale else "not above it, which is not evidence for R"
-    )
+    status: Status = "not refuted"
+    verdict = "not above it, which is not evidence for R"
+    x = min(0.25, math.sqrt(math.log(1 / delta) / max(planned, values)))
+    if squares > (math.log(1 / delta) - values / 2 * math.log1p(-2 * x)) * noise_scale**2 / x:
+        status, verdict = "refuted", f"more than noise of that scale allows at confidence {_number(1 - delta)}"
+    elif sd > noise_scale:
+        status, verdict = "assumed", "above it, a hint that R is too small"
     detail = (
         f"the replicates of {len(groups)} tests have a pooled standard deviation of {_number(sd)} per rollout; the "
         f"noise scale is {_number(noise_scale)} and the spread is {verdict}."
     )
-    return Assumption(name, "assumed" if sd > noise_scale else "not refuted", detail)
+    return Assumption(name, status, detail)
 
 
 def deterministic_variant(problem: str, replicates: Sequence[Sequence[float]]) -> Assumption:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator, Mapping
+from typing import Literal
 
 from orchestrator.bounds import audit
 from orchestrator.bounds.audit import Assumption
@@ -9,8 +10,11 @@ from orchestrator.certificate.claims import PAIR, Methods
 from orchestrator.gp.lattice import Lattice
 from orchestrator.ledger import Account
 from orchestrator.methods import Rigorous, candidates, derived_noise, kernel, noise_per_test
+from orchestrator.observation import shared
 from orchestrator.store.journal import Header
-from schemas.campaign import ROLLED_OUT, PaperProblem, RigorousProblem, ScenarioProblem
+from schemas.campaign import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
+
+ROUNDING = 1e-9
 
 
 def assumptions(header: Header, accounts: Mapping[str, Account], methods: Methods) -> list[Assumption]:
@@ -26,14 +30,76 @@ def assumptions(header: Header, accounts: Mapping[str, Account], methods: Method
             found += _rigorous(header, account, problem, method)
         else:
             found += _scenario(account, problem, size=methods[name].size)
+        if name == "sim_gap":
+            found.append(_dominates(header, account))
+            if shared(header.spec, problem, "nominal"):
+                found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
         if account.robustness and header.config.clip is not None:
             found.append(audit.clipped_share(name, account.robustness, header.config.clip))
     found.append(_finite(accounts))
     pair = [name for name in accounts if name in PAIR]
     if len(pair) == len(PAIR):
-        product = header.config.composition == "product"
-        found.append(audit.independent_problems(pair, "product" if product else "sum"))
-    return [*found, audit.workers_honest()]
+        methods_used = {accounts[name].problem.method for name in PAIR}
+        rules: tuple[Literal["product", "sum"], ...] = ("product", "sum") if methods_used == {"paper"} else ("sum",)
+        found += [audit.independent_problems(pair, rule) for rule in rules]
+    return [*found, _fixed_beforehand(), audit.workers_honest()]
+
+
+def _dominates(header: Header, account: Account) -> Assumption:
+    """Say why the gap dominates the difference of the robustness; test it on every pair of rollouts."""
+    gap = header.config.gap_of(account.problem)
+    assert gap is not None, "the campaign file was checked"
+    name = "lipschitz/sim_gap"
+    if account.excess > ROUNDING:
+        return Assumption(
+            name,
+            "refuted",
+            f"on some pair of rollouts the robustness differs by {account.excess:.6g} more than L times the gap, so L "
+            "or the column is wrong and the composition does not follow.",
+        )
+    if gap.kind == "signal_sup":
+        detail = (
+            f"robustness is taken to change by at most L = {gap.lipschitz:g} times the largest difference in "
+            f"{gap.column}; all pairs of rollouts obey it, which is not evidence for the others."
+        )
+        return Assumption(name, "assumed", detail)
+    why = "is the difference itself" if gap.kind == "robustness" else "dominates it for every min/max robustness"
+    return Assumption(
+        name, "derived", f"the gap {why}, so that L = 1 needs no assumption; all pairs of rollouts obey it."
+    )
+
+
+def _deterministic_nominal(nominal: Account | None) -> Assumption:
+    """Say what the replicates of a gap test rest on that share one nominal rollout."""
+    shared_one = "the replicates of a test share one nominal rollout, because the system declares that variant "
+    if nominal is not None and any(len(each) > 1 for each in nominal.each):
+        found = audit.deterministic_variant("sim_gap", nominal.each)
+        detail = f"{shared_one}deterministic; in nominal_robustness, {found.detail}"
+        return Assumption("deterministic_nominal/sim_gap", found.status, detail)
+    detail = f"{shared_one}deterministic; nothing was repeated to test it."
+    return Assumption("deterministic_nominal/sim_gap", "assumed", detail)
+
+
+def _fixed_beforehand() -> Assumption:
+    detail = (
+        "norm bounds, noise scales, kernels, prior means, constants, replicates, budgets and the seed are taken to be "
+        "chosen without looking at rollouts with these seeds: a campaign that was changed after a look at its results "
+        "needs a new seed."
+    )
+    return Assumption("fixed_beforehand", "assumed", detail)
+
+
+def _listed(name: str, size: int) -> Assumption:
+    detail = f"the claim is about the {size} listed starts and no others; for these the optimum is exact."
+    return Assumption(f"finite_space/{name}", "derived", detail)
+
+
+def _linearised(name: str, constants: Linearised) -> Assumption:
+    detail = (
+        f"the risk is bounded by an expectation with the constants {constants.centre:g} and {constants.spread:g}, "
+        "fixed beforehand: any constants are valid, good ones lose less. What the bound tends to is not above the risk."
+    )
+    return Assumption(f"linearised/{name}", "derived", detail)
 
 
 def _finite(accounts: Mapping[str, Account]) -> Assumption:
@@ -85,18 +151,18 @@ def _rigorous(header: Header, account: Account, problem: RigorousProblem, method
     yield from _noise(header, account, problem, noise)
     if isinstance(method.candidates, Lattice):
         yield audit.certified_box(name, nodes=bound.candidates_upper, slack=bound.slack)
+    else:
+        yield _listed(name, method.size)
+    if problem.linearised is not None:
+        yield _linearised(name, problem.linearised)
 
 
 def _noise(header: Header, account: Account, problem: RigorousProblem, noise: float) -> Iterator[Assumption]:
     name = problem.name
     if noise == 0:
-        noisy = set(ROLLED_OUT[name]) & set(header.spec.noisy)
-        if noisy:
-            yield audit.deterministic_variant(name, account.each)
-        else:
-            places = zip(account.nodes, account.each, strict=True)
-            by_place = itertools.groupby(sorted(places), key=lambda place: place[0])
-            yield audit.deterministic_variant(name, [[v for _, each in group for v in each] for _, group in by_place])
+        places = sorted(zip(account.nodes, account.each, strict=True))
+        by_place = itertools.groupby(places, key=lambda place: place[0])
+        yield audit.deterministic_variant(name, [[v for _, each in group for v in each] for _, group in by_place])
         return
     per_rollout = noise * header.config.replicates_of(problem) ** 0.5
     if name != "maximum":
@@ -105,17 +171,14 @@ def _noise(header: Header, account: Account, problem: RigorousProblem, noise: fl
         )
     else:
         yield audit.noise_scale(name, noise_scale=noise, replicates=header.config.replicates_of(problem))
-    yield audit.replicate_spread(name, account.each, noise_scale=per_rollout)
+    planned = header.config.max_tests_of(problem) * header.config.replicates_of(problem)
+    yield audit.replicate_spread(name, account.each, noise_scale=per_rollout, delta=problem.delta, planned=planned)
 
 
 def _scenario(account: Account, problem: ScenarioProblem, *, size: int) -> Iterator[Assumption]:
     name, bound = problem.name, account.last_bound
     rollouts = sum(account.counts.values())
-    yield Assumption(
-        f"finite_space/{name}",
-        "derived",
-        f"the claim is about the {size} listed starts and no others; for these the minimum is exact.",
-    )
+    yield _listed(name, size)
     yield Assumption(
         f"independent_rollouts/{name}",
         "derived",
@@ -135,9 +198,4 @@ def _scenario(account: Account, problem: ScenarioProblem, *, size: int) -> Itera
             ),
         )
     if problem.linearised is not None:
-        yield Assumption(
-            f"linearised/{name}",
-            "derived",
-            f"the risk is bounded by an expectation with the constants {problem.linearised.centre:g} and "
-            f"{problem.linearised.spread:g}, fixed beforehand: any constants are valid, good ones lose less.",
-        )
+        yield _linearised(name, problem.linearised)

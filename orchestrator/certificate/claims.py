@@ -3,23 +3,26 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from orchestrator.bounds.audit import Assumption
 from orchestrator.bounds.composition import (
     compose,
     compose_mean,
     compose_risk,
-    confidence,
     joint_probability,
     pointwise_mean,
     round_down,
+    round_up,
 )
-from orchestrator.methods import Paper, Rigorous, Scenario, noise_per_test
+from orchestrator.methods import Paper, Rigorous, Scenario
 from orchestrator.store.journal import Header
 from schemas import certificate as document
-from schemas.campaign import CampaignConfig, Gap, Problem, RigorousProblem, Rule
+from schemas.campaign import CampaignConfig, Gap, Rule
 
 Methods = Mapping[str, Paper | Rigorous | Scenario]
 Results = Mapping[str, document.ProblemResult]
 PAIR = ("nominal_robustness", "sim_gap")
+MULTIPLIED, ADDED = "independence", "accounting"
+"""Assumptions of the two ways in which the probabilities of a pair are combined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +33,7 @@ class Claimed:
     composition: document.Composition | None
 
 
-def claims(header: Header, results: Results, methods: Methods, assumptions: Sequence[str]) -> Claimed:
+def claims(header: Header, results: Results, methods: Methods, assumptions: Sequence[Assumption]) -> Claimed:
     """Return the claims in the order: chosen beforehand, other rules over the same pair, direct ones.
 
     Each has its own probability; whoever reads several pays the sum of what is missing to 1.
@@ -54,7 +57,7 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 
-def _direct(result: document.ProblemResult, assumptions: Sequence[str]) -> document.Claim:
+def _direct(result: document.ProblemResult, assumptions: Sequence[Assumption]) -> document.Claim:
     minimum = result.sense == "min"
     return document.Claim(
         quantity="rho_star" if minimum else "J_star",
@@ -63,25 +66,24 @@ def _direct(result: document.ProblemResult, assumptions: Sequence[str]) -> docum
         probability=result.probability,
         rule="single",
         method=result.method,
-        assumptions=used(assumptions, {result.name}),
+        **_rests_on(assumptions, {result.name}, "single"),
     )
 
 
 def _composed(
-    header: Header, results: Results, methods: Methods, assumptions: Sequence[str], rule: Rule
+    header: Header, results: Results, methods: Methods, assumptions: Sequence[Assumption], rule: Rule
 ) -> tuple[document.Claim, document.Composition]:
-    config, nominal = header.config, results["nominal_robustness"]
+    config = header.config
     paper = rule in ("product", "sum") and isinstance(methods["sim_gap"], Paper)
     terms = _theorem_2(config, results, rule) if paper else _rigorous(header, results, methods, rule)
-    probability = _theorem_2_probability(results, rule) if paper else _rigorous_probability(header)
     claim = document.Claim(
         quantity="rho_star",
         sense=">=",
         bound=terms.bound,
-        probability=probability,
+        probability=_probability(results, rule),
         rule=rule,
-        method=nominal.method,
-        assumptions=used(assumptions, set(PAIR)),
+        method=" + ".join(dict.fromkeys(results[name].method for name in PAIR)),
+        **_rests_on(assumptions, set(PAIR), rule),
     )
     return claim, terms
 
@@ -108,7 +110,8 @@ def _theorem_2(config: CampaignConfig, results: Results, rule: Rule) -> document
     )
 
 
-def _theorem_2_probability(results: Results, rule: Rule) -> float:
+def _probability(results: Results, rule: Rule) -> float:
+    """Return the probability of a composed claim: failures add up, but for the rule that multiplies."""
     pair = [results[name].probability for name in PAIR]
     return round_down(joint_probability(pair, "product" if rule == "product" else "sum"))
 
@@ -124,15 +127,15 @@ def _rigorous(header: Header, results: Results, methods: Methods, rule: Rule) ->
         risk_weight=config.risk_weight,
         clip=_clip(config),
         variance="popoviciu" if rule == "sum" else "bhatia-davis",
-        spent=_spent(header),
+        spent=[(0.5, 1.0)],  # the probability is that of the problems: `_probability`
     ).ell
     return document.Composition(
         rule=rule,
         nominal_bound=nominal.bound,
         gap_bound=gap.bound,
         lipschitz=measure.lipschitz,
-        gap_term=round_down(nominal.bound - mean),
-        risk_term=round_down(mean - ell),
+        gap_term=round_up(nominal.bound - mean),
+        risk_term=round_up(mean - ell),
         bound=ell,
     )
 
@@ -155,19 +158,6 @@ def _pointwise(config: CampaignConfig, methods: Methods, extremes: float) -> flo
     )
 
 
-def _rigorous_probability(header: Header) -> float:
-    return confidence(_spent(header))
-
-
-def _spent(header: Header) -> list[tuple[float, float]]:
-    """Return (delta, R) of the pair: a bound without noise is certain and spends nothing."""
-    return [(problem.delta, _noise(header, problem)) for problem in header.config.problems if problem.name in PAIR]
-
-
-def _noise(header: Header, problem: Problem) -> float:
-    return noise_per_test(header.config, header.spec, problem) if isinstance(problem, RigorousProblem) else 1.0
-
-
 def _gap(config: CampaignConfig) -> Gap:
     found = next(config.gap_of(problem) for problem in config.problems if problem.name == "sim_gap")
     assert found is not None, "the campaign file was checked"
@@ -179,6 +169,15 @@ def _clip(config: CampaignConfig) -> tuple[float, float]:
     return config.clip
 
 
-def used(assumptions: Sequence[str], problems: set[str]) -> tuple[str, ...]:
-    """Return the assumptions of these problems and those of the whole campaign."""
-    return tuple(each for each in assumptions if "/" not in each or each.split("/")[1] in problems)
+def _rests_on(assumptions: Sequence[Assumption], problems: set[str], rule: Rule) -> dict[str, tuple[str, ...]]:
+    """Return the assumptions of a claim, and which of them are refuted: of its problems, its rule, and the campaign."""
+    others = {"product": {ADDED}, "single": {ADDED, MULTIPLIED}}.get(rule, {MULTIPLIED})
+    used = [
+        each
+        for each in assumptions
+        if each.id not in others and ("/" not in each.id or each.id.split("/")[1] in problems)
+    ]
+    return {
+        "assumptions": tuple(each.id for each in used),
+        "refuted": tuple(each.id for each in used if each.status == "refuted"),
+    }

@@ -34,9 +34,10 @@ def issue(
     config = header.config
     results = {name: result(header, account) for name, account in accounts.items()}
     found = assumptions(header, accounts, methods)
-    claimed = claims(header, results, methods, [each.id for each in found])
+    claimed = claims(header, results, methods, found)
     manifest_sha256 = hashlib.sha256(evidence.manifest.encode()).hexdigest()
     predicate = document.Predicate(
+        question=_question(header),
         campaign=document.CampaignId(name=config.name, seed=config.seed, config_sha256=config.digest),
         claims=claimed.claims,
         problems=tuple(results.values()),
@@ -51,3 +52,12 @@ def issue(
     )
     subject = document.Subject(name="manifest.sha256", digest={"sha256": manifest_sha256})
     return document.Certificate(subject=(subject,), predicate=predicate)
+
+
+def _question(header: Header) -> dict[str, object]:
+    """Return what the claims are about, so that a reader needs no other file."""
+    return header.config.model_dump(
+        mode="json",
+        exclude_none=True,
+        include={"system", "space", "specification", "clip", "risk_weight", "horizon", "gap", "composition"},
+    )

@@ -5,7 +5,7 @@ from typing import Literal
 from orchestrator.bounds.composition import round_down, round_up
 from orchestrator.bounds.paper import Tail, mills_probability
 from orchestrator.ledger import Account
-from orchestrator.methods import derived_noise, noise_per_test
+from orchestrator.methods import budget, derived_noise, noise_per_test
 from orchestrator.store.journal import Header
 from schemas import certificate as document
 from schemas.campaign import SENSES, PaperProblem, Problem, RigorousProblem
@@ -52,7 +52,9 @@ def result(header: Header, account: Account) -> document.ProblemResult:
 
 def _objective(header: Header, problem: Problem) -> str:
     gap = header.config.gap_of(problem) if problem.name == "sim_gap" else None
-    return GAPS[gap.kind] if gap else OBJECTIVES[problem.name]
+    text = GAPS[gap.kind] if gap else OBJECTIVES[problem.name]
+    linear = not isinstance(problem, PaperProblem) and problem.linearised is not None
+    return f"{text}, through the expectation that bounds it" if linear else text
 
 
 def _probabilities(header: Header, problem: Problem) -> dict[Literal["gaussian", "sub-gaussian", "bound"], float]:
@@ -72,7 +74,7 @@ def _parameters(header: Header, problem: Problem) -> dict[str, object]:
         "window": config.window_of(problem),
         "replicates": config.replicates_of(problem),
         "candidates": config.candidates_of(problem),
-        "max_tests": config.max_tests_of(problem),
+        "max_tests": budget(config, header.spec, problem),
     }
     if isinstance(problem, PaperProblem | RigorousProblem):
         found["noise_scale_per_test"] = noise_per_test(config, header.spec, problem)

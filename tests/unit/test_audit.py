@@ -93,15 +93,35 @@ class TestRigorous:
         assert audit.bounds_agree("a", upper=0.4, lower=0.4 + 5e-10).status == "not refuted"
         assert audit.bounds_agree("a", upper=0.4, lower=0.41).status == "refuted"
 
-    def test_replicate_spread_is_a_hint(self) -> None:
-        wide = audit.replicate_spread("a", [(0.0, 1.0), (0.5, 0.5)], noise_scale=0.1)
+    def test_replicate_spread_is_a_hint_near_r_and_a_refutation_far_above(self) -> None:
+        def spread(*groups: tuple[float, ...]) -> audit.Assumption:
+            return audit.replicate_spread("a", groups, noise_scale=0.1, delta=0.05, planned=10)
+
+        wide = spread((0.0, 0.3), (0.1, 0.1))
         assert (wide.id, wide.status) == ("replicate_spread/a", "assumed")
-        assert "0.5 per rollout" in wide.detail
+        assert "0.15 per rollout" in wide.detail
         assert "hint" in wide.detail
-        assert audit.replicate_spread("a", [(0.0, 0.1)], noise_scale=0.1).status == "not refuted"
-        assert "no test has two" in audit.replicate_spread("a", [(0.0,)], noise_scale=0.1).detail
+        assert (
+            audit.replicate_spread("a", [(0.0, 0.1)], noise_scale=0.1, delta=0.05, planned=10).status == "not refuted"
+        )
+        assert (
+            "no test has two" in audit.replicate_spread("a", [(0.0,)], noise_scale=0.1, delta=0.05, planned=10).detail
+        )
         with pytest.raises(ValueError, match="finite"):
-            audit.replicate_spread("a", [(0.0, math.nan)], noise_scale=0.1)
+            audit.replicate_spread("a", [(0.0, math.nan)], noise_scale=0.1, delta=0.05, planned=10)
+
+    def test_replicate_spread_rarely_refutes_the_right_r(self) -> None:
+        """Gaussian noise of sd R is R-sub-Gaussian: alarms at any of five looks in at most delta of 400 campaigns."""
+        rng, alarms = np.random.default_rng(0), 0
+
+        def status(groups: list[list[float]]) -> str:
+            return audit.replicate_spread("a", groups, noise_scale=0.1, delta=0.05, planned=100).status
+
+        for _ in range(400):
+            noise = rng.normal(0.0, 0.1, (25, 4)).tolist()
+            alarms += any(status(noise[:n]) == "refuted" for n in (5, 10, 15, 20, 25))
+        assert alarms <= 34  # 99.9 % quantile of binomial(400, .05)
+        assert status(rng.normal(0.0, 0.14, (25, 4)).tolist()) == "refuted"
 
     def test_deterministic_variant(self) -> None:
         assert audit.deterministic_variant("a", [(0.5, 0.5), (0.1,)]).status == "not refuted"
@@ -188,8 +208,8 @@ class TestOthers:
             audit.norm_from_data("a", b_min=0.3, rkhs_norm=0.2, delta=0.05, noise_scale=0.0),
             audit.bounds_agree("a", upper=1.0, lower=0.0),
             audit.bounds_agree("a", upper=0.0, lower=1.0),
-            audit.replicate_spread("a", [(0.0, 1.0)], noise_scale=0.1),
-            audit.replicate_spread("a", [], noise_scale=0.1),
+            audit.replicate_spread("a", [(0.0, 1.0)], noise_scale=0.1, delta=0.05, planned=10),
+            audit.replicate_spread("a", [], noise_scale=0.1, delta=0.05, planned=10),
             audit.deterministic_variant("a", [(0.0, 1.0)]),
             audit.deterministic_variant("a", [(1.0, 1.0)]),
             audit.deterministic_variant("a", []),

@@ -11,7 +11,7 @@ import pytest
 from orchestrator import dispatch, service
 from orchestrator.errors import Stopped
 from orchestrator.service import Seen
-from schemas.campaign import CampaignConfig
+from schemas.campaign import CampaignConfig, CampaignError
 from tests.campaigns import table
 from tests.inmemory import Faults, Log, Network, begin, campaign, run_of, serve, working
 from workers import worker
@@ -107,10 +107,70 @@ def test_a_norm_bound_that_is_too_small_is_refuted_and_never_converges(tmp_path:
     assert "rkhs_norm/maximum" in found["claims"][0]["assumptions"]
 
 
-def test_noise_zero_on_a_noisy_variant_is_refuted_not_accepted(tmp_path: Path) -> None:
-    found = predicate(tmp_path, rigorous(noise_scale=0.0))
+def test_noise_zero_on_a_variant_that_is_declared_noisy_is_not_accepted(tmp_path: Path) -> None:
+    with pytest.raises(CampaignError, match="noise_scale: 0 has no meaning"):
+        campaign(tmp_path / "run", rigorous(noise_scale=0.0))
+
+
+def test_a_noise_scale_far_too_small_is_refuted_by_the_replicates(tmp_path: Path) -> None:
+    base = table("test-function-rigorous", resolution=5, max_tests=6, replicates=8)
+    base["system"] = {"name": "test-function", "noise_sd": 0.5}
+    found = predicate(tmp_path, a_config(base))
     status = {each["id"]: each["status"] for each in found["assumptions"]}
-    assert status["deterministic/maximum"] == "refuted"
+    assert status["replicate_spread/maximum"] == "refuted"
+    assert "replicate_spread/maximum" in found["claims"][0]["refuted"]
+
+
+def pair(nominal: dict[str, Any], gap: dict[str, Any], **changes: Any) -> CampaignConfig:
+    """A pair of problems over five listed starts, or a box, of the test function."""
+    kernel = {"nu": 2.5, "length_scale": 2.0}
+    problems = [
+        {"name": "nominal_robustness", "delta": 0.05, "alpha": 0.05, "rkhs_norm": 1.0, "kernel": kernel, **nominal},
+        {"name": "sim_gap", "delta": 0.05, "alpha": 0.05, "rkhs_norm": 1.0, "kernel": kernel, **gap},
+    ]
+    base = table("test-function", problems=problems, composition="sum", horizon=1.0, resolution=5, max_tests=6)
+    return a_config(
+        base, specification="always (value <= 0.6)", clip=[-0.5, 1.2], gap={"kind": "robustness"}, **changes
+    )
+
+
+EXACT = {"method": "rigorous", "noise_scale": 0.0}
+NOISY = {"method": "rigorous", "noise_scale": "derived", "replicates": 2}
+PAPER = {"method": "paper", "noise_scale": 0.1, "c": 0.2}
+LIST = {"scenarios": [[0.0, 0.0], [1.5, 0.0], [3.0, 1.0], [4.5, 2.0], [1.0, 3.0]]}
+
+
+@pytest.mark.parametrize(("nominal", "gap"), [(PAPER, NOISY), (EXACT, PAPER), (EXACT, NOISY), (PAPER, PAPER)])
+def test_a_composed_claim_is_no_surer_than_its_problems(
+    tmp_path: Path, nominal: dict[str, Any], gap: dict[str, Any]
+) -> None:
+    found = predicate(tmp_path, pair(nominal, gap))
+    failures = sum(1 - problem["probability"] for problem in found["problems"])
+    first = found["claims"][0]
+    assert first["rule"] == "sum"
+    assert first["probability"] == pytest.approx(1 - failures, abs=3e-9)
+    assert first["probability"] <= 1 - failures + 1e-12
+    assert "lipschitz/sim_gap" in first["assumptions"]
+    assert "independence" not in first["assumptions"]
+
+
+def test_a_list_of_starts_is_said_and_ends_when_every_start_is_known(tmp_path: Path) -> None:
+    found = predicate(tmp_path, pair({**EXACT, "window": 2}, NOISY, space=LIST))
+    status = {each["id"]: each["status"] for each in found["assumptions"]}
+    assert status["finite_space/nominal_robustness"] == status["finite_space/sim_gap"] == "derived"
+    assert found["problems"][0]["tests"] <= 5
+    assert found["question"]["space"] == LIST
+
+
+def test_a_column_that_does_not_carry_the_robustness_over_is_refuted(tmp_path: Path) -> None:
+    """Robustness of 5 value moves five times as fast as value: L = 1 is wrong, and every pair of rollouts shows it."""
+    config = pair(EXACT, NOISY)
+    gap = {"kind": "signal_sup", "column": "value", "lipschitz": 1.0}
+    raw = {**json.loads(config.model_dump_json(exclude_none=True)), "specification": "always (5 * value <= 0.6)"}
+    wrong = a_config({**raw, "gap": gap, "system": {"name": "test-function", "noise_sd": 0.1}, "clip": [-3.0, 4.0]})
+    found = predicate(tmp_path, wrong)
+    assert {each["id"]: each["status"] for each in found["assumptions"]}["lipschitz/sim_gap"] == "refuted"
+    assert "lipschitz/sim_gap" in found["claims"][0]["refuted"]
 
 
 def test_a_scenario_bound_is_below_the_least_robustness(tmp_path: Path) -> None:

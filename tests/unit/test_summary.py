@@ -44,8 +44,10 @@ def a_certificate(*assumptions: Assumption) -> Certificate:
         rule="single",
         method="paper",
         assumptions=tuple(each.id for each in assumptions),
+        refuted=tuple(each.id for each in assumptions if each.status == "refuted"),
     )
     predicate = Predicate(
+        question={},
         campaign=CampaignId(name="c", seed=1, config_sha256="0"),
         claims=(claim,),
         problems=(problem,),
