@@ -10,7 +10,7 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types imports unit check bench schemas lock clean
+.PHONY: help setup run test lint types imports unit explore bench schemas lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -45,7 +45,11 @@ imports: $(VENV)/.installed-dev ## Which room may import which
 	$(BIN)/lint-imports
 
 unit: $(VENV)/.installed-dev ## Tests, with real workers, Zenoh and PyBullet
+	$(BIN)/python -m pytest --doctest-modules orchestrator workers schemas
 	$(BIN)/python -m pytest
+
+explore: $(VENV)/.installed-dev ## Property tests with new random cases, many of them
+	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit
 
 bench: $(VENV)/.installed-dev ## CPU time of rollouts, proposals and the orchestrator
 	$(BIN)/python -m tests.benchmarks

@@ -82,7 +82,7 @@ def compose(
     if m + top <= 0:
         raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end")
     gap_term, spread = lip * e, r * (top + m) / 2
-    ell = _on_lattice(math.floor((rho - gap_term - spread) * STEP))
+    ell = _down(rho - gap_term - spread)
     chance = round_down(joint_probability(probabilities, rule))
     return Composition(float(robustness), float(gap_term), float(spread), ell, chance)
 
@@ -146,7 +146,7 @@ def compose_mean(
     if lip < 0 or (kind != "signal_sup" and lip != 1):
         raise ValueError(f"lipschitz is {lipschitz!r}; it must not be negative, and only signal_sup has one")
     exact = _decimal(robustness) - lip * _decimal(gap)
-    return max(round_down(low), _on_lattice(math.floor(exact * STEP)))
+    return max(round_down(low), _down(exact))
 
 
 def compose_risk(
@@ -176,7 +176,7 @@ def compose_risk(
         ell = round_down(bhatia_davis(mean, clip, risk_weight) - STEP**-1 / 1000.0)  # round-off of the square root
     elif variance == "popoviciu":
         spread = _decimal(risk_weight) * (_decimal(high) - _decimal(low)) / 2
-        ell = _on_lattice(math.floor((_decimal(mean) - spread) * STEP))
+        ell = _down(_decimal(mean) - spread)
     else:
         raise ValueError(f"variance is 'popoviciu' or 'bhatia-davis', not {variance!r}")
     return RiskBound(mean, ell, confidence(spent))
@@ -201,7 +201,7 @@ def confidence(spent: Sequence[tuple[float, float]]) -> float:
         if not (0.0 < delta < 1.0 and noise >= 0.0):
             raise ValueError(f"delta must lie in (0, 1) and R must not be negative, not {delta!r} and {noise!r}")
     exact = 1 - sum((_decimal(delta) for delta, noise in spent if noise > 0), start=Fraction(0))
-    return max(0.0, _on_lattice(math.floor(exact * STEP)))
+    return max(0.0, _down(exact))
 
 
 def pointwise_mean(
@@ -296,7 +296,7 @@ def round_down(x: float) -> float:
     (0.123456789, 0.3)
 
     """
-    return _on_lattice(math.floor(_decimal(x) * STEP))
+    return _down(_decimal(x))
 
 
 def round_up(x: float) -> float:
@@ -309,7 +309,7 @@ def round_up(x: float) -> float:
     (0.12345679, -0.3)
 
     """
-    return _on_lattice(math.ceil(_decimal(x) * STEP))
+    return -_down(-_decimal(x))
 
 
 def _decimal(x: float) -> Fraction:
@@ -323,6 +323,10 @@ def _decimal(x: float) -> Fraction:
     return Fraction(repr(float(x)))
 
 
-def _on_lattice(multiple: int) -> float:
-    """Return multiple / STEP as the nearest double (Python divides integers with one correct rounding)."""
-    return multiple / STEP
+def _down(exact: Fraction) -> float:
+    """Return the largest multiple of 1/STEP below or at `exact` as a double that, as printed, is not above it.
+
+    Above 2^23 doubles are further apart than 1/STEP, and the nearest one may be too large.
+    """
+    found = math.floor(exact * STEP) / STEP
+    return found if _decimal(found) <= exact else math.nextafter(found, -math.inf)

@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from orchestrator.bounds.composition import (
@@ -67,6 +67,7 @@ class TestCompose:
         assert paper(lipschitz=2.0).ell == -0.38
 
     @given(finite, finite, st.floats(0, 10), st.floats(0, 2))
+    @example(rho=-215938.55190666893, gap=999999.0, lipschitz=8.172677893254665, r=0.0)
     def test_never_above_the_exact_value(self, rho: float, gap: float, lipschitz: float, r: float) -> None:
         result = paper(robustness=rho, gap=gap, lipschitz=lipschitz, risk_weight=r)
         exact = (
