@@ -1,4 +1,4 @@
-"""Property tests are the same on every run, and time is not theirs to judge; PERFBOUND_EXPLORE=1 looks for new cases."""
+"""Property tests are the same on every run, and time is not theirs to judge; PERFBOUND_EXPLORE=1 finds new cases."""
 
 import os
 
