@@ -35,10 +35,8 @@ class Bound:
 class Method(Protocol):
     """What the campaign needs of a method; all in terms of the maximised objective J."""
 
-    @property
-    def size(self) -> int:
-        """Number of candidates."""
-        ...
+    size: int
+    """Number of candidates."""
 
     def propose(self, first: int | None, pending: Sequence[int]) -> Proposal:
         """Choose the next test, given the tests in flight; it changes nothing. `first` is the node of test 0."""
@@ -49,7 +47,7 @@ class Method(Protocol):
         ...
 
 
-class Paper:
+class Paper(Method):
     """Algorithm 1 as printed."""
 
     def __init__(self, config: CampaignConfig, spec: SystemSpec, problem: PaperProblem) -> None:
@@ -84,7 +82,7 @@ class Paper:
         return Bound(self.method.epsilon(proposal, observation.y), None, "converged" if stops else None)
 
 
-class Rigorous:
+class Rigorous(Method):
     """Bounds that hold at every moment, from one confidence set."""
 
     def __init__(self, config: CampaignConfig, spec: SystemSpec, problem: RigorousProblem) -> None:
@@ -116,7 +114,7 @@ class Rigorous:
         return Bound(found.upper, found.lower, None if found.status == "open" else found.status)
 
 
-class Scenario:
+class Scenario(Method):
     """Betting bounds on finitely many starts; J is minus the risk."""
 
     def __init__(self, config: CampaignConfig, spec: SystemSpec, problem: ScenarioProblem) -> None:

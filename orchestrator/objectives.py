@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.stl.predicates import check_grids
 from orchestrator.stl.robustness import robustness
 from orchestrator.stl.tree import Formula
 
@@ -45,14 +46,7 @@ def signal_sup(column: int, a: Floats, b: Floats) -> float:
     0.5
 
     """
-    if len(a) != len(b):
-        raise ValueError(f"the trajectories have {len(a)} and {len(b)} samples; a gap needs one time grid")
-    different = np.flatnonzero(a[:, 0] != b[:, 0])
-    if different.size:
-        k = int(different[0])
-        raise ValueError(
-            f"the time grids differ at sample {k}: t = {a[k, 0]:g} and {b[k, 0]:g}; a gap needs one time grid"
-        )
+    check_grids(a, b)
     return _finite(float(np.max(np.abs(a[:, column] - b[:, column]))), "the gap")
 
 

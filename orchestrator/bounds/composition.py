@@ -170,16 +170,25 @@ def compose_risk(
     RiskBound(mean=0.558, ell=0.489666..., probability=0.95)
 
     """
+    ell = least_risk(mean, risk_weight=risk_weight, clip=clip, variance=variance)
+    return RiskBound(mean, ell, confidence(spent))
+
+
+def least_risk(mean: float, *, risk_weight: float, clip: tuple[float, float], variance: VarianceBound) -> float:
+    """Return ell of `compose_risk`, rounded down, in the unit of robustness; raises as it does.
+
+    >>> least_risk(0.558, risk_weight=0.2, clip=(-0.05, 0.75), variance="popoviciu")
+    0.478
+
+    """
     low, high = _checked_clip(clip)
     _check_weight(risk_weight)
     if variance == "bhatia-davis":
-        ell = round_down(bhatia_davis(mean, clip, risk_weight) - STEP**-1 / 1000.0)  # round-off of the square root
-    elif variance == "popoviciu":
+        return round_down(bhatia_davis(mean, clip, risk_weight) - STEP**-1 / 1000.0)  # round-off of the square root
+    if variance == "popoviciu":
         spread = _decimal(risk_weight) * (_decimal(high) - _decimal(low)) / 2
-        ell = _down(_decimal(mean) - spread)
-    else:
-        raise ValueError(f"variance is 'popoviciu' or 'bhatia-davis', not {variance!r}")
-    return RiskBound(mean, ell, confidence(spent))
+        return _down(_decimal(mean) - spread)
+    raise ValueError(f"variance is 'popoviciu' or 'bhatia-davis', not {variance!r}")
 
 
 def confidence(spent: Sequence[tuple[float, float]]) -> float:

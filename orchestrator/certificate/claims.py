@@ -7,8 +7,8 @@ from orchestrator.bounds.audit import Assumption
 from orchestrator.bounds.composition import (
     compose,
     compose_mean,
-    compose_risk,
     joint_probability,
+    least_risk,
     pointwise_mean,
     round_down,
     round_up,
@@ -122,13 +122,12 @@ def _rigorous(header: Header, results: Results, methods: Methods, rule: Rule) ->
     mean = compose_mean(nominal.bound, gap.bound, kind=measure.kind, clip=_clip(config), lipschitz=measure.lipschitz)
     if rule == "pointwise":
         mean = _pointwise(config, methods, mean)
-    ell = compose_risk(
+    ell = least_risk(
         mean,
         risk_weight=config.risk_weight,
         clip=_clip(config),
         variance="popoviciu" if rule == "sum" else "bhatia-davis",
-        spent=[(0.5, 1.0)],  # the probability is that of the problems: `_probability`
-    ).ell
+    )
     return document.Composition(
         rule=rule,
         nominal_bound=nominal.bound,

@@ -56,11 +56,17 @@ def predicate_sup(tree: Formula, columns: Sequence[str], a: Floats, b: Floats) -
 
     """
     one, other = Signals(columns, a), Signals(columns, b)
-    _check_grids(a, b)
+    check_grids(a, b)
     return max(_distance(one.margins(predicate), other.margins(predicate)) for predicate in predicates(tree))
 
 
-def _check_grids(a: Floats, b: Floats) -> None:
+def check_grids(a: Floats, b: Floats) -> None:
+    """Check that two trajectories (T, n) can be compared sample by sample.
+
+    Raises:
+        ValueError: the time grids (column 0) differ.
+
+    """
     if len(a) != len(b):
         raise ValueError(f"the trajectories have {len(a)} and {len(b)} samples; a gap needs one time grid")
     different = np.flatnonzero(a[:, 0] != b[:, 0])

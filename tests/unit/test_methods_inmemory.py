@@ -8,13 +8,11 @@ from typing import Any
 
 import pytest
 
-from orchestrator import dispatch, service
 from orchestrator.errors import Stopped
 from orchestrator.service import Seen
 from schemas.campaign import CampaignConfig, CampaignError
 from tests.campaigns import table
-from tests.inmemory import Faults, Log, Network, begin, campaign, run_of, serve, working
-from workers import worker
+from tests.inmemory import Faults, Log, Network, begin, campaign, hurry, run_of, serve, working
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -50,11 +48,7 @@ CONFIGS = {"rigorous": rigorous(), "scenario": scenario()}
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything as it is, in a tenth of the time."""
-    monkeypatch.setattr(service, "TICK", 0.002)
-    monkeypatch.setattr(service, "ADOPTION", 0.2)
-    monkeypatch.setattr(worker, "HEARTBEAT", 0.04)
-    monkeypatch.setattr(worker, "RESEND", 0.1)
-    monkeypatch.setattr(dispatch, "Limits", partial(dispatch.Limits, resend_after=0.15, lost_after=0.3))
+    hurry(monkeypatch, tick=0.002)
 
 
 @pytest.mark.parametrize("method", CONFIGS)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestrator import dispatch, service
+from orchestrator import service
 from orchestrator.certificate import files
 from orchestrator.errors import PerfboundError, Stopped
 from orchestrator.ledger import Ledger
@@ -27,7 +27,7 @@ from schemas.campaign_file import parse
 from schemas.messages import MAX_RESULT, PROTOCOL, Assign, Request, ResultHeader, WorkerState
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import Trajectory, encode, read
-from tests.inmemory import Faults, InMemoryUplink, Log, Network, Wrap, begin, campaign, run_of, serve, working
+from tests.inmemory import Faults, InMemoryUplink, Log, Network, Wrap, begin, campaign, hurry, run_of, serve, working
 from workers import worker as module
 from workers.simulate import run
 from workers.systems import load
@@ -53,11 +53,7 @@ SMALL = a_config(max_tests=4, replicates=2)
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything as it is, in a tenth of the time."""
-    monkeypatch.setattr(service, "TICK", 0.02)
-    monkeypatch.setattr(service, "ADOPTION", 0.2)
-    monkeypatch.setattr(module, "HEARTBEAT", 0.04)
-    monkeypatch.setattr(module, "RESEND", 0.1)
-    monkeypatch.setattr(dispatch, "Limits", partial(dispatch.Limits, resend_after=0.15, lost_after=0.3))
+    hurry(monkeypatch, tick=0.02)
 
 
 @pytest.fixture(scope="module")
