@@ -10,10 +10,10 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types imports unit explore bench schemas lock clean
+.PHONY: help setup run test lint types imports unit explore coverage reproduce bench bench-compare schemas lock clean
 
 help: ## List the targets
-	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo "perfbound needs $(PYTHON): pybullet has no wheels above 3.11" >&2; exit 1; }
@@ -51,8 +51,22 @@ unit: $(VENV)/.installed-dev ## Tests, with real workers, Zenoh and PyBullet
 explore: $(VENV)/.installed-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit
 
-bench: $(VENV)/.installed-dev ## CPU time of rollouts, proposals and the orchestrator
+coverage: $(VENV)/.installed-dev ## How often bounds fail, over thousands of campaigns (half an hour; goes on where it stopped)
+	$(BIN)/python -m tests.coverage
+
+reproduce: setup ## The paper's tables and figures, into runs/paper (half an hour; goes on where it stopped)
+	$(BIN)/perfbound reproduce paper --out runs/paper
+
+$(VENV)-bench/.installed: tests/benchmarks/requirements.txt
+	test -x $(VENV)-bench/bin/python || $(PYTHON) -m venv $(VENV)-bench
+	$(VENV)-bench/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
+bench: $(VENV)/.installed-dev $(VENV)-bench/.installed ## CPU times beside those of peers, in one table and as JSON
 	$(BIN)/python -m tests.benchmarks
+
+bench-compare: $(VENV)/.installed-dev ## Two results side by side: OLD=... NEW=... (JSON files of make bench)
+	$(BIN)/python -m tests.benchmarks.compare $(OLD) $(NEW)
 
 schemas: $(VENV)/.installed-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m schemas
@@ -64,4 +78,4 @@ lock: ## Resolve the dependencies anew (needs pip-tools)
 	  --no-emit-find-links --no-emit-trusted-host --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
 
 clean: ## Remove the environment and caches; runs are kept
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build *.egg-info
+	rm -rf $(VENV) $(VENV)-bench .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build *.egg-info
