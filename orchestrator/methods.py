@@ -66,6 +66,7 @@ class Paper(Method):
             regulariser=problem.regulariser,
             sigma=problem.sigma,
             tail=problem.tail,
+            refine=problem.refine,
         )
 
     def propose(self, first: int | None, pending: Sequence[int]) -> Proposal:
@@ -75,7 +76,7 @@ class Paper(Method):
 
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
         """As `Method`."""
-        self.method.observe(proposal.index, observation.y)
+        self.method.observe(proposal.index, observation.y, proposal.x)
         if proposal.F is None:
             return Bound(None, None, None)
         stops = self.method.stops(proposal)

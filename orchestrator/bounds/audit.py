@@ -138,17 +138,20 @@ def regulariser(problem: str, regulariser: Regulariser) -> Assumption:
     return Assumption(f"regulariser/{problem}", "assumed", detail)
 
 
-def lattice_for_box(problem: str, lattice: Lattice, kernel: Matern, rkhs_norm: float) -> Assumption:
-    """Say that the maximum is sought on nodes only, and by how much J may rise between them under B.
+def lattice_for_box(
+    problem: str, lattice: Lattice, kernel: Matern, rkhs_norm: float, *, refine: bool = False
+) -> Assumption:
+    """Say that the maximum is sought on nodes (and near the best one), and by how much J may rise between them under B.
 
     Formula: |J(z) - J(g)| <= B sqrt(2 - 2 k(|z - g|)), at the half-diagonal of a cell.
     """
     similarity = float(kernel(np.array([lattice.half_diagonal]))[0])
     rise = rkhs_norm * math.sqrt(max(0.0, 2.0 - 2.0 * similarity))
+    where = ", the best of them improved in the cells around it," if refine else ""
     detail = (
-        f"the {lattice.size} nodes of a {lattice.resolution}-per-axis lattice stand for the whole box; between nodes "
-        f"the objective may be worse by up to {_number(rise)} if B = {_number(rkhs_norm)} holds, and the bound does "
-        "not contain this."
+        f"the {lattice.size} nodes of a {lattice.resolution}-per-axis lattice{where} stand for the whole box; between "
+        f"nodes the objective may be worse by up to {_number(rise)} if B = {_number(rkhs_norm)} holds, and the bound "
+        "does not contain this."
     )
     return Assumption(f"lattice/{problem}", "assumed", detail)
 

@@ -16,29 +16,38 @@
 | alpha, c    | `alpha`, `c`   | tolerance, noise margin                                     | ()    | unit J |
 | eps         | `epsilon`      | claimed upper bound of J*                                   | ()    | unit J |
 | Delta       | `mills_probability` | claimed probability of J* <= eps                       | ()    | -      |
+
+The maximiser is sought on the nodes of a lattice. With `refine` it is then improved between them.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from orchestrator.gp.acquisition import maximiser
+from orchestrator.gp.acquisition import maximiser, refined
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.observations import Anywhere
 from orchestrator.gp.posterior import Posterior
+from orchestrator.gp.radial import Radial
 
 Regulariser = float | Literal["1+eta"]
 SigmaReading = Literal["variance", "std"]
 Tail = Literal["gaussian", "sub-gaussian"]
+
+SMALLEST_VARIANCE = 1e-16
+"""Below this the slope of the standard deviation is round-off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
     """The next test: its node, and what the data before it said there.
 
-    `x` (p,) has the parameters' units, `mu` and `F` the unit of J. The start has no `beta` and no `F`.
+    `x` (p,) has the parameters' units, `mu` and `F` the unit of J. The start has no `beta` and no `F`. With refinement
+    `x` need not be the node, but lies within one cell of it.
     """
 
     index: int
@@ -184,6 +193,7 @@ class PaperMethod:
         regulariser: Regulariser = "1+eta",
         sigma: SigmaReading = "variance",
         tail: Tail = "gaussian",
+        refine: bool = False,
     ) -> None:
         _check_parameters(rkhs_norm=rkhs_norm, alpha=alpha)
         if not math.isfinite(prior_mean):
@@ -196,7 +206,9 @@ class PaperMethod:
         self._alpha, self._c, self._prior_mean = alpha, c, prior_mean
         self._fixed = None if regulariser == "1+eta" else float(regulariser)
         self._sigma_reading: SigmaReading = sigma
-        self._posterior = Posterior(lattice.kernel_rows(kernel), self._lambda(1))
+        self._refine = refine
+        anywhere = Anywhere(lattice.nodes, Radial(kernel)) if refine else None
+        self._posterior = Posterior(lattice.kernel_rows(kernel), self._lambda(1), anywhere)
 
     @property
     def n(self) -> int:
@@ -208,6 +220,7 @@ class PaperMethod:
         Implements Algorithm 1 of [ARA].
 
         Formula: z_i = argmax mu_{i-1} + beta_i sigma_{i-1}, ties to the lowest index; i is the number of observations.
+        With `refine`, a climb from that node leads to z_i, within the neighbouring cells.
         Without observations the caller chooses the node `first_index` (a uniform draw from the campaign's seed).
 
         Raises:
@@ -221,14 +234,16 @@ class PaperMethod:
                 f"first_index must be given before the first observation and only then; there are {self.n}"
             )
         if first_index is not None:
-            return self._proposal(first_index, self._prior_mean, 1.0, None)
+            return self._proposal(first_index, self._node(first_index), 0.0, 1.0, None)
         scale = beta(self._posterior.information(eta(self.n)), self._rkhs_norm, self._noise_scale, self._delta)
         mu, sigma = self._posterior.mean, self._sigma()
         index = maximiser(upper_confidence_bound(mu, sigma, scale))
-        return self._proposal(index, self._prior_mean + float(mu[index]), float(sigma[index]), scale)
+        if self._refine:
+            return self._refined(index, scale)
+        return self._proposal(index, self._node(index), float(mu[index]), float(sigma[index]), scale)
 
-    def observe(self, index: int, y: float) -> None:
-        """Add the observation `y` of J at node `index`; on an error nothing changes.
+    def observe(self, index: int, y: float, x: tuple[float, ...] | None = None) -> None:
+        """Add the observation `y` of J at node `index`; with `refine`, at `x` (p,). On an error nothing changes.
 
         Raises:
             ValueError: `y` is not finite.
@@ -238,7 +253,8 @@ class PaperMethod:
         """
         # lambda first: under "1+eta" the factor is rebuilt anyway, so that the new row is only stored.
         self._posterior.regularise(self._lambda(self.n + 1))
-        self._posterior.append(index, y - self._prior_mean)
+        point = (x or self._node(index)) if self._refine else index
+        self._posterior.append(point, y - self._prior_mean)
 
     def stops(self, proposal: Proposal) -> bool:
         """Return whether the campaign may stop once this proposal's observation is in: F_i <= alpha."""
@@ -262,11 +278,32 @@ class PaperMethod:
         variance = self._posterior.variance
         return variance if self._sigma_reading == "variance" else np.sqrt(variance)
 
-    def _proposal(self, index: int, mu: float, sigma: float, scale: float | None) -> Proposal:
+    def _refined(self, index: int, scale: float) -> Proposal:
+        """Climb from a node to the nearest maximum of the acquisition function."""
+        node, cell = self._lattice.nodes[index], np.array(self._lattice.spacing)
+        low, high = np.maximum(node - cell, self._lattice.low), np.minimum(node + cell, self._lattice.high)
+        climbed = refined(lambda z: self._acquisition(z, scale), node, low, high)
+        best = max((self._node(index), self._lattice.subnode(climbed)), key=lambda x: self._acquisition(x, scale)[0])
+        mu, variance, _, _ = self._posterior.at(best)
+        sigma = variance if self._sigma_reading == "variance" else math.sqrt(variance)
+        return self._proposal(index, best, mu, sigma, scale)
+
+    def _acquisition(self, z: Sequence[float] | Floats, scale: float) -> tuple[float, Floats]:
+        """Return mu(z) + beta sigma(z), in the unit of J, and its gradient, shape (p,)."""
+        mu, variance, slope, variance_slope = self._posterior.at(z)
+        if self._sigma_reading == "variance":
+            return mu + scale * variance, slope + scale * variance_slope
+        sigma = math.sqrt(max(variance, SMALLEST_VARIANCE))
+        return mu + scale * sigma, slope + scale / (2.0 * sigma) * variance_slope
+
+    def _node(self, index: int) -> tuple[float, ...]:
         if not 0 <= index < self._lattice.size:
             raise IndexError(f"node {index} is outside the lattice of {self._lattice.size} nodes")
-        x = tuple(self._lattice.nodes[index].tolist())
-        return Proposal(index, x, mu, sigma, scale, None if scale is None else regret_bound(scale, sigma))
+        return tuple(self._lattice.nodes[index].tolist())
+
+    def _proposal(self, index: int, x: tuple[float, ...], mu: float, sigma: float, scale: float | None) -> Proposal:
+        regret = None if scale is None else regret_bound(scale, sigma)
+        return Proposal(index, x, self._prior_mean + mu, sigma, scale, regret)
 
 
 def _check_probability(delta: float) -> None:

@@ -30,9 +30,10 @@ from orchestrator.bounds.paper import Proposal
 from orchestrator.gp.acquisition import maximiser
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.observations import Observations
 from orchestrator.gp.points import Points
 from orchestrator.gp.radial import Radial
-from orchestrator.gp.spectrum import Observations
+from orchestrator.gp.spectrum import decompose
 
 Status = Literal["open", "converged", "refuted"]
 
@@ -193,7 +194,7 @@ class RigorousMethod:
 
     def _look(self) -> None:
         """Work out everything that depends on the data but not on the question."""
-        premises, spectrum = self._premises, self._data.spectrum()
+        premises, spectrum = self._premises, decompose(self._data)
         squared = scales_squared(spectrum, premises, self._grid)
         self._b_min = math.sqrt(max(0.0, premises.rkhs_norm**2 - float(squared.min())))
         # After a refutation there is no band. Proposals go on (zero width), bounds do not: see `_bound_now`.

@@ -128,7 +128,7 @@ def _paper(header: Header, account: Account, problem: PaperProblem) -> Iterator[
     yield audit.noise_tail(name, c=problem.c, delta=problem.delta, noise_scale=noise, tail=problem.tail)
     yield audit.sigma_reading(name, problem.sigma)
     yield audit.regulariser(name, problem.regulariser)
-    yield audit.lattice_for_box(name, lattice, kernel(problem), problem.rkhs_norm)
+    yield audit.lattice_for_box(name, lattice, kernel(problem), problem.rkhs_norm, refine=problem.refine)
     if name == "true_risk":
         yield audit.centred_risk(name, replicates)
 

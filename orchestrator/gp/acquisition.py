@@ -1,6 +1,9 @@
-"""Choosing the next point: the maximiser of an acquisition function on the lattice."""
+"""Choosing the next point: the maximiser of an acquisition function on the lattice, and near it."""
+
+from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize import minimize
 
 from orchestrator.gp.kernels import Floats
 
@@ -24,3 +27,22 @@ def maximiser(values: Floats) -> int:
     if np.isnan(top):
         raise ValueError("the acquisition function is NaN at a node")
     return int(np.argmax(values >= top - TIE))
+
+
+def refined(value: Callable[[Floats], tuple[float, Floats]], start: Floats, low: Floats, high: Floats) -> Floats:
+    """Climb from `start` within the box [low, high] and return where that ends, shape (p,).
+
+    `value` returns the acquisition function and its gradient; the method is L-BFGS-B.
+
+    >>> z = refined(lambda z: (-float(z @ z), -2.0 * z), np.array([0.5]), np.array([-1.0]), np.array([1.0]))
+    >>> abs(float(z[0])) < 1e-6
+    True
+    """
+
+    def descent(z: Floats) -> tuple[float, Floats]:
+        found, gradient = value(z)
+        return -found, -gradient
+
+    bounds = list(zip(low, high, strict=True))
+    found = minimize(descent, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30, "ftol": 1e-11})
+    return np.asarray(found.x, dtype=np.float64)

@@ -1,36 +1,41 @@
-"""The posterior of a Gaussian process over a whole lattice, by row-append Cholesky.
+"""The posterior of a Gaussian process over all nodes, by a Cholesky factor that grows by rows.
 
 | symbol   | name           | meaning                                              | shape  | unit   |
 |----------|----------------|------------------------------------------------------|--------|--------|
-| n        | `n`            | number of observations                               | ()     | -      |
-| X        | `indices`      | observed nodes, in test order                        | (n,)   | -      |
+| n, q, X, c, ybar |        | see `gp.observations`                                |        |        |
 | y        | `append(., y)` | centred observations J - m0                          | (n,)   | unit J |
-| K        |                | kernel matrix of X                                   | (n, n) | -      |
+| K        |                | kernel matrix of all n observations                  | (n, n) | -      |
 | lambda   | `regulariser`  | added to the diagonal of K                           | ()     | -      |
-| L        |                | lower Cholesky factor of K + lambda I                | (n, n) | -      |
-| V        | `_v`           | L^-1 K(X, lattice)                                   | (n, m) | -      |
-| w        | `_w`           | L^-1 y                                               | (n,)   | unit J |
-| d        | `_pivots`      | diagonal of L                                        | (n,)   | -      |
-| mu       | `mean`         | V'w                                                  | (m,)   | unit J |
-| sigma^2  | `variance`     | 1 - column sums of V^2                               | (m,)   | -      |
+| N        |                | rows of the factor, q <= N <= n                      | ()     | -      |
+| s        | `_slots`       | position in X of each row                            | (N,)   | -      |
+| b        | `_weights`     | observations that a row stands for                   | (N,)   | -      |
+| L        | `_factor`      | lower Cholesky factor of K(X, X)[s, s] + diag(lambda/b) | (N, N) | -   |
+| w        | `_w`           | L^-1 (mean observation of each row)                  | (N,)   | unit J |
+| mu       | `mean`         | K(X[s], .)' L'^-1 w                                  | (m,)   | unit J |
+| sigma^2  | `variance`     | 1 - column sums of (L^-1 K(X[s], .))^2               | (m,)   | -      |
 
-Observed points are nodes, so the row of L that belongs to a new point is a column of V and L itself is never stored:
-one appended row costs O(n m). A changed lambda costs one factorisation, O(n^3/3 + n^2 m).
+A row may stand for several observations of a point: their mean, with noise lambda/b, says exactly what they say one by
+one. A new observation appends a row of its own; rows are merged once there are twice as many as points.
+
+Cost of an observation: O(q m + q^2), amortised; of a changed lambda: one factorisation, O(q^3/3 + q^2 m). Memory:
+O(q (m + q)).
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.blas import dtrsm, dtrsv
+from scipy.linalg.blas import dtpsv, dtrsm
 from scipy.linalg.lapack import dpotrf
 
 from orchestrator.gp.kernels import Floats
-from orchestrator.gp.lattice import KernelRows
+from orchestrator.gp.observations import Anywhere, Observations, Point, Rows
 
 SMALLEST_PIVOT = 1e-12
 """A squared pivot below this has lost all digits but a few: K + lambda I counts as singular."""
 
-_FIRST_CAPACITY = 16
+FEWEST_ROWS = 32
+"""Below this, merging rows saves nothing."""
 
 
 class SingularKernelError(ValueError):
@@ -44,32 +49,30 @@ class SingularKernelError(ValueError):
 
 
 class Posterior:
-    """Mean and variance on every node, given observations at nodes; points may repeat.
+    """Mean and variance on every node, given observations at nodes or, with `anywhere`, at any points.
 
-    The state is a function of the calls made: the same rows in the same order give the same bits. No jitter is added.
+    The state is a function of the calls made: the same ones in the same order give the same bits. No jitter is added.
     """
 
-    def __init__(self, rows: KernelRows, regulariser: float) -> None:
-        self._rows = rows
-        self._indices: list[int] = []
-        self._y = np.empty(_FIRST_CAPACITY)
-        self._w = np.empty(_FIRST_CAPACITY)
-        self._pivots = np.empty(_FIRST_CAPACITY)
-        self._k = np.empty((_FIRST_CAPACITY, rows.size))  # K(X, lattice)
-        self._v = np.empty((_FIRST_CAPACITY, rows.size))
-        self._stale = False
-        self._set_moments(np.zeros(rows.size), np.ones(rows.size))
+    def __init__(self, rows: Rows, regulariser: float, anywhere: Anywhere | None = None) -> None:
+        self._data = Observations(rows, anywhere)
         self._regulariser = _checked(regulariser)
+        self._stale = False
+        self._triangle = _Triangle()
+        self._slots: list[int] = []
+        self._weights: list[float] = []
+        self._w: list[float] = []
+        self._set_moments(np.zeros(rows.size), np.ones(rows.size))
 
     @property
     def n(self) -> int:
         """Number of observations."""
-        return len(self._indices)
+        return self._data.n
 
     @property
-    def indices(self) -> tuple[int, ...]:
-        """Observed nodes in test order."""
-        return tuple(self._indices)
+    def rows(self) -> int:
+        """Number of rows N of the factor."""
+        return self._triangle.size
 
     @property
     def regulariser(self) -> float:
@@ -81,7 +84,7 @@ class Posterior:
         """Posterior mean of J - m0 on every node, read-only.
         Implements eq. (GP_mean) of [ARA].
 
-        Formula: mu = k' (K + lambda I)^-1 y = V'w, shape (m,), unit of J.
+        Formula: mu = k' (K + lambda I)^-1 y, shape (m,), unit of J.
 
         Raises:
             SingularKernelError: K + lambda I is singular.
@@ -104,6 +107,23 @@ class Posterior:
         self._refresh()
         return self._variance
 
+    def at(self, z: Sequence[float] | Floats) -> tuple[float, float, Floats, Floats]:
+        """Return mean and variance at any point `z` (p,) of the box, and their gradients, shape (p,) each.
+        Implements eq. (GP_mean) of [ARA].
+
+        Formula: as `mean` and `variance`; grad k(x, z) = (k'(r)/r) (z - x). Units: J, 1, J and 1 per unit of z.
+
+        Raises:
+            SingularKernelError: K + lambda I is singular.
+
+        """
+        self._refresh()
+        kernel, slopes = self._data.toward(np.asarray(z))  # (q,), (q, p)
+        k, slope = kernel[self._slots], slopes[self._slots]
+        v, w = self._triangle.solve(k), np.array(self._w)
+        mean_weights, gain = self._triangle.solve_transposed(w), self._triangle.solve_transposed(v)
+        return float(v @ w), max(0.0, 1.0 - float(v @ v)), mean_weights @ slope, -2.0 * (gain @ slope)
+
     def regularise(self, value: float) -> None:
         """Change lambda; the factor is rebuilt when a moment is next asked for.
 
@@ -115,8 +135,8 @@ class Posterior:
             self._regulariser = value
             self._stale = self.n > 0
 
-    def append(self, index: int, y: float) -> None:
-        """Add the centred observation `y` at node `index`; on an error nothing changes.
+    def append(self, point: Point, y: float) -> None:
+        """Add the centred observation `y` at `point`; on an error nothing changes.
 
         Raises:
             IndexError: no node has this index.
@@ -124,18 +144,20 @@ class Posterior:
             SingularKernelError: K + lambda I would be singular.
 
         """
-        if not math.isfinite(y):
-            raise ValueError(f"observation {self.n} is {y!r}, not a finite number")
-        row = self._rows.row(index)
-        self._reserve()
+        self._data.check(y)
         if not self._stale:
-            self._extend(row, index, y)
-        self._k[self.n] = row
-        self._y[self.n] = y
-        self._indices.append(index)
+            self._extend(point, y)
+        position = self._data.append(point, y)
+        if not self._stale:
+            self._slots.append(position)
+            self._weights.append(1.0)
+            if len(self._slots) > max(FEWEST_ROWS, 2 * self._data.q):
+                self._merge()
 
     def information(self, eta: float) -> float:
         """Return ln det((1 + eta) I + K) of the observed points; 0 without any.
+
+        Formula: with t = 1 + eta, (n - N) ln t + sum ln b + ln det(K(X, X)[s, s] + diag(t/b)).
 
         >>> from orchestrator.gp.kernels import Matern
         >>> from orchestrator.gp.lattice import Lattice
@@ -152,49 +174,61 @@ class Posterior:
         diagonal = _checked(1.0 + eta)
         if diagonal == self._regulariser:
             self._refresh()
-            pivots = self._pivots[: self.n]
+            pivots, weights = self._triangle.pivots, np.array(self._weights)
         else:
-            pivots = _pivots_of(self._factor(diagonal))
-        return 2.0 * float(np.sum(np.log(pivots)))
+            weights = self._data.counts
+            pivots = np.diagonal(self._factor(diagonal))
+        repeats = self.n - len(weights)
+        rest = repeats * math.log(diagonal) if repeats else 0.0
+        return rest + float(np.sum(np.log(weights))) + 2.0 * float(np.sum(np.log(pivots)))
 
-    def _extend(self, row: Floats, index: int, y: float) -> None:
-        """Append one row to V, w and d: the new row of L is the column of V at the new point."""
-        n, variance = self.n, self._variance
-        squared = float(variance[index]) + self._regulariser
+    def _extend(self, point: Point, y: float) -> None:
+        """Append one row to L and w, and move the moments."""
+        row, among = self._data.row(point)
+        l = self._triangle.solve(among[self._slots])  # noqa: E741  (the new row of L)
+        squared = max(0.0, 1.0 - float(l @ l)) + self._regulariser
         if squared < SMALLEST_PIVOT:
-            raise SingularKernelError(n, self._regulariser)
+            raise SingularKernelError(self.n, self._regulariser)
         pivot = math.sqrt(squared)
-        column = np.ascontiguousarray(self._v[:n, index])
-        v = (row - column @ self._v[:n]) / pivot
-        w = (y - float(column @ self._w[:n])) / pivot
-        self._v[n], self._w[n], self._pivots[n] = v, w, pivot
-        self._set_moments(self._mean + w * v, np.maximum(variance - v * v, 0.0))
+        slots = np.array(self._slots, dtype=np.intp)
+        gain = np.bincount(slots, self._triangle.solve_transposed(l), minlength=self._data.q)  # (q,)
+        v = (row - gain @ self._data.kernel) / pivot
+        w = (y - float(l @ np.array(self._w))) / pivot
+        self._triangle.append(l, pivot)
+        self._w.append(w)
+        self._set_moments(self._mean + w * v, np.maximum(self._variance - v * v, 0.0))
 
     def _refresh(self) -> None:
-        """Rebuild V, w, d and the moments from all rows if lambda has changed."""
+        """Rebuild the factor and the moments from the merged observations if lambda has changed."""
         if not self._stale:
             return
-        n = self.n
-        factor = self._factor(self._regulariser)
-        self._pivots[:n] = _pivots_of(factor)
-        self._w[:n] = dtrsv(factor, self._y[:n], lower=1)
-        v = self._v[:n]
-        # V' L' = K(X, lattice)': the transposed views are in the Fortran order that BLAS wants.
-        v[:] = dtrsm(1.0, factor, self._k[:n].T, side=1, lower=1, trans_a=1).T
-        self._set_moments(self._w[:n] @ v, np.maximum(1.0 - np.einsum("ij,ij->j", v, v), 0.0))
+        factor = self._merge()
+        # V' L' = K(X, .)': the transposed views are in the Fortran order that BLAS wants.
+        v = dtrsm(1.0, factor, self._data.kernel.T, side=1, lower=1, trans_a=1).T  # (q, m)
+        self._set_moments(np.array(self._w) @ v, np.maximum(1.0 - np.einsum("ij,ij->j", v, v), 0.0))
         self._stale = False
 
+    def _merge(self) -> Floats:
+        """Rebuild the factor with one row per point, and return it; the moments are the same."""
+        factor = self._factor(self._regulariser)
+        self._triangle = _Triangle(factor)
+        self._slots, self._weights = list(range(self._data.q)), self._data.counts.tolist()
+        self._w = self._triangle.solve(self._data.means).tolist()
+        return factor
+
     def _factor(self, diagonal: float) -> Floats:
-        """Return L of K + diagonal I, shape (n, n), in Fortran order; only its lower triangle counts."""
-        if not self.n:
-            return np.empty((0, 0))
-        matrix = self._k[: self.n].take(self._indices, axis=1)  # (n, n)
-        matrix.flat[:: self.n + 1] += diagonal
-        factor, info = dpotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
+        """Return L of K(X, X) + diag(diagonal/c), shape (q, q), in Fortran order; only its lower triangle counts."""
+        data = self._data
+        if data.n > data.q and diagonal < SMALLEST_PIVOT:
+            raise SingularKernelError(data.first_repeat, diagonal)
+        matrix = data.gram.copy()
+        matrix.flat[:: data.q + 1] += diagonal / data.counts
+        factor, info = dpotrf(matrix.T, lower=1, clean=0, overwrite_a=1) if data.n else (matrix, 0)
         # info > 0 is the order of the first minor that is not positive, counted from 1.
-        small = [info - 1] if info > 0 else np.flatnonzero(_pivots_of(factor) ** 2 < SMALLEST_PIVOT)
+        lost = np.diagonal(factor) ** 2 * data.counts < SMALLEST_PIVOT
+        small = [info - 1] if info > 0 else np.flatnonzero(lost)
         if len(small):
-            raise SingularKernelError(int(small[0]), diagonal)
+            raise SingularKernelError(data.first(int(small[0])), diagonal)
         return np.asarray(factor)
 
     def _set_moments(self, mean: Floats, variance: Floats) -> None:
@@ -202,19 +236,46 @@ class Posterior:
         variance.flags.writeable = False
         self._mean, self._variance = mean, variance
 
-    def _reserve(self) -> None:
-        """Make room for one more row by doubling; old rows keep their bits."""
-        if self.n < len(self._y):
-            return
-        for name in ("_y", "_w", "_pivots", "_k", "_v"):
-            old: Floats = getattr(self, name)
-            new = np.empty((2 * len(old), *old.shape[1:]))
-            new[: len(old)] = old
-            setattr(self, name, new)
 
+class _Triangle:
+    """A lower triangular matrix by rows, packed in one array (BLAS: its transpose, upper, packed), so that it grows."""
 
-def _pivots_of(factor: Floats) -> Floats:
-    return np.diagonal(factor).copy()
+    def __init__(self, lower: Floats | None = None) -> None:
+        self.size = 0 if lower is None else len(lower)
+        self._packed = np.empty(16) if lower is None else lower[np.tril_indices(self.size)]
+
+    @property
+    def pivots(self) -> Floats:
+        """The diagonal, shape (N,)."""
+        steps = np.arange(1, self.size + 1)
+        return np.asarray(self._packed[steps * (steps + 1) // 2 - 1], dtype=np.float64)
+
+    def append(self, row: Floats, pivot: float) -> None:
+        """Add a row, shape (N,), and its diagonal entry."""
+        start = self._length
+        self.size += 1
+        if self._length > len(self._packed):
+            self._packed = np.concatenate([self._packed[:start], np.empty(self._length)])
+        self._packed[start : self._length - 1] = row
+        self._packed[self._length - 1] = pivot
+
+    def solve(self, x: Floats) -> Floats:
+        """Return L^-1 x, shape (N,)."""
+        return self._solved(x, transposed=1)
+
+    def solve_transposed(self, x: Floats) -> Floats:
+        """Return L'^-1 x, shape (N,)."""
+        return self._solved(x, transposed=0)
+
+    @property
+    def _length(self) -> int:
+        return self.size * (self.size + 1) // 2
+
+    def _solved(self, x: Floats, *, transposed: int) -> Floats:
+        if not self.size:
+            return np.empty(0)
+        solution = dtpsv(self.size, self._packed[: self._length], x, lower=0, trans=transposed)
+        return np.asarray(solution, dtype=np.float64)
 
 
 def _checked(regulariser: float) -> float:

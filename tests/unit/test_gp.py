@@ -11,10 +11,12 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern as ScikitMatern
 from threadpoolctl import threadpool_limits
 
-from orchestrator.gp.acquisition import maximiser
+from orchestrator.gp.acquisition import maximiser, refined
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.observations import Anywhere
 from orchestrator.gp.posterior import Posterior, SingularKernelError
+from orchestrator.gp.radial import Radial
 
 LATTICE = Lattice((0.0, -1.0), (5.0, 1.0), 7)
 KERNEL = Matern(nu=2.5, length_scale=1.5)
@@ -208,6 +210,22 @@ class TestPosterior:
         np.testing.assert_array_equal(calm.variance, replayed.variance)
         assert calm.information(0.1) == replayed.information(0.1)
 
+    @given(st.lists(st.tuples(st.integers(0, 3), st.floats(-2, 2)), min_size=40, max_size=150), regularisers)
+    @settings(deadline=None, max_examples=30)
+    def test_merging_repeats_is_exact(self, data: list[tuple[int, float]], regulariser: float) -> None:
+        """Four nodes, observed often enough for the rows of the factor to be merged on the way."""
+        posterior = fitted(data, regulariser)
+        mean, variance = dense_moments(data, regulariser)
+        np.testing.assert_allclose(posterior.mean, mean, atol=1e-9)
+        np.testing.assert_allclose(posterior.variance, variance, atol=1e-10)
+        indices = [i for i, _ in data]
+        _, expected = np.linalg.slogdet(regulariser * np.eye(len(data)) + DENSE[np.ix_(indices, indices)])
+        assert posterior.information(regulariser - 1) == pytest.approx(expected, abs=1e-8)
+
+    def test_the_factor_stays_as_small_as_the_points(self) -> None:
+        posterior = fitted([(n % 20, 0.1) for n in range(1000)], 0.5)
+        assert posterior.rows <= 40
+
     def test_repeated_points_shrink_towards_their_mean(self) -> None:
         posterior = fitted([(3, 1.0), (3, 2.0)] * 200, 1.0)
         assert posterior.mean[3] == pytest.approx(1.5 * 400 / 401)
@@ -223,7 +241,7 @@ class TestPosterior:
             posterior.append(3, 1.0)
         assert posterior.n == 1
         posterior.append(4, 1.0)
-        assert posterior.indices == (3, 4)
+        assert posterior.n == 2
 
     def test_a_singular_refactoring_names_the_observation(self) -> None:
         posterior = fitted([(3, 1.0), (8, 0.0), (3, 1.0)], 1.0)
@@ -255,6 +273,62 @@ class TestPosterior:
     def test_moments_are_read_only(self) -> None:
         with pytest.raises(ValueError, match="read-only"):
             fitted([(0, 1.0)], 1.0).mean[0] = 2.0
+
+
+places = st.tuples(st.floats(0, 5), st.floats(-1, 1))
+
+
+class TestAnywhere:
+    """Points that need not be nodes."""
+
+    @given(st.lists(st.tuples(places, st.floats(-2, 2)), min_size=1, max_size=20), places, st.sampled_from([None, 0.3]))
+    @settings(deadline=None, max_examples=40)
+    def test_equals_a_dense_solve(
+        self, data: list[tuple[tuple[float, float], float]], z: tuple[float, float], fixed: float | None
+    ) -> None:
+        posterior = Posterior(ROWS, fixed or 3.0, Anywhere(LATTICE.nodes, Radial(KERNEL)))
+        for n, (x, value) in enumerate(data, start=1):
+            posterior.regularise(fixed or 1 + 2 / n)
+            posterior.append(x, value)
+        kernel, points, y = ScikitMatern(1.5, nu=2.5), np.array([x for x, _ in data]), np.array([v for _, v in data])
+        inverse = np.linalg.inv(kernel(points) + posterior.regulariser * np.eye(len(y)))
+
+        def dense(where: Floats) -> tuple[Floats, Floats]:
+            k = kernel(where, points)
+            return k @ inverse @ y, 1 - np.einsum("ij,jk,ik->i", k, inverse, k)
+
+        np.testing.assert_allclose((posterior.mean, posterior.variance), dense(LATTICE.nodes), atol=1e-9)
+        mean, variance, mean_slope, variance_slope = posterior.at(z)
+        step = 1e-5 * np.concatenate([np.eye(2), -np.eye(2)])
+        np.testing.assert_allclose((mean, variance), np.ravel(dense(np.array([z]))), atol=1e-9)
+        up_mean, up_variance = dense(z + step)
+        np.testing.assert_allclose(mean_slope, (up_mean[:2] - up_mean[2:]) / 2e-5, atol=1e-5)
+        np.testing.assert_allclose(variance_slope, (up_variance[:2] - up_variance[2:]) / 2e-5, atol=1e-5)
+
+    def test_a_kink_has_no_gradient_at_its_point(self) -> None:
+        posterior = Posterior(
+            LATTICE.kernel_rows(Matern(0.5, 1.0)), 0.1, Anywhere(LATTICE.nodes, Radial(Matern(0.5, 1.0)))
+        )
+        posterior.append((1.0, 0.0), 1.0)
+        assert all(np.isfinite(slope).all() for slope in posterior.at((1.0, 0.0))[2:])
+
+
+class TestRefined:
+    def test_ends_at_a_maximum_of_the_box(self) -> None:
+        def hill(z: Floats) -> tuple[float, Floats]:
+            return -float((z - 2) @ (z - 2)), -2.0 * (z - 2)
+
+        inside = refined(hill, np.array([1.5, 2.5]), np.array([1.0, 1.0]), np.array([3.0, 3.0]))
+        np.testing.assert_allclose(inside, [2.0, 2.0], atol=1e-6)
+        edge = refined(hill, np.array([0.5, 1.5]), np.array([0.0, 1.0]), np.array([1.0, 3.0]))
+        np.testing.assert_allclose(edge, [1.0, 2.0], atol=1e-6)
+
+    @given(places)
+    def test_subnodes_are_near_and_come_again(self, z: tuple[float, float]) -> None:
+        point = LATTICE.subnode(np.array(z))
+        assert (np.abs(np.subtract(point, z)) <= np.array(LATTICE.spacing) / 128 + 1e-12).all()
+        assert LATTICE.subnode(np.array(point)) == point
+        assert all(low <= v <= high for low, v, high in zip(LATTICE.low, point, LATTICE.high, strict=True))
 
 
 class TestMaximiser:

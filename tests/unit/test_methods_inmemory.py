@@ -1,4 +1,4 @@
-"""Whole campaigns of methods `rigorous` and `scenario` in one process: windows, certificates, refutations, resumes."""
+"""Whole campaigns of methods `rigorous` and `scenario`, and `paper` with refinement, in one process: windows, certificates, refutations, resumes."""
 
 import json
 import random
@@ -42,7 +42,13 @@ def scenario(**changes: Any) -> CampaignConfig:
     )
 
 
-CONFIGS = {"rigorous": rigorous(), "scenario": scenario()}
+def refined() -> CampaignConfig:
+    """Method `paper` with points between the nodes."""
+    base = table("test-function", resolution=9, max_tests=20)
+    return a_config(base, problems=[{**base["problems"][0], "refine": True, "alpha": 0.001}])
+
+
+CONFIGS = {"refined": refined(), "rigorous": rigorous(), "scenario": scenario()}
 
 
 @pytest.fixture(autouse=True)

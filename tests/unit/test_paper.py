@@ -24,7 +24,7 @@ from orchestrator.bounds.paper import (
     tail_probability,
 )
 from orchestrator.gp.kernels import Matern
-from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.lattice import PARTS, Lattice
 
 PRESET: dict[str, Any] = {"rkhs_norm": 0.25, "noise_scale": 0.005, "delta": 0.05, "alpha": 0.015, "c": 0.01}
 KERNEL = Matern(nu=10, length_scale=1.0)
@@ -134,6 +134,38 @@ class TestProposals:
             assert proposal.beta == pytest.approx(scale, abs=1e-9)
             assert pytest.approx(2 * scale * spread[z], abs=1e-8) == proposal.F
             assert proposal.x == tuple(SMALL.nodes[z])
+
+    @pytest.mark.parametrize("sigma", ["variance", "std"])
+    @pytest.mark.parametrize("regulariser", ["1+eta", 0.01])
+    def test_refinement_climbs_between_the_nodes(self, sigma: Any, regulariser: Any) -> None:
+        method = PaperMethod(SMALL, KERNEL, **PRESET, sigma=sigma, regulariser=regulariser, refine=True)
+        plain = PaperMethod(SMALL, KERNEL, **PRESET, sigma=sigma, regulariser=regulariser)
+        data: list[tuple[float, ...]] = []
+        proposal, rng, moved = method.propose(17), np.random.default_rng(2), 0
+        for i in range(1, 25):
+            y = math.sin(proposal.x[0]) * math.cos(proposal.x[1]) / 2 + float(rng.normal(0, 0.001))
+            data.append((*proposal.x, y))
+            method.observe(proposal.index, y, proposal.x)
+            proposal = method.propose()
+            diagonal = 1 + 2 / i if regulariser == "1+eta" else float(regulariser)
+            seen = np.array(data)
+            gain = np.linalg.inv(ScikitMatern(1.0, nu=10)(seen[:, :2]) + diagonal * np.eye(i))
+
+            def acquisition(where: Any, seen: Any = seen, gain: Any = gain, scale: Any = proposal.beta) -> Any:
+                k = ScikitMatern(1.0, nu=10)(where, seen[:, :2])
+                spread = 1 - np.einsum("ij,jk,ik->i", k, gain, k)
+                return k @ gain @ seen[:, 2] + scale * (spread if sigma == "variance" else np.sqrt(spread))
+
+            mine, best = acquisition(np.array([proposal.x]))[0], acquisition(SMALL.nodes).max()
+            assert mine >= best - 1e-9
+            assert (np.abs(np.subtract(proposal.x, SMALL.nodes[proposal.index])) <= 0.5 + 1e-9).all()
+            moved += mine > best + 1e-6
+            steps = 0.5 / PARTS * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+            around = np.clip(proposal.x + steps, 0.0, 5.0)
+            inside = (np.abs(around - SMALL.nodes[proposal.index]) <= 0.5 + 1e-9).all(axis=1)
+            assert mine >= acquisition(around[inside]).max() - 1e-4
+        assert moved >= 5
+        assert plain.propose(17) == PaperMethod(SMALL, KERNEL, **PRESET, refine=True).propose(17)
 
     def test_the_start_is_the_callers_and_has_no_bound(self) -> None:
         method = PaperMethod(SMALL, KERNEL, **PRESET, prior_mean=0.3)
