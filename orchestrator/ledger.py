@@ -6,7 +6,8 @@ Every fact takes one way, live and in a replay: `_apply`. Live, it is written to
 import hashlib
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -83,6 +84,7 @@ class Ledger:
         self.proposer = Proposer(self.config, header.spec)
         self._options = {option.name: option.default for option in header.spec.options} | self.config.system.options
         self._config_sha256, self._spec_sha256 = self.config.digest, header.spec.digest
+        self._files = evidence.Batch()
         self._trajectories: dict[RolloutId, Trajectory] = {}
         self._recomputed: dict[str, BoundFact] = {}
 
@@ -90,6 +92,12 @@ class Ledger:
     def done(self) -> bool:
         """Whether every problem has stopped."""
         return self.state.done
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Make everything inside durable together, files before facts, or nothing of it."""
+        with self._journal.transaction(), self._files:
+            yield
 
     def replay(self) -> None:
         """Rebuild everything from the journal.
@@ -135,7 +143,7 @@ class Ledger:
         except ValueError as error:
             raise PerfboundError(f"rollout {rollout}: {error}") from None
         path = evidence.relative_path(rollout)
-        evidence.write(self._directory / path, payload)
+        self._files.write(self._directory / path, payload)
         self._trajectories[rollout] = trajectory
         fact = RolloutFact(
             rollout,

@@ -112,7 +112,7 @@ class Service:
 
         """
         attempts = self._journal.attempts()
-        with self._journal.transaction():
+        with self._ledger.transaction():
             work = self._ledger.outstanding()
             self._dispatch(self._wanted(work, attempts))
         self._send()
@@ -133,7 +133,7 @@ class Service:
         return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
 
     def _turn(self, messages: list[Inbound | Interrupted], complete: float) -> None:
-        with self._journal.transaction():
+        with self._ledger.transaction():
             for message in messages:
                 self._take(message)
             if complete >= self._next_tick:

@@ -103,7 +103,7 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console) -> No
         journal = Journal.open(directory)
         stack.callback(journal.close)
         _check_software(journal.header)
-        evidence.sweep(directory)
+        evidence.sweep(directory, journal.paths())
         transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
         _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=True)
 

@@ -333,7 +333,7 @@ def serve(
     with campaign_lock(directory), ExitStack() as stack:
         journal = Journal.open(directory)
         stack.callback(journal.close)
-        evidence.sweep(directory)
+        evidence.sweep(directory, journal.paths())
         ledger = Ledger(directory, journal)
         ledger.replay()
         if not ledger.done:

@@ -2,6 +2,8 @@
 
 import hashlib
 import os
+from collections.abc import Set
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from orchestrator.campaign import RolloutId
@@ -9,6 +11,8 @@ from orchestrator.errors import EvidenceError
 
 FOLDER = "trajectories"
 TEMPORARY = ".partial"
+SYNCING = 8
+"""Files that wait for the disk at a time."""
 
 
 def relative_path(rollout: RolloutId) -> str:
@@ -16,25 +20,70 @@ def relative_path(rollout: RolloutId) -> str:
     return f"{FOLDER}/{rollout.problem}/{rollout.test // 1000}/{rollout}.mcap"
 
 
+class Batch:
+    """Files that become durable together: written inside a `with` block, in place at its end, or not at all.
+
+    Waiting for the disk is what a record costs, so the files of a block wait side by side.
+    """
+
+    def __init__(self) -> None:
+        self._written: dict[Path, None] = {}
+        self._pool: ThreadPoolExecutor | None = None
+
+    def write(self, path: Path, data: bytes) -> None:
+        """Write a file beside its place; on an error nothing is left of it.
+
+        Raises:
+            OSError: the disk is full or the folder cannot be written.
+
+        """
+        _make_folder(path.parent)
+        self._written[path] = None
+        _temporary(path).write_bytes(data)
+
+    def __enter__(self) -> None:
+        """Begin with nothing."""
+        self._written.clear()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Make everything durable and move it into place; after an error remove it.
+
+        Raises:
+            OSError: the disk is full. What was moved already stays: a file without its fact is written again or swept.
+
+        """
+        try:
+            if kind is None and self._written:
+                self._settle(list(self._written))
+        finally:
+            for path in self._written:
+                _temporary(path).unlink(missing_ok=True)
+            self._written.clear()
+
+    def _settle(self, paths: list[Path]) -> None:
+        self._sync([_temporary(path) for path in paths])
+        for path in paths:
+            _temporary(path).replace(path)
+        self._sync(list(dict.fromkeys(path.parent for path in paths)))
+
+    def _sync(self, paths: list[Path]) -> None:
+        if len(paths) == 1:
+            _sync(paths[0])
+            return
+        self._pool = self._pool or ThreadPoolExecutor(SYNCING, thread_name_prefix="fsync")
+        list(self._pool.map(_sync, paths))
+
+
 def write(path: Path, data: bytes) -> None:
-    """Write a file durably: temporary file, fsync, rename, fsync of the folder.
+    """Write one file durably: temporary file, fsync, rename, fsync of the folder.
 
     Raises:
         OSError: the disk is full or the folder cannot be written; no half-written file is left.
 
     """
-    _make_folder(path.parent)
-    temporary = path.with_name(path.name + TEMPORARY)
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    _sync_folder(path.parent)
+    batch = Batch()
+    with batch:
+        batch.write(path, data)
 
 
 def _make_folder(folder: Path) -> None:
@@ -42,11 +91,16 @@ def _make_folder(folder: Path) -> None:
     if not folder.is_dir():
         _make_folder(folder.parent)
         folder.mkdir(exist_ok=True)
-        _sync_folder(folder.parent)
+        _sync(folder.parent)
 
 
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+def _temporary(path: Path) -> Path:
+    return path.with_name(path.name + TEMPORARY)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file or folder is on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -73,7 +127,10 @@ def read(directory: Path, relative: str, sha256: str) -> bytes:
     return data
 
 
-def sweep(directory: Path) -> None:
-    """Remove what a crash left half-written."""
+def sweep(directory: Path, recorded: Set[str]) -> None:
+    """Remove what a crash left: half-written files, and trajectories that no fact in `recorded` (paths) knows."""
     for leftover in directory.rglob(f"*{TEMPORARY}"):
         leftover.unlink(missing_ok=True)
+    for file in (directory / FOLDER).rglob("*.mcap"):
+        if str(file.relative_to(directory)) not in recorded:
+            file.unlink()

@@ -214,6 +214,11 @@ class Journal:
         found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
         return sorted(found, key=lambda entry: (order.index(entry[0].problem), *entry[0][1:]))
 
+    def paths(self) -> frozenset[str]:
+        """Return the paths of all recorded trajectories."""
+        with self._connection.begin():
+            return frozenset(self._connection.execute(sa.select(tables.rollouts.c.path)).scalars())
+
     def close(self) -> None:
         """Close the database; SQLite then folds its write-ahead log into it."""
         self._connection.close()

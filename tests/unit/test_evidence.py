@@ -61,6 +61,25 @@ def disk_full(*_: Any) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+def test_a_batch_is_in_place_at_its_end_or_not_at_all(tmp_path: Path) -> None:
+    batch, paths = evidence.Batch(), [tmp_path / f"{n}/file.mcap" for n in range(20)]
+
+    def broken_off() -> None:
+        with batch:
+            batch.write(paths[0], DATA)
+            raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        broken_off()
+    assert names(tmp_path) == []
+    with batch:
+        for path in paths:
+            batch.write(path, DATA)
+        assert not any(path.exists() for path in paths)
+    assert [path.read_bytes() for path in paths] == [DATA] * 20
+    assert len(names(tmp_path)) == 20
+
+
 @pytest.mark.parametrize(("owner", "name"), [(os, "fsync"), (Path, "replace")])
 @pytest.mark.parametrize("before", [None, b"before"])
 def test_a_full_disk_leaves_nothing_half_written(
@@ -92,7 +111,8 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_a_crash_is_swept_away(tmp_path: Path) -> None:
     evidence.write(tmp_path / NAME, DATA)
     (tmp_path / (NAME + evidence.TEMPORARY)).write_bytes(b"half")
-    evidence.sweep(tmp_path)
+    evidence.write(tmp_path / "trajectories/p/0/unknown.mcap", DATA)
+    evidence.sweep(tmp_path, {NAME})
     assert names(tmp_path) == [NAME]
 
 

@@ -244,7 +244,7 @@ def finished(tmp_path: Path) -> Path:
     while waiting:
         rollout = waiting.pop()
         payload = simulated(ledger.request(rollout))
-        with journal.transaction():
+        with ledger.transaction():
             waiting += ledger.record(rollout, payload, decode(payload)).wanted
     assert ledger.done
     journal.close()

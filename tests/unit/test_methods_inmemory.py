@@ -1,4 +1,4 @@
-"""Whole campaigns of methods `rigorous` and `scenario`, and `paper` with refinement, in one process: windows, certificates, refutations, resumes."""
+"""Whole campaigns in one process, method by method: windows, certificates, refutations, resumes."""
 
 import json
 import random

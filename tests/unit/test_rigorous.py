@@ -17,9 +17,9 @@ from orchestrator.bounds.cover import certified_maximum
 from orchestrator.bounds.rigorous import ExhaustedError, RigorousMethod
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.observations import Observations
 from orchestrator.gp.points import Points
 from orchestrator.gp.radial import Radial
-from orchestrator.gp.observations import Observations
 from orchestrator.gp.spectrum import Spectrum, decompose
 
 LATTICE = Lattice((0.0, 0.0), (5.0, 5.0), 7)

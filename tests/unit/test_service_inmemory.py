@@ -133,14 +133,14 @@ def test_a_rollback_leaves_nothing_behind(tmp_path: Path, calm: Calm, monkeypatc
     directory = tmp_path / "run"
     begin(directory, a_config())
     writes = iter(range(10_000))
-    real = evidence.write
+    real = evidence.Batch.write
 
-    def write(path: Path, data: bytes) -> None:
+    def write(batch: evidence.Batch, path: Path, data: bytes) -> None:
         if next(writes) == 17:
             raise OSError(28, "No space left on device")
-        real(path, data)
+        real(batch, path, data)
 
-    monkeypatch.setattr(evidence, "write", write)
+    monkeypatch.setattr(evidence.Batch, "write", write)
     with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]):
         with pytest.raises(OSError, match="No space left"):
             serve(directory, network, Log())
@@ -388,19 +388,19 @@ def test_a_busy_orchestrator_takes_no_worker_for_hung(tmp_path: Path, monkeypatc
     """One result takes 30 s to handle; what waits in the inbox since, and what is assigned then, is not late."""
     directory, clock = tmp_path / "run", Clock()
     begin(directory, a_config(replicates=8, max_tests=3))
-    puppets, real = Puppets(clock), evidence.write
+    puppets, real = Puppets(clock), evidence.Batch.write
     log = Log(puppets.tick)
 
-    def write(path: Path, data: bytes) -> None:
+    def write(batch: evidence.Batch, path: Path, data: bytes) -> None:
         if puppets.held is not None and puppets.holds:
             clock.ahead += 15.0
             puppets.beat("slow", puppets.held, 2)
             clock.ahead += 15.0
             puppets.holds = False
             puppets.finish("slow", puppets.held)
-        real(path, data)
+        real(batch, path, data)
 
-    monkeypatch.setattr(evidence, "write", write)
+    monkeypatch.setattr(evidence.Batch, "write", write)
     monkeypatch.setattr(service, "time", clock)
     journal = Journal.open(directory)
     ledger = Ledger(directory, journal)
