@@ -16,7 +16,7 @@ import itertools
 import json
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +29,9 @@ from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from schemas.base import canonical_json
+from schemas.visual import Floats, Transform, Visual, channels
 
-Floats = NDArray[np.float64]
+__all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read"]
 
 LIBRARY = "perfbound"
 FRAME_RATE = 30  # 1/s
@@ -46,39 +47,6 @@ _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of it
 
 class TrajectoryError(Exception):
     """The bytes are not one whole trajectory file; the message says what is wrong with them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Transform:
-    """Pose of the frame `child` in the frame `parent`, one row per frame a person sees.
-
-    Raises:
-        ValueError: a shape is wrong or a number is not finite.
-
-    """
-
-    parent: str
-    child: str
-    translation: Floats  # (F, 3), m
-    rotation: Floats  # (F, 4), quaternion x, y, z, w
-
-    def __post_init__(self) -> None:
-        if self.translation.shape != (len(self), 3) or self.rotation.shape != (len(self), 4):
-            raise ValueError(f"transform {self.child}: shapes {self.translation.shape}, {self.rotation.shape}")
-        if not (np.isfinite(self.translation).all() and np.isfinite(self.rotation).all()):
-            raise ValueError(f"transform {self.child}: a number is not finite")
-
-    def __len__(self) -> int:
-        return len(self.translation)
-
-
-@dataclass(frozen=True, eq=False)
-class Visual:
-    """What a person sees: a foxglove.SceneUpdate sent once, moving frames, and lines of a log as (seconds, text)."""
-
-    scene: Mapping[str, Any]
-    transforms: tuple[Transform, ...]
-    log: tuple[tuple[float, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,110 +230,13 @@ def _evidence(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     return metadata[0], {record.name: record.data for record in attachments}
 
 
-# What a person sees. Messages are templates filled with %: a json.dumps for each costs three times as much.
-
-
 def _write_visual(writer: Writer, trajectory: Trajectory, visual: Visual, units: Mapping[str, str]) -> None:
-    rows = trajectory.samples[trajectory.frames]
-    times = _nanoseconds(rows[:, 0])
-    channels: tuple[tuple[str, str, Mapping[str, Any], Iterator[tuple[int, str]]], ...] = (
-        ("/scene", "foxglove.SceneUpdate", _SCENE, iter([(times[0], canonical_json(dict(visual.scene)))])),
-        ("/log", "foxglove.Log", _LOG, _log_messages(visual.log)),
-        ("/tf", "foxglove.FrameTransforms", _TRANSFORMS, _transform_messages(times, visual.transforms)),
-        ("/state", "perfbound.State", _state_schema(trajectory.columns, units), _state_messages(times, trajectory)),
-    )
+    shown = {name: units[name] for name in trajectory.columns}
     messages: list[tuple[int, int, str]] = []
-    for topic, name, schema, texts in channels:
+    for topic, name, schema, texts in channels(visual, trajectory.samples[trajectory.frames], shown):
         schema_id = writer.register_schema(name, "jsonschema", canonical_json(dict(schema)).encode())
         channel = writer.register_channel(topic, "json", schema_id)
         messages += [(time, channel, text) for time, text in texts]
     messages.sort(key=lambda message: message[:2])
     for time, channel, text in messages:
         writer.add_message(channel, time, text.encode(), time)
-
-
-def _nanoseconds(seconds: Floats) -> list[int]:
-    times: list[int] = np.rint(seconds * 1e9).astype(np.int64).tolist()
-    return times
-
-
-def _text(value: str) -> str:
-    """Return `value` as JSON text inside a template."""
-    return json.dumps(value).replace("%", "%%")
-
-
-def _log_messages(lines: tuple[tuple[float, str], ...]) -> Iterator[tuple[int, str]]:
-    for seconds, message in lines:
-        time = round(seconds * 1e9)
-        stamp = {"sec": time // 10**9, "nsec": time % 10**9}
-        line = {"timestamp": stamp, "level": 2, "message": message, "name": LIBRARY, "file": "", "line": 0}
-        yield time, canonical_json(line)
-
-
-def _transform_messages(times: list[int], transforms: tuple[Transform, ...]) -> Iterator[tuple[int, str]]:
-    one = (
-        '{"timestamp":{"sec":%%d,"nsec":%%d},"parent_frame_id":%s,"child_frame_id":%s,'
-        '"translation":{"x":%%.6g,"y":%%.6g,"z":%%.6g},"rotation":{"x":%%.6g,"y":%%.6g,"z":%%.6g,"w":%%.6g}}'
-    )
-    each = ",".join(one % (_text(transform.parent), _text(transform.child)) for transform in transforms)
-    template = f'{{"transforms":[{each}]}}'
-    stamps = np.array([divmod(time, 10**9) for time in times], dtype=np.float64)  # (F, 2)
-    blocks = [block for pose in transforms for block in (stamps, pose.translation, pose.rotation)]
-    for time, numbers in zip(times, np.hstack(blocks).tolist(), strict=True):
-        yield time, template % tuple(numbers)
-
-
-def _state_messages(times: list[int], trajectory: Trajectory) -> Iterator[tuple[int, str]]:
-    each = ",".join(f"{_text(name)}:%.6g" for name in trajectory.columns)
-    template = f"{{{each}}}"
-    for time, numbers in zip(times, trajectory.samples[trajectory.frames].tolist(), strict=True):
-        yield time, template % tuple(numbers)
-
-
-def _state_schema(columns: tuple[str, ...], units: Mapping[str, str]) -> dict[str, Any]:
-    return _object(**{name: {"type": "number", "description": f"unit: {units[name]}"} for name in columns})
-
-
-def _object(**properties: Mapping[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "properties": properties}
-
-
-def _numbers(names: str) -> dict[str, Any]:
-    return _object(**{name: {"type": "number"} for name in names})
-
-
-def _array(items: Mapping[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-# The parts of foxglove's schemas (https://docs.foxglove.dev/docs/sdk/schemas) that our files use.
-_STRING, _INTEGER, _BOOLEAN = {"type": "string"}, {"type": "integer"}, {"type": "boolean"}
-_TIME = _object(sec=_INTEGER, nsec=_INTEGER)
-_POSE = _object(position=_numbers("xyz"), orientation=_numbers("xyzw"))
-_SOLID = _object(pose=_POSE, size=_numbers("xyz"), color=_numbers("rgba"))
-_CYLINDER = _object(**_SOLID["properties"], bottom_scale={"type": "number"}, top_scale={"type": "number"})
-_ENTITY = _object(
-    timestamp=_TIME,
-    frame_id=_STRING,
-    id=_STRING,
-    lifetime=_TIME,
-    frame_locked=_BOOLEAN,
-    metadata=_array(_object(key=_STRING, value=_STRING)),
-    cubes=_array(_SOLID),
-    spheres=_array(_SOLID),
-    cylinders=_array(_CYLINDER),
-    **{kind: _array({"type": "object"}) for kind in ("arrows", "lines", "triangles", "texts", "models")},
-)
-_SCENE = _object(deletions=_array({"type": "object"}), entities=_array(_ENTITY))
-_TRANSFORMS = _object(
-    transforms=_array(
-        _object(
-            timestamp=_TIME,
-            parent_frame_id=_STRING,
-            child_frame_id=_STRING,
-            translation=_numbers("xyz"),
-            rotation=_numbers("xyzw"),
-        )
-    )
-)
-_LOG = _object(timestamp=_TIME, level=_INTEGER, message=_STRING, name=_STRING, file=_STRING, line=_INTEGER)

@@ -159,10 +159,18 @@ def test_the_gains_solve_the_lqr(name: str, weights: tuple[float, ...]) -> None:
 
 def test_the_controller_is_still_at_the_goal_and_mirrors() -> None:
     gains = GAINS["aggressive"]
-    assert voltages(State(*GOAL, 1.0, 0, 0, 0, 0, 0), gains) == (0.0, 0.0)
-    left, right = voltages(State(1.0, 1.5, 0.2, 0.3, 0.1, 0.01, 0.02, 0.1), gains)
-    assert voltages(State(1.0, 3.5, -0.2, 0.3, -0.1, 0.01, 0.02, -0.1), gains) == pytest.approx((right, left))
-    assert voltages(State(2.0, 2.0, 0, 0, 0, -1.0, 0, 0), gains) == (-20.0, -20.0)
+    assert voltages((*GOAL, 1.0, 0, 0, 0, 0, 0), gains) == (0.0, 0.0)
+    left, right = voltages((1.0, 1.5, 0.2, 0.3, 0.1, 0.01, 0.02, 0.1), gains)
+    assert voltages((1.0, 3.5, -0.2, 0.3, -0.1, 0.01, 0.02, -0.1), gains) == pytest.approx((right, left))
+    assert voltages((2.0, 2.0, 0, 0, 0, -1.0, 0, 0), gains) == (-20.0, -20.0)
+    assert voltages((2.0, 2.0, 0, 0, 0, 1.0, 0, 0), gains) == (20.0, 20.0)
+
+
+@pytest.mark.parametrize("place", range(8))
+def test_the_controller_hides_no_nan(place: int) -> None:
+    state: Any = [1.0] * 8
+    state[place] = math.nan
+    assert all(map(math.isnan, voltages(tuple(state), GAINS["paper"])))
 
 
 # The traps, numbered as in the specification of the system
@@ -183,18 +191,23 @@ def test_trap_1_a_poisoned_client_is_rebuilt(free: World, corner: Trajectory) ->
     free._build(Start(math.nan, 0.0))
     for _ in range(10):
         free._bullet.stepSimulation(free._client)
-    assert math.isnan(free._state().x)
+    assert math.isnan(free._state()[0])
     assert free.rollout(Start(5.0, 0.0), 1800, GAINS["paper"], lambda _: None).tobytes() == corner.samples.tobytes()
 
 
-@pytest.mark.parametrize("broken", [{"phi": math.nan}, {"x": math.inf}, {"x": 1e200}])
+@pytest.mark.parametrize(("place", "value"), [(controller.PHI, math.nan), (0, math.inf), (0, 1e200)])
 def test_trap_2_a_trajectory_that_is_not_finite_is_no_score(
-    broken: dict[str, float], monkeypatch: pytest.MonkeyPatch
+    place: int, value: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state, count = World._state, iter(range(1000))
-    monkeypatch.setattr(
-        World, "_state", lambda self: state(self)._replace(**broken) if next(count) == 20 else state(self)
-    )
+
+    def broken(self: World) -> State:
+        found: Any = list(state(self))
+        if next(count) == 20:
+            found[place] = value
+        return tuple(found)
+
+    monkeypatch.setattr(World, "_state", broken)
     with pytest.raises(SimulationError, match="did not stay finite"):
         rollout(1.0, 1.0, horizon=0.5)
 

@@ -157,6 +157,13 @@ def test_a_person_sees_valid_messages_at_thirty_hertz() -> None:
     assert set(seen["/state"][0][1]) == set(UNITS)
 
 
+def test_a_scene_may_stand_still() -> None:
+    still = replace(a_trajectory(), visual=Visual({"deletions": [], "entities": []}, ()))
+    reader = make_reader(io.BytesIO(encoded(still)), validate_crcs=True)
+    topics = {channel.topic for _, channel, _ in reader.iter_messages()}
+    assert topics == {"/scene", "/state"}
+
+
 def test_every_column_has_a_unit() -> None:
     with pytest.raises(ValueError, match="no unit for phi%, x"):
         encode(a_trajectory(), request={}, metadata={}, units={"t": "s"})

@@ -16,7 +16,7 @@ import numpy as np
 
 from schemas.trajectory import Floats
 from workers.systems.base import Progress, SimulationError
-from workers.systems.segway.controller import Gains, State, voltages
+from workers.systems.segway.controller import HEADING_RATE, PHI, Gains, State, voltages
 
 CONTROL_RATE = 120  # 1/s
 SUB_STEPS = 2  # physics steps per control step, under one torque
@@ -27,10 +27,11 @@ MOTOR_DAMPING = 0.238968  # N m s/rad, on the rate of the wheel against the body
 WHEEL_FRICTION = 0.9  # below 0.5 a noisy start slips and falls
 FALLEN = 1.0  # rad; a Segway that lies on the ground would slide away
 PROGRESS_STEPS = 60
-COLUMNS = 10  # t, the first seven of State, two voltages
+COLUMNS = 10  # t, a State without its heading_rate, two voltages
 
 _MODEL = str(Path(__file__).with_name("model.urdf"))
 _BODY, _WHEELS = -1, (0, 1)  # links of the model
+_UNUSED = (0.0, 0.0)  # targets and gains, which torque control ignores: keyword arguments would cost a rollout 3 %
 
 
 class Start(NamedTuple):
@@ -64,18 +65,18 @@ class World:
             raise SimulationError(f"the start {start} is not finite")
         self._build(start)
         step_simulation, client = self._bullet.stepSimulation, self._client
-        rows = array("d")
+        rows = array("d")  # a list would keep 18,000 floats alive, which costs more than copying them
         for step in range(steps + 1):
             state = self._state()
-            left, right = voltages(state, gains)
-            rows.extend((step / CONTROL_RATE, *state[:-1], left, right))
-            if step == steps or abs(state.phi) > FALLEN:
+            volts = voltages(state, gains)
+            rows.extend(state + volts)
+            if step == steps or abs(state[PHI]) > FALLEN:
                 break
             if step % PROGRESS_STEPS == 0:
                 progress(step)
-            self._drive(left, right)
+            self._drive(*volts)
             step_simulation(client)
-        return _held(np.frombuffer(rows).reshape(-1, COLUMNS), steps)
+        return _held(np.frombuffer(rows).reshape(-1, len(state + volts)), steps)
 
     def _build(self, start: Start) -> None:
         bullet, client = self._bullet, self._client
@@ -83,12 +84,13 @@ class World:
         bullet.setGravity(0, 0, -9.81, physicsClientId=client)
         bullet.setPhysicsEngineParameter(fixedTimeStep=1 / CONTROL_RATE, numSubSteps=SUB_STEPS, physicsClientId=client)
         shape = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
-        ground = bullet.createMultiBody(0, shape, physicsClientId=client)
+        unseen = bullet.URDF_IGNORE_VISUAL_SHAPES  # nobody renders this world
+        ground = bullet.createMultiBody(0, shape, flags=unseen, physicsClientId=client)
         self._segway = bullet.loadURDF(
             _MODEL,
             (start.x, start.y, WHEEL_RADIUS),
             bullet.getQuaternionFromEuler((0.0, start.phi, start.heading)),
-            flags=bullet.URDF_USE_INERTIA_FROM_FILE,
+            flags=bullet.URDF_USE_INERTIA_FROM_FILE | unseen,
             physicsClientId=client,
         )
         self._set_friction(ground, _BODY, 1.0)  # the contact uses the product
@@ -116,16 +118,18 @@ class World:
         # PyBullet speaks of the centre of mass, we of the axle below it.
         rx, ry, rz = CENTRE_OF_MASS * up_x, CENTRE_OF_MASS * up_y, CENTRE_OF_MASS * up_z
         phidot = wy * math.cos(heading) - wx * math.sin(heading)
-        return State(x - rx, y - ry, heading, vx - wy * rz + wz * ry, vy - wz * rx + wx * rz, phi, phidot, wz)
+        return x - rx, y - ry, heading, vx - wy * rz + wz * ry, vy - wz * rx + wx * rz, phi, phidot, wz
 
     def _drive(self, left: float, right: float) -> None:
         bullet, segway, client = self._bullet, self._segway, self._client
-        (_, left_rate, *_), (_, right_rate, *_) = bullet.getJointStates(segway, _WHEELS, client)
+        (_, left_rate, _, _), (_, right_rate, _, _) = bullet.getJointStates(segway, _WHEELS, client)
         torques = (
             MOTOR_CONSTANT * left - MOTOR_DAMPING * left_rate,
             MOTOR_CONSTANT * right - MOTOR_DAMPING * right_rate,
         )
-        bullet.setJointMotorControlArray(segway, _WHEELS, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client)
+        bullet.setJointMotorControlArray(
+            segway, _WHEELS, bullet.TORQUE_CONTROL, _UNUSED, _UNUSED, torques, _UNUSED, _UNUSED, client
+        )
 
 
 def _pybullet() -> Any:
@@ -145,7 +149,9 @@ def _pybullet() -> Any:
 
 
 def _held(rows: Floats, steps: int) -> Floats:
-    """Return `rows` with the last one repeated up to `steps + 1` rows, under the time that passes."""
-    held = np.repeat(rows, [1] * (len(rows) - 1) + [steps + 2 - len(rows)], axis=0)
+    """Return the columns of a trajectory: a State and two voltages a row, the last one held up to `steps + 1` rows."""
+    done, held = len(rows), np.empty((steps + 1, COLUMNS))
     held[:, 0] = np.arange(steps + 1) / CONTROL_RATE
+    held[:done, 1:] = np.delete(rows, HEADING_RATE, axis=1)
+    held[done:, 1:] = held[done - 1, 1:]
     return held

@@ -1,0 +1,118 @@
+"""The rollouts on record, and how a record of one is made.
+
+A record holds digests and numbers. The digests say that not one bit changed: of the samples, of the file with the
+evidence alone, of the file that a person can look at. The numbers say what changed if one did, and stand in for the
+digests on another platform.
+"""
+
+import hashlib
+import json
+import math
+import platform
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from schemas.trajectory import Trajectory, encode
+from workers.systems.base import SystemUnderTest
+
+FILE = Path(__file__).with_name("segway.json")
+CPU_INFO = Path("/proc/cpuinfo")
+INSTRUCTION_SETS = ("fma", "avx2", "avx512f")
+DECIDING_PACKAGES = ("lz4", "mcap", "numpy", "pybullet", "zstandard")
+
+Rollout = dict[str, Any]
+"""The arguments of `SystemUnderTest.rollout` without `progress`."""
+
+
+def _rollout(x: float, y: float, *, horizon: float = 15.0, seed: int | None = None, **options: Any) -> Rollout:
+    variant = "nominal" if seed is None else "true"
+    return {"x": [x, y], "variant": variant, "seed": seed or 0, "horizon": horizon, "options": options}
+
+
+ROLLOUTS: dict[str, Rollout] = {
+    "worst corner": _rollout(5.0, 0.0),
+    "worst corner, aggressive": _rollout(5.0, 0.0, gains="aggressive"),
+    "nearest corner": _rollout(0.0, 0.0),
+    "at the goal": _rollout(2.5, 2.5),
+    "goal almost behind": _rollout(4.5, 2.51, gains="aggressive"),  # exactly behind, rounding decides the turn
+    "noise": _rollout(1.25, 3.75, seed=7),
+    "noise, aggressive": _rollout(5.0, 5.0, seed=2**53 - 1, gains="aggressive"),
+    "noise of variance zero": _rollout(3.3, 0.2, seed=11, noise_variance=0.0),
+    "falls after one second": _rollout(5.0, 0.0, seed=50, gains="aggressive", noise_variance=0.5),
+    "falls after three seconds": _rollout(5.0, 0.0, seed=598, gains="aggressive", noise_variance=0.5),
+    "starts on the ground": _rollout(5.0, 0.0, seed=14, noise_variance=0.6),
+    "outside the box": _rollout(-20.0, 25.0, gains="aggressive"),
+    "no step": _rollout(1.0, 1.0, horizon=0.0),
+    "one step": _rollout(1.0, 1.0, horizon=1 / 120),
+    "between two steps": _rollout(1.0, 4.0, seed=3, horizon=7.3456),
+    "longer than a campaign's": _rollout(0.1, 4.9, seed=5, horizon=31.0),
+}
+
+
+def record(system: SystemUnderTest, rollout: Rollout) -> dict[str, Any]:
+    """Return what is on record of one rollout: digests, then the numbers of `numbers`."""
+    trajectory = system.rollout(**rollout, progress=lambda _: None)
+    seen = replace(trajectory, visual=system.visual(trajectory))
+    return {
+        "samples_sha256": _sha256(trajectory.samples.tobytes()),
+        "file_sha256": _sha256(_file(system, trajectory, rollout)),
+        "visual_file_sha256": _sha256(_file(system, seen, rollout)),
+        "numbers": numbers(trajectory),
+    }
+
+
+def numbers(trajectory: Trajectory) -> dict[str, Any]:
+    """Return the length, the last row, the mean of every column (exactly rounded sums) and the largest |phi|."""
+    columns = trajectory.samples.T.tolist()
+    return {
+        "length": len(trajectory.samples),
+        "last": trajectory.samples[-1].tolist(),
+        "mean": [math.fsum(column) / len(column) for column in columns],
+        "max_abs_phi": float(np.abs(trajectory.column("phi")).max()),
+    }
+
+
+def platform_key() -> dict[str, str]:
+    """Return what may decide the last bits of a rollout or the bytes of its file.
+
+    The C library and numpy choose their sin, tanh or atan2 by the instruction sets of the CPU; Python brings its own
+    hypot, pybullet its own compiled code; mcap and the compressions decide the bytes around the samples.
+    """
+    packages = {package: version(package) for package in DECIDING_PACKAGES}
+    python = ".".join(platform.python_version_tuple()[:2])
+    libc = " ".join(platform.libc_ver())
+    return {"machine": platform.machine(), "cpu": _cpu(), "libc": libc, "python": python} | packages
+
+
+def write() -> None:
+    """Make the record anew."""
+    from workers.systems.segway import SegwaySystem
+
+    system = SegwaySystem()
+    rollouts = {name: {"rollout": rollout} | record(system, rollout) for name, rollout in ROLLOUTS.items()}
+    FILE.write_text(json.dumps({"platform": platform_key(), "rollouts": rollouts}, indent=1) + "\n")
+
+
+def _file(system: SystemUnderTest, trajectory: Trajectory, rollout: Rollout) -> bytes:
+    """Return the file that a worker would send, without the digest of the system's spec, which covers prose."""
+    units = {column.name: column.unit for column in system.spec.columns}
+    return encode(trajectory, request=rollout, metadata={"seed": str(rollout["seed"])}, units=units)
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _cpu() -> str:
+    """Return vendor, family and instruction sets of the CPU, as far as the system says."""
+    if not CPU_INFO.exists():
+        return platform.processor()
+    lines = (line.partition(":") for line in CPU_INFO.read_text().splitlines())
+    fields = {name.strip(): value.strip() for name, _, value in lines}
+    flags = set(fields.get("flags", "").split())
+    present = [name for name in INSTRUCTION_SETS if name in flags]
+    return " ".join([fields.get("vendor_id", "?"), fields.get("cpu family", "?"), *present])

@@ -1,0 +1,74 @@
+"""Nobody changed a rollout unawares.
+
+Two comparisons, because equal code does not give equal bits everywhere:
+
+* On every platform, the numbers on record are met within 1e-9. Another C library or instruction set rounds the last
+  bit of a tanh or an atan2 otherwise; over a rollout that grows to 3e-13 (measured with FMA and AVX2 switched off), a
+  thousandth of the tolerance. A change of the model, the controller or the order of the engine's calls is far above.
+* On the platform on record, every digest is met: not one bit changed. If the key of the platform differs, unequal
+  digests say nothing about the code, and the comparison is skipped, visibly. The key names what was found to matter,
+  or may: a part of the platform that it does not name would show as a failure, never as a false pass.
+
+Whatever the platform, a rollout depends on nothing that ran before it.
+"""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.golden.record import FILE, ROLLOUTS, numbers, platform_key, record
+from workers.systems.segway import SegwaySystem
+
+GOLDEN = json.loads(FILE.read_text())
+DIGESTS = ("samples_sha256", "file_sha256", "visual_file_sha256")
+SYSTEM = SegwaySystem()
+
+Record = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Record]:
+    """The record that would be made now."""
+    return {name: record(SYSTEM, rollout) for name, rollout in ROLLOUTS.items()}
+
+
+def test_the_record_is_of_these_rollouts() -> None:
+    assert {name: entry["rollout"] for name, entry in GOLDEN["rollouts"].items()} == ROLLOUTS
+
+
+@pytest.mark.parametrize("name", ROLLOUTS)
+def test_the_numbers_are_those_on_record(name: str, found: dict[str, Record]) -> None:
+    now, then = found[name]["numbers"], GOLDEN["rollouts"][name]["numbers"]
+    assert now["length"] == then["length"]
+    for key in ("last", "mean", "max_abs_phi"):
+        assert now[key] == pytest.approx(then[key], rel=0, abs=1e-9), key
+
+
+@pytest.mark.parametrize("name", ROLLOUTS)
+def test_on_the_platform_on_record_not_one_bit_changed(name: str, found: dict[str, Record]) -> None:
+    if (here := platform_key()) != GOLDEN["platform"]:
+        other = {key: (then, here.get(key)) for key, then in GOLDEN["platform"].items() if then != here.get(key)}
+        pytest.skip(f"recorded on another platform: {other}")
+    assert {key: found[name][key] for key in DIGESTS} == {key: GOLDEN["rollouts"][name][key] for key in DIGESTS}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_order_of_the_rollouts_does_not_matter(seed: int, found: dict[str, Record]) -> None:
+    for name in np.random.default_rng(seed).permutation(list(ROLLOUTS)).tolist():
+        assert record(SYSTEM, ROLLOUTS[name]) == found[name], name
+
+
+def test_the_smallest_change_of_a_start_shows_in_the_bits_alone(found: dict[str, Record]) -> None:
+    moved = ROLLOUTS["worst corner"] | {"x": [math.nextafter(5.0, 0.0), 0.0]}
+    now, then = record(SYSTEM, moved), found["worst corner"]
+    assert now["samples_sha256"] != then["samples_sha256"]
+    assert now["numbers"]["last"] == pytest.approx(then["numbers"]["last"], rel=0, abs=1e-9)
+
+
+def test_the_numbers_see_every_row() -> None:
+    trajectory = SYSTEM.rollout(**ROLLOUTS["one step"], progress=lambda _: None)
+    assert numbers(trajectory)["mean"][0] == pytest.approx(1 / 240)
+    assert numbers(trajectory)["max_abs_phi"] == abs(trajectory.samples[:, 6]).max()
