@@ -256,6 +256,11 @@ def step(state: State, event: Event) -> Outcome:
             return _assign(state, event.at)
 
 
+def under_way(state: State) -> int:
+    """Return the number of attempts that workers have been given and that have not ended."""
+    return sum(worker.attempt is not None for worker in state.workers.values())
+
+
 def _want(state: State, event: Wanted) -> Outcome:
     new = {rollout: Open(attempts) for rollout, attempts in event.rollouts if rollout not in state.open}
     return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()

@@ -78,7 +78,15 @@ class Service:
     """Runs one campaign until it is done, it fails, or a signal stops it."""
 
     def __init__(
-        self, ledger: Ledger, journal: Journal, transport: Transport, fleet: Fleet | None, view: View, *, resumed: bool
+        self,
+        ledger: Ledger,
+        journal: Journal,
+        transport: Transport,
+        fleet: Fleet | None,
+        view: View,
+        *,
+        resumed: bool,
+        drain: bool = False,
     ) -> None:
         self.inbox: queue.SimpleQueue[Inbound | Interrupted] = queue.SimpleQueue()
         self._ledger = ledger
@@ -88,6 +96,8 @@ class Service:
         self._view = view
         self._known: dict[str, _Known] = {}
         self._outgoing: list[tuple[str, Request]] = []
+        self._drain = drain
+        self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: tuple[RolloutId, tuple[str, ...]] | None = None
         self._started = time.monotonic()
@@ -138,7 +148,10 @@ class Service:
                 self._take(message)
             if complete >= self._next_tick:
                 self._tick(complete)
-            self._dispatch(dispatch.HandOut(time.monotonic()))
+            if self._draining is None:
+                self._dispatch(dispatch.HandOut(time.monotonic()))
+            elif not dispatch.under_way(self._state):
+                self._stop = self._draining
         self._send()
 
     def _take(self, message: Inbound | Interrupted) -> None:
@@ -152,7 +165,16 @@ class Service:
             case Garbage():
                 self._view.say(f"ignored a message of {message.worker}: {message.reason}")
             case Interrupted():
-                self._stop = message.signal
+                self._interrupted(message.signal)
+
+    def _interrupted(self, signal: int) -> None:
+        """Stop at once; with `drain`, hand out nothing more and stop when the attempts under way have ended."""
+        if not self._drain or self._draining is not None:
+            self._stop = signal
+            return
+        self._draining = signal
+        count = dispatch.under_way(self._state)
+        self._view.say(f"draining: {count} rollouts are under way; a second signal stops at once")
 
     def _token(self, message: Token) -> None:
         known = self._known.setdefault(message.worker, _Known())

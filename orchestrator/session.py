@@ -20,17 +20,18 @@ from rich.text import Text
 
 from orchestrator.certificate import files
 from orchestrator.errors import JournalError, PerfboundError
+from orchestrator.notify import Systemd
 from orchestrator.stl.formula import FormulaError, columns
 from orchestrator.stl.formula import parse as parse_formula
 from orchestrator.stl.horizon import check_horizon
-from orchestrator.store import evidence
-from orchestrator.store.journal import DATABASE, Header, Journal, existing
+from orchestrator.store import evidence, queries
+from orchestrator.store.journal import DATABASE, Header, Journal, existing, read_header
 from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import ZenohTransport, listen
 from orchestrator.versions import software
 from schemas.campaign import CampaignConfig, CampaignError
 from schemas.campaign_check import check_against
-from schemas.campaign_file import parse
+from schemas.campaign_file import differences, parse
 from schemas.certificate import Certificate
 from schemas.link import Tls
 from schemas.system import SystemSpec
@@ -64,31 +65,42 @@ class Link:
         return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]
 
 
-def start(config: CampaignConfig, source: Path, *, workers: int, directory: Path, link: Link, console: Console) -> None:
+def start(
+    config: CampaignConfig,
+    source: Path,
+    *,
+    workers: int,
+    directory: Path,
+    link: Link,
+    console: Console,
+    drain: bool = False,
+) -> None:
     """Run a new campaign, read from the file `source`, to its certificate.
+
+    With `drain`, the first signal lets the rollouts under way end; the second one stops at once.
 
     Raises:
         PerfboundError, CampaignError: what is wrong, in one line.
         Stopped: a signal arrived.
 
     """
-    _check_vacant(directory)
+    _check_vacant(directory, config)
     spec = system_spec(config.system.name, f"{source}: system.name")
     check_against(config, spec, str(source))
     _check_specification(config, spec, source)
     header = Header.new(config, spec, software(spec))
     with (
         listen(link.endpoint, link.tls, insecure=link.insecure) as transport,
-        _claimed(directory),
+        _claimed(directory, config),
         ExitStack() as stack,
     ):
         journal = Journal.create(directory, header)
         stack.callback(journal.close)
-        _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=False)
+        _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=False, drain=drain)
 
 
-def resume(directory: Path, *, workers: int, link: Link, console: Console) -> None:
-    """Continue a campaign from its database; one that is finished is left as it is.
+def resume(directory: Path, *, workers: int, link: Link, console: Console, drain: bool = False) -> None:
+    """Continue a campaign from its database; one that is finished is left as it is. `drain` is as in `start`.
 
     Raises:
         PerfboundError: what is wrong, in one line.
@@ -105,7 +117,7 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console) -> No
         _check_software(journal.header)
         evidence.sweep(directory, journal.paths())
         transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
-        _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=True)
+        _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=True, drain=drain)
 
 
 def load(path: Path, **overrides: int) -> CampaignConfig:
@@ -172,14 +184,32 @@ def system_spec(name: str, where: str) -> SystemSpec:
     return specs[name]
 
 
-def _check_vacant(directory: Path) -> None:
-    if (directory / "campaign.db").exists():
+def _check_vacant(directory: Path, config: CampaignConfig) -> None:
+    if (directory / DATABASE).exists():
+        found = _stored_differently(directory, config)
+        if found:
+            raise PerfboundError(
+                f"{directory}: another campaign is here than the file says: {found}, respectively. A campaign is never "
+                "changed on the way; choose another --out"
+            )
         raise PerfboundError(
             f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
             "or choose another --out"
         )
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise PerfboundError(f"{directory}: exists and is not empty; choose another --out")
+
+
+def _stored_differently(directory: Path, config: CampaignConfig) -> str:
+    """Return where the campaign in `directory` differs from `config`; nothing if it does not, or cannot be read."""
+    try:
+        with queries.reading(directory) as connection:
+            stored = read_header(connection, directory).config
+    except JournalError:
+        return ""
+    found = differences(stored, config)
+    more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
+    return f"{'; '.join(found[:3])}{more}"
 
 
 def _check_specification(config: CampaignConfig, spec: SystemSpec, path: Path) -> None:
@@ -215,7 +245,7 @@ def _check_software(header: Header) -> None:
 
 
 @contextmanager
-def _claimed(directory: Path) -> Iterator[None]:
+def _claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
     """Make the run directory and hold its lock; take it back if no campaign was started in it."""
     try:
         there = directory.is_dir()
@@ -223,7 +253,7 @@ def _claimed(directory: Path) -> Iterator[None]:
     except OSError as error:
         raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
     with campaign_lock(directory):
-        _check_vacant(directory)  # again: another orchestrator may have been quicker
+        _check_vacant(directory, config)  # again: another orchestrator may have been quicker
         try:
             yield
         finally:
@@ -242,10 +272,11 @@ def _conduct(
     link: Link,
     console: Console,
     resumed: bool,
+    drain: bool,
 ) -> None:
     from orchestrator.fleet import Fleet  # noqa: PLC0415
 
-    run = journal.header.run
+    run, systemd = journal.header.run, Systemd()
     with ExitStack() as stack:
         fleet = None
         if workers:
@@ -258,17 +289,19 @@ def _conduct(
         # The numerics take seconds to load: only now, while the workers start.
         from orchestrator.ledger import Ledger  # noqa: PLC0415
         from orchestrator.service import Interrupted, Service  # noqa: PLC0415
-        from orchestrator.terminal import view  # noqa: PLC0415
+        from orchestrator.terminal import Watched, view  # noqa: PLC0415
 
         ledger = Ledger(directory, journal)
         ledger.replay()
         if not ledger.done:
-            shown = stack.enter_context(view(console))
+            shown = Watched(stack.enter_context(view(console)), systemd)
             for line in ledger.warnings():
                 shown.say(line)
-            service = Service(ledger, journal, transport, fleet, shown, resumed=resumed)
+            service = Service(ledger, journal, transport, fleet, shown, resumed=resumed, drain=drain)
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))
             transport.start(run, service.inbox.put)
+            systemd.ready(f"workers connect to {transport.endpoint}")
+            stack.callback(systemd.stopping)
             service.run()
     _certify(directory, journal, ledger)
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -11,7 +12,9 @@ from rich.text import Text
 
 from orchestrator import forecast
 from orchestrator.ledger import Account
+from orchestrator.notify import Systemd
 from orchestrator.service import Seen
+from orchestrator.talk import JsonLines
 from orchestrator.words import MINIMA, duration, figure
 
 PLAIN_PERIOD = 10.0
@@ -83,6 +86,66 @@ class Plain:
             self.say(f"{problems} | {worker_line(seen, rate).plain}")
 
 
+class Lines:
+    """Progress as JSON lines, with the numbers as fields."""
+
+    def __init__(self, stream: JsonLines) -> None:
+        self._stream = stream
+        self._rate = Rate()
+        self._last = time.monotonic()
+        self._stopped: set[str] = set()
+
+    def say(self, line: str) -> None:
+        """Write a line."""
+        self._stream.line(line)
+
+    def show(self, seen: Seen) -> None:
+        """Write a line per problem that stopped, and one line now and then."""
+        rate, due = self._rate.of(seen), time.monotonic() - self._last >= PLAIN_PERIOD
+        for name, account in seen.ledger.accounts.items():
+            ended = bool(account.last_bound and account.last_bound.stopped_by)
+            if ended and name not in self._stopped:
+                self._stopped.add(name)
+                self._stream.line("problem ended", **numbers(account))
+            elif due and not ended:
+                self._stream.line("progress", **numbers(account))
+        if due:
+            self._last = time.monotonic()
+            phases = dict(sorted(seen.workers.items()))
+            self._stream.line("workers", workers=phases, rollouts=seen.recorded, rollouts_per_second=round(rate, 2))
+
+
+def numbers(account: Account) -> dict[str, Any]:
+    """Return how far a problem is, by name."""
+    bound = account.last_bound
+    return {
+        "problem": account.problem.name,
+        "tests": len(account.observations),
+        "rollouts": sum(account.counts.values()),
+        "distance": distance(account),
+        "alpha": account.problem.alpha,
+        "bound": bound_in_sense(account),
+        "stopped_by": bound.stopped_by if bound else None,
+    }
+
+
+class Watched:
+    """A view that also tells systemd."""
+
+    def __init__(self, inner: "Terminal | Plain | Lines", systemd: Systemd) -> None:
+        self._inner, self._systemd = inner, systemd
+
+    def say(self, line: str) -> None:
+        """Pass it on."""
+        self._inner.say(line)
+
+    def show(self, seen: Seen) -> None:
+        """Pass it on, and show that the loop turns."""
+        self._inner.show(seen)
+        tests = ", ".join(f"{name} {len(account.observations)} tests" for name, account in seen.ledger.accounts.items())
+        self._systemd.alive(f"{tests}; {len(seen.workers)} workers")
+
+
 class Rate:
     """Rollouts per second over the last quarter of a minute."""
 
@@ -139,8 +202,11 @@ def worker_line(seen: Seen, rate: float) -> Text:
 
 
 @contextmanager
-def view(console: Console) -> Iterator[Terminal | Plain]:
-    """Return the view that fits: a live table on a terminal, log lines elsewhere."""
+def view(console: Console) -> Iterator[Terminal | Plain | Lines]:
+    """Return the view that fits: a live table on a terminal, lines elsewhere."""
+    if isinstance(console.file, JsonLines):
+        yield Lines(console.file)
+        return
     if not console.is_terminal:
         yield Plain(console)
         return

@@ -221,3 +221,10 @@ def _model_at(location: Location) -> type[Model]:
         return Scenarios if location[-1] == "scenarios" else models[location[0]]
     names = [part for part in location if part in models]
     return models[names[-1]] if names else CampaignConfig
+
+
+def differences(one: CampaignConfig, other: CampaignConfig) -> list[str]:
+    """Return the keys in which two campaigns differ, with both values: `problems.0.alpha is 0.05 and 0.04`."""
+    a, b = (dict(_leaves(each.model_dump(mode="json"), "")) for each in (one, other))
+    keys = [key for key in a | b if a.get(key) != b.get(key)]
+    return [f"{key} is {a.get(key, 'absent')!r} and {b.get(key, 'absent')!r}" for key in keys]

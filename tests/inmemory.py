@@ -322,6 +322,7 @@ def serve(
     *,
     stop: Callable[[Seen], bool] = lambda _: False,
     resumed: bool = False,
+    drain: bool = False,
 ) -> str:
     """Be the orchestrator of the campaign in `directory`, once; return the certificate's text.
 
@@ -339,7 +340,7 @@ def serve(
         if not ledger.done:
             port = InMemoryTransport(network)
             stack.callback(port.stop)
-            server = Service(ledger, journal, port, None, log, resumed=resumed)
+            server = Service(ledger, journal, port, None, log, resumed=resumed, drain=drain)
             log._look = lambda seen: server.inbox.put(Interrupted(2)) if stop(seen) else None
             port.start(journal.header.run, server.inbox.put)
             server.run()

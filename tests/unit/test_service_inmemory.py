@@ -128,6 +128,58 @@ def test_stops_and_resumes_change_nothing(
     check_evidence(directory)
 
 
+def _once(condition: Callable[[Seen], bool]) -> Callable[[Seen], bool]:
+    """True at the first moment of `condition` only: one signal."""
+    told: list[bool] = []
+
+    def now(seen: Seen) -> bool:
+        if told or not condition(seen):
+            return False
+        told.append(True)
+        return True
+
+    return now
+
+
+def test_draining_finishes_what_is_under_way_and_begins_nothing(
+    tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "TICK", 0.001)
+    directory, log = tmp_path / "run", Log()
+    begin(directory, a_config())
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink] * 3):
+        busy = _once(lambda seen: seen.recorded >= 5 and bool({"sent", "busy"} & set(seen.workers.values())))
+        with pytest.raises(Stopped):
+            serve(directory, network, log, stop=busy, drain=True)
+        assert "draining" in log.lines[-1]
+        with closing(sqlite3.connect(directory / DATABASE)) as connection:
+            begun = connection.execute("SELECT count(*) FROM attempts").fetchone()[0]
+        assert outcomes(directory) == ["recorded"] * begun
+        assert 5 < begun < 36
+        assert serve(directory, network, Log(), resumed=True) == calm(a_config())
+
+
+def test_only_a_second_signal_ends_the_wait_for_what_is_under_way(tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    looks: list[Seen] = []
+    begin(directory, a_config(hung_after=30.0))
+
+    def later(seen: Seen) -> bool:
+        """One signal when a worker is at work, and one 20 looks later."""
+        looks.extend([seen] if looks or {"sent", "busy"} & set(seen.workers.values()) else [])
+        return len(looks) in (1, 21)
+
+    with Network() as network, working(network, run_of(directory), [_muted]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=later, drain=True)
+    assert len(looks) >= 21
+    assert outcomes(directory) == []
+
+
+def _muted(uplink: InMemoryUplink) -> InMemoryUplink:
+    uplink.deliver = lambda header, payload: None  # type: ignore[method-assign]
+    return uplink
+
+
 def test_a_rollback_leaves_nothing_behind(tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk is full in the middle of a turn; the next orchestrator goes on."""
     directory = tmp_path / "run"

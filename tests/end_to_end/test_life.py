@@ -1,0 +1,91 @@
+"""The life of an orchestrator process: draining, systemd, log lines for programs, a file that was changed."""
+
+import json
+import shutil
+import signal
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.end_to_end.processes import Processes, query, recorded, wait_for, write_campaign
+
+UNITS = Path(__file__).parents[2] / "deploy" / "systemd"
+
+
+def test_draining_loses_no_rollout_that_was_begun(started: Processes, calm: Path) -> None:
+    directory = started.folder / "run"
+    process = started.start(
+        "perfbound", "run", write_campaign(started.folder / "c.toml"), "--out", directory, "--drain"
+    )
+    wait_for(lambda: recorded(directory) >= 4)
+    process.popen.send_signal(signal.SIGTERM)
+    ended = process.wait()
+    assert ended.code == 128 + signal.SIGTERM
+    assert "draining: " in ended.err
+    assert ended.err.endswith(f"perfbound: stopped; go on with: perfbound resume {directory}\n")
+    begun = query(directory, "SELECT outcome FROM attempts LEFT JOIN outcomes USING (rollout, attempt)")
+    assert begun == [("recorded",)] * len(begun)
+    assert 4 <= len(begun) < 24
+    assert started.run("perfbound", "resume", directory).code == 0
+    assert (directory / "certificate.json").read_bytes() == (calm / "certificate.json").read_bytes()
+
+
+def test_log_lines_for_programs(started: Processes) -> None:
+    directory = started.folder / "run"
+    campaign = write_campaign(started.folder / "c.toml", max_tests="2")
+    ended = started.run("perfbound", "run", campaign, "--out", directory, "--log", "json")
+    lines = [json.loads(line) for line in ended.err.splitlines()]
+    assert {line["problem"]: line["tests"] for line in lines if line["message"] == "problem ended"} == {
+        "nominal_robustness": 2,
+        "sim_gap": 2,
+    }
+    assert all(line["time"].endswith("+00:00") and line["level"] == "info" for line in lines)
+    failed = started.run("perfbound", "run", campaign, "--out", directory, "--log", "json")
+    (line,) = [json.loads(text) for text in failed.err.splitlines()]
+    assert (failed.code, line["level"]) == (1, "error")
+    assert "a campaign is here already" in line["message"]
+
+
+def test_systemd_is_told(started: Processes) -> None:
+    directory, address = started.folder / "run", started.folder / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(address))
+        manager.settimeout(60)
+        process = started.start(
+            "perfbound",
+            *("run", write_campaign(started.folder / "c.toml"), "--out", directory),
+            NOTIFY_SOCKET=str(address),
+            WATCHDOG_USEC="1000000",
+        )
+        told = ""
+        while "STOPPING=1" not in told:
+            told += manager.recv(4096).decode() + "\n"
+        assert process.wait().code == 0
+    assert told.startswith("READY=1\nSTATUS=workers connect to tcp/127.0.0.1:")
+    assert told.count("WATCHDOG=1") >= 1
+    assert "STATUS=nominal_robustness 8 tests, sim_gap 8 tests; " in told
+
+
+def test_a_changed_file_is_refused_with_the_difference(started: Processes) -> None:
+    directory = started.folder / "run"
+    campaign = write_campaign(started.folder / "c.toml", max_tests="2")
+    assert started.run("perfbound", "run", campaign, "--out", directory).code == 0
+    write_campaign(campaign, max_tests="3", risk_weight="0.3")
+    ended = started.run("perfbound", "run", campaign, "--out", directory)
+    assert ended.code == 1
+    assert "max_tests is 2 and 3; risk_weight is 0.2 and 0.3, respectively" in ended.fault
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="install systemd for systemd-analyze")
+@pytest.mark.parametrize("unit", sorted(path.name for path in UNITS.glob("*.service")))
+def test_the_units_are_accepted_by_systemd(tmp_path: Path, unit: str) -> None:
+    """With programs that exist here in the place of ours."""
+    text = (UNITS / unit).read_text().replace("/opt/perfbound/.venv/bin/", "/bin/true ")
+    name = unit.replace("@.", "@1.")
+    (tmp_path / name).write_text(text.replace("WorkingDirectory=/srv/perfbound", "WorkingDirectory=/"))
+    found = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", tmp_path / name], capture_output=True, text=True, check=False
+    )
+    assert (found.returncode, found.stderr) == (0, "")
