@@ -10,7 +10,7 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types imports unit explore coverage reproduce bench bench-compare schemas lock clean
+.PHONY: help setup run test lint types imports unit explore faults coverage reproduce bench bench-compare schemas lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -50,6 +50,11 @@ unit: $(VENV)/.installed-dev ## Tests, with real workers, Zenoh and PyBullet
 
 explore: $(VENV)/.installed-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit
+
+MINUTES ?= 10
+SEED ?= 1
+faults: $(VENV)/.installed-dev ## Campaigns under seeded faults: kill, stop, partition, full disk, ... (MINUTES=10, SEED=1)
+	$(BIN)/python -m tests.faults --minutes $(MINUTES) --seed $(SEED)
 
 coverage: $(VENV)/.installed-dev ## How often bounds fail, over thousands of campaigns (half an hour; goes on where it stopped)
 	$(BIN)/python -m tests.coverage
