@@ -90,6 +90,7 @@ def compose(
 def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
     """Return a lower bound of the probability that all bounds hold at once.
     Implements eq. (calculated_bound) of [ARA].
+    Implements eq. (accounting) of [PB].
 
     Formula: product: prod Delta_j. sum: max(0, 1 - sum (1 - Delta_j)).
     Assumes for the product that no problem's proposals or stopping saw the other's data; the sum assumes nothing.
@@ -113,15 +114,6 @@ def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
     if rule == "sum":
         return max(0.0, 1.0 - math.fsum(1.0 - p for p in probabilities))
     raise ValueError(f"rule is 'product' or 'sum', not {rule!r}")
-
-
-@dataclass(frozen=True, slots=True)
-class RiskBound:
-    """ell <= min_d E[rho] - r sd(rho) and mean <= min_d E[rho] of the true system, with this probability."""
-
-    mean: float
-    ell: float
-    probability: float
 
 
 def compose_mean(
@@ -149,33 +141,15 @@ def compose_mean(
     return max(round_down(low), _down(exact))
 
 
-def compose_risk(
-    mean: float,
-    *,
-    risk_weight: float,
-    clip: tuple[float, float],
-    variance: VarianceBound,
-    spent: Sequence[tuple[float, float]],
-) -> RiskBound:
+def least_risk(mean: float, *, risk_weight: float, clip: tuple[float, float], variance: VarianceBound) -> float:
     """Return the bound of the risk that follows from the bound `mean` of the least expected robustness, rounded down.
     Implements eq. (risk) of [PB].
 
-    Formula: ell = phi(b) (`bhatia_davis`), or b - r (M + m)/2 (`popoviciu`, as in Theorem 2 of [ARA]); the probability
-    is that of `confidence`.
+    Formula: ell = phi(b) (`bhatia_davis`), or b - r (M + m)/2 (`popoviciu`, as in Theorem 2 of [ARA]); the unit is
+    that of robustness.
 
     Raises:
         ValueError: a number is outside its range.
-
-    >>> compose_risk(0.558, risk_weight=0.2, clip=(-0.05, 0.75), variance="bhatia-davis", spent=((0.05, 0.05),))
-    RiskBound(mean=0.558, ell=0.489666..., probability=0.95)
-
-    """
-    ell = least_risk(mean, risk_weight=risk_weight, clip=clip, variance=variance)
-    return RiskBound(mean, ell, confidence(spent))
-
-
-def least_risk(mean: float, *, risk_weight: float, clip: tuple[float, float], variance: VarianceBound) -> float:
-    """Return ell of `compose_risk`, rounded down, in the unit of robustness; raises as it does.
 
     >>> least_risk(0.558, risk_weight=0.2, clip=(-0.05, 0.75), variance="popoviciu")
     0.478
@@ -189,28 +163,6 @@ def least_risk(mean: float, *, risk_weight: float, clip: tuple[float, float], va
         spread = _decimal(risk_weight) * (_decimal(high) - _decimal(low)) / 2
         return _down(_decimal(mean) - spread)
     raise ValueError(f"variance is 'popoviciu' or 'bhatia-davis', not {variance!r}")
-
-
-def confidence(spent: Sequence[tuple[float, float]]) -> float:
-    """Return the probability that all bounds hold at once, from (delta_j, R_j) of each, rounded down.
-    Implements eq. (accounting) of [PB].
-
-    Formula: 1 - sum of delta_j over the problems with R_j > 0: a bound without noise is certain and spends nothing.
-
-    Raises:
-        ValueError: a delta is outside (0, 1), an R is negative, or none is given.
-
-    >>> confidence([(0.05, 0.0), (0.05, 0.05)])
-    0.95
-
-    """
-    if not spent:
-        raise ValueError("a composition needs at least one bound")
-    for delta, noise in spent:
-        if not (0.0 < delta < 1.0 and noise >= 0.0):
-            raise ValueError(f"delta must lie in (0, 1) and R must not be negative, not {delta!r} and {noise!r}")
-    exact = 1 - sum((_decimal(delta) for delta, noise in spent if noise > 0), start=Fraction(0))
-    return max(0.0, _down(exact))
 
 
 def pointwise_mean(

@@ -10,15 +10,13 @@ from hypothesis import strategies as st
 
 from orchestrator.bounds.composition import (
     Composition,
-    RiskBound,
     Rule,
     VarianceBound,
     compose,
     compose_mean,
-    compose_risk,
-    confidence,
     derived_noise_scale,
     joint_probability,
+    least_risk,
     pointwise_mean,
     round_down,
     round_up,
@@ -138,10 +136,10 @@ VARIANCES: tuple[VarianceBound, ...] = ("bhatia-davis", "popoviciu")
 class TestBhatiaDavis:
     def test_vector(self) -> None:
         assert bhatia_davis(0.558, CLIP, 0.2) == pytest.approx(0.489667, abs=5e-7)
-        risk = {v: compose_risk(0.558, risk_weight=0.2, clip=CLIP, variance=v, spent=[(0.05, 0.1)]) for v in VARIANCES}
-        assert risk["popoviciu"] == RiskBound(0.558, 0.478, 0.95)
-        assert risk["bhatia-davis"].ell == pytest.approx(0.489667, abs=5e-7)
-        assert risk["bhatia-davis"].ell <= bhatia_davis(0.558, CLIP, 0.2)
+        ell = {v: least_risk(0.558, risk_weight=0.2, clip=CLIP, variance=v) for v in VARIANCES}
+        assert ell["popoviciu"] == 0.478
+        assert ell["bhatia-davis"] == pytest.approx(0.489667, abs=5e-7)
+        assert ell["bhatia-davis"] <= bhatia_davis(0.558, CLIP, 0.2)
 
     @given(st.floats(-0.2, 0.9), st.floats(0, 5))
     def test_is_the_least_value_right_of_the_bound(self, b: float, r: float) -> None:
@@ -167,7 +165,7 @@ class TestBhatiaDavis:
             with pytest.raises(ValueError, match=r"finite|risk_weight|clip"):
                 bhatia_davis(*wrong)
         with pytest.raises(ValueError, match="popoviciu"):
-            compose_risk(0.5, risk_weight=0.2, clip=CLIP, variance="chebyshev", spent=[(0.1, 0.1)])  # type: ignore[arg-type]
+            least_risk(0.5, risk_weight=0.2, clip=CLIP, variance="chebyshev")  # type: ignore[arg-type]
 
 
 class TestGaps:
@@ -202,19 +200,6 @@ class TestGaps:
         for kind, lipschitz in (("true_risk", 1.0), ("signal_sup", 0.0)):
             with pytest.raises(ValueError, match=r"derived|lipschitz"):
                 scale(kind, True, False, lipschitz)
-
-
-class TestConfidence:
-    def test_certainty_spends_nothing(self) -> None:
-        assert confidence([(0.05, 0.0), (0.05, 0.1)]) == 0.95
-        assert confidence([(0.05, 0.1), (0.05, 0.1)]) == 0.9
-        assert confidence([(0.05, 0.0)]) == 1.0
-        assert confidence([(0.7, 1.0), (0.7, 1.0)]) == 0.0
-
-    @pytest.mark.parametrize("wrong", [[], [(0.0, 0.1)], [(0.1, -0.1)]])
-    def test_refuses(self, wrong: list[tuple[float, float]]) -> None:
-        with pytest.raises(ValueError, match=r"at least one|delta"):
-            confidence(wrong)
 
 
 class TestPointwise:

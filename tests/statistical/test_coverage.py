@@ -1,0 +1,96 @@
+"""The first 50 campaigns of every row of the coverage study; `make coverage` runs them all.
+
+What must hold is tested row by row and, with more power, over all rows of one claim together. Then bounds are broken on
+purpose: the same judge must notice.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+import orchestrator.bounds.rigorous
+from orchestrator.bounds.composition import compose_mean
+from orchestrator.bounds.confidence import scales_squared
+from tests.coverage import composition, rigorous, scenario
+from tests.coverage.composition import Composition
+from tests.coverage.oracle import allowed
+from tests.coverage.page import Found
+from tests.coverage.records import Row
+from tests.coverage.rigorous import Audit, Rigorous
+from tests.coverage.scenario import Scenario
+from tests.coverage.study import all_rows, one_chunk
+
+JUDGED = [row for row in all_rows() if Found(row, {}).judged and row.kind != "audit"]
+KINDS = sorted({(row.kind, row.claimed) for row in JUDGED})
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    with threadpool_limits(1):
+        yield
+
+
+@cache
+def first(number: int) -> Found:
+    """Return what the first campaigns of JUDGED[number] found."""
+    return Found(JUDGED[number], one_chunk(JUDGED[number], 0))
+
+
+def together(campaign: Callable[..., dict[str, float]], row: Row, count: int, **told: Any) -> dict[str, int]:
+    """Return the failures of `count` campaigns whose method is told something else."""
+    found = [campaign(row, np.random.default_rng(n), **told) for n in range(count)]
+    return {name: sum(bool(each[name]) for each in found) for name in found[0]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(len(JUDGED)), ids=[str(row) for row in JUDGED])
+def test_no_statement_fails_more_often_than_it_claims(number: int) -> None:
+    assert not first(number).fails
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "claimed"), KINDS)
+def test_all_rows_of_one_claim_together(kind: str, claimed: float) -> None:
+    rows = [first(number) for number, row in enumerate(JUDGED) if (row.kind, row.claimed) == (kind, claimed)]
+    for name in rows[0].judged:
+        assert sum(row.count(name) for row in rows) <= allowed(sum(row.campaigns for row in rows), claimed)
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0])
+def test_a_band_too_narrow_is_noticed(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(orchestrator.bounds.rigorous, "scales_squared", lambda *a: scales_squared(*a) / factor**2)
+    found = Found(row := Rigorous("list", 1, 2.5), one_chunk(row, 0))
+    assert min(found.count("band"), found.count("bound")) > found.allowed
+
+
+def test_an_understated_delta_of_a_confidence_set_is_noticed() -> None:
+    """Where the noise is as large as J, a set that is told delta = .9 and claims .1 is found out; its bound is not."""
+    row = Rigorous("list", 2, 1.5, noise_scale=1.0)
+    found = together(rigorous.campaign, row, 50, told_delta=0.9)
+    assert found["set"] > allowed(50, row.claimed)
+
+
+def test_an_understated_delta_of_scenarios_is_noticed() -> None:
+    row = Scenario("skewed", size=1)
+    assert together(scenario.campaign, row, 100, told=0.9)["ell"] > allowed(100, row.claimed)
+
+
+def test_a_composition_that_forgets_most_of_the_gap_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(composition, "compose_mean", lambda rho, gap, **given: compose_mean(rho, 0.3 * gap, **given))
+    found = Found(row := Composition("list", 1), one_chunk(row, 0))
+    assert min(found.count(name) for name in ("extremes", "pointwise")) > found.allowed
+
+
+def test_a_norm_four_times_too_small_is_noticed_by_the_judge_more_often_than_by_the_audit() -> None:
+    found = Found(row := Audit(small_b=4.0), one_chunk(row, 0))
+    assert found.count("bound") > found.allowed
+    assert found.count("unnoticed") > 0
+
+
+def test_a_noise_scale_four_times_too_small_is_refuted_by_replicates() -> None:
+    found = Found(row := Audit(small_r=4.0), one_chunk(row, 0))
+    assert found.count("spread") == found.campaigns
