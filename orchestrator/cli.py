@@ -1,6 +1,7 @@
 """The command line: thin, and quick to start; what is heavy is imported inside the commands."""
 
 import os
+import shlex
 import signal
 import sqlite3
 import sys
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from orchestrator.errors import PerfboundError, Stopped
+from orchestrator.talk import TALK
 from schemas import __version__
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 REFUTED = 3
 """Exit code with --strict."""
 RUN_DIRECTORY = click.Path(path_type=Path, file_okay=False)
+SEEDS = click.IntRange(0, 10_000)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -47,8 +50,29 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 out_option = click.option("--out", type=RUN_DIRECTORY, default=None, help="Run directory.  [default: runs/<name>]")
 seed_option = click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=None, help="Override the file's seed.")
+drain_option = click.option(
+    "--drain",
+    is_flag=True,
+    help="On Ctrl-C or SIGTERM let the rollouts under way end first; a second one stops at once.",
+)
 strict_option = click.option(
     "--strict", is_flag=True, help="Exit with 3 when an assumption of the first claim is refuted."
+)
+
+
+def _log(_context: click.Context, _option: click.Parameter, form: str) -> None:
+    if form == "json":
+        TALK.as_json()
+
+
+log_option = click.option(
+    "--log",
+    type=click.Choice(["text", "json"]),
+    default="text",
+    show_default=True,
+    callback=_log,
+    expose_value=False,
+    help="How to say on stderr what happens; json is one object a line.",
 )
 campaign_argument = click.argument("campaign", type=click.Path(path_type=Path))
 
@@ -66,10 +90,12 @@ def workers_option(least: int) -> Callable[..., Any]:
 @out_option
 @seed_option
 @strict_option
+@drain_option
+@log_option
 @link_options
-def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, strict: bool, **link: Any) -> None:
+def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, **options: Any) -> None:
     """Run the campaign of a CAMPAIGN file with local workers, and issue its certificate."""
-    _start(campaign, workers, out, seed, link, strict=strict)
+    _start(campaign, workers, out, seed, **options)
 
 
 @cli.command()
@@ -77,28 +103,32 @@ def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, str
 @out_option
 @seed_option
 @strict_option
+@drain_option
+@log_option
 @link_options
-def orchestrate(*, campaign: Path, out: Path | None, seed: int | None, strict: bool, **link: Any) -> None:
+def orchestrate(*, campaign: Path, out: Path | None, seed: int | None, **options: Any) -> None:
     """Run a campaign with the workers that connect, and none of its own."""
-    _start(campaign, 0, out, seed, link, strict=strict)
+    _start(campaign, 0, out, seed, **options)
 
 
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
 @workers_option(0)
 @strict_option
+@drain_option
+@log_option
 @link_options
-def resume(*, directory: Path, workers: int, strict: bool, **link: Any) -> None:
+def resume(*, directory: Path, workers: int, strict: bool, drain: bool, **link: Any) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
     from orchestrator import session  # noqa: PLC0415
 
     with _resumable(directory):
-        session.resume(directory, workers=workers, link=_link(**link), console=_talk())
+        session.resume(directory, workers=workers, link=_link(**link), console=TALK.console, drain=drain)
         _finish(directory, strict=strict)
 
 
 def _start(
-    campaign: Path, workers: int, out: Path | None, seed: int | None, link: dict[str, Any], *, strict: bool
+    campaign: Path, workers: int, out: Path | None, seed: int | None, *, strict: bool, drain: bool, **link: Any
 ) -> None:
     from orchestrator import session  # noqa: PLC0415
 
@@ -106,7 +136,15 @@ def _start(
     config = session.load(campaign, **overrides)
     directory = out or Path("runs") / config.name
     with _resumable(directory):
-        session.start(config, campaign, workers=workers, directory=directory, link=_link(**link), console=_talk())
+        session.start(
+            config,
+            campaign,
+            workers=workers,
+            directory=directory,
+            link=_link(**link),
+            console=TALK.console,
+            drain=drain,
+        )
         _finish(directory, strict=strict)
 
 
@@ -156,16 +194,37 @@ def systems() -> None:
         click.echo(line)
 
 
+@cli.group()
+def reproduce() -> None:
+    """Regenerate what a publication printed."""
+
+
+@reproduce.command()
+@click.option("--out", type=RUN_DIRECTORY, required=True, help="Folder for tables, figures and run directories.")
+@click.option("--campaigns", type=RUN_DIRECTORY, default=None, help="Campaign files.  [default: deploy/campaigns]")
+@workers_option(1)
+@click.option("--functions", type=SEEDS, default=50, show_default=True, help="Seeds of the test function.")
+@click.option("--seeds", type=SEEDS, default=8, show_default=True, help="Seeds of the Segway with its gap.")
+@click.option("--direct-seeds", type=SEEDS, default=4, show_default=True, help="Seeds of the Segway tested directly.")
+@click.option("--ours/--no-ours", default=True, show_default=True, help="Also make our own two claims.")
+def paper(*, out: Path, campaigns: Path | None, workers: int, **extent: Any) -> None:
+    """Run the campaigns of the method paper, and write its table and figures.
+
+    What is finished is not run again, and what was interrupted goes on where it stopped.
+    """
+    from orchestrator.reproduce import paper, study  # noqa: PLC0415
+
+    with _resumable(out, shlex.join(["perfbound", *sys.argv[1:]])):
+        for line in paper.reproduce(
+            study.Extent(**extent), campaigns or study.SHIPPED, out, workers=workers, console=TALK.console
+        ):
+            click.echo(line)
+
+
 def _data() -> Any:
     from rich.console import Console  # noqa: PLC0415
 
     return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 100)
-
-
-def _talk() -> Any:
-    from rich.console import Console  # noqa: PLC0415
-
-    return Console(stderr=True)
 
 
 def _link(
@@ -184,13 +243,13 @@ def _link(
 
 
 @contextmanager
-def _resumable(directory: Path) -> Iterator[None]:
-    """When the campaign ends before its time, name the way to go on."""
+def _resumable(directory: Path, again: str | None = None) -> Iterator[None]:
+    """When the campaign ends before its time, name the way to go on: `again`, or to resume it."""
     from orchestrator.session import resume_command  # noqa: PLC0415
 
     def way(first: str = "") -> str:
-        there = os.path.exists(directory / "campaign.db")  # Path.exists raises if the name is too long
-        return f"{first}go on with: {resume_command(directory)}" if there else "nothing was started"
+        there = again or os.path.exists(directory / "campaign.db")  # Path.exists raises if the name is too long
+        return f"{first}go on with: {again or resume_command(directory)}" if there else "nothing was started"
 
     try:
         yield
@@ -251,5 +310,5 @@ def _end(message: str, code: int) -> NoReturn:
     from schemas.base import one_line  # noqa: PLC0415
 
     _take_signals(signal.SIG_IGN)  # nothing is left to stop
-    click.echo(f"perfbound: {one_line(message)}", err=True)
+    TALK.fail(f"perfbound: {one_line(message)}")
     sys.exit(code)

@@ -83,15 +83,17 @@ class Ledger:
         self._observer = Observer(self.config, header.spec)
         self.proposer = Proposer(self.config, header.spec)
         self._options = {option.name: option.default for option in header.spec.options} | self.config.system.options
-        self._config_sha256, self._spec_sha256 = self.config.digest, header.spec.digest
+        self._config_sha256, self._spec_sha256 = header.config_sha256, header.spec.digest
         self._files = evidence.Batch()
+        self._damaged: dict[RolloutId, RolloutFact] = {}
+        self._closed: dict[tuple[str, int], ProposalFact] = {}
         self._trajectories: dict[RolloutId, Trajectory] = {}
         self._recomputed: dict[str, BoundFact] = {}
 
     @property
     def done(self) -> bool:
-        """Whether every problem has stopped."""
-        return self.state.done
+        """Whether every problem has stopped, and all evidence is there."""
+        return self.state.done and not self._damaged
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -126,8 +128,23 @@ class Ledger:
         ]
         return [line for line in found if line is not None]
 
+    def mend(self) -> int:
+        """Look for evidence that a crash of the machine spoiled, and remove what no fact knows; after a replay.
+
+        What is damaged is simulated again before anything else: the same seed gives the same file. Returns how many.
+        """
+        facts = self._journal.recorded()
+        evidence.sweep(self._directory, {fact.path for fact in facts})
+        paths = set(evidence.damaged(self._directory, ((fact.path, fact.size, fact.sha256) for fact in facts)))
+        self._damaged = {fact.rollout: fact for fact in facts if fact.path in paths}
+        tests = {rollout[:2] for rollout in self._damaged}
+        self._closed = {test: self._journal.proposal(*test) for test in tests}
+        return len(self._damaged)
+
     def outstanding(self) -> Work:
         """Return what is to be done at the start or after a replay; inside a transaction."""
+        if self._damaged:
+            return Work(wanted=sorted(self._damaged))
         return self._advance(campaign.outstanding(self.state))
 
     def record(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory) -> Work:
@@ -138,6 +155,8 @@ class Ledger:
             OSError: the disk is full.
 
         """
+        if rollout in self._damaged:
+            return self._restore(rollout, payload, trajectory)
         try:
             robustness = self._observer.robustness(trajectory)
         except ValueError as error:
@@ -169,10 +188,33 @@ class Ledger:
             system=spec.name,
             spec_sha256=self._spec_sha256,
             options=self._options,
-            x=self.accounts[rollout.problem].proposals[rollout.test].x,
+            x=self._proposal(rollout).x,
             horizon=self.config.horizon,
             visual=self.config.visual == "all",
         )
+
+    def restores(self, rollout: RolloutId) -> bool:
+        """Whether this rollout has been recorded, and only its file is wanted again."""
+        return rollout in self._damaged
+
+    def _restore(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory) -> Work:
+        """Put a damaged file back."""
+        fact = self._damaged[rollout]
+        sha256 = hashlib.sha256(payload).hexdigest()
+        if sha256 != fact.sha256:
+            raise PerfboundError(
+                f"{self._directory / fact.path}: damaged, and simulated again it has the sha256 {sha256[:12]}..., not "
+                f"the recorded {fact.sha256[:12]}...: this machine computes other digits. Restore it from a copy"
+            )
+        self._files.write(self._directory / fact.path, payload)
+        del self._damaged[rollout]
+        if rollout.test in self.accounts[rollout.problem].proposals:
+            self._trajectories[rollout] = trajectory
+        return Work() if self._damaged else self.outstanding()
+
+    def _proposal(self, rollout: RolloutId) -> ProposalFact:
+        found = self.accounts[rollout.problem].proposals.get(rollout.test)
+        return found or self._closed[rollout.problem, rollout.test]
 
     def _advance(self, actions: Iterable[campaign.Action]) -> Work:
         work, pending = Work(), deque(actions)

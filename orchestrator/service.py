@@ -19,7 +19,7 @@ from orchestrator.dispatch import Attempt
 from orchestrator.errors import PerfboundError, Stopped
 from orchestrator.fleet import Fleet
 from orchestrator.ledger import Ledger, Work
-from orchestrator.store.journal import Journal
+from orchestrator.store.journal import RECORDED, RESTORED, Journal
 from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from schemas import __version__
 from schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
@@ -289,8 +289,9 @@ class Service:
     def _record(self, worker: str, attempt: Attempt, result: tuple[ResultHeader, bytes, Trajectory | None]) -> None:
         header, payload, trajectory = result
         assert trajectory is not None, "only a checked result is recorded"
+        outcome = RESTORED if self._ledger.restores(attempt.rollout) else RECORDED
         work = self._ledger.record(attempt.rollout, payload, trajectory)
-        self._journal.attempt_ended(attempt, worker, "recorded", header.cpu_seconds, header.wall_seconds)
+        self._journal.attempt_ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
         if work.unwanted:
             self._dispatch(dispatch.Unwanted(time.monotonic(), tuple(work.unwanted)))
         if work.wanted:

@@ -24,7 +24,7 @@ from orchestrator.notify import Systemd
 from orchestrator.stl.formula import FormulaError, columns
 from orchestrator.stl.formula import parse as parse_formula
 from orchestrator.stl.horizon import check_horizon
-from orchestrator.store import evidence, queries
+from orchestrator.store import queries
 from orchestrator.store.journal import DATABASE, Header, Journal, existing, read_header
 from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import ZenohTransport, listen
@@ -115,7 +115,6 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console, drain
         journal = Journal.open(directory)
         stack.callback(journal.close)
         _check_software(journal.header)
-        evidence.sweep(directory, journal.paths())
         transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
         _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=True, drain=drain)
 
@@ -186,7 +185,7 @@ def system_spec(name: str, where: str) -> SystemSpec:
 
 def _check_vacant(directory: Path, config: CampaignConfig) -> None:
     if (directory / DATABASE).exists():
-        found = _stored_differently(directory, config)
+        found = stored_differently(directory, config)
         if found:
             raise PerfboundError(
                 f"{directory}: another campaign is here than the file says: {found}, respectively. A campaign is never "
@@ -200,7 +199,7 @@ def _check_vacant(directory: Path, config: CampaignConfig) -> None:
         raise PerfboundError(f"{directory}: exists and is not empty; choose another --out")
 
 
-def _stored_differently(directory: Path, config: CampaignConfig) -> str:
+def stored_differently(directory: Path, config: CampaignConfig) -> str:
     """Return where the campaign in `directory` differs from `config`; nothing if it does not, or cannot be read."""
     try:
         with queries.reading(directory) as connection:
@@ -293,8 +292,11 @@ def _conduct(
 
         ledger = Ledger(directory, journal)
         ledger.replay()
+        damaged = ledger.mend() if resumed else 0
         if not ledger.done:
             shown = Watched(stack.enter_context(view(console)), systemd)
+            if damaged:
+                shown.say(f"{damaged} trajectory files are missing or damaged: simulating them again")
             for line in ledger.warnings():
                 shown.say(line)
             service = Service(ledger, journal, transport, fleet, shown, resumed=resumed, drain=drain)

@@ -23,7 +23,6 @@ from orchestrator.certificate import files
 from orchestrator.certificate.issue import issue, manifest
 from orchestrator.ledger import Ledger
 from orchestrator.service import Interrupted, Seen, Service
-from orchestrator.store import evidence
 from orchestrator.store.journal import Header, Journal
 from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
@@ -334,9 +333,9 @@ def serve(
     with campaign_lock(directory), ExitStack() as stack:
         journal = Journal.open(directory)
         stack.callback(journal.close)
-        evidence.sweep(directory, journal.paths())
         ledger = Ledger(directory, journal)
         ledger.replay()
+        ledger.mend()
         if not ledger.done:
             port = InMemoryTransport(network)
             stack.callback(port.stop)

@@ -38,7 +38,7 @@ def issue(
     manifest_sha256 = hashlib.sha256(evidence.manifest.encode()).hexdigest()
     predicate = document.Predicate(
         question=_question(header),
-        campaign=document.CampaignId(name=config.name, seed=config.seed, config_sha256=config.digest),
+        campaign=document.CampaignId(name=config.name, seed=config.seed, config_sha256=header.config_sha256),
         claims=claimed.claims,
         problems=tuple(results.values()),
         composition=claimed.composition,

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Set
+from collections.abc import Iterable, Set
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -11,6 +11,8 @@ from orchestrator.errors import EvidenceError
 
 FOLDER = "trajectories"
 TEMPORARY = ".partial"
+NEWEST = 256
+"""Files whose digests a resume compares."""
 SYNCING = 8
 """Files that wait for the disk at a time."""
 
@@ -125,6 +127,22 @@ def read(directory: Path, relative: str, sha256: str) -> bytes:
             "restore it from a copy"
         )
     return data
+
+
+def damaged(directory: Path, newest_first: Iterable[tuple[str, int, str]]) -> list[str]:
+    """Return those of the recorded files (path, size, sha256) that are missing or not what was recorded.
+
+    Sizes are compared for all, digests for the newest: what a power cut spoils is what was written last.
+    """
+    found = []
+    for number, (path, size, sha256) in enumerate(newest_first):
+        file = directory / path
+        good = file.is_file() and file.stat().st_size == size
+        if good and number < NEWEST:
+            good = hashlib.sha256(file.read_bytes()).hexdigest() == sha256
+        if not good:
+            found.append(path)
+    return found
 
 
 def sweep(directory: Path, recorded: Set[str]) -> None:

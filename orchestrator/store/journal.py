@@ -24,21 +24,30 @@ from schemas.certificate import StoppedBy
 from schemas.system import SystemSpec
 
 DATABASE = "campaign.db"
+RECORDED, RESTORED = "recorded", "restored"
+"""Outcomes of attempts that brought a result: a new one, or once more the file of one whose file was damaged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The first fact: what was to be done, on which system, with which software."""
+    """The first fact: what was to be done, on which system, with which software.
+
+    The digests are those of the texts as they were written: a later perfbound may know more keys, with defaults.
+    """
 
     run: str
     config: CampaignConfig
     spec: SystemSpec
     software: dict[str, str]
+    config_sha256: str
+    system_sha256: str
 
     @classmethod
-    def new(cls, config: CampaignConfig, spec: SystemSpec, software: dict[str, str]) -> "Header":
-        """Return the header of a new campaign, with a random run id."""
-        return cls(secrets.token_hex(8), config, spec, software)
+    def new(
+        cls, config: CampaignConfig, spec: SystemSpec, software: dict[str, str], *, run: str | None = None
+    ) -> "Header":
+        """Return the header of a new campaign, with a random run id if none is given."""
+        return cls(run or secrets.token_hex(8), config, spec, software, config.digest, spec.digest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +103,7 @@ Fact = ProposalFact | RolloutFact | ObservationFact | BoundFact
 
 def first_link(header: Header, problem: str) -> str:
     """Return the start of a problem's hash chain."""
-    return digest({"config": header.config.digest, "system": header.spec.digest, "problem": problem})
+    return digest({"config": header.config_sha256, "system": header.system_sha256, "problem": problem})
 
 
 def next_link(link: str, proposal: ProposalFact, rollouts: list[RolloutFact], y: float, each: Sequence[float]) -> str:
@@ -214,10 +223,18 @@ class Journal:
         found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
         return sorted(found, key=lambda entry: (order.index(entry[0].problem), *entry[0][1:]))
 
-    def paths(self) -> frozenset[str]:
-        """Return the paths of all recorded trajectories."""
+    def recorded(self) -> list[RolloutFact]:
+        """Return all recorded rollouts, the newest first."""
+        newest = sa.select(tables.rollouts).order_by(tables.rollouts.c.seq.desc())
         with self._connection.begin():
-            return frozenset(self._connection.execute(sa.select(tables.rollouts.c.path)).scalars())
+            return [_rollout(row) for row in self._connection.execute(newest)]
+
+    def proposal(self, problem: str, test: int) -> ProposalFact:
+        """Return the proposal of a test that has one."""
+        columns = tables.tests.c
+        query = sa.select(tables.tests).where(columns.problem == problem, columns.test == test)
+        with self._connection.begin():
+            return _proposal(self._connection.execute(query).one())
 
     def close(self) -> None:
         """Close the database; SQLite then folds its write-ahead log into it."""
@@ -271,10 +288,11 @@ def read_header(connection: Connection, directory: Path) -> Header:
     try:
         if row is None:
             raise ValueError("it is missing")
-        config = CampaignConfig.model_validate_json(row.config)
-        if config.digest != row.config_sha256:
+        found, system = (hashlib.sha256(text.encode()).hexdigest() for text in (row.config, row.system))
+        if found != row.config_sha256:
             raise ValueError("the campaign file is another one")
-        return Header(row.run, config, SystemSpec.model_validate_json(row.system), json.loads(row.software))
+        config, spec = CampaignConfig.model_validate_json(row.config), SystemSpec.model_validate_json(row.system)
+        return Header(row.run, config, spec, json.loads(row.software), found, system)
     except ValueError as error:
         reason = str(error).splitlines()[0]
         raise JournalError(
@@ -285,12 +303,8 @@ def read_header(connection: Connection, directory: Path) -> Header:
 def read_facts(connection: Connection) -> Iterator[Fact]:
     """Yield all facts after the header in the order in which they were written."""
     rows: list[tuple[int, Fact]] = []
-    for row in connection.execute(sa.select(tables.tests)):
-        x = tuple(json.loads(row.x))
-        rows.append((row.seq, ProposalFact(row.problem, row.test, row.node, x, row.mu, row.sigma, row.beta, row.F)))
-    for row in connection.execute(sa.select(tables.rollouts)):
-        rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
-        rows.append((row.seq, RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)))
+    rows += [(row.seq, _proposal(row)) for row in connection.execute(sa.select(tables.tests))]
+    rows += [(row.seq, _rollout(row)) for row in connection.execute(sa.select(tables.rollouts))]
     rows += [
         (row.seq, ObservationFact(row.problem, row.test, row.y, tuple(json.loads(row.each)), row.chain))
         for row in connection.execute(sa.select(tables.observations))
@@ -304,13 +318,23 @@ def read_facts(connection: Connection) -> Iterator[Fact]:
         yield fact
 
 
+def _proposal(row: Any) -> ProposalFact:
+    x = tuple(json.loads(row.x))
+    return ProposalFact(row.problem, row.test, row.node, x, row.mu, row.sigma, row.beta, row.F)
+
+
+def _rollout(row: Any) -> RolloutFact:
+    rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
+    return RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)
+
+
 def _header_row(header: Header) -> dict[str, Any]:
     return {
         "run": header.run,
         "name": header.config.name,
         "seed": header.config.seed,
         "config": canonical_json(header.config.model_dump(mode="json")),
-        "config_sha256": header.config.digest,
+        "config_sha256": header.config_sha256,
         "system": canonical_json(header.spec.model_dump(mode="json")),
         "software": canonical_json(header.software),
     }

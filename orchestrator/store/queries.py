@@ -1,5 +1,6 @@
 """Read-only views of a campaign database; they can never hurt the orchestrator that writes it."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ from sqlalchemy import Connection
 
 from orchestrator.errors import JournalError
 from orchestrator.store import tables
-from orchestrator.store.journal import DATABASE, Header, existing, read_header
+from orchestrator.store.journal import DATABASE, RECORDED, RESTORED, Header, existing, read_header
+from orchestrator.store.lock import is_held
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,20 @@ class CampaignProgress:
     """Rollouts per second over the last minute of work."""
 
 
+@dataclass(frozen=True, slots=True)
+class ObservedTest:
+    """One observed test, and what its method said after it; all in terms of the maximised objective J."""
+
+    test: int
+    x: tuple[float, ...]
+    """Shape (p,), units of the parameters."""
+    y: float
+    F: float | None
+    upper: float | None
+    lower: float | None
+    stopped_by: str | None
+
+
 @contextmanager
 def reading(directory: Path) -> Iterator[Connection]:
     """Open the database of a campaign read-only, at one moment in time.
@@ -50,8 +66,10 @@ def reading(directory: Path) -> Iterator[Connection]:
 
     """
     path = existing(directory).resolve()
-    read_only = {"mode": "ro", "uri": "true"}
-    engine = sa.create_engine(sa.URL.create("sqlite", database=f"file:{quote(str(path))}", query=read_only))
+    query = {"mode": "ro", "uri": "true"}
+    if not is_held(directory) and not path.with_name(f"{path.name}-wal").exists():
+        query["immutable"] = "1"  # nobody writes: without this a reader would leave -wal and -shm beside the database
+    engine = sa.create_engine(sa.URL.create("sqlite", database=f"file:{quote(str(path))}", query=query))
     try:
         with engine.connect() as connection:
             yield connection
@@ -67,16 +85,39 @@ def progress(directory: Path) -> CampaignProgress:
         header = read_header(connection, directory)
         problems = tuple(_problem(connection, problem.name) for problem in header.config.problems)
         outcomes = tables.outcomes.c
-        recorded = outcomes.outcome == "recorded"
+        recorded = outcomes.outcome == RECORDED
         count, last = sa.func.count(), sa.func.max(outcomes.ended)
         workers = connection.execute(
             sa.select(outcomes.worker, count, last).where(recorded).group_by(outcomes.worker).order_by(outcomes.worker)
         ).all()
-        failures = connection.execute(sa.select(count).select_from(tables.outcomes).where(~recorded)).scalar_one()
+        failures = connection.execute(
+            sa.select(count).select_from(tables.outcomes).where(outcomes.outcome.not_in((RECORDED, RESTORED)))
+        ).scalar_one()
         sessions = connection.execute(sa.select(count).select_from(tables.sessions)).scalar_one()
         rate = _rate(connection)
     rows = tuple((str(row[0]), int(row[1]), float(row[2])) for row in workers)
     return CampaignProgress(header, problems, rows, failures, sessions, rate)
+
+
+def history(directory: Path) -> dict[str, tuple[ObservedTest, ...]]:
+    """Return the observed tests of every problem, in their order.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    with reading(directory) as connection:
+        header = read_header(connection, directory)
+        return {problem.name: _observed(connection, problem.name) for problem in header.config.problems}
+
+
+def _observed(connection: Connection, name: str) -> tuple[ObservedTest, ...]:
+    tests, seen, bounds = tables.tests.c, tables.observations.c, tables.bounds.c
+    joined = tables.tests.join(tables.observations, (seen.problem == tests.problem) & (seen.test == tests.test))
+    joined = joined.join(tables.bounds, (bounds.problem == tests.problem) & (bounds.test == tests.test))
+    columns = (tests.test, tests.x, seen.y, tests.F, bounds.upper, bounds.lower, bounds.stopped_by)
+    rows = connection.execute(sa.select(*columns).select_from(joined).where(tests.problem == name).order_by(tests.test))
+    return tuple(ObservedTest(row.test, tuple(json.loads(row.x)), *row[2:]) for row in rows)
 
 
 def _problem(connection: Connection, name: str) -> ProblemProgress:
@@ -98,7 +139,7 @@ def _problem(connection: Connection, name: str) -> ProblemProgress:
 
 def _rate(connection: Connection) -> float:
     ended = tables.outcomes.c.ended
-    recorded = tables.outcomes.c.outcome == "recorded"
+    recorded = tables.outcomes.c.outcome == RECORDED
     newest = connection.execute(sa.select(sa.func.max(ended)).where(recorded)).scalar()
     if newest is None:
         return 0.0

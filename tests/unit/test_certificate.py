@@ -47,7 +47,7 @@ def issued(header: Header, accounts: dict[str, Account]) -> Certificate:
 
 def certificate(**changes: object) -> Certificate:
     """Return the certificate of the paper's Table I: last observations .71 and .27."""
-    header = Header("0" * 16, config("segway-paper", **changes), SPEC, {"perfbound": "0"})
+    header = Header.new(config("segway-paper", **changes), SPEC, {"perfbound": "0"}, run="0" * 16)
     accounts = {"nominal_robustness": account(0, -0.71), "sim_gap": account(1, 0.27)}
     return issued(header, accounts)
 
@@ -82,7 +82,7 @@ def test_the_papers_norm_bound_is_refuted_and_the_claim_rests_on_it() -> None:
 
 
 def test_bounds_are_rounded_to_the_safe_side() -> None:
-    header = Header("0" * 16, config("segway-paper"), SPEC, {})
+    header = Header.new(config("segway-paper"), SPEC, {}, run="0" * 16)
     accounts = {"nominal_robustness": account(0, -0.7099999999), "sim_gap": account(1, 0.2700000004)}
     nominal, gap = issued(header, accounts).predicate.problems
     assert (nominal.bound, gap.bound) == (0.459999999, 0.380000001)
@@ -98,7 +98,7 @@ def test_text_is_an_in_toto_statement_with_sorted_keys() -> None:
 
 
 def test_the_run_id_is_not_in_it() -> None:
-    header = Header("feedfacefeedface", config("segway-paper"), SPEC, {"perfbound": "0"})
+    header = Header.new(config("segway-paper"), SPEC, {"perfbound": "0"}, run="feedfacefeedface")
     accounts = {"nominal_robustness": account(0, -0.71), "sim_gap": account(1, 0.27)}
     assert issued(header, accounts).to_json() == certificate().to_json()
 

@@ -200,6 +200,44 @@ def test_a_rollback_leaves_nothing_behind(tmp_path: Path, calm: Calm, monkeypatc
     check_evidence(directory)
 
 
+def stop_and_spoil(directory: Path) -> None:
+    """Stop a campaign after ten rollouts and spoil three of the newest files, as a power cut may."""
+    begin(directory, a_config())
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=partial(_has_recorded, 10))
+    newest = sorted(directory.rglob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)[-3:]
+    newest[0].unlink()
+    newest[1].write_bytes(newest[1].read_bytes()[:100])
+    newest[2].write_bytes(bytes(newest[2].stat().st_size))
+
+
+def test_files_that_a_power_cut_spoiled_are_simulated_again(tmp_path: Path, calm: Calm) -> None:
+    directory = tmp_path / "run"
+    stop_and_spoil(directory)
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
+        assert serve(directory, network, Log(), resumed=True) == calm(a_config())
+    check_evidence(directory)
+    assert outcomes(directory).count("restored") == 3
+    assert outcomes(directory).count("recorded") == 36
+
+
+def test_a_file_that_comes_out_different_is_not_put_back(tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    stop_and_spoil(directory)
+
+    def altered(header: ResultHeader, payload: bytes) -> tuple[ResultHeader, bytes]:
+        return with_digest(header, rewritten(payload, COLUMNS))
+
+    liar: Wrap = partial(Altered, result=altered)
+    with (
+        Network() as network,
+        working(network, run_of(directory), [liar]),
+        pytest.raises(PerfboundError, match=r"computes other digits\. Restore it from a copy"),
+    ):
+        serve(directory, network, Log(), resumed=True)
+    assert "restored" not in outcomes(directory)
+
+
 # Workers that are not to be believed
 
 

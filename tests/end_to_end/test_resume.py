@@ -1,0 +1,128 @@
+"""A campaign goes on from whatever a crash, a move or an upgrade leaves of its run directory."""
+
+import shutil
+import signal
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from tests.end_to_end.processes import (
+    ROLLOUTS,
+    Processes,
+    contents,
+    of_run,
+    query,
+    recorded,
+    wait_for,
+    write_campaign,
+)
+
+OLDER = Path(__file__).parents[1] / "fixtures" / "schema-1"
+
+
+@pytest.fixture
+def killed(started: Processes) -> Path:
+    """A run directory whose orchestrator was killed in mid-run."""
+    directory = started.folder / "run"
+    process = started.start("perfbound", "run", write_campaign(started.folder / "c.toml"), "--out", directory)
+    wait_for(lambda: recorded(directory) >= 9)
+    process.popen.kill()
+    assert process.wait().code == -signal.SIGKILL
+    wait_for(lambda: not of_run(directory))
+    assert 9 <= recorded(directory) < ROLLOUTS
+    return directory
+
+
+def check(started: Processes, directory: Path, calm: Path, *, workers: int = 2) -> str:
+    """Resume the campaign and compare it with the calm one; return what was said."""
+    ended = started.run("perfbound", "resume", directory, "--workers", str(workers))
+    assert ended.code == 0, ended.err
+    assert (directory / "certificate.json").read_bytes() == (calm / "certificate.json").read_bytes()
+    assert (directory / "manifest.sha256").read_bytes() == (calm / "manifest.sha256").read_bytes()
+    assert recorded(directory) == ROLLOUTS
+    assert len(list(directory.rglob("*.mcap"))) == ROLLOUTS
+    return ended.err
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_a_copy_elsewhere_with_another_number_of_workers(
+    started: Processes, killed: Path, calm: Path, workers: int
+) -> None:
+    copy = started.folder / "another machine" / "the run"
+    shutil.copytree(killed, copy)
+    shutil.rmtree(killed)
+    check(started, copy, calm, workers=workers)
+
+
+def last_transaction(directory: Path) -> None:
+    """Cut the write-ahead log in the middle of what was written last."""
+    log = directory / "campaign.db-wal"
+    assert log.stat().st_size > 8192
+    with log.open("r+b") as file:
+        file.truncate(log.stat().st_size - 5000)
+
+
+def no_shared_memory(directory: Path) -> None:
+    """Forget what only lives as long as the machine is up."""
+    (directory / "campaign.db-shm").unlink()
+
+
+def newest_files(directory: Path) -> None:
+    """Spoil the newest trajectories as a disk does that lied about fsync: gone, cut, and all zeros."""
+    newest = sorted(directory.rglob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)[-3:]
+    newest[0].unlink()
+    newest[1].write_bytes(newest[1].read_bytes()[:-1])
+    newest[2].write_bytes(bytes(newest[2].stat().st_size))
+
+
+def files_without_facts(directory: Path) -> None:
+    """Leave a half-written file, and a whole one that no commit knows."""
+    folder = next(directory.rglob("*.mcap")).parent
+    (folder / "x.mcap.partial").write_bytes(b"half")
+    shutil.copy(next(directory.rglob("*.mcap")), folder / "nominal_robustness.7.nominal.9.mcap")
+
+
+@pytest.mark.parametrize("damage", [last_transaction, no_shared_memory, newest_files, files_without_facts])
+def test_what_a_power_cut_leaves(started: Processes, killed: Path, calm: Path, damage: Callable[[Path], None]) -> None:
+    damage(killed)
+    said = check(started, killed, calm)
+    spoiled = damage is newest_files
+    assert ("3 trajectory files are missing or damaged" in said) == spoiled
+    assert query(killed, "SELECT count(*) FROM outcomes WHERE outcome = 'restored'") == [(3 if spoiled else 0,)]
+
+
+def test_a_finished_campaign_prints_its_certificate_and_changes_nothing(started: Processes, calm: Path) -> None:
+    before = contents(calm)
+    for command in (["resume", calm], ["status", calm]):
+        ended = started.run("perfbound", *command)
+        assert ended.code == 0
+        assert "CLAIM  rho* " in ended.out
+    assert contents(calm) == before
+
+
+def test_a_campaign_of_an_older_perfbound_is_read(started: Processes, tmp_path: Path) -> None:
+    """It was written before the campaign file had `refine`; its digests are those of then."""
+    directory = tmp_path / "run"
+    shutil.copytree(OLDER, directory)
+    before = contents(directory)
+    for command in (["status", directory], ["resume", directory]):
+        ended = started.run("perfbound", *command)
+        assert ended.code == 0, ended.err
+        assert "CLAIM  J* " in ended.out
+    assert contents(directory) == before
+
+
+def test_a_database_of_a_newer_perfbound_is_refused(started: Processes, tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    shutil.copytree(OLDER, directory)
+    (directory / "certificate.json").unlink()
+    with closing(sqlite3.connect(directory / "campaign.db", isolation_level=None)) as connection:
+        connection.execute("DROP TRIGGER schema_no_update")
+        connection.execute("UPDATE schema SET version = 2")
+    for command in (["status", directory], ["resume", directory]):
+        ended = started.run("perfbound", *command)
+        assert ended.code == 1
+        assert "schema version 2, this perfbound reads 1; use the perfbound that wrote it" in ended.fault
