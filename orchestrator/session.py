@@ -195,7 +195,7 @@ def _check_vacant(directory: Path, config: CampaignConfig) -> None:
             f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
             "or choose another --out"
         )
-    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+    if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - set(_unfinished(directory))):
         raise PerfboundError(f"{directory}: exists and is not empty; choose another --out")
 
 
@@ -209,6 +209,11 @@ def stored_differently(directory: Path, config: CampaignConfig) -> str:
     found = differences(stored, config)
     more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
     return f"{'; '.join(found[:3])}{more}"
+
+
+def _unfinished(directory: Path) -> list[Path]:
+    """Return what is left of a database that was never finished: its orchestrator failed, or was killed."""
+    return list(directory.glob(f"{DATABASE}.partial*"))
 
 
 def _check_specification(config: CampaignConfig, spec: SystemSpec, path: Path) -> None:
@@ -253,13 +258,18 @@ def _claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
         raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
     with campaign_lock(directory):
         _check_vacant(directory, config)  # again: another orchestrator may have been quicker
+        _remove(_unfinished(directory))
         try:
             yield
         finally:
-            for leftover in directory.glob(f"{DATABASE}.partial*"):
-                leftover.unlink()
+            _remove(_unfinished(directory))
             if not there and not any(directory.iterdir()):
                 directory.rmdir()
+
+
+def _remove(files: list[Path]) -> None:
+    for each in files:
+        each.unlink()
 
 
 def _conduct(

@@ -186,7 +186,7 @@ class PaperProblem(_KernelProblem):
     regulariser: Literal["1+eta"] | Positive = Field(default="1+eta", description="lambda on the diagonal of K")
     sigma: Literal["variance", "std"] = Field(default="variance", description="how eq. (GP_sigma) is read")
     tail: Literal["gaussian", "sub-gaussian"] = Field(default="gaussian", description="tail of the noise in Delta")
-    refine: bool = Field(default=False, description="improve the best node between the nodes, to 1/64 of a cell")
+    refine: bool = Field(default=False, description="improve the best node between the nodes, to 1/16 of a cell")
 
     @model_validator(mode="after")
     def _noisy(self) -> "PaperProblem":

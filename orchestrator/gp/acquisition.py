@@ -44,5 +44,5 @@ def refined(value: Callable[[Floats], tuple[float, Floats]], start: Floats, low:
         return -found, -gradient
 
     bounds = list(zip(low, high, strict=True))
-    found = minimize(descent, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30, "ftol": 1e-11})
+    found = minimize(descent, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "ftol": 1e-9})
     return np.asarray(found.x, dtype=np.float64)

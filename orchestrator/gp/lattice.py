@@ -18,8 +18,8 @@ from orchestrator.gp.kernels import Floats
 
 MAX_NODES = 250_000
 """Above this a posterior of 600 tests would need more than 2.4 GB."""
-PARTS = 64
-"""Intervals between two neighbouring nodes, for points off the nodes: at most 1/128 of a cell is lost."""
+PARTS = 16
+"""Intervals between two neighbouring nodes, for points off the nodes: at most 1/32 of a cell is lost."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,9 +59,8 @@ class Anywhere:
         Formula: grad = (k'(r)/r) (z - place).
         """
         step = z - places
-        r = np.linalg.norm(step, axis=1)
-        slope = np.where(r > 0, self.radial.slope(r), 0.0)
-        return self.radial.value(r), slope[:, None] * step
+        value, slope = self.radial.climb(np.linalg.norm(step, axis=1))
+        return value, slope[:, None] * step
 
 
 class Observations:

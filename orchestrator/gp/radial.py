@@ -69,6 +69,16 @@ class Radial:
         """Return k'(r)/r, so that the gradient of k(|z - x|) is `slope` (z - x); -inf at r = 0 for nu <= 1."""
         return np.asarray(-(self.rate**2) * self._c * self._bessel(self._nu - 1.0, self.rate * r), dtype=np.float64)
 
+    def climb(self, r: Floats) -> tuple[Floats, Floats]:
+        """Return `value`, and `slope` to about 1e-9 of `rate`^2 (0 at r = 0): quicker, to climb by, not to bound with."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self._nu in _HALF_INTEGER:
+                value, slope = self.value(r), self.slope(r)
+            else:
+                value, derivative = self._table(self._nu).with_derivative(self.rate * r)
+                value, slope = np.minimum(self._c * value, 1.0), self._c * self.rate * derivative / r
+        return value, np.where(r > 0, slope, 0.0)
+
     def curvature(self, low: Floats, high: Floats) -> Floats:
         """Return a bound of |d^2/dt^2 k(|z + t v - x|)|, |v| = 1, over all distances in [low, high].
 
@@ -88,19 +98,25 @@ class Radial:
     def _bessel(self, order: float, s: Floats) -> Floats:
         if order in _HALF_INTEGER:
             return _bessel(order, s)
+        return self._table(order)(s)
+
+    def _table(self, order: float) -> "_Table":
         if order not in self._tables:
             self._tables[order] = _Table(order)
-        return self._tables[order](s)
+        return self._tables[order]
 
 
 class _Table:
-    """P_order by cubics from `_start` on; Bessel functions below, where P may be singular; 0 where it is < 1e-20."""
+    """P_order by cubics from `_start` on; Bessel functions below, where P may be singular; 0 where it is < 1e-20.
+
+    A cubic misses h^4/384 of the fourth derivative, which near 0 is 3/(4 (order - 1) (order - 2)) of P(0).
+    """
 
     STEP = 0.005
 
     def __init__(self, order: float) -> None:
         self._order = order
-        self._start = 0.5 if order > 2 else 4.0
+        self._start = 0.0 if order >= 3 else 0.5 if order > 2 else 4.0
         stop = 60.0 + 4.0 * abs(order)
         s = np.arange(self._start, stop, self.STEP, dtype=np.float64)
         value, slope = _bessel(order, s), -s * _bessel(order - 1.0, s) * self.STEP
@@ -112,14 +128,29 @@ class _Table:
 
     def __call__(self, s: Floats) -> Floats:
         """Return P(s), in the shape of `s`."""
+        t, c = self._cell(s)
+        result = np.asarray(c[..., 0] + t * (c[..., 1] + t * (c[..., 2] + t * c[..., 3])), dtype=np.float64)
+        if self._start > 0:
+            near = s < self._start
+            result[near] = _bessel(self._order, s[near])
+        return result
+
+    def with_derivative(self, s: Floats) -> tuple[Floats, Floats]:
+        """Return P(s) and P'(s) to about 1e-9, in the shape of `s`."""
+        t, c = self._cell(s)
+        result = c[..., 0] + t * (c[..., 1] + t * (c[..., 2] + t * c[..., 3]))
+        derivative = (c[..., 1] + t * (2.0 * c[..., 2] + 3.0 * t * c[..., 3])) / self.STEP
+        if self._start > 0:
+            near = s < self._start
+            result[near] = _bessel(self._order, s[near])
+            derivative[near] = -s[near] * _bessel(self._order - 1.0, s[near])
+        return result, derivative
+
+    def _cell(self, s: Floats) -> tuple[Floats, Floats]:
+        """Return the place within its cell and the cubic of each of `s`."""
         t = np.clip((s - self._start) / self.STEP, 0.0, len(self._cubics) - 1.0)
         cell = t.astype(np.intp)
-        t -= cell
-        c = self._cubics[cell]
-        result = np.asarray(c[..., 0] + t * (c[..., 1] + t * (c[..., 2] + t * c[..., 3])), dtype=np.float64)
-        near = s < self._start
-        result[near] = _bessel(self._order, s[near])
-        return result
+        return t - cell, self._cubics[cell]
 
 
 def _bessel(order: float, s: Floats) -> Floats:

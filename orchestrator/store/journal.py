@@ -186,9 +186,16 @@ class Journal:
         self._insert_or_ignore(tables.attempts, attempt, row)
 
     def attempt_ended(self, attempt: Attempt, worker: str, outcome: str, cpu: float = 0.0, wall: float = 0.0) -> None:
-        """Write down how an attempt ended; the first account of it stands."""
+        """Write down how an attempt ended: the first account of a failure, and a result even after that."""
+        if outcome not in (RECORDED, RESTORED) and self._has_ended(attempt):
+            return
         row = {"worker": worker, "ended": time.time(), "outcome": outcome, "cpu_seconds": cpu, "wall_seconds": wall}
         self._insert_or_ignore(tables.outcomes, attempt, row)
+
+    def _has_ended(self, attempt: Attempt) -> bool:
+        columns = tables.outcomes.c
+        this = (columns.rollout == str(attempt.rollout)) & (columns.attempt == attempt.number)
+        return self._connection.execute(sa.select(columns.attempt).where(this)).first() is not None
 
     def _insert_or_ignore(self, table: sa.Table, attempt: Attempt, row: dict[str, Any]) -> None:
         statement = table.insert().prefix_with("OR IGNORE")

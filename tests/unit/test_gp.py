@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from orchestrator.gp.acquisition import maximiser, refined
 from orchestrator.gp.kernels import Floats, Matern
-from orchestrator.gp.lattice import Lattice
+from orchestrator.gp.lattice import PARTS, Lattice
 from orchestrator.gp.observations import Anywhere
 from orchestrator.gp.posterior import Posterior, SingularKernelError
 from orchestrator.gp.radial import Radial
@@ -326,7 +326,7 @@ class TestRefined:
     @given(places)
     def test_subnodes_are_near_and_come_again(self, z: tuple[float, float]) -> None:
         point = LATTICE.subnode(np.array(z))
-        assert (np.abs(np.subtract(point, z)) <= np.array(LATTICE.spacing) / 128 + 1e-12).all()
+        assert (np.abs(np.subtract(point, z)) <= np.array(LATTICE.spacing) / (2 * PARTS) + 1e-12).all()
         assert LATTICE.subnode(np.array(point)) == point
         assert all(low <= v <= high for low, v, high in zip(LATTICE.low, point, LATTICE.high, strict=True))
 

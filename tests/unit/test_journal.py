@@ -180,7 +180,7 @@ def test_the_highest_attempt_is_known_and_the_first_outcome_stands(journal: Jour
         for attempt in (Attempt(R0, 1), Attempt(R0, 3), Attempt(other, 2)):
             journal.attempt_started(attempt, "w", "h", 1)
         journal.attempt_ended(Attempt(R0, 1), "w", "bad")
-        journal.attempt_ended(Attempt(R0, 1), "w", "recorded")
+        journal.attempt_ended(Attempt(R0, 1), "w", "worse")
     assert journal.attempts() == {R0: 3, other: 2}
     with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
         assert connection.execute("SELECT outcome FROM outcomes").fetchall() == [("bad",)]

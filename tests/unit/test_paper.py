@@ -163,7 +163,7 @@ class TestProposals:
             steps = 0.5 / PARTS * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
             around = np.clip(proposal.x + steps, 0.0, 5.0)
             inside = (np.abs(around - SMALL.nodes[proposal.index]) <= 0.5 + 1e-9).all(axis=1)
-            assert mine >= acquisition(around[inside]).max() - 1e-4
+            assert mine >= acquisition(around[inside]).max() - 2e-3
         assert moved >= 5
         assert plain.propose(17) == PaperMethod(SMALL, KERNEL, **PRESET, refine=True).propose(17)
 

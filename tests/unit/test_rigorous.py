@@ -481,6 +481,14 @@ class TestRadial:
         assert (second <= radial.curvature(r - 0.1, r + 0.1) + 1e-4).all()
         assert (np.abs(radial.slope(r)) <= radial.curvature(r - 0.1, r + 0.1)).all()
 
+    @pytest.mark.parametrize("nu", [0.3, 0.5, 1.0, 1.5, 2.2, 2.5, 3.5, 10.0, 20.0])
+    def test_climbing_uses_the_same_value_and_nearly_the_same_slope(self, nu: float) -> None:
+        radial = Radial(Matern(nu, 1.3))
+        value, slope = radial.climb(self.r)
+        np.testing.assert_allclose(value, radial.value(self.r), atol=1e-15)
+        np.testing.assert_allclose(slope * self.r, radial.slope(self.r) * self.r, atol=1e-8 * radial.rate)
+        assert radial.climb(np.zeros(1))[1] == 0.0
+
     def test_bend_is_the_root_of_the_fourth_derivative(self) -> None:
         h, radial = 0.02, Radial(Matern(10.0, 1.3))
         k = radial.value(np.array([0.0, h, 2 * h]))
