@@ -1,40 +1,77 @@
-"""`make bench`: every benchmark, one table, and the same numbers as JSON in build/bench.json."""
+"""`make bench`: every benchmark, one table on stdout, and the same as JSON in build/bench.json.
 
+python -m tests.benchmarks [PART ...] [--no-peers]
+"""
+
+import argparse
 import json
 import os
+import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from schemas.base import one_blas_thread
 
 one_blas_thread()
 
-from tests.benchmarks import campaign, proposal, rigorous, rollout, scenario, stl  # noqa: E402  (numpy reads the setting once)
+from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
+    campaign,
+    proposal,
+    report,
+    rigorous,
+    rollout,
+    scenario,
+    stl,
+    throughput,
+)
 
 OUT = Path("build/bench.json")
-MEASURES = {
-    "rollout": rollout.measure,
-    "proposal": proposal.main,
-    "rigorous": rigorous.main,
-    "stl": stl.main,
-    "scenario": scenario.main,
-    "campaign": campaign.main,
-}
+PEERS = Path(".venv-bench/bin/python")
+ASKED = {"proposal", "rigorous"}
+"""Parts that need what `peers.py` measures."""
+PARTS = ("proposal", "rigorous", "scenario", "stl", "rollout", "campaign", "throughput")
+"""In this order: wall times last."""
 
 
-def main() -> None:
-    """Run, print and write."""
-    results: dict[str, dict[str, float]] = {}
-    for name, measure in MEASURES.items():
-        results[name] = measure()
-        for key, value in results[name].items():
-            sys.stdout.write(f"{name + '/' + key:58s} {value:12.4f}\n")
-    load = os.getloadavg()[0]
-    sys.stdout.write(f"{'load average (1 min)':58s} {load:12.2f}\n")
-    OUT.parent.mkdir(exist_ok=True)
-    OUT.write_text(json.dumps({"load": load, **results}, indent=1, sort_keys=True) + "\n")
-    sys.stdout.write(f"written to {OUT}\n")
+def main() -> int:
+    """Run, print and write; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__.partition("\n")[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
+    parser.add_argument("--no-peers", action="store_true", help="ours alone, without the environment of the peers")
+    arguments = parser.parse_args()
+    if unknown := set(arguments.parts).difference(PARTS):
+        parser.error(f"no part is called {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
+    if not arguments.no_peers and not PEERS.exists():
+        sys.stderr.write(f"bench: {PEERS} is missing; `make bench` installs it, --no-peers does without\n")
+        return 1
+    parts = [part for part in PARTS if part in (arguments.parts or PARTS)]
+    before = report.surroundings()
+    peers = {} if arguments.no_peers or not ASKED.intersection(parts) else child("peers")
+    rows = [row for part in parts for row in measure(part, peers, alone=arguments.no_peers)]
+    after = {"load_after": os.getloadavg()[0], "peers": peers.get("versions", {})}
+    sys.stdout.write(report.table(rows))
+    report.write(OUT, report.document(rows, before | after))
+    sys.stderr.write(f"load {before['load']:.2f} before, {after['load_after']:.2f} after; written to {OUT}\n")
+    return 0
+
+
+def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row]:
+    """Return the rows of one part."""
+    sys.stderr.write(f"{part}\n")
+    if part in ASKED:
+        return {"proposal": proposal.main, "rigorous": rigorous.main}[part](peers.get("peers", {}))
+    if part == "stl":
+        return stl.main(stl.measured() if alone else child("stl"))
+    plain = {"scenario": scenario.main, "rollout": rollout.main}
+    return (plain | {"campaign": campaign.main, "throughput": throughput.main})[part]()
+
+
+def child(module: str) -> dict[str, Any]:
+    """Return what one of our scripts prints in the environment of the peers."""
+    sys.stderr.write(f"{module}, with {PEERS}\n")
+    return dict(json.loads(subprocess.check_output([PEERS, "-m", f"tests.benchmarks.{module}"])))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,53 +1,60 @@
-"""A whole campaign with two local workers: CPU of the orchestrator and of the workers per rollout; time until ready."""
+"""CPU of the orchestrator in whole campaigns with two workers, and where it goes."""
 
 import subprocess
 import sys
-import tempfile
 import time
-from pathlib import Path
 
-import psutil
-import sqlalchemy as sa
-
-from orchestrator.store import queries, tables
 from orchestrator.transport import Heartbeat, Inbound, listen
 from schemas.keys import fresh_id
+from tests.benchmarks.report import Row
+from tests.benchmarks.runs import Cost, conduct
 
-CAMPAIGNS = ("test-function", "segway-paper")
-FOLDER = Path(__file__).parents[2] / "deploy" / "campaigns"
+CAMPAIGNS: dict[str, tuple[str, dict[str, str], float | None]] = {
+    "test function, 2000 tests": (
+        "test-function",
+        {"sigma": '"std"', "max_tests": "2000", "alpha": "1e-9"},
+        15.0,
+    ),
+    "segway-paper": ("segway-paper", {}, None),
+}
+"""By label: the shipped file, what is changed in it, and the most CPU seconds that the orchestrator should take."""
 
 
-def main() -> dict[str, float]:
-    """Return seconds by name."""
-    results = {"worker_ready_wall_s": worker_ready()}
-    for name in CAMPAIGNS:
-        with tempfile.TemporaryDirectory() as folder:
-            results |= {f"{name}/{key}": value for key, value in campaign(name, Path(folder) / "run").items()}
-    return results
+def main() -> list[Row]:
+    """Run each campaign twice: as it is, and with the timer that finds the shares."""
+    rows = [Row("worker process, from start to first heartbeat", worker_ready(), "s wall")]
+    for label, (name, changes, most) in CAMPAIGNS.items():
+        plain, looked = conduct(name, changes), conduct(name, changes, shares=True)
+        rows += _costs(label, plain, most) + _shares(label, looked)
+        with_timer = f"{label}: orchestrator in all, while the timer looks"
+        rows.append(Row(with_timer, looked.orchestrator, "s", "without it", plain.orchestrator))
+    return rows
 
 
-def campaign(name: str, out: Path) -> dict[str, float]:
-    """Run one of our campaigns and return what it cost."""
-    perfbound = Path(sys.executable).with_name("perfbound")
-    command = [str(perfbound), "run", str(FOLDER / f"{name}.toml"), "--out", str(out)]
-    start = time.monotonic()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    own = _own_cpu(process)
-    if process.returncode:
-        raise RuntimeError(f"{name} ended with code {process.returncode}")
-    with queries.reading(out) as connection:
-        outcomes = tables.outcomes.c
-        count, cpu = connection.execute(
-            sa.select(sa.func.count(), sa.func.sum(outcomes.cpu_seconds)).where(outcomes.outcome == "recorded")
-        ).one()
-    return {
-        "wall_s": time.monotonic() - start,
-        "rollouts": count,
-        "orchestrator_cpu_s": own,
-        "orchestrator_ms_per_rollout": 1000 * own / count,
-        "worker_ms_per_rollout": 1000 * cpu / count,
-        "rollouts_per_worker_core_second": count / cpu,
-    }
+def _costs(label: str, cost: Cost, most: float | None) -> list[Row]:
+    account, per = cost.account, 1000 / cost.rollouts
+    threads = cost.orchestrator - account["main_thread"]
+    return [
+        Row(f"{label}: rollouts", cost.rollouts, "rollouts"),
+        Row(f"{label}: orchestrator in all", cost.orchestrator, "s", at_most=most),
+        Row(f"{label}: start-up", account["loop_begins"], "s"),
+        Row(f"{label}: loop, per rollout", cost.loop * per, "ms"),
+        Row(f"{label}: certificate and summary", cost.orchestrator - account["loop_ends"], "s"),
+        Row(f"{label}: other threads (Zenoh), per rollout", threads * per, "ms"),
+        Row(f"{label}: in the rollouts of the workers, per rollout", cost.simulating * per, "ms"),
+        Row(f"{label}: worker processes in all, per rollout", account["children"] * per, "ms"),
+        Row(f"{label}: peak memory of the orchestrator", account["peak_memory_mb"], "MB"),
+    ]
+
+
+def _shares(label: str, cost: Cost) -> list[Row]:
+    """Shares of the process: looks divide the main thread's CPU time, the rest is the other threads'."""
+    main = cost.account["main_thread"] / cost.orchestrator
+    looks = cost.account["looks"]
+    shares = {room: 100 * main * count / sum(looks.values()) for room, count in looks.items()}
+    shares["other threads (Zenoh)"] = 100 * (1 - main)
+    ordered = sorted(shares.items(), key=lambda pair: -pair[1])
+    return [Row(f"{label}: share of {room}", share, "%") for room, share in ordered]
 
 
 def worker_ready() -> float:
@@ -69,16 +76,3 @@ def worker_ready() -> float:
             process.kill()
             process.wait()
     return times[0] - start
-
-
-def _own_cpu(process: subprocess.Popen[bytes]) -> float:
-    """Return the CPU seconds of the process itself, without its workers, sampled until it ends."""
-    observed, seconds = psutil.Process(process.pid), 0.0
-    while process.poll() is None:
-        try:
-            times = observed.cpu_times()
-            seconds = max(seconds, times.user + times.system)
-        except psutil.Error:
-            pass
-        time.sleep(0.05)
-    return seconds

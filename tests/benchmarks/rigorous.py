@@ -1,35 +1,35 @@
 """CPU milliseconds of one proposal, one observation and the bound (ask + tell + bound) of method `rigorous`."""
 
-import json
 import statistics
-import sys
 import time
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from orchestrator.bounds.confidence import mixture
 from orchestrator.bounds.rigorous import RigorousMethod
 from orchestrator.gp.kernels import Matern
 from orchestrator.gp.lattice import Lattice
+from tests.benchmarks import data
+from tests.benchmarks.proposal import Peers, best_beside
+from tests.benchmarks.report import Row
 
-SIZES = (50, 200, 400, 1000)
+SIZES = data.SIZES[:3]
+KINDS = ("ucb", "spread")
+"""Kinds of campaign.
+
+`ucb` observes what the method proposes, as a campaign does: points repeat and are merged. `spread` observes new
+places as long as there are any, the dearest data there can be.
+"""
 REPEATS = 5
 
 
-def main() -> dict[str, float]:
-    """Return the median CPU ms, keyed `<resolution>/<kind of campaign>/<n>`.
-
-    `ucb` observes what the method proposes, as a campaign does: points repeat and are merged. `spread` observes new
-    places as long as there are any, the most expensive data there can be.
-    """
-    with threadpool_limits(1):
-        return {
-            f"{resolution}/{kind}/{n}": milliseconds
-            for resolution in (21, 51)
-            for kind in ("ucb", "spread")
-            for n, milliseconds in _measure(resolution, kind).items()
-        }
+def main(peers: Peers) -> list[Row]:
+    """Return the median CPU ms by kind and size; the peers only ask and tell, on the same lattice."""
+    return [
+        best_beside(f"rigorous, n = {n}: {kind}, ask + tell + bound", milliseconds, peers, n)
+        for kind in KINDS
+        for n, milliseconds in _measure(data.RESOLUTION, kind).items()
+    ]
 
 
 class _Campaign:
@@ -39,7 +39,7 @@ class _Campaign:
         lattice = Lattice((0.0, 0.0), (5.0, 5.0), resolution)
         self._values = np.sin(lattice.nodes[:, 0]) * np.cos(lattice.nodes[:, 1]) / 2
         self._rng = np.random.default_rng(0)
-        self._order = np.resize(self._rng.permutation(lattice.size), 2 * max(SIZES)).tolist() if spread else None
+        self._order = self._rng.permutation(lattice.size).tolist() if spread else None
         self.method = RigorousMethod(
             lattice,
             Matern(nu=10, length_scale=1.0),
@@ -84,7 +84,3 @@ def _median(campaign: _Campaign, n: int) -> float:
         campaign.step()
         times.append((time.process_time_ns() - start) / 1e6)
     return round(statistics.median(times), 3)
-
-
-if __name__ == "__main__":
-    sys.stdout.write(json.dumps(main(), indent=2) + "\n")

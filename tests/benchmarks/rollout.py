@@ -1,56 +1,58 @@
-"""CPU seconds of one nominal rollout of the Segway, from the bare engine to the bytes of its file.
-
-Run as a script; `main` returns the numbers. CPU time of this process, best of several repeats: the machine is shared.
-"""
+"""CPU time of one nominal rollout of the Segway, from the bare engine to the bytes of its file; best of several."""
 
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
+
+import pybullet
 
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import decode
+from tests.benchmarks.report import Row
 from workers.simulate import run_on
+from workers.systems import segway
 from workers.systems.segway import SegwaySystem
-from workers.systems.segway.bullet import CONTROL_RATE, Start, World
 
+CONTROL_RATE, SUB_STEPS, WHEEL_RADIUS = 120, 2, 0.195  # 1/s, physics steps per control step, m
 REPEATS = 15
 HORIZON = 15.0  # s
 START = (5.0, 0.0)  # m, the worst nominal start
-
-Results = dict[str, float]
-
-
-def main() -> Results:
-    """Measure, print a table and return CPU seconds, rollouts per core-second and bytes by name."""
-    results = measure()
-    for name, value in results.items():
-        print(f"{name:36s} {value:12.4f}")  # noqa: T201  (a script)
-    return results
+MODEL = Path(segway.__file__).with_name("model.urdf")
 
 
-def measure() -> Results:
-    """Return every number of the table."""
-    system = SegwaySystem()
-    plain, visual = a_request(system, visual=False), a_request(system, visual=True)
-    data, data_visual = run_on(system, plain, _ignore), run_on(system, visual, _ignore)
-    full = cpu_seconds(lambda: run_on(system, visual, _ignore))
-    evidence = cpu_seconds(lambda: run_on(system, plain, _ignore))
-    return {
-        "engine_steps_s": bare_steps(),
-        "rollout_s": cpu_seconds(lambda: rollout(system)),
-        "rollout_and_file_s": evidence,
-        "rollout_and_visual_file_s": full,
-        "decode_s": cpu_seconds(lambda: decode(data)),
-        "decode_visual_s": cpu_seconds(lambda: decode(data_visual)),
-        "rollouts_per_core_second": 1 / evidence,
-        "visual_rollouts_per_core_second": 1 / full,
-        "file_bytes": len(data),
-        "visual_file_bytes": len(data_visual),
-        "import_s": fresh_process("import workers.simulate, workers.systems.segway") - fresh_process("pass"),
-        "import_and_first_world_s": fresh_process("from workers.systems.segway.bullet import World; World()")
-        - fresh_process("pass"),
-    }
+def main() -> list[Row]:
+    """Return every row; the peer is the engine without controller, readings and file."""
+    system, bare = SegwaySystem(), bare_steps()
+    requests = {name: a_request(system, visual=name == "all") for name in ("none", "all")}
+    rows = [
+        Row("bare engine, 1800 steps of 1/120 s", 1000 * bare, "ms"),
+        Row("rollout", 1000 * cpu_seconds(lambda: rollout(system)), "ms", "bare engine", 1000 * bare),
+    ]
+    for name, request in requests.items():
+        rows += _with_file(system, request, f'rollout and file, visual = "{name}"', bare)
+    start = fresh_process("pass")
+    for name, code in FRESH.items():
+        rows.append(Row(f"a fresh worker: {name}", fresh_process(code) - start, "s"))
+    return rows
+
+
+FRESH = {
+    "imports": "import workers.simulate, workers.systems.segway",
+    "imports and the simulator": "import workers.simulate, workers.systems.segway, pybullet",
+}
+
+
+def _with_file(system: SegwaySystem, request: RolloutRequest, label: str, bare: float) -> list[Row]:
+    data = run_on(system, request, _ignore)
+    seconds = cpu_seconds(lambda: run_on(system, request, _ignore))
+    return [
+        Row(label, 1000 * seconds, "ms", "bare engine", 1000 * bare),
+        Row(f"{label}, per core-second", 1 / seconds, "rollouts/s", "bare engine", 1 / bare),
+        Row(f"{label}: reading it", 1000 * cpu_seconds(lambda: decode(data)), "ms"),
+        Row(f"{label}: size", len(data) / 1000, "kB"),
+    ]
 
 
 def cpu_seconds(call: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -64,15 +66,32 @@ def cpu_seconds(call: Callable[[], object], repeats: int = REPEATS) -> float:
 
 
 def bare_steps() -> float:
-    """Return the CPU seconds of stepSimulation alone, for as many steps as a rollout has."""
-    world = World()
+    """Return the CPU seconds of stepSimulation alone, for as many steps as a rollout has.
 
-    def steps() -> None:
-        world._build(Start(*START, phi=0.0))
-        for _ in range(round(CONTROL_RATE * HORIZON)):
-            world._bullet.stepSimulation(world._client)
+    The world is built as `workers.systems.segway.bullet` builds it, and stands upright at rest.
+    """
+    client = pybullet.connect(pybullet.DIRECT)
+    steps = round(CONTROL_RATE * HORIZON)
 
-    return cpu_seconds(steps)
+    def run() -> None:
+        pybullet.resetSimulation()
+        pybullet.setGravity(0, 0, -9.81)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=1 / CONTROL_RATE, numSubSteps=SUB_STEPS, physicsClientId=client
+        )
+        pybullet.createMultiBody(0, pybullet.createCollisionShape(pybullet.GEOM_PLANE))
+        body = pybullet.loadURDF(str(MODEL), (*START, WHEEL_RADIUS), flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
+        pybullet.setJointMotorControlArray(body, (0, 1), pybullet.VELOCITY_CONTROL, forces=(0.0, 0.0))
+        start = time.process_time()
+        for _ in range(steps):
+            pybullet.stepSimulation()
+        times.append(time.process_time() - start)
+
+    times: list[float] = []
+    for _ in range(REPEATS):
+        run()
+    pybullet.disconnect(client)
+    return min(times)
 
 
 def rollout(system: SegwaySystem) -> object:
@@ -107,7 +126,3 @@ def fresh_process(code: str, repeats: int = 3) -> float:
 
 def _ignore(step: int) -> None:
     """Take no notice of the progress."""
-
-
-if __name__ == "__main__":
-    main()

@@ -1,29 +1,25 @@
 """CPU microseconds per observed value and milliseconds per propose + bound of method `scenario`, by rollouts so far."""
 
-import json
 import statistics
-import sys
 import time
 
 import numpy as np
 
 from orchestrator.bounds.scenario import Risk, ScenarioMethod
+from tests.benchmarks.report import Row
 
 MARKS = (250, 1000, 6000)
 BATCH = 10
 REPEATS = 21
+RISKS: tuple[Risk, ...] = ("linearised", "bhatia-davis")
 
 
-def main() -> dict[str, float]:
-    """Return the numbers keyed `<scenarios>/<risk>/<rollouts>/<us per value | ms per ask>`."""
-    found: dict[str, float] = {}
-    for size in (25, 400):
-        for risk in ("linearised", "bhatia-davis"):
-            found |= {f"{size}/{risk}/{key}": value for key, value in _measure(size, risk).items()}
-    return found
+def main() -> list[Row]:
+    """Return the rows by number of starts, kind of risk and rollouts so far."""
+    return [row for size in (25, 400) for risk in RISKS for row in _measure(size, risk)]
 
 
-def _measure(size: int, risk: Risk) -> dict[str, float]:
+def _measure(size: int, risk: Risk) -> list[Row]:
     method = ScenarioMethod(
         np.arange(size, dtype=np.float64)[:, None],
         clip=(-0.05, 0.75),
@@ -33,7 +29,7 @@ def _measure(size: int, risk: Risk) -> dict[str, float]:
         risk=risk,
         constants=(0.7, 0.09) if risk == "linearised" else None,
     )
-    rng, found = np.random.default_rng(0), {}
+    rng, rows = np.random.default_rng(0), list[Row]()
     spent, rollouts = 0, 0
     for mark in MARKS:
         start_at = rollouts
@@ -44,10 +40,13 @@ def _measure(size: int, risk: Risk) -> dict[str, float]:
             method.observe(index, values)
             spent += time.process_time_ns() - start
             rollouts += BATCH
-        found[f"{mark}/us per value"] = round(spent / 1e3 / (rollouts - start_at), 1)
-        found[f"{mark}/ms per ask"] = _ask(method)
+        name = f"scenario, {size} starts, {risk}, after {mark} rollouts"
+        rows += [
+            Row(f"{name}: per value", spent / 1e3 / (rollouts - start_at), "us"),
+            Row(f"{name}: propose and bound", _ask(method), "ms"),
+        ]
         spent = 0
-    return found
+    return rows
 
 
 def _ask(method: ScenarioMethod) -> float:
@@ -58,7 +57,3 @@ def _ask(method: ScenarioMethod) -> float:
         method.bound()
         times.append((time.process_time_ns() - start) / 1e6)
     return round(statistics.median(times), 4)
-
-
-if __name__ == "__main__":
-    sys.stdout.write(json.dumps(main(), indent=2) + "\n")

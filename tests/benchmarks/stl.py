@@ -1,9 +1,7 @@
 """CPU microseconds of the robustness of one trajectory, ours against rtamt, and whether the two agree.
 
-rtamt 0.4.10 pins antlr4-python3-runtime 4.7, so it stays out of our lock; in an environment of its own:
-
-    python3.11 -m venv /tmp/rtamt && /tmp/rtamt/bin/pip install rtamt==0.4.10 numpy
-    PYTHONPATH=. /tmp/rtamt/bin/python -m tests.benchmarks.stl
+Both run in the environment of the peers, one after the other: `.venv-bench/bin/python -m tests.benchmarks.stl` prints
+JSON. rtamt pins an old antlr4 runtime, so it stays out of our lock.
 
 rtamt (discrete time, offline) reads the left side of `until` up to, but without, the moment of the right side, and
 cuts intervals at the end of the trajectory instead of refusing them. `f until g` of ours is its `f until (f and g)`;
@@ -39,6 +37,9 @@ from orchestrator.stl.tree import (
     Or,
     Until,
 )
+from tests.benchmarks.report import Row
+
+Results = dict[str, Any]
 
 COLUMNS = ("t", "phi", "x", "y")
 STEP = 10  # ms; rtamt wants intervals that are multiples of it
@@ -58,21 +59,35 @@ TIMED = {
 WIDE = "(phi <= 0.9 until[0,3] x >= 0.5) until[2,8] (y <= 1 until[1,4] x <= 0.5)"  # hours in rtamt
 
 
-def main() -> dict[str, float]:
-    """Return the best CPU us per evaluation, keyed `<who>/<formula>`; with rtamt, also the agreement."""
+def measured() -> Results:
+    """Return (ours, rtamt's) best CPU us per evaluation by formula, and the largest disagreement.
+
+    Without rtamt, which is then None, as it is for a formula that takes it hours.
+    """
     samples = _samples(SAMPLES)
-    results = {f"ours/{name}": _microseconds(_ours(line, samples)) for name, line in {**TIMED, "wide": WIDE}.items()}
+    rtamt = importlib.util.find_spec("rtamt") is not None
+    times: dict[str, tuple[float, float | None]] = {}
+    differences = [0.0]
+    for name, line in {**TIMED, "wide": WIDE}.items():
+        ours = _ours(line, samples)
+        theirs = Rtamt(parse(line), samples).robustness if rtamt and name in TIMED else None
+        times[name] = (_microseconds(ours), theirs and _microseconds(theirs, batch=1, repeats=2))
+        if theirs:
+            differences.append(abs(theirs() - ours()))
     tree = parse(TIMED["issue"])
-    results["ours/predicate_sup of issue"] = _microseconds(lambda: predicate_sup(tree, COLUMNS, samples, samples))
-    if importlib.util.find_spec("rtamt") is None:
-        sys.stderr.write("rtamt is not installed here; the head of tests/benchmarks/stl.py says how to compare\n")
-        return results
-    for name, line in TIMED.items():
-        theirs = Rtamt(parse(line), samples)
-        results[f"rtamt/{name}"] = _microseconds(theirs.robustness, batch=1, repeats=2)
-        results[f"difference/{name}"] = abs(theirs.robustness() - _ours(line, samples)())
-    results[f"difference/largest of {AGREEMENTS} random formulas"] = _largest_difference()
-    return results
+    times["predicate_sup of issue"] = (_microseconds(lambda: predicate_sup(tree, COLUMNS, samples, samples)), None)
+    return {"times": times, "difference": max(*differences, _largest_difference()) if rtamt else None}
+
+
+def main(found: Results) -> list[Row]:
+    """Return the rows of what `measured` has found, here or in the environment of the peers."""
+    rows = [
+        Row(f"STL on {SAMPLES} instants: {name}", ours, "us", "rtamt" if theirs else "", theirs)
+        for name, (ours, theirs) in found["times"].items()
+    ]
+    if found["difference"] is not None:
+        rows.append(Row(f"STL, {AGREEMENTS} random formulas: largest difference", found["difference"], "1", "rtamt"))
+    return rows
 
 
 def _samples(size: int, seed: int = 0) -> Floats:
@@ -186,4 +201,4 @@ def _draw(rng: random.Random, depth: int) -> Formula:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(main(), indent=2) + "\n")
+    sys.stdout.write(json.dumps(measured()) + "\n")
