@@ -96,8 +96,8 @@ def test_what_a_power_cut_leaves(started: Processes, killed: Path, calm: Path, d
 
 def test_a_finished_campaign_prints_its_certificate_and_changes_nothing(started: Processes, calm: Path) -> None:
     before = contents(calm)
-    for command in (["resume", calm], ["status", calm]):
-        ended = started.run("perfbound", *command)
+    for command in ("resume", "status"):
+        ended = started.run("perfbound", command, calm)
         assert ended.code == 0
         assert "CLAIM  rho* " in ended.out
     assert contents(calm) == before
@@ -108,8 +108,8 @@ def test_a_campaign_of_an_older_perfbound_is_read(started: Processes, tmp_path: 
     directory = tmp_path / "run"
     shutil.copytree(OLDER, directory)
     before = contents(directory)
-    for command in (["status", directory], ["resume", directory]):
-        ended = started.run("perfbound", *command)
+    for command in ("status", "resume"):
+        ended = started.run("perfbound", command, directory)
         assert ended.code == 0, ended.err
         assert "CLAIM  J* " in ended.out
     assert contents(directory) == before
@@ -122,7 +122,7 @@ def test_a_database_of_a_newer_perfbound_is_refused(started: Processes, tmp_path
     with closing(sqlite3.connect(directory / "campaign.db", isolation_level=None)) as connection:
         connection.execute("DROP TRIGGER schema_no_update")
         connection.execute("UPDATE schema SET version = 2")
-    for command in (["status", directory], ["resume", directory]):
-        ended = started.run("perfbound", *command)
+    for command in ("status", "resume"):
+        ended = started.run("perfbound", command, directory)
         assert ended.code == 1
         assert "schema version 2, this perfbound reads 1; use the perfbound that wrote it" in ended.fault
