@@ -323,6 +323,10 @@ class TestRefined:
         edge = refined(hill, np.array([0.5, 1.5]), np.array([0.0, 1.0]), np.array([1.0, 3.0]))
         np.testing.assert_allclose(edge, [1.0, 2.0], atol=1e-6)
 
+    def test_subnodes_stay_in_the_box(self) -> None:
+        """Here low + 96 steps rounds to more than the upper edge."""
+        assert Lattice((0.7,), (2.9,), 7).subnode(np.array([2.9])) == (2.9,)
+
     @given(places)
     def test_subnodes_are_near_and_come_again(self, z: tuple[float, float]) -> None:
         point = LATTICE.subnode(np.array(z))

@@ -167,6 +167,13 @@ class TestProposals:
         assert moved >= 5
         assert plain.propose(17) == PaperMethod(SMALL, KERNEL, **PRESET, refine=True).propose(17)
 
+    def test_a_climb_that_leads_down_is_not_followed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        method = PaperMethod(SMALL, KERNEL, **PRESET, refine=True)
+        method.observe(60, 0.5, tuple(SMALL.nodes[60].tolist()))
+        monkeypatch.setattr("orchestrator.bounds.paper.refined", lambda value, start, low, high: low)
+        proposal = method.propose()
+        assert proposal.x == tuple(SMALL.nodes[proposal.index])
+
     def test_the_start_is_the_callers_and_has_no_bound(self) -> None:
         method = PaperMethod(SMALL, KERNEL, **PRESET, prior_mean=0.3)
         start = method.propose(5)
