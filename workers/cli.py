@@ -1,7 +1,9 @@
 """The commands of the worker side; a child of `perfbound` runs them, so that a crash stays out of the orchestrator."""
 
 import contextlib
+import ctypes
 import os
+import signal
 import sys
 import threading
 import time
@@ -18,6 +20,8 @@ RUN_GONE = 5.0
 """Seconds without its orchestrator after which an idle worker may join another campaign."""
 OUTBOX_KEPT = 600.0
 """Seconds without its orchestrator after which undelivered results are given up."""
+PR_SET_PDEATHSIG = 1
+"""Of Linux: the signal that a process gets when its parent dies."""
 
 
 def fail(message: str) -> NoReturn:
@@ -52,6 +56,7 @@ def serve(
 ) -> None:
     """Simulate rollouts for an orchestrator until stopped."""
     if lifeline is not None:
+        _die_with_parent()
         threading.Thread(target=_hold, args=(lifeline,), daemon=True).start()
     tls = None
     if tls_ca or tls_certificate or tls_key:
@@ -64,6 +69,11 @@ def serve(
         fail(str(error))
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _die_with_parent() -> None:
+    """Have the kernel kill us when the parent dies: no thread of ours runs while a rollout holds the lock of Python."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _hold(descriptor: int) -> None:

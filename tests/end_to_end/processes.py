@@ -6,7 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -88,12 +88,13 @@ class Processes:
     folder: Path
     started: list[Process] = field(default_factory=list)
 
-    def start(self, program: str, *arguments: str | Path, **environment: str) -> Process:
+    def start(self, program: str, *arguments: str | Path, prefix: Sequence[str] = (), **environment: str) -> Process:
+        """Start a program of the virtual environment; `prefix` is a command that turns into it (`ip netns exec`)."""
         logs = self.folder / f"log-{len(self.started)}"
         logs.mkdir()
         with (logs / "out").open("wb") as out, (logs / "err").open("wb") as err:
             popen = subprocess.Popen(
-                [BIN / program, *arguments],
+                [*prefix, BIN / program, *arguments],
                 cwd=self.folder,
                 stdin=subprocess.DEVNULL,
                 stdout=out,
@@ -129,7 +130,7 @@ def write_campaign(path: Path, **changes: str) -> Path:
     text = (FOLDER / "segway-paper.toml").read_text()
     for key, value in {"resolution": "7", "max_tests": "8", "horizon": "20.0", **changes}.items():
         lines = [line for line in text.splitlines() if line.startswith(f"{key} = ")]
-        text = text.replace(lines[0], f"{key} = {value}", 1)
+        text = text.replace(lines[0], f"{key} = {value}", 1) if lines else f"{key} = {value}\n{text}"
     path.write_text(text)
     return path
 

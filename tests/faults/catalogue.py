@@ -1,0 +1,92 @@
+"""All fault classes, by name; and what each needs of the machine."""
+
+import os
+import random
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from tests.faults import deaths, links, machine, systems
+from tests.faults.scene import Scene
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One class of faults."""
+
+    act: Callable[[Scene], None]
+    """Runs the campaign of a scene to its certificate, with faults."""
+    subjects: tuple[str, ...] = ("function", "slow", "segway")
+    missing: Callable[[], str] = str
+    """Says what the machine lacks for it; nothing, if it can be run."""
+
+    @property
+    def name(self) -> str:
+        """The function's name, in words."""
+        return self.act.__name__.replace("_", "-")
+
+
+def _no_root() -> str:
+    return "" if os.geteuid() == 0 else "needs root"
+
+
+def _no_compiler() -> str:
+    return "" if shutil.which("cc") else "needs a C compiler (cc)"
+
+
+@cache
+def _no_namespaces() -> str:
+    if shutil.which("ip") is None or _no_root():
+        return "needs root and ip (iproute2)"
+    name = f"pbprobe{os.getpid()}"
+    made = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False)
+    if made.returncode:
+        return f"needs network namespaces: {made.stderr.strip()}"
+    subprocess.run(["ip", "netns", "del", name], check=True)
+    return ""
+
+
+PLUGIN = ("function",)
+FAULTS = {
+    fault.name: fault
+    for fault in (
+        Fault(deaths.kill_workers),
+        Fault(deaths.stop_workers, ("slow",)),
+        Fault(deaths.kill_orchestrator),
+        Fault(deaths.kill_resume, ("function", "segway")),
+        Fault(deaths.kill_start, PLUGIN),
+        Fault(deaths.stop_orchestrator),
+        Fault(deaths.hang_then_kill, PLUGIN),
+        Fault(links.restart_router, ("function", "slow")),
+        Fault(links.cut_cable, ("slow",), _no_namespaces),
+        Fault(links.cut_and_kill, ("slow",), _no_namespaces),
+        Fault(links.disturb_messages, PLUGIN),
+        Fault(machine.fill_disk, PLUGIN, _no_root),
+        Fault(machine.slow_disk, PLUGIN, _no_compiler),
+        Fault(machine.jump_clock, ("function", "segway"), _no_compiler),
+        Fault(systems.misbehave, PLUGIN),
+        Fault(systems.poison, ("brittle",)),
+        Fault(systems.hang_and_kill, PLUGIN),
+        Fault(deaths.mixed),
+    )
+}
+
+
+def draw(seed: int, run: int) -> Fault:
+    """Return the class of run `run` of `seed`: every class comes once before any comes again."""
+    lap, place = divmod(run, len(FAULTS))
+    names = random.Random(f"{seed}/{lap}").sample(sorted(FAULTS), len(FAULTS))
+    return FAULTS[names[place]]
+
+
+def luck(seed: int, run: int) -> random.Random:
+    """Return the randomness of one run."""
+    return random.Random(f"{seed}/run {run}")
+
+
+def folder_of(base: Path, run: int) -> Path:
+    """Return the folder of one run."""
+    return base / f"run-{run:04d}"

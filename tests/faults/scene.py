@@ -1,0 +1,192 @@
+"""One campaign to which faults are done: its processes, what was done when, and what is true of it afterwards."""
+
+import os
+import random
+import signal
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+from tests.end_to_end.processes import Ended, Process, Processes, free_port, recorded, wait_for
+from tests.faults.subjects import Subject
+
+PATIENCE = 240.0
+"""Seconds that a campaign may last under faults on a loaded machine."""
+GRACE = 15.0
+"""Seconds in which what shall end by itself does so."""
+MARK = "PERFBOUND_FAULTS"
+"""Every process of a scene inherits this variable, whose value is the scene's folder."""
+
+
+@dataclass
+class Scene:
+    """A campaign in `folder`, with local workers or (`endpoint`) remote ones."""
+
+    subject: Subject
+    folder: Path
+    chance: random.Random
+    remote: bool = False
+    done: list[str] = field(default_factory=list)
+    """What was done, and when."""
+    injected: int = 0
+    environment: dict[str, str] = field(default_factory=dict)
+    prefix: Sequence[str] = ()
+    """Command before that of the orchestrator."""
+    worker_prefix: Sequence[str] = ()
+    host: str = "127.0.0.1"
+    workers_at: str = ""
+    """Endpoint that remote workers connect to, when it is not the orchestrator's."""
+    resumes: int = 0
+    undo: list[Callable[[], None]] = field(default_factory=list)
+    """What takes back what the machine was given: mounts, network namespaces."""
+
+    def __post_init__(self) -> None:
+        self.began = time.monotonic()
+        self.folder.mkdir(parents=True)
+        self.directory = self.folder / "run"
+        self.processes = Processes(self.folder)
+        self.listening = f"tcp/{self.host}:{free_port()}"
+        self.fleet: list[Process] = []
+        self.environment |= {MARK: str(self.folder), "PYTHONPATH": self.subject.path}
+
+    # What is done to it
+
+    def did(self, what: str, *, fault: bool = True) -> None:
+        """Write down what was done; a fault is counted."""
+        self.done.append(f"{time.monotonic() - self.began:.1f} {what}")
+        self.injected += fault
+
+    def start(self, *, workers: int = 2) -> None:
+        """Start the campaign with its workers."""
+        if self.remote:
+            self._orchestrate("orchestrate", self.subject.campaign, "--out", self.directory)
+            for _ in range(workers):
+                self.join()
+        else:
+            options = ("--out", self.directory, "--workers", str(workers))
+            self._orchestrator("run", self.subject.campaign, *options)
+
+    def resume(self, *, workers: int = 2) -> None:
+        """Start an orchestrator that goes on."""
+        self.resumes += 1
+        if self.remote:
+            self._orchestrate("resume", self.directory, "--workers", "0")
+        else:
+            self._orchestrator("resume", self.directory, "--workers", str(workers))
+
+    def _orchestrate(self, *arguments: str | Path) -> None:
+        guard = () if self.host == "127.0.0.1" else ("--insecure",)
+        self._orchestrator(*arguments, "--listen", self.listening, *guard)
+
+    def _orchestrator(self, *arguments: str | Path) -> None:
+        self.orchestrator = self.processes.start("perfbound", *arguments, prefix=self.prefix, **self.environment)
+
+    def join(self) -> None:
+        """Start one more remote worker."""
+        endpoint = self.workers_at or self.listening
+        name = f"remote-{len(self.fleet)}"
+        worker = self.processes.start(
+            "perfbound-worker", "--connect", endpoint, "--name", name, prefix=self.worker_prefix, **self.environment
+        )
+        self.fleet.append(worker)
+
+    def workers(self) -> list[psutil.Process]:
+        """Return the workers that live."""
+        if self.remote:
+            return [psutil.Process(each.pid) for each in self.fleet if each.running]
+        if not self.orchestrator.running:
+            return []
+        with suppress(psutil.NoSuchProcess):
+            return [each for each in self.orchestrator.children() if "serve" in _line(each)]
+        return []
+
+    def reach(self, count: int) -> bool:
+        """Wait until `count` rollouts are recorded; False if the campaign has ended before."""
+        wait_for(lambda: recorded(self.directory) >= count or not self.orchestrator.running, PATIENCE)
+        return self.orchestrator.running
+
+    def moments(self, number: int, share: float = 0.7) -> list[int]:
+        """Draw numbers of recorded rollouts, in the first `share` of the campaign, at which to act."""
+        return sorted(self.chance.sample(range(1, int(self.subject.rollouts * share)), number))
+
+    def pause(self, low: float = 0.0, high: float = 0.1) -> float:
+        """Wait for a random time; return it."""
+        seconds = self.chance.uniform(low, high)
+        time.sleep(seconds)
+        return seconds
+
+    def kill_worker(self) -> None:
+        """kill -9 of a random worker; a remote one is followed by another, as under a supervisor."""
+        found = self.workers()
+        if not found:
+            return
+        worker = self.chance.choice(found)
+        with suppress(psutil.NoSuchProcess):
+            worker.kill()
+            self.did(f"kill worker {worker.pid}")
+        if self.remote:
+            self.join()
+
+    def kill_orchestrator(self) -> None:
+        """kill -9 of the orchestrator; counted if it was in mid-run."""
+        self.orchestrator.popen.kill()
+        self.orchestrator.wait()
+        count = recorded(self.directory)
+        middle = 0 < count < self.subject.rollouts and not (self.directory / "certificate.json").exists()
+        self.did(f"kill orchestrator at {count} of {self.subject.rollouts}", fault=middle)
+
+    def finish(self) -> None:
+        """Wait for the certificate.
+
+        Raises:
+            AssertionError: the campaign failed.
+
+        """
+        ended = self.end()
+        assert ended.code == 0, f"exit {ended.code}: {ended.err[-2000:]}"
+        assert "Traceback" not in ended.err, ended.err[-2000:]
+
+    def end(self) -> Ended:
+        """Wait for the end of the orchestrator, however it ends."""
+        return self.orchestrator.wait(PATIENCE)
+
+    # Afterwards
+
+    def close(self) -> list[str]:
+        """Let remote workers go, and return the processes that do not end by themselves."""
+        for each in self.processes.started:
+            if each.running:
+                each.popen.send_signal(signal.SIGCONT)
+                each.popen.send_signal(signal.SIGTERM)
+        with suppress(TimeoutError):
+            wait_for(lambda: not self.alive(), GRACE)
+        left = self.alive()
+        self.processes.end()
+        for pid in left:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        for back in reversed(self.undo):
+            back()
+        return [f"process {pid} ({line})" for pid, line in left.items()]
+
+    def alive(self) -> dict[int, str]:
+        """Return process id and command line of every process of this scene."""
+        for each in self.processes.started:
+            each.popen.poll()
+        mark = f"{MARK}={self.folder}".encode()
+        found = {}
+        for process in psutil.process_iter():
+            with suppress(OSError, psutil.Error):
+                if mark in Path(f"/proc/{process.pid}/environ").read_bytes().split(b"\0"):
+                    found[process.pid] = _line(process)
+        return found
+
+
+def _line(process: psutil.Process) -> str:
+    with suppress(psutil.Error):
+        return " ".join(process.cmdline())
+    return ""

@@ -1,0 +1,74 @@
+"""Systems under test that misbehave."""
+
+from pathlib import Path
+
+from tests.end_to_end.processes import query, wait_for
+from tests.faults.faulty_function import AFTER, BEFORE
+from tests.faults.scene import Scene
+
+KINDS = (*BEFORE, *AFTER)
+
+
+def misbehave(scene: Scene) -> None:
+    """Some rollouts hang, crash, leave, print, leak or return nonsense, each a few times; then they behave."""
+    scene.remote = False  # nobody else replaces workers that die
+    plan = a_plan(scene)
+    seeds = scene.chance.sample(scene.subject.seeds, 5)
+    kinds = scene.chance.sample(KINDS, 5)
+    for seed, kind in zip(seeds, kinds, strict=True):
+        for number in range(scene.chance.choice((1, 1, 2))):
+            (plan / f"{seed}-{number}-{kind}").touch()
+    scene.start()
+    scene.finish()
+    for file in sorted((plan / "taken").iterdir()):
+        scene.did(f"{file.name.split('-')[2]} in the rollout of seed {file.name.split('-')[0]}")
+    assert scene.injected >= len(seeds), "every rollout of the plan was tried"
+
+
+def poison(scene: Scene) -> None:
+    """One rollout kills every worker, hangs or fails: the campaign fails with its story; mended, it goes on."""
+    plan = a_plan(scene)
+    kind = scene.chance.choice(("exit", "crash", "raise", "nan", "sleep", "leave"))
+    seed = scene.chance.choice(scene.subject.seeds)
+    always = plan / f"{seed}-always-{kind}"
+    always.touch()
+    scene.start(workers=scene.chance.choice((1, 2, 3)))
+    ended = scene.end()
+    scene.did(f"{kind} in every attempt of the rollout of seed {seed}", fault=False)
+    rollout = _rollout(scene, seed)
+    last = ended.err.splitlines()[-1]
+    assert ended.code == 1, f"exit {ended.code}: {ended.err[-1500:]}"
+    assert f"rollout {rollout} failed 5 times" in last, last
+    assert all(f"attempt {number} on local-" in last for number in range(1, 6)), last
+    scene.injected += len(query(scene.directory, f"SELECT * FROM outcomes WHERE rollout = '{rollout}'"))
+    always.unlink()
+    scene.resume()
+    scene.finish()
+
+
+def hang_and_kill(scene: Scene) -> None:
+    """A rollout holds the lock of Python for ever, and the orchestrator is killed: the worker must not stay."""
+    plan = a_plan(scene)
+    seed = scene.chance.choice(scene.subject.seeds[: scene.subject.rollouts // 2])
+    (plan / f"{seed}-0-gil").touch()
+    scene.start()
+    wait_for((plan / "taken" / f"{seed}-0-gil").exists)
+    scene.did(f"gil in the rollout of seed {seed}")
+    scene.pause(0.3, 1.0)
+    scene.kill_orchestrator()
+    wait_for(lambda: not scene.alive(), 15)
+    scene.resume()
+    scene.finish()
+
+
+def a_plan(scene: Scene) -> Path:
+    """Make an empty plan for the plug-in; `taken/` in it collects what was carried out."""
+    plan = scene.folder / "plan"
+    (plan / "taken").mkdir(parents=True)
+    scene.environment["FAULTY_PLAN"] = str(plan)
+    return plan
+
+
+def _rollout(scene: Scene, seed: int) -> str:
+    text = f"SELECT path FROM rollouts WHERE seed = {seed}"
+    return Path(str(query(scene.subject.calm, text)[0][0])).stem

@@ -1,0 +1,120 @@
+"""One fixed run of every class of faults, and how long it takes to notice and to go on."""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from threading import Lock
+
+import pytest
+
+from tests.end_to_end.processes import wait_for
+from tests.faults.catalogue import FAULTS, Fault, draw, luck
+from tests.faults.delays import DELAYS
+from tests.faults.runs import Run, perform
+from tests.faults.scene import Scene
+from tests.faults.subjects import Subject, prepare
+from tests.faults.table import rows
+
+pytestmark = pytest.mark.timeout(290)
+SEED = 2
+PARALLEL = 4
+ONE = "test_one_result_per_rollout"
+GENEROUS = {"dead-worker": 12.0, "hung-worker": 12.0, "resume-local": 30.0, "resume-remote": 30.0}
+"""Seconds; a loaded machine is slow, and docs/reliability.md has the numbers of a calm one."""
+
+
+@pytest.fixture(scope="session")
+def subject(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Subject]:
+    """Return a maker of campaigns with their calm runs."""
+    base, turn = tmp_path_factory.mktemp("calm"), Lock()
+    known: dict[str, Subject] = {}
+
+    def make(name: str) -> Subject:
+        with turn:
+            if name not in known:
+                known[name] = prepare(name, base / name)
+            return known[name]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def runs(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, subject: Callable[[str], Subject]
+) -> Iterator[dict[str, Future[Run]]]:
+    """Return the runs of the selected tests; they mostly wait, so that some go on at a time."""
+    wanted = {item.callspec.params["name"] for item in request.session.items if item.name.startswith(ONE)}  # type: ignore[attr-defined]
+    base = tmp_path_factory.mktemp("runs")
+    with ThreadPoolExecutor(PARALLEL) as pool:
+        possible = [name for name in sorted(wanted) if not FAULTS[name].missing()]
+        yield {name: pool.submit(_perform, name, base / name, subject) for name in possible}
+
+
+def _perform(name: str, folder: Path, subject: Callable[[str], Subject]) -> Run:
+    fault, chance = FAULTS[name], luck(SEED, sorted(FAULTS).index(name))
+    return perform(fault, chance, {fault.subjects[0]: subject(fault.subjects[0])}, folder)
+
+
+@pytest.mark.parametrize("name", sorted(FAULTS))
+def test_one_result_per_rollout_and_the_same_certificate(name: str, runs: dict[str, Future[Run]]) -> None:
+    if reason := FAULTS[name].missing():
+        pytest.skip(reason)
+    run = runs[name].result()
+    assert run.verdict.good, (run.done, run.verdict)
+    assert run.injected > 0, run.done
+
+
+@pytest.mark.parametrize("name", sorted(DELAYS))
+def test_it_is_noticed_in_time(name: str, tmp_path: Path, subject: Callable[[str], Subject]) -> None:
+    scene = Scene(subject("function"), tmp_path / "scene", luck(SEED, 0))
+    try:
+        seconds = DELAYS[name](scene)
+        scene.finish()
+    finally:
+        left = scene.close()
+    assert left == []
+    least = {"dead-worker": 2.9, "hung-worker": 1.9}.get(name, 0.0)
+    assert least <= seconds <= GENEROUS[name]
+
+
+def test_a_schedule_has_every_class_once_a_lap() -> None:
+    size = len(FAULTS)
+    for lap in range(3):
+        assert sorted(draw(SEED, lap * size + place).name for place in range(size)) == sorted(FAULTS)
+    assert [draw(1, k).name for k in range(size)] != [draw(2, k).name for k in range(size)]
+
+
+def test_the_judge_sees_what_is_wrong(tmp_path: Path, subject: Callable[[str], Subject]) -> None:
+    run = perform(Fault(_spoil), luck(SEED, 0), {"function": subject("function")}, tmp_path / "scene")
+    verdict = run.verdict
+    assert len(verdict.lost) == 1
+    assert verdict.different == ["certificate.json differs from the calm one"]
+    assert {Path(each).name for each in verdict.leftovers[:2]} == {"orphan.mcap", "x.partial"}
+    assert len(verdict.leftovers) == 3
+    assert "signal.pause" in verdict.leftovers[2]
+    assert verdict.failures == []
+    assert rows([run])[-1] == {
+        "fault": "all",
+        "runs": 1,
+        "injected": 1,
+        "twice": 0,
+        "lost": 1,
+        "different": 1,
+        "leftovers": 3,
+        "failures": 0,
+    }
+
+
+def _spoil(scene: Scene) -> None:
+    """Finish, then damage everything that is judged."""
+    scene.start()
+    scene.finish()
+    first, second, *_ = sorted((scene.directory / "trajectories").rglob("*.mcap"))
+    first.write_bytes(b"")
+    (second.parent / "orphan.mcap").touch()
+    (scene.directory / "x.partial").touch()
+    (scene.directory / "certificate.json").write_text("{}")
+    stubborn = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(flush=True); signal.pause()"
+    process = scene.processes.start("python", "-c", stubborn, **scene.environment)
+    wait_for((process.folder / "out").read_text)
+    scene.did("spoiled")

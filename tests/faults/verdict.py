@@ -1,0 +1,98 @@
+"""What is checked after every fault run."""
+
+import hashlib
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from orchestrator.store import lock
+from orchestrator.store.evidence import TEMPORARY
+from tests.end_to_end.processes import query
+from tests.faults.scene import Scene
+
+EXPECTED = {"campaign.db", "campaign.db-wal", "campaign.db-shm", "certificate.json", "manifest.sha256"}
+
+
+@dataclass
+class Verdict:
+    """What is wrong; nothing, if all is well."""
+
+    twice: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    different: list[str] = field(default_factory=list)
+    leftovers: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+    """Whatever else a fault expects."""
+
+    @property
+    def good(self) -> bool:
+        """Whether the promise was kept."""
+        return not (self.twice or self.lost or self.different or self.leftovers or self.failures)
+
+
+def judge(scene: Scene, found: Verdict) -> None:
+    """Check the run directory of a scene that has ended: facts, files, certificate, lock."""
+    directory, calm = scene.directory, scene.subject.calm
+    rows = query(directory, "SELECT path, sha256, size FROM rollouts")
+    found.twice += _twice(directory, rows)
+    found.lost += _lost(directory, calm, rows)
+    for name in ("certificate.json", "manifest.sha256"):
+        path = directory / name
+        if not path.exists():
+            found.different.append(f"no {name}")
+        elif path.read_bytes() != (calm / name).read_bytes():
+            found.different.append(f"{name} differs from the calm one")
+    found.leftovers += _orphans(directory, {str(row[0]) for row in rows})
+    if directory.exists() and lock.is_held(directory):
+        found.leftovers.append("the lock is held")
+
+
+def _twice(directory: Path, rows: list[tuple[object, ...]]) -> list[str]:
+    """Return rollouts that do not have exactly one row, one file and one attempt that was recorded."""
+    paths = [row[0] for row in rows]
+    found = [f"two rows of {path}" for path in sorted({str(path) for path in paths if paths.count(path) > 1})]
+    text = (
+        "SELECT problem || '-' || test || '-' || variant || '-' || replicate, count(outcome) FROM rollouts "
+        "LEFT JOIN outcomes ON path LIKE '%/' || rollout || '.mcap' AND outcome = 'recorded' "
+        "GROUP BY problem, test, variant, replicate HAVING count(outcome) != 1"
+    )
+    return found + [f"{count} attempts recorded of {rollout}" for rollout, count in query(directory, text)]
+
+
+def _lost(directory: Path, calm: Path, rows: list[tuple[object, ...]]) -> list[str]:
+    """Return rollouts without their row, or without the file of that sha256."""
+    found = []
+    for path, sha256, size in rows:
+        file = directory / str(path)
+        data = file.read_bytes() if file.exists() else b""
+        if hashlib.sha256(data).hexdigest() != sha256 or len(data) != size:
+            found.append(f"{path} is not the file that was recorded")
+    wanted = {line.split()[1] for line in (calm / "manifest.sha256").read_text().splitlines()}
+    return found + [f"{path} has no row" for path in sorted(wanted - {str(row[0]) for row in rows})]
+
+
+def _orphans(directory: Path, recorded: set[str]) -> list[str]:
+    found = []
+    for path in sorted(each for each in directory.rglob("*") if each.is_file()):
+        name = str(path.relative_to(directory))
+        if name.endswith(TEMPORARY) or name not in recorded | EXPECTED:
+            found.append(name)
+    return found
+
+
+def shared_memory() -> set[str]:
+    """Return the shared-memory segments of Zenoh."""
+    return {name for name in os.listdir("/dev/shm") if "zenoh" in name}
+
+
+def of_machine(scene: Scene) -> list[str]:
+    """Return mounts below the scene's folder and network namespaces of its name that are left."""
+    table = Path("/proc/self/mountinfo").read_text().splitlines()
+    mounts = [f"mount {line.split()[4]}" for line in table if str(scene.folder) in line]
+    folder = Path("/run/netns")
+    return mounts + [f"namespace {each.name}" for each in folder.glob(f"{prefix(scene)}*")]
+
+
+def prefix(scene: Scene) -> str:
+    """Return what the names of the scene's network namespaces start with; short enough for the kernel."""
+    return "pb" + hashlib.sha256(str(scene.folder).encode()).hexdigest()[:8]
