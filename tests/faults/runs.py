@@ -3,7 +3,7 @@
 import random
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,7 +33,8 @@ def perform(
     name = chance.choice([name for name in fault.subjects if name in subjects])
     shared, found = shared_memory(), Verdict()
     scene = Scene(subjects[name], folder, chance)
-    for step in (lambda: fault.act(scene), lambda: judge(scene, found)):
+    steps: tuple[Callable[[], None], ...] = (lambda: fault.act(scene), lambda: judge(scene, found))
+    for step in steps:
         try:
             step()
         except Exception:  # noqa: BLE001  (whatever goes wrong is a finding, and is told)
