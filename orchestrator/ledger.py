@@ -5,8 +5,9 @@ Every fact takes one way, live and in a replay: `_apply`. Live, it is written to
 
 import hashlib
 import math
+from array import array
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, MutableSequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,12 +56,12 @@ class Account:
     link: str
     proposals: dict[int, ProposalFact] = field(default_factory=dict)
     rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
-    observations: list[float] = field(default_factory=list)
+    observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
     each: list[tuple[float, ...]] = field(default_factory=list)
     nodes: list[int] = field(default_factory=list)
     excess: float = -math.inf
     """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
-    robustness: list[float] = field(default_factory=list)
+    robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
     counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
     last_proposal: ProposalFact | None = None
     last_bound: BoundFact | None = None
@@ -88,6 +89,7 @@ class Ledger:
         self._damaged: dict[RolloutId, RolloutFact] = {}
         self._closed: dict[tuple[str, int], ProposalFact] = {}
         self._trajectories: dict[RolloutId, Trajectory] = {}
+        self._requests: dict[RolloutId, RolloutRequest] = {}
         self._recomputed: dict[str, BoundFact] = {}
 
     @property
@@ -147,16 +149,19 @@ class Ledger:
             return Work(wanted=sorted(self._damaged))
         return self._advance(campaign.outstanding(self.state))
 
-    def record(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory) -> Work:
+    def record(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory, sha256: str | None = None) -> Work:
         """Make a result durable and draw its consequences; inside a transaction.
+
+        `sha256` is the digest of the payload, for a caller that has computed it already.
 
         Raises:
             PerfboundError: the mathematics cannot go on (singular kernel matrix).
             OSError: the disk is full.
 
         """
+        sha256 = sha256 or hashlib.sha256(payload).hexdigest()
         if rollout in self._damaged:
-            return self._restore(rollout, payload, trajectory)
+            return self._restore(rollout, payload, trajectory, sha256)
         try:
             robustness = self._observer.robustness(trajectory)
         except ValueError as error:
@@ -166,16 +171,23 @@ class Ledger:
         self._trajectories[rollout] = trajectory
         fact = RolloutFact(
             rollout,
-            seed=rollout_seed(self.config, rollout),
-            sha256=hashlib.sha256(payload).hexdigest(),
+            seed=self.request(rollout).seed,
+            sha256=sha256,
             size=len(payload),
             path=path,
             robustness=robustness,
         )
+        del self._requests[rollout]
         return self._advance(self._write(fact))
 
     def request(self, rollout: RolloutId) -> RolloutRequest:
         """Return everything that a worker needs to know of an open rollout."""
+        found = self._requests.get(rollout)
+        if found is None:  # asked for when it is assigned, and when its result is checked
+            found = self._requests[rollout] = self._request(rollout)
+        return found
+
+    def _request(self, rollout: RolloutId) -> RolloutRequest:
         spec = self.header.spec
         return RolloutRequest(
             campaign=self.config.name,
@@ -197,10 +209,9 @@ class Ledger:
         """Whether this rollout has been recorded, and only its file is wanted again."""
         return rollout in self._damaged
 
-    def _restore(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory) -> Work:
+    def _restore(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory, sha256: str) -> Work:
         """Put a damaged file back."""
         fact = self._damaged[rollout]
-        sha256 = hashlib.sha256(payload).hexdigest()
         if sha256 != fact.sha256:
             raise PerfboundError(
                 f"{self._directory / fact.path}: damaged, and simulated again it has the sha256 {sha256[:12]}..., not "
@@ -208,6 +219,7 @@ class Ledger:
             )
         self._files.write(self._directory / fact.path, payload)
         del self._damaged[rollout]
+        self._requests.pop(rollout, None)
         if rollout.test in self.accounts[rollout.problem].proposals:
             self._trajectories[rollout] = trajectory
         return Work() if self._damaged else self.outstanding()
@@ -228,6 +240,8 @@ class Ledger:
                     work.wanted += rollouts
                 case campaign.Withdraw(rollouts):
                     work.unwanted += rollouts
+                    for rollout in rollouts:
+                        self._requests.pop(rollout, None)
                 case campaign.Certify():
                     pass  # `done` says so
         return work

@@ -290,7 +290,7 @@ class Service:
         header, payload, trajectory = result
         assert trajectory is not None, "only a checked result is recorded"
         outcome = RESTORED if self._ledger.restores(attempt.rollout) else RECORDED
-        work = self._ledger.record(attempt.rollout, payload, trajectory)
+        work = self._ledger.record(attempt.rollout, payload, trajectory, header.sha256)  # checked before
         self._journal.attempt_ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
         if work.unwanted:
             self._dispatch(dispatch.Unwanted(time.monotonic(), tuple(work.unwanted)))

@@ -3,7 +3,7 @@
 import hashlib
 import os
 from collections.abc import Iterable, Set
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from orchestrator.campaign import RolloutId
@@ -25,12 +25,13 @@ def relative_path(rollout: RolloutId) -> str:
 class Batch:
     """Files that become durable together: written inside a `with` block, in place at its end, or not at all.
 
-    Waiting for the disk is what a record costs, so the files of a block wait side by side.
+    Waiting for the disk is what a record costs: a file begins to once it is written, while the next one is looked at.
     """
 
     def __init__(self) -> None:
         self._written: dict[Path, None] = {}
-        self._pool: ThreadPoolExecutor | None = None
+        self._syncing: list[Future[None]] = []
+        self._pool = ThreadPoolExecutor(SYNCING, thread_name_prefix="fsync")
 
     def write(self, path: Path, data: bytes) -> None:
         """Write a file beside its place; on an error nothing is left of it.
@@ -42,10 +43,10 @@ class Batch:
         _make_folder(path.parent)
         self._written[path] = None
         _temporary(path).write_bytes(data)
+        self._syncing.append(self._pool.submit(_sync, _temporary(path)))
 
     def __enter__(self) -> None:
         """Begin with nothing."""
-        self._written.clear()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Make everything durable and move it into place; after an error remove it.
@@ -55,25 +56,21 @@ class Batch:
 
         """
         try:
-            if kind is None and self._written:
+            if kind is None:
                 self._settle(list(self._written))
         finally:
+            wait(self._syncing)
             for path in self._written:
                 _temporary(path).unlink(missing_ok=True)
             self._written.clear()
+            self._syncing.clear()
 
     def _settle(self, paths: list[Path]) -> None:
-        self._sync([_temporary(path) for path in paths])
+        for each in self._syncing:
+            each.result()
         for path in paths:
             _temporary(path).replace(path)
-        self._sync(list(dict.fromkeys(path.parent for path in paths)))
-
-    def _sync(self, paths: list[Path]) -> None:
-        if len(paths) == 1:
-            _sync(paths[0])
-            return
-        self._pool = self._pool or ThreadPoolExecutor(SYNCING, thread_name_prefix="fsync")
-        list(self._pool.map(_sync, paths))
+        list(self._pool.map(_sync, {path.parent for path in paths}))
 
 
 def write(path: Path, data: bytes) -> None:

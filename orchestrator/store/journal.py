@@ -4,7 +4,9 @@ import hashlib
 import json
 import os
 import secrets
+import sqlite3
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,6 +26,10 @@ from schemas.certificate import StoppedBy
 from schemas.system import SystemSpec
 
 DATABASE = "campaign.db"
+_INSERTS = {table: table.insert() for table in tables.FACTS} | {
+    table: table.insert().prefix_with("OR IGNORE") for table in (tables.attempts, tables.outcomes)
+}
+"""In this order: what a foreign key names is written before."""
 RECORDED, RESTORED = "recorded", "restored"
 """Outcomes of attempts that brought a result: a new one, or once more the file of one whose file was damaged."""
 
@@ -128,6 +134,7 @@ class Journal:
         self._engine = engine
         self._connection = engine.connect()
         self._seq = self._last_seq()
+        self._pending: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
         self.session = self._open_session()
 
     @classmethod
@@ -159,6 +166,8 @@ class Journal:
             with engine.begin() as connection:
                 header = read_header(connection, directory)
         except sa.exc.DatabaseError as error:
+            if _of_the_disk(error):
+                raise
             raise JournalError(f"{directory / DATABASE}: not a campaign database ({error.orig})") from None
         return cls(engine, header)
 
@@ -167,10 +176,12 @@ class Journal:
         """Make all facts written inside durable together, or none of them."""
         before = self._seq
         try:
-            yield  # the first write begins the transaction: a turn of heartbeats touches no disk
+            yield
+            self._flush()  # the first write begins the transaction: a turn of heartbeats touches no disk
             self._connection.commit()
         except BaseException:
             self._seq = before
+            self._pending.clear()
             self._connection.rollback()
             raise
 
@@ -178,28 +189,31 @@ class Journal:
         """Write one fact; inside `transaction` only."""
         table, row = _row(fact)
         self._seq += 1
-        self._connection.execute(table.insert(), {"seq": self._seq, **row})
+        self._pending[table].append({"seq": self._seq, **row})
 
     def attempt_started(self, attempt: Attempt, worker: str, host: str, pid: int) -> None:
         """Write down a new attempt before it is assigned."""
         row = {"worker": worker, "host": host, "pid": pid, "session": self.session, "started": time.time()}
-        self._insert_or_ignore(tables.attempts, attempt, row)
+        self._pending[tables.attempts].append(_attempt(attempt) | row)
 
     def attempt_ended(self, attempt: Attempt, worker: str, outcome: str, cpu: float = 0.0, wall: float = 0.0) -> None:
         """Write down how an attempt ended: the first account of a failure, and a result even after that."""
         if outcome not in (RECORDED, RESTORED) and self._has_ended(attempt):
             return
         row = {"worker": worker, "ended": time.time(), "outcome": outcome, "cpu_seconds": cpu, "wall_seconds": wall}
-        self._insert_or_ignore(tables.outcomes, attempt, row)
+        self._pending[tables.outcomes].append(_attempt(attempt) | row)
+
+    def _flush(self) -> None:
+        """Write what waits, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
+        for table, insert in _INSERTS.items():
+            if rows := self._pending.pop(table, None):
+                self._connection.execute(insert, rows)
 
     def _has_ended(self, attempt: Attempt) -> bool:
+        self._flush()
         columns = tables.outcomes.c
         this = (columns.rollout == str(attempt.rollout)) & (columns.attempt == attempt.number)
         return self._connection.execute(sa.select(columns.attempt).where(this)).first() is not None
-
-    def _insert_or_ignore(self, table: sa.Table, attempt: Attempt, row: dict[str, Any]) -> None:
-        statement = table.insert().prefix_with("OR IGNORE")
-        self._connection.execute(statement, {"rollout": str(attempt.rollout), "attempt": attempt.number, **row})
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
@@ -367,8 +381,18 @@ def _row(fact: Fact) -> tuple[sa.Table, dict[str, Any]]:
     return table, row
 
 
+def _attempt(attempt: Attempt) -> dict[str, Any]:
+    return {"rollout": str(attempt.rollout), "attempt": attempt.number}
+
+
 def _fields(fact: Fact) -> dict[str, Any]:
     return {name: getattr(fact, name) for name in fact.__slots__}
+
+
+def _of_the_disk(error: sa.exc.DatabaseError) -> bool:
+    """Whether the disk is at fault (full, failing), and not the file."""
+    code = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF  # the primary code, without the detail
+    return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
 
 
 def _engine(path: Path) -> Engine:

@@ -4,11 +4,12 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
 
 import sqlalchemy as sa
-from sqlalchemy import Connection
+from sqlalchemy import Connection, Engine
 
 from orchestrator.errors import JournalError
 from orchestrator.store import tables
@@ -40,7 +41,7 @@ class CampaignProgress:
     failures: int
     sessions: int
     rate: float
-    """Rollouts per second over the last minute of work."""
+    """Rollouts per second over the last minute of work, or over its last thousand rollouts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,17 +67,22 @@ def reading(directory: Path) -> Iterator[Connection]:
 
     """
     path = existing(directory).resolve()
-    query = {"mode": "ro", "uri": "true"}
-    if not is_held(directory) and not path.with_name(f"{path.name}-wal").exists():
-        query["immutable"] = "1"  # nobody writes: without this a reader would leave -wal and -shm beside the database
-    engine = sa.create_engine(sa.URL.create("sqlite", database=f"file:{quote(str(path))}", query=query))
+    # Where nobody writes, a reader that did not say `immutable` would leave -wal and -shm beside the database.
+    still = not is_held(directory) and not path.with_name(f"{path.name}-wal").exists()
     try:
-        with engine.connect() as connection:
+        with _engine(path, immutable=still).connect() as connection:
+            connection.exec_driver_sql("BEGIN")  # the driver would begin before a write only
             yield connection
     except sa.exc.DatabaseError as error:
         raise JournalError(f"{directory / DATABASE}: cannot be read ({error.orig})") from None
-    finally:
-        engine.dispose()
+
+
+@lru_cache(maxsize=16)
+def _engine(path: Path, *, immutable: bool) -> Engine:
+    """Return what opens a database and closes it again; kept, because it keeps the queries that it has compiled."""
+    query = {"mode": "ro", "uri": "true"} | ({"immutable": "1"} if immutable else {})
+    url = sa.URL.create("sqlite", database=f"file:{quote(str(path))}", query=query)
+    return sa.create_engine(url, poolclass=sa.NullPool)
 
 
 def progress(directory: Path) -> CampaignProgress:
@@ -138,12 +144,10 @@ def _problem(connection: Connection, name: str) -> ProblemProgress:
 
 
 def _rate(connection: Connection) -> float:
-    ended = tables.outcomes.c.ended
-    recorded = tables.outcomes.c.outcome == RECORDED
-    newest = connection.execute(sa.select(sa.func.max(ended)).where(recorded)).scalar()
-    if newest is None:
-        return 0.0
-    first, count = connection.execute(
-        sa.select(sa.func.min(ended), sa.func.count()).where(recorded, ended > newest - 60)
-    ).one()
-    return (count - 1) / (newest - first) if newest > first else 0.0
+    outcomes = tables.outcomes.c
+    query = sa.select(outcomes.ended).where(outcomes.outcome == RECORDED).order_by(sa.text("rowid DESC")).limit(1000)
+    latest = query.cte()
+    ended, newest = latest.c.ended, sa.select(sa.func.max(latest.c.ended)).scalar_subquery()
+    minute = sa.select(sa.func.min(ended), sa.func.max(ended), sa.func.count()).where(ended > newest - 60)
+    first, last, count = connection.execute(minute).one()
+    return (count - 1) / (last - first) if count > 1 and last > first else 0.0

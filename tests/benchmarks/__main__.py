@@ -17,6 +17,8 @@ one_blas_thread()
 
 from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     campaign,
+    durability,
+    fleet,
     proposal,
     report,
     rigorous,
@@ -30,7 +32,7 @@ OUT = Path("build/bench.json")
 PEERS = Path(".venv-bench/bin/python")
 ASKED = {"proposal", "rigorous"}
 """Parts that need what `peers.py` measures."""
-PARTS = ("proposal", "rigorous", "scenario", "stl", "rollout", "campaign", "throughput")
+PARTS = ("proposal", "rigorous", "scenario", "stl", "rollout", "campaign", "fleet", "durability", "throughput")
 """In this order: wall times last."""
 
 
@@ -63,7 +65,9 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
         return {"proposal": proposal.main, "rigorous": rigorous.main}[part](peers.get("peers", {}))
     if part == "stl":
         return stl.main(stl.measured() if alone else child("stl"))
-    plain = {"scenario": scenario.main, "rollout": rollout.main}
+    if part == "durability":
+        return durability.main(None if alone else lambda: child("peers_storage"))
+    plain = {"scenario": scenario.main, "rollout": rollout.main, "fleet": fleet.main}
     return (plain | {"campaign": campaign.main, "throughput": throughput.main})[part]()
 
 

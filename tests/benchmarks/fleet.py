@@ -1,0 +1,166 @@
+"""What grows with rollouts, heartbeats and workers: time, memory, database, files.
+
+python -m tests.benchmarks.fleet ROLLOUTS FOLDER     one long campaign with ten times as many heartbeats, in FOLDER
+"""
+
+import json
+import resource
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from orchestrator.ledger import Ledger
+from orchestrator.store import queries
+from orchestrator.store.journal import DATABASE, Journal
+from schemas.campaign import CampaignConfig
+from tests.benchmarks import sessions
+from tests.benchmarks.puppets import Stage, scratch
+from tests.benchmarks.report import Row
+from tests.campaigns import table
+
+ROLLOUTS = 5000
+BEATS = 10
+"""Heartbeats per rollout."""
+PUPPETS = 64
+REPLICATES = 8
+WORKERS = (10, 100, 1000, 10_000)
+HEARTBEATS = 20_000
+PAGE = resource.getpagesize()
+
+
+def main() -> list[Row]:
+    """Return the rows of a short run; the long one is asked for by hand."""
+    with scratch() as folder:
+        rows = long(ROLLOUTS, Path(folder))
+    return [*rows, *(row for workers in WORKERS for row in crowd(workers)), *sessions.main()]
+
+
+def a_config(rollouts: int, window: int = 16) -> CampaignConfig:
+    """Return the test function as a scenario campaign, whose rollouts cost nothing and whose files have 2 kB."""
+    found = table("segway-scenario", horizon=0.3, specification="always (value >= -0.65)")
+    found["system"] = {"name": "test-function"}
+    problem = {"max_tests": rollouts // REPLICATES, "window": window, "replicates": REPLICATES, "alpha": 1e-9}
+    found["problems"][0] |= problem
+    return CampaignConfig.model_validate_json(json.dumps(found))
+
+
+# One long campaign
+
+
+@dataclass(frozen=True)
+class Mark:
+    """How things stood at a moment."""
+
+    rollouts: int
+    cpu: float
+    """Seconds so far, without the puppets'."""
+    memory: int
+    """Resident bytes."""
+
+
+def long(rollouts: int, folder: Path) -> list[Row]:
+    """Run a campaign of so many rollouts, then replay it."""
+    directory = folder / "run"
+    stage, marks = Stage(directory, a_config(rollouts), PUPPETS, beats=BEATS), list[Mark]()
+    stage.play(lambda: _mark(stage, marks))
+    stage.journal.close()
+    early, late = _between(marks, 0.1, 0.4), _between(marks, 0.7, 1.0)
+    name = f"{rollouts} rollouts, {rollouts * BEATS} heartbeats"
+    files = [path.stat() for path in directory.rglob("*.mcap")]
+    return [
+        Row(f"{name}: CPU per rollout, last third", late[0] * 1000, "ms", "first third", early[0] * 1000),
+        Row(f"{name}: memory per rollout, last third", late[1], "bytes"),
+        Row(f"{name}: memory at the end", marks[-1].memory / 1e6, "MB", "after a tenth", _at(marks, 0.1).memory / 1e6),
+        Row(f"{name}: database per rollout", (directory / DATABASE).stat().st_size / rollouts, "bytes"),
+        Row(f"{name}: file per rollout", sum(file.st_size for file in files) / len(files), "bytes"),
+        Row(f"{name}: blocks of that file", sum(file.st_blocks * 512 for file in files) / len(files), "bytes"),
+        Row(f"{name}: replay", replay(directory), "s", at_most=10.0),
+        Row(f"{name}: a look at the progress", look(directory) * 1000, "ms"),
+    ]
+
+
+def _mark(stage: Stage, marks: list[Mark]) -> bool:
+    cpu = time.process_time() - stage.puppets.own.cpu
+    memory = int(Path("/proc/self/statm").read_text().split()[1]) * PAGE
+    marks.append(Mark(stage.puppets.delivered, cpu, memory))
+    return False
+
+
+def _at(marks: list[Mark], share: float) -> Mark:
+    return next(mark for mark in marks if mark.rollouts >= share * marks[-1].rollouts)
+
+
+def _between(marks: list[Mark], start: float, end: float) -> tuple[float, float]:
+    """Return CPU seconds and bytes per rollout between two shares of the campaign."""
+    first, last = _at(marks, start), _at(marks, end)
+    count = last.rollouts - first.rollouts
+    return (last.cpu - first.cpu) / count, (last.memory - first.memory) / count
+
+
+def replay(directory: Path) -> float:
+    """Return the CPU seconds from opening the database to the state at its end."""
+    start = time.process_time()
+    journal = Journal.open(directory)
+    Ledger(directory, journal).replay()
+    journal.close()
+    return time.process_time() - start
+
+
+def look(directory: Path) -> float:
+    """Return the CPU seconds of one look of a reader."""
+    queries.progress(directory)
+    start = time.process_time()
+    queries.progress(directory)
+    return time.process_time() - start
+
+
+# Many workers
+
+
+def crowd(workers: int) -> list[Row]:
+    """Measure heartbeats of idle and of busy workers, and rollouts, with so many workers."""
+    with scratch() as folder:
+        idle = _beating(Path(folder) / "idle", workers, busy=False)
+        busy = _beating(Path(folder) / "busy", workers, busy=True)
+        rollouts = _rolling(Path(folder) / "rolling", workers)
+    name = f"{workers} workers"
+    return [
+        Row(f"{name}: a heartbeat, all idle", idle * 1e6, "us"),
+        Row(f"{name}: a heartbeat, all busy", busy * 1e6, "us"),
+        Row(f"{name}: a rollout, without heartbeats", rollouts * 1000, "ms"),
+        Row(f"{name}: share of a core for two heartbeats a second", 200 * workers * busy, "%"),
+    ]
+
+
+def _beating(directory: Path, workers: int, *, busy: bool) -> float:
+    """Return CPU seconds a heartbeat."""
+    window = max(1, 2 * workers // REPLICATES) if busy else 1
+    stage = Stage(directory, a_config(10**6, window), workers)
+    puppets = stage.puppets
+    puppets.holding = True
+    spent: list[tuple[float, int]] = []
+
+    def beat() -> bool:
+        spent.append((time.process_time() - puppets.own.cpu, puppets.beaten))
+        puppets.beat_all(max(1, 2000 // workers))
+        return puppets.beaten >= 4 * max(HEARTBEATS, workers)
+
+    stage.play(beat)
+    stage.journal.close()
+    first, last = spent[len(spent) // 2], spent[-1]  # by then all that can be busy are
+    return (last[0] - first[0]) / (last[1] - first[1])
+
+
+def _rolling(directory: Path, workers: int) -> float:
+    rollouts = max(2000, workers)
+    stage = Stage(directory, a_config(rollouts, max(1, 2 * workers // REPLICATES)), workers)
+    stage.play()
+    stage.journal.close()
+    return stage.per_rollout()[1]
+
+
+if __name__ == "__main__":
+    from tests.benchmarks import report
+
+    sys.stdout.write(report.table(long(int(sys.argv[1]), Path(sys.argv[2]))))
