@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 from orchestrator import objectives
 from orchestrator.bounds.risk import linearised
@@ -45,6 +46,7 @@ class Observer:
         self._formula: Formula | None = None
         if config.specification is not None:
             self._formula = parse(config.specification, self._columns)
+        self._known: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
         self._objectives: dict[str, Callable[[Problem, Trajectories], Observation]] = {
             "nominal_robustness": self._nominal_robustness,
             "sim_gap": self._sim_gap,
@@ -61,7 +63,12 @@ class Observer:
         """
         if self._formula is None or self._config.clip is None:
             return None
-        return objectives.clipped_robustness(self._formula, trajectory.columns, trajectory.samples, self._config.clip)
+        found = self._known.get(trajectory)  # asked for when it is recorded, and when its test is observed
+        if found is None:
+            formula, clip = self._formula, self._config.clip
+            found = objectives.clipped_robustness(formula, trajectory.columns, trajectory.samples, clip)
+            self._known[trajectory] = found
+        return found
 
     def observe(self, problem: Problem, trajectories: Trajectories) -> Observation:
         """Return the observation of a test, in the unit of the objective; J = -rho for a minimum.

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk, McapRecord, Metadata
+from mcap.records import Attachment, Chunk, DataEnd, McapRecord, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from numpy.typing import NDArray
@@ -218,8 +218,8 @@ def _check_checksums(data: bytes) -> None:
 def _evidence(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     """Return the metadata record and both attachments; they stand before the first chunk, the rest is for eyes only."""
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True, record_size_limit=len(data))
-    before_chunks = itertools.takewhile(lambda record: not isinstance(record, Chunk), reader.records)
-    records: list[McapRecord] = list(itertools.islice(before_chunks, MAX_RECORDS + 1))
+    first = itertools.takewhile(lambda record: not isinstance(record, Chunk | DataEnd), reader.records)
+    records: list[McapRecord] = list(itertools.islice(first, MAX_RECORDS + 1))
     if len(records) > MAX_RECORDS:
         raise TrajectoryError(f"more than {MAX_RECORDS} records")
     metadata = [record.metadata for record in records if isinstance(record, Metadata)]
