@@ -358,9 +358,9 @@ def test_a_lie_is_a_failed_attempt_and_the_rollout_is_tried_again(
     wrap: Wrap = lambda uplink: Altered(uplink, result=liar)  # noqa: E731
     config = SMALL
     assert campaign(tmp_path / "run", config, workers=0, wraps=[wrap], log=log) == calm(config)
-    # On a busy machine the hurried clocks may also lose the worker for a moment: that is another story.
+    # On a busy machine the hurried clocks may lose the worker for a moment, and a parcel may come twice.
     failed = [outcome for outcome in outcomes(tmp_path / "run") if reason in outcome]
-    told = [line for line in log.lines if reason in line]
+    told = {line for line in log.lines if reason in line}
     assert len(failed) == len(liar.lied_about) == len(told) == 2
     assert all("\n" not in line and len(line) < 500 for line in log.lines)
     check_evidence(tmp_path / "run", 8)
