@@ -276,9 +276,9 @@ def test_workers_that_outlive_the_orchestrator(started: Processes, directory: Pa
     assert early.running
     assert late.running
     late.popen.send_signal(signal.SIGINT)
-    assert late.wait(3).code == 130
+    assert late.wait(20).code == 130
     early.popen.terminate()
-    assert early.wait(3).code == -signal.SIGTERM
+    assert early.wait(20).code == -signal.SIGTERM
 
 
 @pytest.fixture
