@@ -161,7 +161,7 @@ class Ledger:
         """
         sha256 = sha256 or hashlib.sha256(payload).hexdigest()
         if rollout in self._damaged:
-            return self._restore(rollout, payload, trajectory, sha256)
+            return self._restore(rollout, payload, sha256)
         try:
             robustness = self._observer.robustness(trajectory)
         except ValueError as error:
@@ -209,7 +209,7 @@ class Ledger:
         """Whether this rollout has been recorded, and only its file is wanted again."""
         return rollout in self._damaged
 
-    def _restore(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory, sha256: str) -> Work:
+    def _restore(self, rollout: RolloutId, payload: bytes, sha256: str) -> Work:
         """Put a damaged file back."""
         fact = self._damaged[rollout]
         if sha256 != fact.sha256:
@@ -220,8 +220,6 @@ class Ledger:
         self._files.write(self._directory / fact.path, payload)
         del self._damaged[rollout]
         self._requests.pop(rollout, None)
-        if rollout.test in self.accounts[rollout.problem].proposals:
-            self._trajectories[rollout] = trajectory
         return Work() if self._damaged else self.outstanding()
 
     def _proposal(self, rollout: RolloutId) -> ProposalFact:

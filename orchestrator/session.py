@@ -188,7 +188,7 @@ def _check_vacant(directory: Path, config: CampaignConfig) -> None:
         found = stored_differently(directory, config)
         if found:
             raise PerfboundError(
-                f"{directory}: another campaign is here than the file says: {found}, respectively. A campaign is never "
+                f"{directory}: another campaign is here than the file says: {found}. A campaign is never "
                 "changed on the way; choose another --out"
             )
         raise PerfboundError(
@@ -208,7 +208,7 @@ def stored_differently(directory: Path, config: CampaignConfig) -> str:
         return ""
     found = differences(stored, config)
     more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
-    return f"{'; '.join(found[:3])}{more}"
+    return f"{'; '.join(found[:3])}{more}, respectively" if found else ""
 
 
 def _unfinished(directory: Path) -> list[Path]:

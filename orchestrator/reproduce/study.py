@@ -115,7 +115,7 @@ def check_stored(campaigns: Iterable[Planned]) -> None:
             found = session.stored_differently(each.directory, each.config)
             if found:
                 raise PerfboundError(
-                    f"{each.directory}: was run with another {each.source}: {found}, respectively; restore that file, "
+                    f"{each.directory}: was run with another {each.source}: {found}; restore that file, "
                     "or choose another --out"
                 )
 
