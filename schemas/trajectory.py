@@ -217,7 +217,8 @@ def _check_checksums(data: bytes) -> None:
 
 def _evidence(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     """Return the metadata record and both attachments; they stand before the first chunk, the rest is for eyes only."""
-    reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True, record_size_limit=len(data))
+    # Not `validate_crcs`: every byte has been checked, and this reader would add up its checksum read by read.
+    reader = StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=len(data))
     first = itertools.takewhile(lambda record: not isinstance(record, Chunk | DataEnd), reader.records)
     records: list[McapRecord] = list(itertools.islice(first, MAX_RECORDS + 1))
     if len(records) > MAX_RECORDS:

@@ -1,11 +1,13 @@
 """Read-only views of a campaign database; they can never hurt the orchestrator that writes it."""
 
 import json
-from collections.abc import Iterator
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import sqlalchemy as sa
@@ -15,6 +17,43 @@ from orchestrator.errors import JournalError
 from orchestrator.store import tables
 from orchestrator.store.journal import DATABASE, RECORDED, RESTORED, Header, existing, read_header
 from orchestrator.store.lock import is_held
+
+RECENT = 1000
+MINUTE = 60.0
+"""The rate is that of the last minute of work, or of its last `RECENT` rollouts."""
+
+_SINCE: sa.BindParameter[int] = sa.bindparam("since")
+_tests, _rollouts, _bounds, _outcomes = tables.tests.c, tables.rollouts.c, tables.bounds.c, tables.outcomes.c
+_ROWID = sa.literal_column("outcomes.rowid", sa.Integer)
+_NEW_ROLLOUTS = (
+    sa.select(_rollouts.problem, sa.func.count().label("number"), sa.func.max(_rollouts.seq).label("seq"))
+    .where(_rollouts.seq > _SINCE)
+    .group_by(_rollouts.problem)
+)
+_NEWEST = sa.select(sa.func.max(_bounds.seq)).where(_bounds.seq > _SINCE).group_by(_bounds.problem).scalar_subquery()
+_NEWEST_BOUNDS = (
+    sa.select(tables.bounds, _tests.F)
+    .join_from(tables.bounds, tables.tests, (_bounds.problem == _tests.problem) & (_bounds.test == _tests.test))
+    .where(_bounds.seq.in_(_NEWEST))
+)
+_NEW_OUTCOMES = (
+    sa.select(
+        _outcomes.worker,
+        _outcomes.outcome,
+        sa.func.count().label("number"),
+        sa.func.max(_outcomes.ended).label("ended"),
+        sa.func.max(_ROWID).label("rowid"),
+    )
+    .where(_ROWID > _SINCE)
+    .group_by(_outcomes.worker, _outcomes.outcome)
+)
+_RECENT = (
+    sa.select(_outcomes.ended)
+    .where(_ROWID > _SINCE, _outcomes.outcome == RECORDED)
+    .order_by(_ROWID.desc())
+    .limit(RECENT)
+)
+_SESSIONS = sa.select(sa.func.count()).select_from(tables.sessions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,24 +124,76 @@ def _engine(path: Path, *, immutable: bool) -> Engine:
     return sa.create_engine(url, poolclass=sa.NullPool)
 
 
+class Watch:
+    """A campaign that somebody looks at again and again: a look reads what was added since the last one.
+
+    Nothing stays open between two looks: a connection that did would leave -wal and -shm beside a finished database.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._header: Header | None = None
+        self._seq = self._ended = 0
+        self._rollouts: Counter[str] = Counter()
+        self._last: dict[str, Any] = {}
+        self._workers: dict[str, tuple[int, float]] = {}
+        self._failures = 0
+        self._recent: deque[float] = deque(maxlen=RECENT)
+
+    def look(self) -> CampaignProgress:
+        """Return how far the campaign is now.
+
+        Raises:
+            JournalError: there is no campaign in the directory, or it cannot be read.
+
+        """
+        with reading(self._directory) as connection:
+            if self._header is None:  # it never changes: the tables are insert-only
+                self._header = read_header(connection, self._directory)
+            self._count_facts(connection)
+            self._count_outcomes(connection)
+            sessions = connection.execute(_SESSIONS).scalar_one()
+        problems = tuple(self._problem(problem.name) for problem in self._header.config.problems)
+        workers = tuple((name, *found) for name, found in sorted(self._workers.items()))
+        return CampaignProgress(self._header, problems, workers, self._failures, sessions, _rate(self._recent))
+
+    def _count_facts(self, connection: Connection) -> None:
+        since = {"since": self._seq}
+        for row in connection.execute(_NEW_ROLLOUTS, since):
+            self._rollouts[row.problem] += row.number
+            self._seq = max(self._seq, row.seq)
+        for row in connection.execute(_NEWEST_BOUNDS, since):
+            self._last[row.problem] = row
+            self._seq = max(self._seq, row.seq)
+
+    def _count_outcomes(self, connection: Connection) -> None:
+        since = {"since": self._ended}
+        self._recent.extend(reversed(connection.execute(_RECENT, since).scalars().all()))
+        for row in connection.execute(_NEW_OUTCOMES, since):
+            self._ended = max(self._ended, row.rowid)
+            if row.outcome == RECORDED:
+                count, last = self._workers.get(row.worker, (0, 0.0))
+                self._workers[row.worker] = (count + row.number, max(last, row.ended))
+            elif row.outcome != RESTORED:
+                self._failures += row.number
+
+    def _problem(self, name: str) -> ProblemProgress:
+        last = self._last.get(name)
+        if last is None:
+            return ProblemProgress(name, 0, self._rollouts[name], None, None, None, None)
+        return ProblemProgress(
+            name, last.test + 1, self._rollouts[name], last.F, last.upper, last.lower, last.stopped_by
+        )
+
+
 def progress(directory: Path) -> CampaignProgress:
-    """Return how far the campaign in `directory` is."""
-    with reading(directory) as connection:
-        header = read_header(connection, directory)
-        problems = tuple(_problem(connection, problem.name) for problem in header.config.problems)
-        outcomes = tables.outcomes.c
-        recorded = outcomes.outcome == RECORDED
-        count, last = sa.func.count(), sa.func.max(outcomes.ended)
-        workers = connection.execute(
-            sa.select(outcomes.worker, count, last).where(recorded).group_by(outcomes.worker).order_by(outcomes.worker)
-        ).all()
-        failures = connection.execute(
-            sa.select(count).select_from(tables.outcomes).where(outcomes.outcome.not_in((RECORDED, RESTORED)))
-        ).scalar_one()
-        sessions = connection.execute(sa.select(count).select_from(tables.sessions)).scalar_one()
-        rate = _rate(connection)
-    rows = tuple((str(row[0]), int(row[1]), float(row[2])) for row in workers)
-    return CampaignProgress(header, problems, rows, failures, sessions, rate)
+    """Return how far the campaign in `directory` is.
+
+    Raises:
+        JournalError: there is none, or it cannot be read.
+
+    """
+    return Watch(directory).look()
 
 
 def history(directory: Path) -> dict[str, tuple[ObservedTest, ...]]:
@@ -126,28 +217,8 @@ def _observed(connection: Connection, name: str) -> tuple[ObservedTest, ...]:
     return tuple(ObservedTest(row.test, tuple(json.loads(row.x)), *row[2:]) for row in rows)
 
 
-def _problem(connection: Connection, name: str) -> ProblemProgress:
-    tests, rollouts, bounds = tables.tests, tables.rollouts, tables.bounds
-    joined = bounds.join(tests, (bounds.c.problem == tests.c.problem) & (bounds.c.test == tests.c.test))
-    last = connection.execute(
-        sa.select(tests.c.F, bounds.c.upper, bounds.c.lower, bounds.c.stopped_by, bounds.c.test)
-        .select_from(joined)
-        .where(bounds.c.problem == name)
-        .order_by(bounds.c.test.desc())
-        .limit(1)
-    ).first()
-    count = sa.select(sa.func.count()).select_from(rollouts).where(rollouts.c.problem == name)
-    recorded = connection.execute(count).scalar_one()
-    if last is None:
-        return ProblemProgress(name, 0, recorded, None, None, None, None)
-    return ProblemProgress(name, last.test + 1, recorded, last.F, last.upper, last.lower, last.stopped_by)
-
-
-def _rate(connection: Connection) -> float:
-    outcomes = tables.outcomes.c
-    query = sa.select(outcomes.ended).where(outcomes.outcome == RECORDED).order_by(sa.text("rowid DESC")).limit(1000)
-    latest = query.cte()
-    ended, newest = latest.c.ended, sa.select(sa.func.max(latest.c.ended)).scalar_subquery()
-    minute = sa.select(sa.func.min(ended), sa.func.max(ended), sa.func.count()).where(ended > newest - 60)
-    first, last, count = connection.execute(minute).one()
-    return (count - 1) / (last - first) if count > 1 and last > first else 0.0
+def _rate(ended: Sequence[float]) -> float:
+    """Return rollouts per second over the last minute before the newest of these Unix times."""
+    newest = max(ended, default=0.0)
+    minute = [time for time in ended if time > newest - MINUTE]
+    return (len(minute) - 1) / (newest - min(minute)) if len(minute) > 1 and newest > min(minute) else 0.0

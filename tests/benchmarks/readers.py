@@ -104,11 +104,12 @@ def _processes(directory: Path, looks: list[float]) -> Iterator[None]:
 
 def beside(kind: str, directory: Path) -> float:
     """Look, or burn as much CPU time, whenever the file named `kind` is there; return what a look took."""
-    looks = [_look(directory) for _ in range(WARM)]
+    watch = queries.Watch(directory)
+    looks = [_look(watch) for _ in range(WARM)]
     while not (directory / OVER).exists():
         if (directory / kind).exists():
             if kind == "reading":
-                looks.append(_look(directory))
+                looks.append(_look(watch))
             else:
                 _burn(statistics.median(looks))
         time.sleep(PAUSE)
@@ -124,9 +125,9 @@ def _forked(directory: Path) -> None:
         print(json.dumps(found.get()))  # noqa: T201
 
 
-def _look(directory: Path) -> float:
+def _look(watch: queries.Watch) -> float:
     start = time.process_time()
-    queries.progress(directory)
+    watch.look()
     return time.process_time() - start
 
 

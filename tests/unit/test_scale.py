@@ -91,10 +91,12 @@ def test_a_turn_is_one_statement_a_table(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_disk")
 def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> None:
     """A reader holds the database open in the middle of its look while the writer goes on to the end."""
-    stage, seen = Stage(tmp_path, a_config(256), 8), list[int]()
+    stage, seen, watch = Stage(tmp_path, a_config(256), 8), list[int](), queries.Watch(tmp_path)
 
     def look() -> bool:
-        seen.append(sum(problem.rollouts for problem in queries.progress(tmp_path).problems))
+        found = watch.look()
+        assert found == queries.progress(tmp_path), "what was added up is what is there"
+        seen.append(sum(problem.rollouts for problem in found.problems))
         return False
 
     with queries.reading(tmp_path) as held:
