@@ -1,0 +1,24 @@
+"""The command group, and what commands share; each module beside this one adds its commands to the group."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from schemas import __version__
+
+RUN_DIRECTORY = click.Path(path_type=Path, file_okay=False)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, prog_name="perfbound")
+def cli() -> None:
+    """Test campaigns for safety-critical systems that end with a certificate."""
+
+
+def data() -> Any:
+    """Return a console for what a command was asked for, on stdout."""
+    from rich.console import Console  # noqa: PLC0415
+
+    return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 100)

@@ -1,0 +1,1 @@
+"""Commands that draw: the report of a campaign, and its live page."""

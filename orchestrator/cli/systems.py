@@ -1,0 +1,34 @@
+"""Commands about systems under test, without a campaign."""
+
+from pathlib import Path
+
+import click
+
+from orchestrator.cli.group import cli
+
+
+@cli.command()
+@click.argument("system")
+@click.option("--x", "start", required=True, help="Starting condition, one number per parameter: 5,0")
+@click.option("--variant", type=click.Choice(["nominal", "true"]), default="nominal", show_default=True)
+@click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=0, show_default=True)
+@click.option("--horizon", type=click.FloatRange(0, 86_400), default=15.0, show_default=True, help="Seconds.")
+@click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the system; may be repeated.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="MCAP file to write.")
+def simulate(
+    *, system: str, start: str, variant: str, seed: int, horizon: float, options: tuple[str, ...], out: Path
+) -> None:
+    """Run one rollout of SYSTEM without workers, and write its trajectory."""
+    from orchestrator import single  # noqa: PLC0415
+
+    for line in single.simulate(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
+        click.echo(line)
+
+
+@cli.command()
+def systems() -> None:
+    """List the installed systems with their parameters, columns and options."""
+    from orchestrator import single  # noqa: PLC0415
+
+    for line in single.describe():
+        click.echo(line)
