@@ -9,6 +9,10 @@ class EvidenceError(PerfboundError):
     """A trajectory file is missing, or is not the one that was recorded."""
 
 
+class RequestError(EvidenceError):
+    """A trajectory was simulated for another request than the one that it answers."""
+
+
 class JournalError(PerfboundError):
     """The campaign database cannot be used as it is."""
 

@@ -15,7 +15,7 @@ from typing import Literal
 
 from orchestrator import campaign, forecast
 from orchestrator.campaign import RolloutId
-from orchestrator.errors import IllegalEvent, JournalError, PerfboundError
+from orchestrator.errors import EvidenceError, IllegalEvent, JournalError, PerfboundError, RequestError
 from orchestrator.methods import budget, noise_per_test
 from orchestrator.observation import Observation, Observer, shared
 from orchestrator.proposer import Proposer
@@ -24,17 +24,17 @@ from orchestrator.store import evidence
 from orchestrator.store.journal import (
     BoundFact,
     Fact,
-    Journal,
     ObservationFact,
     ProposalFact,
     RolloutFact,
     first_link,
     next_link,
 )
+from orchestrator.store.ports import Book, Shelf
 from schemas.campaign import ROLLED_OUT, CampaignConfig, Problem, RigorousProblem
 from schemas.rollout import RolloutRequest
 from schemas.system import SystemSpec
-from schemas.trajectory import Trajectory, decode
+from schemas.trajectory import Trajectory, TrajectoryError, decode, read
 
 ROUND_OFF = 1e-9
 """A bound recomputed on another CPU may differ by less."""
@@ -70,7 +70,9 @@ class Account:
 class Ledger:
     """The campaign of one run directory."""
 
-    def __init__(self, directory: Path, journal: Journal) -> None:
+    def __init__(
+        self, directory: Path, journal: Book, *, files: Shelf | None = None, proposer: Proposer | None = None
+    ) -> None:
         header = journal.header
         self.header = header
         self.config: CampaignConfig = header.config
@@ -82,10 +84,10 @@ class Ledger:
         self._directory = directory
         self._journal = journal
         self._observer = Observer(self.config, header.spec)
-        self.proposer = Proposer(self.config, header.spec)
+        self.proposer = proposer or Proposer(self.config, header.spec)
         self._options = {option.name: option.default for option in header.spec.options} | self.config.system.options
         self._config_sha256, self._spec_sha256 = header.config_sha256, header.spec.digest
-        self._files = evidence.Batch()
+        self._files: Shelf = files or evidence.Batch()
         self._damaged: dict[RolloutId, RolloutFact] = {}
         self._closed: dict[tuple[str, int], ProposalFact] = {}
         self._trajectories: dict[RolloutId, Trajectory] = {}
@@ -179,6 +181,27 @@ class Ledger:
         )
         del self._requests[rollout]
         return self._advance(self._write(fact))
+
+    def trajectory(self, rollout: RolloutId, payload: bytes) -> Trajectory:
+        """Return the trajectory in the file of an open rollout.
+
+        Raises:
+            RequestError: it is of another request.
+            EvidenceError: it is no trajectory, or has other columns.
+
+        """
+        try:
+            file = read(payload)
+        except TrajectoryError as fault:
+            raise EvidenceError(f"the result is not a trajectory: {fault}") from None
+        wanted = self.request(rollout).model_dump(mode="json")
+        if file.request != wanted:
+            differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
+            names = ", ".join(differing)[:200]
+            raise RequestError(f"the trajectory was simulated for another request (other {names})")
+        if file.trajectory.columns != tuple(column.name for column in self.header.spec.columns):
+            raise EvidenceError(f"the trajectory has the columns {', '.join(file.trajectory.columns)[:200]}")
+        return file.trajectory
 
     def request(self, rollout: RolloutId) -> RolloutRequest:
         """Return everything that a worker needs to know of an open rollout."""

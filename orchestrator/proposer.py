@@ -27,8 +27,12 @@ class Proposer:
             ValueError: the method cannot go on (singular kernel matrix, every candidate known).
 
         """
-        chosen = self.methods[problem].propose(self._first(problem) if test == 0 else None, pending)
-        return ProposalFact(problem, test, chosen.index, chosen.x, chosen.mu, chosen.sigma, chosen.beta, chosen.F)
+        return _fact(problem, test, self.methods[problem].propose(self._first(problem) if test == 0 else None, pending))
+
+    def instead(self, problem: str, test: int, pending: Sequence[int], x: Sequence[float]) -> ProposalFact | None:
+        """Return the proposal of `x` (p,) if another CPU, which rounds otherwise, could have chosen it."""
+        rival = None if test == 0 else self.methods[problem].rival(x, pending)
+        return None if rival is None else _fact(problem, test, rival)
 
     def observe(self, fact: ProposalFact, observation: Observation, *, last: bool) -> BoundFact:
         """Add an observation and return the bound that follows; `last` says that the budget ends here.
@@ -44,3 +48,7 @@ class Proposer:
 
     def _first(self, problem: str) -> int:
         return first_node(self._config, problem, self.methods[problem].size)
+
+
+def _fact(problem: str, test: int, chosen: Proposal) -> ProposalFact:
+    return ProposalFact(problem, test, chosen.index, chosen.x, chosen.mu, chosen.sigma, chosen.beta, chosen.F)

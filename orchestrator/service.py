@@ -16,14 +16,14 @@ from typing import Protocol
 from orchestrator import dispatch
 from orchestrator.campaign import RolloutId
 from orchestrator.dispatch import Attempt
-from orchestrator.errors import PerfboundError, Stopped
+from orchestrator.errors import EvidenceError, PerfboundError, Stopped
 from orchestrator.fleet import Fleet
 from orchestrator.ledger import Ledger, Work
 from orchestrator.store.journal import RECORDED, RESTORED, Journal
 from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from schemas import __version__
 from schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
-from schemas.trajectory import Trajectory, TrajectoryError, read
+from schemas.trajectory import Trajectory
 
 TICK = 0.25
 """Seconds between two looks at the clock."""
@@ -40,6 +40,17 @@ class Interrupted:
     signal: int
 
 
+@dataclass(slots=True)
+class Known:
+    """A worker process as the protocol shows it."""
+
+    alive: bool = False
+    state: WorkerState | None = None
+    refused: bool = False
+    heard: float = 0.0
+    """Of its last heartbeat, by the monotonic clock."""
+
+
 @dataclass(frozen=True, slots=True)
 class Seen:
     """What the view is shown of the moment."""
@@ -47,6 +58,8 @@ class Seen:
     ledger: Ledger
     workers: Mapping[str, str]
     """Name and phase of every worker."""
+    known: Mapping[str, Known]
+    """What workers said last, by name; it changes under the reader."""
     recorded: int
     """Rollouts since this orchestrator started."""
     waiting: int
@@ -63,15 +76,6 @@ class View(Protocol):
     def show(self, seen: Seen) -> None:
         """Show how far the campaign is; called every tick."""
         ...
-
-
-@dataclass(slots=True)
-class _Known:
-    """A worker process as the protocol shows it."""
-
-    alive: bool = False
-    state: WorkerState | None = None
-    refused: bool = False
 
 
 class Service:
@@ -94,7 +98,7 @@ class Service:
         self._transport = transport
         self._fleet = fleet
         self._view = view
-        self._known: dict[str, _Known] = {}
+        self._known: dict[str, Known] = {}
         self._outgoing: list[tuple[str, Request]] = []
         self._drain = drain
         self._draining: int | None = None
@@ -102,7 +106,6 @@ class Service:
         self._poisoned: tuple[RolloutId, tuple[str, ...]] | None = None
         self._started = time.monotonic()
         self._next_tick = self._started
-        self._columns = tuple(column.name for column in ledger.header.spec.columns)
         self._spec_sha256 = ledger.header.spec.digest
         config = ledger.config
         limits = dispatch.Limits(
@@ -177,7 +180,7 @@ class Service:
         self._view.say(f"draining: {count} rollouts are under way; a second signal stops at once")
 
     def _token(self, message: Token) -> None:
-        known = self._known.setdefault(message.worker, _Known())
+        known = self._known.setdefault(message.worker, Known())
         known.alive = message.alive
         if known.state is not None and not known.refused:
             event = dispatch.WorkerUp if message.alive else dispatch.WorkerDown
@@ -197,6 +200,7 @@ class Service:
                 return
             known.state = message.state
             self._dispatch(dispatch.WorkerUp(message.at, message.worker))
+        known.heard = message.at
         state = known.state = message.state
         busy = None
         if state.rollout is not None and state.attempt is not None:
@@ -241,16 +245,9 @@ class Service:
         if hashlib.sha256(payload).hexdigest() != header.sha256:
             return None, "the result does not have the sha256 that its header names"
         try:
-            file = read(payload)
-        except TrajectoryError as fault:
-            return None, f"the result is not a trajectory: {fault}"
-        wanted = self._ledger.request(rollout).model_dump(mode="json")
-        if file.request != wanted:
-            differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
-            return None, f"the trajectory was simulated for another request (other {', '.join(differing)[:200]})"
-        if file.trajectory.columns != self._columns:
-            return None, f"the trajectory has the columns {', '.join(file.trajectory.columns)[:200]}"
-        return file.trajectory, None
+            return self._ledger.trajectory(rollout, payload), None
+        except EvidenceError as fault:
+            return None, str(fault)
 
     def _tick(self, now: float) -> None:
         # `now` is not later than the last look into the inbox: what waits there since is no silence of a worker.
@@ -334,4 +331,4 @@ class Service:
     def _seen(self) -> Seen:
         workers = {name: worker.phase for name, worker in self._state.workers.items()}
         seconds = time.monotonic() - self._started
-        return Seen(self._ledger, workers, self._state.recorded, len(self._state.waiting), seconds)
+        return Seen(self._ledger, workers, self._known, self._state.recorded, len(self._state.waiting), seconds)

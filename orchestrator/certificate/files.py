@@ -7,6 +7,8 @@ from orchestrator.store import evidence
 from schemas.certificate import Certificate
 
 CERTIFICATE = "certificate.json"
+ENVELOPE = "certificate.dsse.json"
+"""The certificate with its signatures."""
 MANIFEST = "manifest.sha256"
 """`sha256sum --check manifest.sha256` in the run directory checks every trajectory file."""
 

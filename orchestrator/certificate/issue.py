@@ -37,7 +37,7 @@ def issue(
     claimed = claims(header, results, methods, found)
     manifest_sha256 = hashlib.sha256(evidence.manifest.encode()).hexdigest()
     predicate = document.Predicate(
-        question=_question(header),
+        question=question(header),
         campaign=document.CampaignId(name=config.name, seed=config.seed, config_sha256=header.config_sha256),
         claims=claimed.claims,
         problems=tuple(results.values()),
@@ -54,7 +54,7 @@ def issue(
     return document.Certificate(subject=(subject,), predicate=predicate)
 
 
-def _question(header: Header) -> dict[str, object]:
+def question(header: Header) -> dict[str, object]:
     """Return what the claims are about, so that a reader needs no other file."""
     return header.config.model_dump(
         mode="json",

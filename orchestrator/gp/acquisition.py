@@ -1,6 +1,6 @@
 """Choosing the next point: the maximiser of an acquisition function on the lattice, and near it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.optimize import minimize
@@ -9,6 +9,9 @@ from orchestrator.gp.kernels import Floats
 
 TIE = 1e-12
 """Values this close to the maximum count as equal, so that round-off never decides a proposal."""
+
+RIVAL = 1e-9
+"""How far below the maximum a value may be that was the maximum on another CPU."""
 
 
 def maximiser(values: Floats) -> int:
@@ -27,6 +30,18 @@ def maximiser(values: Floats) -> int:
     if np.isnan(top):
         raise ValueError("the acquisition function is NaN at a node")
     return int(np.argmax(values >= top - TIE))
+
+
+def rivals(values: Floats, nodes: Floats, x: Sequence[float]) -> int | None:
+    """Return the node at `x` (p,) if another CPU could have taken it for the maximiser: within `RIVAL` of the maximum.
+
+    >>> rivals(np.array([0.5, 1.0, 1.0 - 1e-10]), np.array([[0.0], [1.0], [2.0]]), (2.0,))
+    2
+    """
+    found = np.flatnonzero((nodes == np.asarray(x)).all(axis=1)) if len(x) == nodes.shape[1] else np.zeros(0, int)
+    if len(found) == 0 or not values[found[0]] >= values.max() - RIVAL:
+        return None
+    return int(found[0])
 
 
 def refined(value: Callable[[Floats], tuple[float, Floats]], start: Floats, low: Floats, high: Floats) -> Floats:

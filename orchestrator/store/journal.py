@@ -7,7 +7,7 @@ import secrets
 import sqlite3
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -323,17 +323,7 @@ def read_header(connection: Connection, directory: Path) -> Header:
 
 def read_facts(connection: Connection) -> Iterator[Fact]:
     """Yield all facts after the header in the order in which they were written."""
-    rows: list[tuple[int, Fact]] = []
-    rows += [(row.seq, _proposal(row)) for row in connection.execute(sa.select(tables.tests))]
-    rows += [(row.seq, _rollout(row)) for row in connection.execute(sa.select(tables.rollouts))]
-    rows += [
-        (row.seq, ObservationFact(row.problem, row.test, row.y, tuple(json.loads(row.each)), row.chain))
-        for row in connection.execute(sa.select(tables.observations))
-    ]
-    rows += [
-        (row.seq, BoundFact(row.problem, row.test, row.upper, row.lower, row.stopped_by))
-        for row in connection.execute(sa.select(tables.bounds))
-    ]
+    rows = [(row.seq, make(row)) for table, make in READERS.items() for row in connection.execute(sa.select(table))]
     rows.sort(key=lambda pair: pair[0])
     for _, fact in rows:
         yield fact
@@ -347,6 +337,23 @@ def _proposal(row: Any) -> ProposalFact:
 def _rollout(row: Any) -> RolloutFact:
     rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
     return RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)
+
+
+def _observation(row: Any) -> ObservationFact:
+    return ObservationFact(row.problem, row.test, row.y, tuple(json.loads(row.each)), row.chain)
+
+
+def _bound(row: Any) -> BoundFact:
+    return BoundFact(row.problem, row.test, row.upper, row.lower, row.stopped_by)
+
+
+READERS: dict[sa.Table, Callable[[Any], Fact]] = {
+    tables.tests: _proposal,
+    tables.rollouts: _rollout,
+    tables.observations: _observation,
+    tables.bounds: _bound,
+}
+"""How a row of each table becomes a fact."""
 
 
 def _header_row(header: Header) -> dict[str, Any]:

@@ -1,0 +1,1 @@
+"""Check a certificate against its evidence, believing neither the database nor the certificate."""

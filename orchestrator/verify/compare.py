@@ -1,0 +1,146 @@
+"""What follows from the evidence beside what somebody wrote down: the tables of the database, and the certificate.
+
+Numbers are the same up to `ROUND_OFF`, because another CPU computes other last digits; everything else is equal.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+from orchestrator.store.journal import (
+    Fact,
+    Header,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+    first_link,
+    next_link,
+)
+from orchestrator.store.stored import Stored
+from schemas.base import digest
+
+ROUND_OFF = 2e-9
+"""Bounds are rounded outward to 1e-9, so that round-off may move one by a step."""
+IN_WORDS = 1e-5
+"""Of a number inside a sentence, which has six digits."""
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+
+
+def difference(ours: Any, theirs: Any, where: str = "") -> str | None:
+    """Return the first place in which two JSON values differ, and both sides; None if they are the same.
+
+    >>> difference({"a": [1.0, "x"]}, {"a": [1.0, "y"]})
+    'a[1] is "y", the evidence gives "x"'
+    """
+    if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
+        keys = [*ours, *(key for key in theirs if key not in ours)]
+        inside = (difference(ours.get(key), theirs.get(key), f"{where}.{key}" if where else str(key)) for key in keys)
+        return next((found for found in inside if found), None)
+    if _listed(ours) and _listed(theirs) and len(ours) == len(theirs):
+        pairs = enumerate(zip(ours, theirs, strict=True))
+        return next((d for k, (a, b) in pairs if (d := difference(a, b, f"{where}[{k}]"))), None)
+    return None if _same(ours, theirs) else f"{where} is {_text(theirs)}, the evidence gives {_text(ours)}"
+
+
+def _listed(value: object) -> bool:
+    return isinstance(value, list | tuple)
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, str) and isinstance(b, str):
+        return a == b or _same_sentence(a, b)
+    if type(a) is bool or type(b) is bool or a is None or b is None:
+        return a is b
+    if isinstance(a, int | float) and isinstance(b, int | float):
+        return close(a, b, ROUND_OFF)
+    return bool(a == b)
+
+
+def _same_sentence(a: str, b: str) -> bool:
+    """Whether two sentences differ in the last digit of a number alone."""
+    if _NUMBER.sub("", a) != _NUMBER.sub("", b):
+        return False
+    pairs = zip(_NUMBER.findall(a), _NUMBER.findall(b), strict=True)
+    return all(x == y or ("." in x + y and close(float(x), float(y), IN_WORDS)) for x, y in pairs)
+
+
+def close(a: float, b: float, tolerance: float) -> bool:
+    """Whether two numbers are the same, absolutely or relatively."""
+    return a == b or math.isclose(a, b, rel_tol=tolerance, abs_tol=tolerance)
+
+
+def _text(value: object) -> str:
+    text = f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def tables(ours: Iterable[Fact], stored: Stored) -> tuple[str | None, str]:
+    """Compare every table that is there with the facts that follow; return the fault, or None and what was compared."""
+    derived = _by_key(ours)
+    compared, gone = [], []
+    for name, kind, rows in (
+        ("tests", ProposalFact, stored.proposals),
+        ("rollouts", RolloutFact, stored.rollouts),
+        ("observations", ObservationFact, stored.observations),
+        ("bounds", None, stored.bounds),
+    ):
+        if not rows:
+            gone.append(name)
+            continue
+        compared.append(f"{len(rows)} {name}")
+        fault = _table(name, derived, rows, loose=kind is RolloutFact)
+        if fault:
+            return fault, ""
+    left = f"; not there: {', '.join(gone)}" if gone else ""
+    return None, f"{', '.join(compared) or 'nothing'}{left}"
+
+
+def _table(name: str, derived: Mapping[object, Fact], rows: Sequence[Fact], *, loose: bool) -> str | None:
+    written = _by_key(rows)
+    kind = type(rows[0])
+    wanted = {key: fact for key, fact in derived.items() if isinstance(fact, kind)}
+    for key, fact in wanted.items():
+        if key not in written:
+            return f"table {name}: {_label(fact)} is missing"
+        found = difference(_values(fact), _values(written[key]))
+        if found:
+            return f"table {name}, {_label(fact)}: {found}"
+    extra = [fact for key, fact in written.items() if key not in wanted]
+    if loose:  # rollouts of tests that nobody observed any more, because their problem had stopped
+        observed = {(fact.problem, fact.test) for fact in derived.values() if isinstance(fact, ObservationFact)}
+        extra = [fact for fact in extra if isinstance(fact, RolloutFact) and fact.rollout[:2] in observed]
+    return f"table {name}: {_label(extra[0])} does not follow from the evidence" if extra else None
+
+
+def _by_key(facts: Iterable[Fact]) -> dict[object, Fact]:
+    return {(type(fact), _label(fact)): fact for fact in facts}
+
+
+def _label(fact: Fact) -> str:
+    return str(fact.rollout) if isinstance(fact, RolloutFact) else f"{fact.problem}, test {fact.test}"
+
+
+def _values(fact: Fact) -> dict[str, Any]:
+    # The chain is compared by itself: it rests on the last digits of the proposals.
+    return {each.name: getattr(fact, each.name) for each in fields(fact) if each.name != "chain"}
+
+
+def chain_head(header: Header, ours: Sequence[Fact], proposals: Sequence[ProposalFact]) -> str:
+    """Return the head of the hash chain over what follows from the evidence.
+
+    The numbers of the proposals are those that were written down, if they were: their last digits depend on the CPU.
+    """
+    written = {(fact.problem, fact.test): fact for fact in proposals}
+    chosen = {(f.problem, f.test): written.get((f.problem, f.test), f) for f in ours if isinstance(f, ProposalFact)}
+    rollouts: dict[tuple[str, int], list[RolloutFact]] = {}
+    for fact in ours:
+        if isinstance(fact, RolloutFact):
+            rollouts.setdefault((fact.rollout.problem, fact.rollout.test), []).append(fact)
+    links = {problem.name: first_link(header, problem.name) for problem in header.config.problems}
+    for fact in ours:
+        if isinstance(fact, ObservationFact):
+            test = (fact.problem, fact.test)
+            links[fact.problem] = next_link(links[fact.problem], chosen[test], rollouts[test], fact.y, fact.each)
+    return digest(list(links.values()))

@@ -1,0 +1,44 @@
+"""The certificate once more, from the evidence, and beside it part by part the one that is verified."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from orchestrator.certificate.issue import issue, manifest
+from orchestrator.verify import compare
+from orchestrator.verify.rerun import Rerun
+from schemas.certificate import Certificate
+
+CHANCES = ("probability", "probabilities")
+
+
+def issued(rerun: Rerun, certificate: Certificate) -> Iterator[tuple[str, str | None, str]]:
+    """Yield (check, fault or None, what was compared) for every part of the certificate."""
+    ledger = rerun.ledger
+    again = issue(ledger.header, ledger.accounts, ledger.proposer.methods, manifest(rerun.observed()))
+    ours, theirs = again.predicate.model_dump(mode="json"), certificate.predicate.model_dump(mode="json")
+    problems, claims = len(ours["problems"]), len(ours["claims"])
+    rule = "nothing is composed" if ours["composition"] is None else f"rule {ours['composition']['rule']}"
+    for name, part, detail in (
+        ("problems", _bounds, f"problems: {problems}"),
+        ("probabilities", _probabilities, f"problems: {problems}, claims: {claims}"),
+        ("composition", lambda predicate: predicate["composition"], rule),
+        ("claims", _claims, f"claims: {claims}"),
+        ("audit", lambda predicate: predicate["assumptions"], f"assumptions: {len(ours['assumptions'])}"),
+    ):
+        yield name, compare.difference(part(ours), part(theirs), name), detail
+
+
+def _bounds(predicate: Mapping[str, Any]) -> Any:
+    return _without(predicate["problems"])
+
+
+def _claims(predicate: Mapping[str, Any]) -> Any:
+    return _without(predicate["claims"])
+
+
+def _probabilities(predicate: Mapping[str, Any]) -> Any:
+    return [{key: row[key] for key in CHANCES if key in row} for row in predicate["problems"] + predicate["claims"]]
+
+
+def _without(rows: Sequence[Mapping[str, Any]]) -> Any:
+    return [{key: value for key, value in row.items() if key not in CHANCES} for row in rows]
