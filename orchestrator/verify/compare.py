@@ -53,8 +53,8 @@ def _same(a: Any, b: Any) -> bool:
         return a == b or _same_sentence(a, b)
     if type(a) is bool or type(b) is bool or a is None or b is None:
         return a is b
-    if isinstance(a, int | float) and isinstance(b, int | float):
-        return close(a, b, ROUND_OFF)
+    if isinstance(a, float) or isinstance(b, float):  # whole numbers are seeds and counts
+        return isinstance(a, int | float) and isinstance(b, int | float) and close(a, b, ROUND_OFF)
     return bool(a == b)
 
 
@@ -138,7 +138,7 @@ def chain_head(header: Header, ours: Sequence[Fact], proposals: Sequence[Proposa
     for fact in ours:
         if isinstance(fact, RolloutFact):
             rollouts.setdefault((fact.rollout.problem, fact.rollout.test), []).append(fact)
-    links = {problem.name: first_link(header, problem.name) for problem in header.config.problems}
+    links: dict[str, str] = {problem.name: first_link(header, problem.name) for problem in header.config.problems}
     for fact in ours:
         if isinstance(fact, ObservationFact):
             test = (fact.problem, fact.test)
