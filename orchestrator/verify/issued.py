@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from orchestrator.certificate.issue import issue, manifest
+from orchestrator.store.journal import Header
 from orchestrator.verify import compare
 from orchestrator.verify.rerun import Rerun
 from schemas.certificate import Certificate
@@ -16,6 +17,7 @@ def issued(rerun: Rerun, certificate: Certificate) -> Iterator[tuple[str, str | 
     ledger = rerun.ledger
     again = issue(ledger.header, ledger.accounts, ledger.proposer.methods, manifest(rerun.observed()))
     ours, theirs = again.predicate.model_dump(mode="json"), certificate.predicate.model_dump(mode="json")
+    _forget_later_keys(ledger.header, ours["problems"])
     problems, claims = len(ours["problems"]), len(ours["claims"])
     rule = "nothing is composed" if ours["composition"] is None else f"rule {ours['composition']['rule']}"
     for name, part, detail in (
@@ -26,6 +28,13 @@ def issued(rerun: Rerun, certificate: Certificate) -> Iterator[tuple[str, str | 
         ("audit", lambda predicate: predicate["assumptions"], f"assumptions: {len(ours['assumptions'])}"),
     ):
         yield name, compare.difference(part(ours), part(theirs), name), detail
+
+
+def _forget_later_keys(header: Header, problems: Sequence[Mapping[str, Any]]) -> None:
+    """Leave out the keys of a campaign file that perfbound did not know when this one was run."""
+    for problem, result in zip(header.config.problems, problems, strict=True):
+        for key in set(type(problem).model_fields) - problem.model_fields_set:
+            result["parameters"].pop(key, None)
 
 
 def _bounds(predicate: Mapping[str, Any]) -> Any:

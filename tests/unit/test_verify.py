@@ -91,6 +91,11 @@ def test_an_honest_campaign_passes_everything(name: str, tmp_path: Path) -> None
     assert {line.name for line in found.lines() if line.status == "skipped"} == {"signature", "resimulation"}
 
 
+def test_a_certificate_of_an_earlier_perfbound() -> None:
+    """Its campaign file knew fewer keys."""
+    assert check(Path(__file__).parents[1] / "fixtures" / "schema-1").good
+
+
 def test_verifying_changes_nothing(campaign: Path) -> None:
     def look() -> dict[str, tuple[int, int]]:
         return {str(p): (p.stat().st_mtime_ns, p.stat().st_size) for p in campaign.rglob("*")}
