@@ -10,7 +10,7 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types imports unit explore faults coverage reproduce bench bench-compare schemas lock clean
+.PHONY: help setup run test lint types imports unit explore faults coverage reproduce bench bench-compare schemas diagrams lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -44,7 +44,12 @@ types: $(VENV)/.installed-dev ## Types, strict
 imports: $(VENV)/.installed-dev ## Which room may import which
 	$(BIN)/lint-imports
 
-unit: $(VENV)/.installed-dev ## Tests, with real workers, Zenoh and PyBullet
+# Readers of our files in JavaScript; where there is no npm or no network, their tests are skipped.
+build/node/.installed: Makefile
+	@if command -v npm >/dev/null && npm install --silent --no-save --no-audit --no-fund --prefix build/node \
+	  @mcap/core@2.2.2 fzstd@0.1.1 @foxglove/schemas@2.1.0; then touch $@; fi
+
+unit: $(VENV)/.installed-dev build/node/.installed ## Tests, with real workers, Zenoh and PyBullet
 	$(BIN)/python -m pytest --doctest-modules orchestrator workers schemas
 	$(BIN)/python -m pytest
 
@@ -75,6 +80,9 @@ bench-compare: $(VENV)/.installed-dev ## Two results side by side: OLD=... NEW=.
 
 schemas: $(VENV)/.installed-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m schemas
+
+diagrams: $(VENV)/.installed-dev ## Draw the diagrams of docs/architecture.md anew from the legality tables
+	$(BIN)/python -m tests.architecture
 
 lock: ## Resolve the dependencies anew (needs pip-tools)
 	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \

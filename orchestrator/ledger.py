@@ -19,7 +19,7 @@ from orchestrator.errors import EvidenceError, IllegalEvent, JournalError, Perfb
 from orchestrator.methods import budget, noise_per_test
 from orchestrator.observation import Observation, Observer, shared
 from orchestrator.proposer import Proposer
-from orchestrator.seeds import rollout_seed
+from orchestrator.requests import request
 from orchestrator.store import evidence
 from orchestrator.store.journal import (
     BoundFact,
@@ -85,8 +85,6 @@ class Ledger:
         self._journal = journal
         self._observer = Observer(self.config, header.spec)
         self.proposer = proposer or Proposer(self.config, header.spec)
-        self._options = {option.name: option.default for option in header.spec.options} | self.config.system.options
-        self._config_sha256, self._spec_sha256 = header.config_sha256, header.spec.digest
         self._files: Shelf = files or evidence.Batch()
         self._damaged: dict[RolloutId, RolloutFact] = {}
         self._closed: dict[tuple[str, int], ProposalFact] = {}
@@ -207,26 +205,8 @@ class Ledger:
         """Return everything that a worker needs to know of an open rollout."""
         found = self._requests.get(rollout)
         if found is None:  # asked for when it is assigned, and when its result is checked
-            found = self._requests[rollout] = self._request(rollout)
+            found = self._requests[rollout] = request(self.header, rollout, self._proposal(rollout).x)
         return found
-
-    def _request(self, rollout: RolloutId) -> RolloutRequest:
-        spec = self.header.spec
-        return RolloutRequest(
-            campaign=self.config.name,
-            config_sha256=self._config_sha256,
-            problem=rollout.problem,
-            test=rollout.test,
-            variant="nominal" if rollout.variant == "nominal" else "true",
-            replicate=rollout.replicate,
-            seed=rollout_seed(self.config, rollout),
-            system=spec.name,
-            spec_sha256=self._spec_sha256,
-            options=self._options,
-            x=self._proposal(rollout).x,
-            horizon=self.config.horizon,
-            visual=self.config.visual == "all",
-        )
 
     def restores(self, rollout: RolloutId) -> bool:
         """Whether this rollout has been recorded, and only its file is wanted again."""

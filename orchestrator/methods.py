@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.bounds.composition import derived_noise_scale
 from orchestrator.bounds.confidence import mixture
@@ -13,7 +14,7 @@ from orchestrator.bounds.paper import PaperMethod, Proposal
 from orchestrator.bounds.rigorous import RigorousMethod
 from orchestrator.bounds.risk import linearised_range
 from orchestrator.bounds.scenario import ScenarioMethod
-from orchestrator.gp.kernels import Matern
+from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
 from orchestrator.gp.points import Points
 from orchestrator.observation import Observation
@@ -32,6 +33,17 @@ class Bound:
     verdict: Verdict | None
 
 
+@dataclass(frozen=True, slots=True)
+class Band:
+    """What a method says of J at each of its m candidates, unit J; NaN where it says nothing. All have shape (m,)."""
+
+    mean: Floats
+    lower: Floats
+    upper: Floats
+    possible: NDArray[np.bool_]
+    """Whether the maximum may still be there."""
+
+
 class Method(Protocol):
     """What the campaign needs of a method; all in terms of the maximised objective J."""
 
@@ -42,8 +54,16 @@ class Method(Protocol):
         """Choose the next test, given the tests in flight; it changes nothing. `first` is the node of test 0."""
         ...
 
+    def rival(self, x: Sequence[float], pending: Sequence[int]) -> Proposal | None:
+        """Return the proposal of `x` if another CPU, which rounds otherwise, could have chosen it."""
+        ...
+
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
         """Add an observation and return what follows from all of them."""
+        ...
+
+    def band(self) -> Band:
+        """Return what is known of J over D; after at least one observation."""
         ...
 
 
@@ -74,6 +94,10 @@ class Paper(Method):
         assert not pending, "Algorithm 1 is sequential"
         return self.method.propose(first)
 
+    def rival(self, x: Sequence[float], pending: Sequence[int]) -> Proposal | None:  # noqa: ARG002
+        """As `Method`."""
+        return self.method.rival(x)
+
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
         """As `Method`."""
         self.method.observe(proposal.index, observation.y, proposal.x)
@@ -81,6 +105,12 @@ class Paper(Method):
             return Bound(None, None, None)
         stops = self.method.stops(proposal)
         return Bound(self.method.epsilon(proposal, observation.y), None, "converged" if stops else None)
+
+    def band(self) -> Band:
+        """As `Method`; on the nodes alone."""
+        centre, half = self.method.band()
+        upper, lower = centre + half, centre - half
+        return Band(centre, lower, upper, upper >= lower.max())
 
 
 class Rigorous(Method):
@@ -108,11 +138,23 @@ class Rigorous(Method):
         """As `Method`."""
         return self.method.propose(first, pending)
 
+    def rival(self, x: Sequence[float], pending: Sequence[int]) -> Proposal | None:
+        """As `Method`."""
+        return self.method.rival(x, pending)
+
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
         """As `Method`."""
         self.method.observe(proposal.index, observation.y)
         found = self.method.bound()
         return Bound(found.upper, found.lower, None if found.status == "open" else found.status)
+
+    def band(self) -> Band:
+        """As `Method`; refuted premises have no band."""
+        mean, lower, upper = self.method.band()
+        if self.method.bound().status == "refuted":
+            nothing = np.full_like(mean, np.nan)
+            return Band(mean, nothing, nothing, np.ones_like(mean, dtype=np.bool_))
+        return Band(mean, lower, upper, upper >= max(float(lower.max()), self.method.bound().lower))
 
 
 class Scenario(Method):
@@ -135,7 +177,14 @@ class Scenario(Method):
 
     def propose(self, first: int | None, pending: Sequence[int]) -> Proposal:  # noqa: ARG002  (starts in their order)
         """As `Method`; every start once, then the one with the lowest bound."""
-        index = self.method.propose(pending=pending)
+        return self._at(self.method.propose(pending=pending))
+
+    def rival(self, x: Sequence[float], pending: Sequence[int]) -> Proposal | None:
+        """As `Method`."""
+        index = self.method.rival(x, pending)
+        return None if index is None else self._at(index)
+
+    def _at(self, index: int) -> Proposal:
         x = tuple(float(value) for value in np.asarray(self.method.scenarios[index]))
         return Proposal(index, x, -self.method.bound().scenarios[index].lower, 0.0, None, None)
 
@@ -145,6 +194,14 @@ class Scenario(Method):
         found = self.method.bound()
         verdict: Verdict | None = "refuted" if self.method.refuted else "converged" if self.method.stops() else None
         return Bound(-found.ell, -found.upper, verdict)
+
+    def band(self) -> Band:
+        """As `Method`; no start has a lower bound of its own, and the upper ones hold one by one."""
+        found = self.method.bound()
+        mean = [np.nan if each.mean is None else -each.mean for each in found.scenarios]
+        upper = np.array([-each.lower for each in found.scenarios])
+        possible = np.array([self.method.refuted or each.each <= found.upper for each in found.scenarios])
+        return Band(np.array(mean), np.full_like(upper, np.nan), upper, possible)
 
 
 def method(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> Paper | Rigorous | Scenario:

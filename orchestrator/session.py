@@ -18,8 +18,10 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.text import Text
 
+from orchestrator.address import Address
 from orchestrator.certificate import files
 from orchestrator.errors import JournalError, PerfboundError
+from orchestrator.live import LivePage, Shown, live_page
 from orchestrator.notify import Systemd
 from orchestrator.stl.formula import FormulaError, columns
 from orchestrator.stl.formula import parse as parse_formula
@@ -52,11 +54,12 @@ def resume_command(directory: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Where to listen for workers, and how guarded."""
+    """Where to listen for workers, and how guarded; and where to serve the live page, if anywhere."""
 
     endpoint: str
     tls: Tls | None = None
     insecure: bool = False
+    web: Address | None = None
 
     def worker_options(self) -> list[str]:
         """Return what our own workers need to connect."""
@@ -90,13 +93,17 @@ def start(
     _check_specification(config, spec, source)
     header = Header.new(config, spec, software(spec))
     with (
+        live_page(link.web, directory, console, insecure=link.insecure) as page,
         listen(link.endpoint, link.tls, insecure=link.insecure) as transport,
         _claimed(directory, config),
         ExitStack() as stack,
     ):
         journal = Journal.create(directory, header)
         stack.callback(journal.close)
-        _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=False, drain=drain)
+        page.start()
+        _conduct(
+            directory, journal, transport, page, workers=workers, link=link, console=console, resumed=False, drain=drain
+        )
 
 
 def resume(directory: Path, *, workers: int, link: Link, console: Console, drain: bool = False) -> None:
@@ -111,12 +118,19 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console, drain
     if files.read(directory) is not None:
         console.print(Text(f"{directory}: finished already"), soft_wrap=True)
         return
-    with campaign_lock(directory), ExitStack() as stack:
+    with (
+        live_page(link.web, directory, console, insecure=link.insecure) as page,
+        campaign_lock(directory),
+        ExitStack() as stack,
+    ):
         journal = Journal.open(directory)
         stack.callback(journal.close)
         _check_software(journal.header)
         transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
-        _conduct(directory, journal, transport, workers=workers, link=link, console=console, resumed=True, drain=drain)
+        page.start()
+        _conduct(
+            directory, journal, transport, page, workers=workers, link=link, console=console, resumed=True, drain=drain
+        )
 
 
 def load(path: Path, **overrides: int) -> CampaignConfig:
@@ -276,6 +290,7 @@ def _conduct(
     directory: Path,
     journal: Journal,
     transport: ZenohTransport,
+    page: LivePage,
     *,
     workers: int,
     link: Link,
@@ -304,7 +319,7 @@ def _conduct(
         ledger.replay()
         damaged = ledger.mend() if resumed else 0
         if not ledger.done:
-            shown = Watched(stack.enter_context(view(console)), systemd)
+            shown = Shown(Watched(stack.enter_context(view(console)), systemd), page)
             if damaged:
                 shown.say(f"{damaged} trajectory files are missing or damaged: simulating them again")
             for line in ledger.warnings():

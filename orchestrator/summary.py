@@ -71,6 +71,13 @@ def show(certificate: Certificate, console: Console) -> None:
     _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
 
 
+def first_claim(certificate: Certificate, console: Console) -> None:
+    """Print the claim that was chosen beforehand."""
+    predicate = certificate.predicate
+    claim = predicate.claims[0]
+    _claim(claim, predicate.composition, list(claim.refuted), console, first=True)
+
+
 def written(directory: Path, console: Console) -> None:
     """Print where everything is."""
     _heading(console, "Written", "bold")
@@ -81,6 +88,8 @@ def written(directory: Path, console: Console) -> None:
         ("campaign.db", "database"),
     ):
         _line(console, f"  {what:<12} {directory / name}")
+    if (directory / "report.html").is_file():
+        _line(console, f"  report       {directory / 'report.html'}")
     _line(console, f"  check it:    cd {shlex.quote(str(directory))} && sha256sum --check --quiet manifest.sha256")
 
 
@@ -99,7 +108,7 @@ def _claim(claim: Claim, composition: Composition | None, broken: list[str], con
             f"- {composition.risk_term:.4f} (risk)",
         )
     if broken:
-        _line(console, f"       It rests on {_count(broken)} REFUTED above: do not rely on it.", "bold red")
+        _line(console, f"       It rests on {_count(broken)} REFUTED: do not rely on it.", "bold red")
 
 
 def _rule(claim: Claim) -> str:

@@ -1,5 +1,6 @@
 """What a worker announces of a system under test, so that the orchestrator need not import it."""
 
+from functools import cached_property
 from typing import Literal
 
 from pydantic import Field
@@ -55,7 +56,7 @@ class SystemSpec(Model):
     max_horizon: float = Field(gt=0, description="longest rollout in seconds")
     versions: dict[str, str] = Field(default_factory=dict)
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Identity of this exact system; workers that announce another one are refused."""
         return digest(self.model_dump(mode="json"))

@@ -156,9 +156,9 @@ _ENTITY = _object(
     cubes=_array(_SOLID),
     spheres=_array(_SOLID),
     cylinders=_array(_CYLINDER),
-    **{kind: _array({"type": "object"}) for kind in ("arrows", "lines", "triangles", "texts", "models")},
+    **{kind: _array(_object()) for kind in ("arrows", "lines", "triangles", "texts", "models")},
 )
-_SCENE = _object(deletions=_array({"type": "object"}), entities=_array(_ENTITY))
+_SCENE = _object(deletions=_array(_object()), entities=_array(_ENTITY))
 _TRANSFORMS = _object(
     transforms=_array(
         _object(

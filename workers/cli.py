@@ -187,6 +187,24 @@ def simulate(request: str, out: Path) -> None:
         fail(f"{out}: {error.strerror}")
 
 
+@group.command()
+@click.option("--file", "path", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file.")
+def look(path: Path) -> None:
+    """Print what a person sees of a trajectory, as JSON: the scene and the moving frames, or null."""
+    from schemas.trajectory import TrajectoryError  # noqa: PLC0415
+    from workers import look as view  # noqa: PLC0415
+    from workers.systems import UnknownSystemError  # noqa: PLC0415
+
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # what a plug-in prints is not our data
+            seen = view.look(path.read_bytes())
+    except OSError as error:
+        fail(f"{path}: {error.strerror}")
+    except (TrajectoryError, UnknownSystemError) as error:
+        fail(f"{path}: {error}")
+    click.echo(canonical_json(seen))
+
+
 def main() -> None:
     """`perfbound-worker`."""
     one_blas_thread()

@@ -27,7 +27,7 @@ from typing import Literal
 
 import numpy as np
 
-from orchestrator.gp.acquisition import maximiser, refined
+from orchestrator.gp.acquisition import maximiser, refined, rivals
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
 from orchestrator.gp.observations import Anywhere
@@ -235,12 +235,24 @@ class PaperMethod:
             )
         if first_index is not None:
             return self._proposal(first_index, self._node(first_index), 0.0, 1.0, None)
-        scale = beta(self._posterior.information(eta(self.n)), self._rkhs_norm, self._noise_scale, self._delta)
-        mu, sigma = self._posterior.mean, self._sigma()
-        index = maximiser(upper_confidence_bound(mu, sigma, scale))
-        if self._refine:
-            return self._refined(index, scale)
-        return self._proposal(index, self._node(index), float(mu[index]), float(sigma[index]), scale)
+        scale = self._scale()
+        index = maximiser(self._values(scale))
+        return self._refined(index, scale) if self._refine else self._at_node(index, scale)
+
+    def rival(self, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,) if another CPU could have taken it for the maximiser; of nodes only."""
+        if self.n == 0 or self._refine:
+            return None
+        scale = self._scale()
+        index = rivals(self._values(scale), self._lattice.nodes, x)
+        return None if index is None else self._at_node(index, scale)
+
+    def _values(self, scale: float) -> Floats:
+        return upper_confidence_bound(self._posterior.mean, self._sigma(), scale)
+
+    def _at_node(self, index: int, scale: float) -> Proposal:
+        mu, sigma = float(self._posterior.mean[index]), float(self._sigma()[index])
+        return self._proposal(index, self._node(index), mu, sigma, scale)
 
     def observe(self, index: int, y: float, x: tuple[float, ...] | None = None) -> None:
         """Add the observation `y` of J at node `index`; with `refine`, at `x` (p,). On an error nothing changes.
@@ -270,6 +282,20 @@ class PaperMethod:
         if proposal.F is None:
             raise ValueError("the first test alone gives no bound: allow max_tests of at least 2")
         return epsilon(y, proposal.F, self._alpha, self._c)
+
+    def band(self) -> tuple[Floats, Floats]:
+        """Return centre m0 + mu and half width beta sigma of the band of J on every node, (m,) each, unit J.
+
+        Raises:
+            ValueError: there is no observation yet.
+            SingularKernelError: K + lambda I is singular.
+
+        """
+        return self._prior_mean + self._posterior.mean, self._scale() * self._sigma()
+
+    def _scale(self) -> float:
+        """Return beta after the observations so far."""
+        return beta(self._posterior.information(eta(self.n)), self._rkhs_norm, self._noise_scale, self._delta)
 
     def _lambda(self, i: int) -> float:
         return 1.0 + eta(i) if self._fixed is None else self._fixed

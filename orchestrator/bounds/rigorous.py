@@ -22,12 +22,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.bounds.confidence import Mixture, Premises, scales_squared
 from orchestrator.bounds.cover import certified_maximum
 from orchestrator.bounds.envelope import Envelope
 from orchestrator.bounds.paper import Proposal
-from orchestrator.gp.acquisition import maximiser
+from orchestrator.gp.acquisition import maximiser, rivals
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
 from orchestrator.gp.observations import Observations
@@ -128,6 +129,15 @@ class RigorousMethod:
         """The band of J after the last observation, m0 and tau included."""
         return self._envelope
 
+    def band(self) -> tuple[Floats, Floats, Floats]:
+        """Return mean, lower and upper bound of J on every candidate, (m,) each; the mean is that of one a for all.
+
+        After a refutation there is no band, and these are numbers without a meaning.
+        """
+        upper, lower = self._envelope.band(self._data.kernel)
+        column = int(np.argmin(np.max(self._mu + self._g * self._sd, axis=0)))
+        return np.clip(self._prior_mean + self._mu[:, column], lower, upper), lower, upper
+
     def bound(self) -> RigorousBound:
         """Return what the observations so far prove; it costs nothing."""
         return self._bound
@@ -153,6 +163,19 @@ class RigorousMethod:
             return self._proposal(first_index, 0.0, 1.0, None)
         for index in pending:
             self._check(index)
+        values, columns, sd = self._scored(pending)
+        return self._at(maximiser(self._without_repeats(values, pending)), columns, sd)
+
+    def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
+        """Return the proposal of `x` (p,) if another CPU could have taken it for the maximiser."""
+        if not (self.n or pending):
+            return None
+        values, columns, sd = self._scored(pending)
+        index = rivals(self._without_repeats(values, pending), self._candidates.nodes, x)
+        return None if index is None else self._at(index, columns, sd)
+
+    def _scored(self, pending: Sequence[int]) -> tuple[Floats, NDArray[np.intp], Floats]:
+        """Return the value of every candidate, the column of a that it comes from, and sigma there; shapes (m,)."""
         column = self._column_for_pending()
         if pending:
             sd = self._spread_after(pending, column)
@@ -162,7 +185,9 @@ class RigorousMethod:
             columns = np.argmin(ucb, axis=1)
             values = ucb[np.arange(len(ucb)), columns]
             sd = self._sd[np.arange(len(ucb)), columns]
-        index = maximiser(self._without_repeats(values, pending))
+        return values, columns, sd
+
+    def _at(self, index: int, columns: NDArray[np.intp], sd: Floats) -> Proposal:
         chosen = int(columns[index])
         return self._proposal(index, float(self._mu[index, chosen]), float(sd[index]), float(self._g[chosen]))
 

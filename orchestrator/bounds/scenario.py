@@ -40,6 +40,7 @@ import numpy as np
 from orchestrator.bounds.betting import CAREFUL, GRID, BettingSequence, Floats, Past
 from orchestrator.bounds.composition import STEP
 from orchestrator.bounds.risk import bhatia_davis, check_range, linearised, linearised_range
+from orchestrator.gp.acquisition import rivals
 
 Risk = Literal["linearised", "bhatia-davis"]
 
@@ -160,6 +161,14 @@ class ScenarioMethod:
             if not self._tests[k] and not flying[k]:
                 return k
         return min(range(size), key=lambda k: (self._outlook(k, flying[k]), k))
+
+    def rival(self, x: Sequence[float], pending: Sequence[int]) -> int | None:
+        """Return the scenario at `x` (p,) if another CPU could have proposed it."""
+        flying = [pending.count(k) for k in range(len(self._tests))]
+        if not all(tests or flown for tests, flown in zip(self._tests, flying, strict=True)):
+            return None
+        outlook = np.array([self._outlook(k, flown) for k, flown in enumerate(flying)])
+        return rivals(-outlook, self.scenarios, x)
 
     def observe(self, index: int, values: Sequence[float]) -> None:
         """Add the robustness of every rollout of one test of scenario `index`; on an error nothing changes.

@@ -8,11 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from orchestrator.address import Address
+from orchestrator.cli import signing
 from orchestrator.cli.ending import resumable
 from orchestrator.cli.group import RUN_DIRECTORY, cli, data
+from orchestrator.cli.pictures import draw
+from orchestrator.cli.place import web_option
 from orchestrator.talk import TALK
 
 if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
     from orchestrator.session import Link
 
 REFUTED = 3
@@ -21,12 +27,20 @@ SEEDS = click.IntRange(0, 10_000)
 
 
 def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that say where to listen for workers."""
+    """Add the options that say where to listen for workers, and where to serve the page."""
     for option in (
+        web_option(
+            "Serve a live page.  [default of HOST:PORT: loopback and a free port]",
+            is_flag=False,
+            flag_value=Address(),
+            default=None,
+        ),
         click.option("--tls-key", default=None, help="PEM file of our private key."),
         click.option("--tls-certificate", default=None, help="PEM file of our certificate."),
         click.option("--tls-ca", default=None, help="PEM file of the authority that signed both sides' certificates."),
-        click.option("--insecure", is_flag=True, help="Allow to listen beyond this machine without TLS."),
+        click.option(
+            "--insecure", is_flag=True, help="Allow to listen, or to serve the page, beyond this machine without TLS."
+        ),
         click.option(
             "--listen", "endpoint", default=None, help="Endpoint for workers.  [default: loopback and a free port]"
         ),
@@ -76,6 +90,7 @@ def workers_option(least: int) -> Callable[..., Any]:
 @workers_option(1)
 @out_option
 @seed_option
+@signing.sign_option
 @strict_option
 @drain_option
 @log_option
@@ -89,6 +104,7 @@ def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, **o
 @campaign_argument
 @out_option
 @seed_option
+@signing.sign_option
 @strict_option
 @drain_option
 @log_option
@@ -101,24 +117,35 @@ def orchestrate(*, campaign: Path, out: Path | None, seed: int | None, **options
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
 @workers_option(0)
+@signing.sign_option
 @strict_option
 @drain_option
 @log_option
 @link_options
-def resume(*, directory: Path, workers: int, strict: bool, drain: bool, **link: Any) -> None:
+def resume(*, directory: Path, workers: int, sign: Path | None, strict: bool, drain: bool, **link: Any) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
     from orchestrator import session  # noqa: PLC0415
 
+    key = signing.load(sign) if sign else None
     with resumable(directory):
         session.resume(directory, workers=workers, link=_link(**link), console=TALK.console, drain=drain)
-        _finish(directory, strict=strict)
+        _finish(directory, key, strict=strict)
 
 
 def _start(
-    campaign: Path, workers: int, out: Path | None, seed: int | None, *, strict: bool, drain: bool, **link: Any
+    campaign: Path,
+    workers: int,
+    out: Path | None,
+    seed: int | None,
+    *,
+    sign: Path | None,
+    strict: bool,
+    drain: bool,
+    **link: Any,
 ) -> None:
     from orchestrator import session  # noqa: PLC0415
 
+    key = signing.load(sign) if sign else None  # before hours of work, and this very key signs
     overrides = {} if seed is None else {"seed": seed}
     config = session.load(campaign, **overrides)
     directory = out or Path("runs") / config.name
@@ -132,15 +159,19 @@ def _start(
             console=TALK.console,
             drain=drain,
         )
-        _finish(directory, strict=strict)
+        _finish(directory, key, strict=strict)
 
 
-def _finish(directory: Path, *, strict: bool) -> None:
+def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool) -> None:
     from orchestrator import session, summary  # noqa: PLC0415
 
     console, found = data(), session.certificate(directory)
+    signed = None if key is None else signing.sign(directory, key)
     summary.show(found, console)
+    draw(directory)
     summary.written(directory, console)
+    if signed:
+        click.echo(f"  {signed}")
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
 
@@ -182,7 +213,13 @@ def paper(*, out: Path, campaigns: Path | None, workers: int, **extent: Any) -> 
 
 
 def _link(
-    endpoint: str | None, *, insecure: bool, tls_ca: str | None, tls_certificate: str | None, tls_key: str | None
+    endpoint: str | None,
+    *,
+    insecure: bool,
+    tls_ca: str | None,
+    tls_certificate: str | None,
+    tls_key: str | None,
+    web: Address | None,
 ) -> "Link":
     from orchestrator.session import Link  # noqa: PLC0415
     from schemas.link import LOCAL, Tls  # noqa: PLC0415
@@ -190,7 +227,7 @@ def _link(
     endpoint = endpoint or LOCAL
     files = (tls_ca, tls_certificate, tls_key)
     if not any(files):
-        return Link(endpoint, None, insecure)
+        return Link(endpoint, None, insecure, web)
     if tls_ca is None or tls_certificate is None or tls_key is None:
         raise click.UsageError("--tls-ca, --tls-certificate and --tls-key belong together")
-    return Link(endpoint, Tls(ca=tls_ca, certificate=tls_certificate, key=tls_key), insecure)
+    return Link(endpoint, Tls(ca=tls_ca, certificate=tls_certificate, key=tls_key), insecure, web)

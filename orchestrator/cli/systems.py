@@ -1,10 +1,10 @@
-"""Commands about systems under test, without a campaign."""
+"""Commands about systems under test, and about single rollouts."""
 
 from pathlib import Path
 
 import click
 
-from orchestrator.cli.group import cli
+from orchestrator.cli.group import RUN_DIRECTORY, cli
 
 
 @cli.command()
@@ -31,4 +31,20 @@ def systems() -> None:
     from orchestrator import single  # noqa: PLC0415
 
     for line in single.describe():
+        click.echo(line)
+
+
+@cli.command()
+@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("rollout")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="PNG file to write.")
+@click.option("--mcap", type=click.Path(path_type=Path, dir_okay=False), default=None, help="MCAP file to write.")
+def replay(*, directory: Path, rollout: str, out: Path | None, mcap: Path | None) -> None:
+    """Simulate one ROLLOUT of the campaign in DIRECTORY again, compare it with its file, and draw it.
+
+    ROLLOUT is problem.test.variant.replicate, as reports and file names say: sim_gap.3.true.0
+    """
+    from orchestrator.replay import again  # noqa: PLC0415
+
+    for line in again.replay(directory, rollout, out=out, mcap=mcap):
         click.echo(line)

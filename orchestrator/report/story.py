@@ -79,6 +79,8 @@ class Surface:
     upper: Series
     worst: tuple[bool, ...]
     """Whether the worst start may still be here: the band does not rule it out."""
+    band: str = ""
+    """What `lower` and `upper` are, and with what probability, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +163,11 @@ class Scene:
     traces: tuple[Trace, ...]
     limits: tuple[float, ...]
     rollouts: tuple[Rollout, ...]
+    """The worst first, at most 24; the curves are those of the first few."""
+    limit_columns: tuple[str, ...] = ()
+    """The column of each limit."""
+    error: str | None = None
+    """What could not be read, in words; its curves are missing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -155,7 +155,7 @@ class Watch:
             sessions = connection.execute(_SESSIONS).scalar_one()
         problems = tuple(self._problem(problem.name) for problem in self._header.config.problems)
         workers = tuple((name, *found) for name, found in sorted(self._workers.items()))
-        return CampaignProgress(self._header, problems, workers, self._failures, sessions, _rate(self._recent))
+        return CampaignProgress(self._header, problems, workers, self._failures, sessions, rate(self._recent))
 
     def _count_facts(self, connection: Connection) -> None:
         since = {"since": self._seq}
@@ -217,7 +217,7 @@ def _observed(connection: Connection, name: str) -> tuple[ObservedTest, ...]:
     return tuple(ObservedTest(row.test, tuple(json.loads(row.x)), *row[2:]) for row in rows)
 
 
-def _rate(ended: Sequence[float]) -> float:
+def rate(ended: Sequence[float]) -> float:
     """Return rollouts per second over the last minute before the newest of these Unix times."""
     newest = max(ended, default=0.0)
     minute = [time for time in ended if time > newest - MINUTE]

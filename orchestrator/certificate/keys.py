@@ -1,0 +1,175 @@
+"""Ed25519 keys in PEM files: a private one for who signs (PKCS#8), a public one for everybody else."""
+
+import os
+import secrets
+import stat
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import (
+    BestAvailableEncryption,
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+    load_pem_public_key,
+)
+
+from orchestrator.errors import PerfboundError
+from orchestrator.store.evidence import TEMPORARY
+from schemas.base import digest
+
+MAX_FILE = 64 * 1024
+"""Bytes of a key's file."""
+ENCRYPTED = b"-----BEGIN ENCRYPTED PRIVATE KEY-----"
+
+
+class SignatureError(PerfboundError):
+    """A key cannot be used, or a signature does not hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A new key: where its two files are, and its id."""
+
+    private: Path
+    public: Path
+    id: str
+
+
+def key_id(key: Ed25519PublicKey) -> str:
+    """Return the name of a key, as securesystemslib computes it: sha256 of its canonical JSON, 64 digits."""
+    return digest({"keytype": "ed25519", "scheme": "ed25519", "keyval": {"public": key.public_bytes_raw().hex()}})
+
+
+def new_pair(folder: Path, name: str, passphrase: bytes = b"") -> Pair:
+    """Make a key: NAME.key for its owner alone (mode 0600), encrypted if there is a passphrase, and NAME.pub.
+
+    Raises:
+        SignatureError: one of the files exists already, or they cannot be written; then none of them is.
+
+    """
+    key = Ed25519PrivateKey.generate()
+    cipher = BestAvailableEncryption(passphrase) if passphrase else NoEncryption()
+    secret = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, cipher)
+    known = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    pair = Pair(folder / f"{name}.key", folder / f"{name}.pub", key_id(key.public_key()))
+    _create({pair.private: (secret, 0o600), pair.public: (known, 0o644)})
+    return pair
+
+
+def load_private(path: Path, passphrase: Callable[[], bytes] = bytes) -> Ed25519PrivateKey:
+    """Read a private key; `passphrase` is called if it is encrypted.
+
+    Raises:
+        SignatureError: it cannot be read, others can read it too, or it is no private Ed25519 key.
+
+    """
+    data, status = _read(path)
+    if b"PUBLIC KEY" in data:
+        raise SignatureError(f"{path}: is a public key; to sign takes the private one")
+    _check_private(path, status)
+    try:
+        key = load_pem_private_key(data, passphrase() if ENCRYPTED in data else None)
+    except (ValueError, TypeError, UnsupportedAlgorithm):
+        wrong = "not the passphrase of this key" if ENCRYPTED in data else "not a private key (PKCS#8 PEM)"
+        raise SignatureError(f"{path}: {wrong}; `perfbound keygen NAME` makes a key") from None
+    if not isinstance(key, Ed25519PrivateKey):
+        raise _another_kind(path)
+    return key
+
+
+def load_public(path: Path) -> Ed25519PublicKey:
+    """Read a public key.
+
+    Raises:
+        SignatureError: it cannot be read, or is no public Ed25519 key.
+
+    """
+    data, _ = _read(path)
+    if b"PRIVATE KEY" in data:
+        raise SignatureError(f"{path}: is a private key; to check takes the public one, and this one is for its owner")
+    try:
+        key = load_pem_public_key(data)
+    except (ValueError, UnsupportedAlgorithm):
+        raise SignatureError(f"{path}: not a public key (PEM); ask the signer for the .pub file") from None
+    if not isinstance(key, Ed25519PublicKey):
+        raise _another_kind(path)
+    return key
+
+
+def read_passphrase(path: Path) -> bytes:
+    """Return the first line of a file that is for its owner alone.
+
+    Raises:
+        SignatureError: it cannot be read, others can read it too, or there is no passphrase in it.
+
+    """
+    data, status = _read(path)
+    _check_private(path, status)
+    line = data.splitlines()[0]
+    if not line:
+        raise SignatureError(f"{path}: its first line is empty; the passphrase belongs there")
+    return line
+
+
+def _another_kind(path: Path) -> SignatureError:
+    return SignatureError(f"{path}: a key of another kind than Ed25519; `perfbound keygen NAME` makes one")
+
+
+def _read(path: Path) -> tuple[bytes, os.stat_result]:
+    try:
+        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | 0), "rb") as file:  # waits for no pipe
+            status = os.fstat(file.fileno())
+            data = file.read(MAX_FILE + 1) if stat.S_ISREG(status.st_mode) else b""
+    except OSError as error:
+        raise SignatureError(f"{path}: {error.strerror}; `perfbound keygen NAME` makes a key") from None
+    if not 0 < len(data) <= MAX_FILE:
+        raise SignatureError(f"{path}: not a file of 1 to {MAX_FILE} bytes; `perfbound keygen NAME` makes a key")
+    return data, status
+
+
+def _check_private(path: Path, status: os.stat_result) -> None:
+    """Refuse what ssh refuses: our own file that anybody else can open, or another's that everybody can."""
+    forbidden = 0o077 if status.st_uid == os.geteuid() else 0o007
+    if status.st_mode & forbidden:
+        raise SignatureError(
+            f"{path}: others can open this file (mode {status.st_mode & 0o777:04o}); `chmod 600` it, "
+            "and make a new key if somebody may have read this one"
+        )
+
+
+def _create(contents: Mapping[Path, tuple[bytes, int]]) -> None:
+    """Create files (bytes, mode) that are not there yet, all of them whole, or none."""
+    partials = {path: path.with_name(f"{path.name}.{secrets.token_hex(4)}{TEMPORARY}") for path in contents}
+    made: list[Path] = []
+    try:
+        for path, (data, mode) in contents.items():
+            _write_new(partials[path], data, mode)
+        for path, partial in partials.items():
+            os.link(partial, path)  # a rename would replace what is there
+            made.append(path)
+    except OSError as error:
+        for path in made:
+            path.unlink()
+        raise _refusal(error, next(iter(contents))) from None
+    finally:
+        for partial in partials.values():
+            partial.unlink(missing_ok=True)
+
+
+def _write_new(path: Path, data: bytes, mode: int) -> None:
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode), "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _refusal(error: OSError, path: Path) -> SignatureError:
+    if isinstance(error, FileExistsError):
+        return SignatureError(f"{error.filename2}: exists already, and a key is never overwritten; choose another name")
+    return SignatureError(f"{path.parent}: no key can be written here ({error.strerror}); choose another --out")

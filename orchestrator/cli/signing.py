@@ -1,0 +1,55 @@
+"""What commands that sign share: the key, and how its passphrase is asked for."""
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+FROM_FILE = "PERFBOUND_PASSPHRASE_FILE"
+"""Environment: where a passphrase stands when nobody is there to type it. Its text itself would be for all to see."""
+KEY = click.Path(path_type=Path)
+
+sign_option = click.option(
+    "--sign", type=KEY, default=None, metavar="KEY", help="Sign the certificate with this private key."
+)
+
+
+def load(path: Path) -> "Ed25519PrivateKey":
+    """Return the private key that is to sign.
+
+    Raises:
+        SignatureError: it cannot be used.
+
+    """
+    from orchestrator.certificate.keys import load_private  # noqa: PLC0415
+
+    return load_private(path, lambda: passphrase(f"Passphrase of {path}"))
+
+
+def passphrase(question: str, *, twice: bool = False) -> bytes:
+    """Return the passphrase from the file that the environment names, or from the terminal.
+
+    Raises:
+        SignatureError: nobody is there to ask.
+
+    """
+    from orchestrator.certificate.keys import SignatureError, read_passphrase  # noqa: PLC0415
+
+    path = os.environ.get(FROM_FILE)
+    if path:
+        return read_passphrase(Path(path))
+    if not sys.stdin.isatty():
+        raise SignatureError(f"a passphrase is needed and this is no terminal; name its file in {FROM_FILE}")
+    return str(click.prompt(question, hide_input=True, confirmation_prompt=twice, err=True)).encode()
+
+
+def sign(directory: Path, key: "Ed25519PrivateKey") -> str:
+    """Sign the certificate in `directory`; return a line that says so."""
+    from orchestrator.certificate.sign import key_id, sign_certificate  # noqa: PLC0415
+
+    return f"signed       {sign_certificate(directory, key)}, key {key_id(key.public_key())}"

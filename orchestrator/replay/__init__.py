@@ -1,0 +1,1 @@
+"""One recorded rollout, simulated again: compared with its file, and drawn."""

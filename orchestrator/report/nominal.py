@@ -1,0 +1,91 @@
+"""Nominal curves beside true ones that were recorded alone: simulated for a report, and no evidence of anything."""
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from orchestrator.errors import PerfboundError
+from orchestrator.report import curves
+from orchestrator.report.story import Rollout, Scene, Story, Trace
+from orchestrator.session import ask, system_specs
+from orchestrator.store.journal import Header, read_header
+from orchestrator.store.queries import reading
+from schemas.rollout import RolloutRequest
+from schemas.trajectory import Trajectory, TrajectoryError, decode
+
+MOST = 6
+"""Scenes that get one."""
+LABEL = "nominal, simulated for this report"
+
+
+def with_nominal(directory: Path, story: Story) -> Story:
+    """Return the story with nominal curves; where the system cannot be simulated here, a label says so.
+
+    Raises:
+        JournalError: the database cannot be read.
+
+    """
+    lonely = [scene for scene in story.scenes if {trace.variant for trace in scene.traces} == {"true"}][:MOST]
+    if not lonely:
+        return story
+    with reading(directory) as connection:
+        header = read_header(connection, directory)
+    known: dict[tuple[float, ...], Trajectory] = {}
+    try:
+        _check(header)
+        for scene in lonely:
+            start = scene.rollouts[0].x
+            known[start] = known.get(start) or _simulated(header, scene.rollouts[0])
+    except (PerfboundError, TrajectoryError) as error:
+        note = f" (no nominal curve: {error})"
+        return _changed(story, {id(scene): _noted(scene, note) for scene in lonely})
+    return _changed(story, {id(scene): _joined(header, scene, known[scene.rollouts[0].x]) for scene in lonely})
+
+
+def _check(header: Header) -> None:
+    """Refuse to simulate another system than the campaign's, or one whose nominal variant depends on the seed."""
+    found, spec = system_specs().get(header.spec.name), header.spec
+    if found is None or found.digest != spec.digest:
+        raise PerfboundError(f"{spec.name} is not installed here as it was in the campaign")
+    if "nominal" not in spec.variants or "nominal" in spec.noisy:
+        raise PerfboundError(f"{spec.name} has no single nominal rollout of a start")
+
+
+def _simulated(header: Header, rollout: Rollout) -> Trajectory:
+    config, spec = header.config, header.spec
+    request = RolloutRequest(
+        campaign=config.name,
+        config_sha256=header.config_sha256,
+        problem=rollout.problem,
+        test=rollout.test,
+        variant="nominal",
+        replicate=0,
+        seed=rollout.seed,
+        system=spec.name,
+        spec_sha256=spec.digest,
+        options={option.name: option.default for option in spec.options} | config.system.options,
+        x=rollout.x,
+        horizon=config.horizon,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "nominal.mcap"
+        ask("simulate", "--request", request.model_dump_json(), "--out", str(file))
+        return decode(file.read_bytes())
+
+
+def _joined(header: Header, scene: Scene, trajectory: Trajectory) -> Scene:
+    added = []
+    for column in dict.fromkeys(trace.column for trace in scene.traces):
+        t, values = curves.thinned(trajectory.samples[:, 0], trajectory.column(column))
+        added.append(Trace(LABEL, "nominal", column, curves.column_unit(header, column), t, values))
+    return replace(scene, traces=(*added, *scene.traces))
+
+
+def _noted(scene: Scene, note: str) -> Scene:
+    first, *others = scene.traces
+    return replace(scene, traces=(replace(first, label=first.label + note), *others))
+
+
+def _changed(story: Story, scenes: Mapping[int, Scene]) -> Story:
+    return replace(story, scenes=tuple(scenes.get(id(scene), scene) for scene in story.scenes))

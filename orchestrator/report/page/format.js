@@ -1,0 +1,95 @@
+"use strict";
+// Numbers, units and times as text.
+
+/** Four significant digits; a dash where there is no number. */
+function num(value, digits = 4) {
+  if (value === null || value === undefined) return "\u2013";
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 1e-4 || size >= 1e7)) return value.toExponential(digits - 1);
+  return String(Number(value.toPrecision(digits)));
+}
+
+/** A unit for text; "1" is none. */
+function unitText(unit) {
+  return unit === "1" || !unit ? "" : short(unit, 12);
+}
+
+/** A number with its unit. */
+function quantity(value, unit) {
+  return value === null || value === undefined ? num(value) : `${num(value)} ${unitText(unit)}`.trimEnd();
+}
+
+/** "phi (rad)". */
+function withUnit(name, unit) {
+  return unitText(unit) ? `${short(name, 40)} (${unitText(unit)})` : short(name, 40);
+}
+
+/** Four decimals, rounded so that the text promises no more than the bound: down for ">=", up for "<=". */
+function outward(value, sense) {
+  if (value === null || value === undefined) return num(value);
+  const scaled = value * 1e4;
+  const nearest = Math.round(scaled);
+  const exact = Math.abs(scaled - nearest) < 1e-6;
+  const kept = exact ? nearest : sense === ">=" ? Math.floor(scaled) : Math.ceil(scaled);
+  return (kept / 1e4).toFixed(4);
+}
+
+/** A count, "6,000". */
+function count(value) {
+  return value.toLocaleString("en-GB");
+}
+
+/** "1 test", "2 tests". */
+function plural(value, word) {
+  return `${count(value)} ${word}${value === 1 ? "" : "s"}`;
+}
+
+/** "x = 5 m, y = 0 m". */
+function place(x, axes) {
+  return x.map((value, k) => `${axes[k] ? `${short(axes[k].name, 24)} = ` : ""}${quantity(value, axes[k]?.unit)}`).join(", ");
+}
+
+/** "95 s", "12 min", "3.4 h": a duration for eyes. */
+function duration(seconds) {
+  if (seconds < 120) return `${num(seconds, 3)} s`;
+  return seconds < 7200 ? `${num(seconds / 60, 3)} min` : `${num(seconds / 3600, 3)} h`;
+}
+
+/** How long before `now` something was, both Unix times. */
+function ago(time, now) {
+  return time === null ? "never" : `${Math.max(0, Math.round(now - time))} s ago`;
+}
+
+/** A Unix time as UTC to the second. */
+function utc(time) {
+  return time === null ? num(null) : `${new Date(time * 1000).toISOString().slice(0, 19).replace("T", " ")} UTC`;
+}
+
+/** A name of a schema as words: "nominal_robustness" -> "nominal robustness". */
+function words(name) {
+  return short(name).replaceAll("_", " ");
+}
+
+/** Least and greatest number of some lists, or null if they hold none. */
+function extent(...lists) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const list of lists) {
+    for (const value of list) {
+      if (value === null || value === undefined) continue;
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+  }
+  return low > high ? null : [low, high];
+}
+
+/** About `wanted` round numbers from `low` to `high`, as [number, text]. */
+function ticks(low, high, wanted) {
+  const raw = (high - low) / wanted || 1;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((each) => each * power).find((each) => each >= raw * 0.999);
+  const found = [];
+  const decimals = Math.min(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), 12);
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + step * 1e-9; k += 1) found.push([k * step, (k * step).toFixed(decimals)]);
+  return found;
+}

@@ -1,0 +1,157 @@
+"""One problem of the story, from the facts so far: its tests, its method fed with them, and what both say.
+
+Facts speak of the maximised objective J; the story has the objective's own sign, so for a minimum upper and lower
+change places.
+"""
+
+from orchestrator import forecast
+from orchestrator.certificate.results import GAPS, OBJECTIVES
+from orchestrator.methods import budget
+from orchestrator.observation import Observation
+from orchestrator.proposer import Proposer
+from orchestrator.report import surfaces
+from orchestrator.report.curves import unit
+from orchestrator.report.story import Problem, Surface, Tests
+from orchestrator.store.journal import BoundFact, Header, ObservationFact, ProposalFact
+from orchestrator.store.queries import ObservedTest
+from orchestrator.store.since import Decision
+from schemas import campaign as schema
+from schemas.campaign import SENSES
+from schemas.certificate import ProblemResult
+
+
+class Told:
+    """What has been told of one problem so far."""
+
+    def __init__(self, header: Header, problem: schema.Problem, proposer: Proposer) -> None:
+        self.problem = problem
+        self.sense = SENSES[problem.name]
+        self.rollouts = 0
+        self.starts: list[tuple[float, ...]] = []
+        """z of every proposed test."""
+        self.observed: list[ObservedTest] = []
+        self._header, self._proposer = header, proposer
+        self._proposals: dict[int, ProposalFact] = {}
+        self._values: dict[int, float] = {}
+        self._surface: tuple[int, Surface | None] = (0, None)
+        self._tests: tuple[int, Tests] = (0, _columns(problem, self.sense, ()))
+
+    def take(self, fact: Decision) -> None:
+        """Add the next fact of this problem.
+
+        Raises:
+            KeyError: an earlier fact is missing.
+            ValueError: the method cannot go on.
+
+        """
+        match fact:
+            case ProposalFact():
+                self._proposals[fact.test] = fact
+                self.starts.append(fact.x)
+            case ObservationFact():
+                self._proposer.observe(self._proposals[fact.test], Observation(fact.y, fact.each), last=False)
+                self._values[fact.test] = fact.y
+            case BoundFact():
+                proposal, y = self._proposals.pop(fact.test), self._values.pop(fact.test)
+                found = (fact.upper, fact.lower, fact.stopped_by)
+                self.observed.append(ObservedTest(fact.test, proposal.x, y, proposal.F, *found))
+
+    @property
+    def last(self) -> ObservedTest | None:
+        """The last observed test."""
+        return self.observed[-1] if self.observed else None
+
+    def told(self, result: ProblemResult | None) -> Problem:
+        """Return it for the story; `result` is what the certificate says of it."""
+        config, spec, problem, last = self._header.config, self._header.spec, self.problem, self.last
+        tests = self.tests()
+        bound, partner = _sides(self.sense, last)
+        stopped = last.stopped_by if last else None
+        return Problem(
+            name=problem.name,
+            objective=result.objective if result else objective(self._header, problem),
+            method=problem.method,
+            sense=self.sense,
+            unit=unit(self._header, problem),
+            distance="F_i" if problem.method == "paper" else "U - L",
+            alpha=problem.alpha,
+            delta=problem.delta,
+            bound=result.bound if result else bound,
+            partner=result.partner if result else partner,
+            probability=result.probability if result else self._probability(),
+            budget=budget(config, spec, problem),
+            rollouts=self.rollouts,
+            stopped_by=stopped,
+            left=None if stopped else self._left(),
+            surface=self.surface(),
+            tests=tests,
+        )
+
+    def tests(self) -> Tests:
+        """Return the columns; they are made again only after a new test."""
+        if self._tests[0] != len(self.observed):
+            self._tests = (len(self.observed), _columns(self.problem, self.sense, tuple(self.observed)))
+        return self._tests[1]
+
+    def surface(self) -> Surface | None:
+        """Return the band over D; it is worked out again only after a new test."""
+        if self._surface[0] != len(self.observed):
+            found = surfaces.surface(self._header, self.problem, self._proposer.methods[self.problem.name])
+            self._surface = (len(self.observed), found)
+        return self._surface[1]
+
+    def worst(self, number: int) -> list[int]:
+        """Return the worst tests, the worst first."""
+        order = sorted(self.observed, key=lambda test: (-test.y, test.test))  # y is of J, which is maximised
+        return [each.test for each in order[:number]]
+
+    def _probability(self) -> float | None:
+        """Return the probability with which the bound holds now; method paper has a bound only once it has stopped."""
+        if self.last is None or self.last.stopped_by == "refuted":
+            return None
+        if self.problem.method == "paper" and self.last.stopped_by is None:
+            return None
+        return self._proposer.methods[self.problem.name].method.probability
+
+    def _left(self) -> str | None:
+        distance = self.tests().distance
+        now = distance[-1] if distance else None
+        left = forecast.tests_left(self._header.config, self.problem, now, len(self.observed))
+        return None if left is None else f"about {left} test{'' if left == 1 else 's'}"
+
+
+def objective(header: Header, problem: schema.Problem) -> str:
+    """Return what is bounded, in the words of the certificate."""
+    gap = header.config.gap_of(problem) if problem.name == "sim_gap" else None
+    text = GAPS[gap.kind] if gap else OBJECTIVES[problem.name]
+    linear = not isinstance(problem, schema.PaperProblem) and problem.linearised is not None
+    return f"{text}, through the expectation that bounds it" if linear else text
+
+
+def signed(value: float | None, sense: str) -> float | None:
+    """Return a value of J with the sign of the objective.
+
+    >>> signed(0.25, "min"), signed(0.25, "max"), signed(0.0, "min")
+    (-0.25, 0.25, 0.0)
+    """
+    return value if value is None or sense == "max" else 0.0 - value
+
+
+def _sides(sense: str, last: ObservedTest | None) -> tuple[float | None, float | None]:
+    """Return the bound of the certificate's side, and the one from the other side."""
+    return (None, None) if last is None else (signed(last.upper, sense), signed(last.lower, sense))
+
+
+def _columns(problem: schema.Problem, sense: str, tests: tuple[ObservedTest, ...]) -> Tests:
+    upper, lower = (
+        tuple(signed(each.upper, sense) for each in tests),
+        tuple(signed(each.lower, sense) for each in tests),
+    )
+    return Tests(
+        test=tuple(each.test for each in tests),
+        x=tuple(each.x for each in tests),
+        y=tuple(signed(each.y, sense) for each in tests),
+        distance=tuple(forecast.distance(problem, each.F, each.upper, each.lower) for each in tests),
+        lower=upper if sense == "min" else lower,
+        upper=lower if sense == "min" else upper,
+    )

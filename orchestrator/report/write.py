@@ -1,0 +1,45 @@
+"""`perfbound report`: one page that needs no server, the counterexamples, and the figures, beside the evidence."""
+
+from pathlib import Path
+
+from orchestrator.certificate.files import CERTIFICATE
+from orchestrator.report import document
+from orchestrator.report.figures import figures
+from orchestrator.report.story import Story, to_json
+from orchestrator.report.teller import Teller
+from orchestrator.store import evidence, export
+
+REPORT, COUNTEREXAMPLES, FIGURES = "report.html", "counterexamples.csv", "figures"
+
+
+def tell(directory: Path) -> Story:
+    """Return the story of the campaign in `directory` now, whether it runs, has stopped or is finished.
+
+    Raises:
+        PerfboundError: there is no campaign, or it cannot be read.
+
+    """
+    return Teller(directory).look()
+
+
+def write(directory: Path, story: Story) -> tuple[Path, ...]:
+    """Write the report of a campaign, each file whole or not at all, and return the files, the page first.
+
+    Raises:
+        PerfboundError: the database cannot be read.
+        OSError: the directory cannot be written.
+
+    """
+    export.counterexamples(directory, directory / COUNTEREXAMPLES)
+    pictures = dict(figures(story))
+    for name, picture in pictures.items():
+        evidence.write(directory / FIGURES / name, picture)
+    page = document.report(f"{story.name}: perfbound report", to_json(story))
+    evidence.write(directory / REPORT, page.html.encode())
+    return (directory / REPORT, directory / COUNTEREXAMPLES, *(directory / FIGURES / name for name in pictures))
+
+
+def is_current(directory: Path) -> bool:
+    """Whether the report of a finished campaign stands there already: it is not older than the certificate."""
+    page, certificate = directory / REPORT, directory / CERTIFICATE
+    return page.is_file() and page.stat().st_mtime_ns >= certificate.stat().st_mtime_ns

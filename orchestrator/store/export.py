@@ -1,0 +1,192 @@
+"""A campaign's tables as files, CSV or Parquet: read-only, while the campaign runs too, all of one moment."""
+
+import csv
+import io
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from itertools import islice
+from pathlib import Path
+from typing import IO, Literal
+
+from sqlalchemy import Connection
+
+from orchestrator.errors import PerfboundError
+from orchestrator.store import rows
+from orchestrator.store.evidence import FOLDER, TEMPORARY
+from orchestrator.store.journal import DATABASE, Header, read_header
+from orchestrator.store.queries import reading
+from orchestrator.store.rows import TABLES, Column, Row, Table, Value
+
+__all__ = ["TABLES", "counterexamples", "export", "stream"]
+
+Format = Literal["csv", "parquet"]
+DEFAULT = "export"
+"""Folder in the run directory."""
+GROUP = 10_000
+"""Rows of a Parquet row group, and between two looks at the progress."""
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""A spreadsheet takes a cell that begins so for a formula."""
+
+Progress = Callable[[str, int], None]
+"""Takes a table's name and how many rows of it there are so far."""
+
+
+def export(
+    directory: Path,
+    folder: Path,
+    names: Sequence[str] = TABLES,
+    *,
+    form: Format = "csv",
+    progress: Progress = lambda _name, _rows: None,
+) -> list[tuple[Path, int]]:
+    """Write tables of the campaign in `directory` into `folder`, all of them or none; return (file, rows) of each.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+        PerfboundError: an unknown table, pyarrow is missing, or `folder` is not to be written, or cannot be.
+
+    """
+    paths = [folder / f"{name}.{form}" for name in names]
+    for path in paths:
+        _check_place(directory, path)
+    write = _writer(form)
+    with _campaign(directory, names) as (connection, header, found), _whole(paths) as files:
+        return [
+            (path, write(file, table, _counted(table, connection, progress), header))
+            for path, file, table in zip(paths, files, found, strict=True)
+        ]
+
+
+def stream(directory: Path, name: str, out: IO[bytes]) -> int:
+    """Write one table as CSV to `out`; return its rows. Raises as `export`, and OSError if `out` is closed."""
+    with _campaign(directory, [name]) as (connection, header, (table,)):
+        return _csv(out, table, table.rows(connection), header)
+
+
+def counterexamples(directory: Path, path: Path) -> int:
+    """Write the rollouts with robustness below 0 as CSV to `path`; return how many. Raises as `export`."""
+    _check_place(directory, path)
+    with _campaign(directory, ["counterexamples"]) as (connection, header, (table,)), _whole([path]) as (file,):
+        return _csv(file, table, table.rows(connection), header)
+
+
+@contextmanager
+def _campaign(directory: Path, names: Sequence[str]) -> Iterator[tuple[Connection, Header, list[Table]]]:
+    """Open a campaign at one moment, with the named tables."""
+    unknown = [name for name in names if name not in TABLES]
+    if unknown:
+        raise PerfboundError(f"there is no table {unknown[0]!r}; allowed are {', '.join(TABLES)}")
+    with reading(directory) as connection:
+        header = read_header(connection, directory)
+        yield connection, header, [rows.table(name, header) for name in names]
+
+
+def _counted(table: Table, connection: Connection, progress: Progress) -> Iterator[Row]:
+    for number, row in enumerate(table.rows(connection)):
+        if number % GROUP == 0:
+            progress(table.name, number)
+        yield row
+
+
+# Formats
+
+
+def _writer(form: Format) -> Callable[[IO[bytes], Table, Iterable[Row], Header], int]:
+    if form == "csv":
+        return _csv
+    try:
+        import pyarrow.parquet  # noqa: F401, PLC0415  (an extra, and slow to load)
+    except ImportError:
+        raise PerfboundError("Parquet needs pyarrow: pip install 'perfbound[parquet]', or use --format csv") from None
+    return _parquet
+
+
+def _csv(out: IO[bytes], table: Table, found: Iterable[Row], _header: Header) -> int:
+    """Write RFC 4180: UTF-8, CRLF, floats that read back exactly, nothing for NULL; units stand in the first line."""
+    text = io.TextIOWrapper(out, encoding="utf-8", newline="")
+    try:
+        writer, number = csv.writer(text), 0
+        writer.writerow(_title(column) for column in table.columns)
+        for number, row in enumerate(found, 1):  # noqa: B007
+            writer.writerow(map(_cell, row))
+        text.flush()
+    finally:
+        text.detach()
+    return number
+
+
+def _title(column: Column) -> str:
+    return f"{column.name} ({column.unit})" if column.unit else column.name
+
+
+def _cell(value: Value) -> Value:
+    """Return what stands in the cell: a text that a stranger chose (a worker's name) must not become a formula."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
+
+
+def _parquet(out: IO[bytes], table: Table, found: Iterable[Row], header: Header) -> int:
+    """Write Parquet; the unit of a column is its field's metadata `unit`."""
+    import pyarrow as pa  # noqa: PLC0415
+    from pyarrow.parquet import ParquetWriter  # noqa: PLC0415
+
+    types = {"text": pa.string(), "integer": pa.int64(), "number": pa.float64()}
+    fields = [pa.field(each.name, types[each.kind], metadata=_metadata(unit=each.unit)) for each in table.columns]
+    about = _metadata(campaign=header.config.name, run=header.run, config_sha256=header.config_sha256)
+    schema, total, left = pa.schema(fields, metadata=about), 0, iter(found)
+    with ParquetWriter(out, schema) as writer:
+        while group := list(islice(left, GROUP)):
+            columns = zip(*group, strict=True)
+            arrays = [pa.array(values, field.type) for values, field in zip(columns, schema, strict=True)]
+            writer.write_batch(pa.record_batch(arrays, schema=schema))
+            total += len(group)
+    return total
+
+
+def _metadata(**entries: str) -> dict[str, str] | None:
+    return {key: value for key, value in entries.items() if value} or None
+
+
+# Files
+
+
+def _check_place(directory: Path, path: Path) -> None:
+    """Refuse to write among or over what a certificate rests on."""
+    place, run = path.resolve(), directory.resolve()
+    if run / FOLDER in (place, *place.parents):
+        raise PerfboundError(f"{path}: {FOLDER} holds evidence alone; choose another --out")
+    if place.parent == run and place.name.startswith(DATABASE):
+        raise PerfboundError(f"{path}: that is the campaign's database; choose another --out")
+
+
+@contextmanager
+def _whole(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
+    """Open files that stand in their places together at the end of the block, or leave nothing after an error.
+
+    Raises:
+        PerfboundError: they cannot be written.
+
+    """
+    partials = [path.with_name(f"{path.name}.{os.getpid()}{TEMPORARY}") for path in paths]
+    files: list[IO[bytes]] = []
+    try:
+        for partial in partials:
+            partial.parent.mkdir(parents=True, exist_ok=True)
+            files.append(partial.open("wb"))
+        yield files
+        for file in files:
+            file.flush()
+            os.fsync(file.fileno())
+        for partial, path in zip(partials, paths, strict=True):
+            partial.replace(path)
+    except OSError as error:
+        where = error.filename2 or error.filename or paths[0].parent
+        raise PerfboundError(f"{where}: cannot be written ({error.strerror or error}); choose another --out") from None
+    finally:
+        for file in files:
+            with suppress(OSError):  # what is in place is on the disk already; what is not is removed
+                file.close()
+        for partial in partials:
+            with suppress(OSError):
+                partial.unlink()

@@ -1,0 +1,69 @@
+// node read_mcap.mjs PACKAGES FILE...: what @mcap/core, the reader inside Foxglove, finds in MCAP files, as JSON on
+// stdout: one object a file under "files", and the schemas that Foxglove publishes under "published".
+// PACKAGES is the folder into which npm installed @mcap/core, fzstd (chunks are compressed) and @foxglove/schemas.
+
+import { createHash } from "node:crypto";
+import { open } from "node:fs/promises";
+import { createRequire } from "node:module";
+import { join, resolve } from "node:path";
+
+const [packages, ...paths] = process.argv.slice(2);
+const require = createRequire(join(resolve(packages), "none.js"));
+const { McapIndexedReader, McapStreamReader } = require("@mcap/core");
+const { decompress } = require("fzstd");
+const published = require("@foxglove/schemas/jsonschema");
+
+const decompressHandlers = { zstd: (data, size) => decompress(data, new Uint8Array(Number(size))) };
+const text = (bytes) => new TextDecoder("utf-8", { fatal: true }).decode(bytes);
+
+/** Return everything in a file, found by its index as Foxglove does. */
+async function indexed(handle) {
+  const readable = {
+    size: async () => BigInt((await handle.stat()).size),
+    read: async (offset, size) => {
+      const bytes = new Uint8Array(Number(size));
+      await handle.read(bytes, 0, Number(size), Number(offset));
+      return bytes;
+    },
+  };
+  const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers });
+  const channels = {};
+  for (const { topic, messageEncoding, schemaId } of reader.channelsById.values()) {
+    const schema = reader.schemasById.get(schemaId);
+    const definition = JSON.parse(text(schema.data));
+    channels[topic] = { messageEncoding, schema: schema.name, encoding: schema.encoding, definition, messages: [] };
+  }
+  for await (const { channelId, logTime, publishTime, data } of reader.readMessages({ validateCrcs: true })) {
+    const { topic } = reader.channelsById.get(channelId);
+    channels[topic].messages.push([String(logTime), String(publishTime), JSON.parse(text(data))]);
+  }
+  const attachments = {};
+  for await (const { name, mediaType, data } of reader.readAttachments({ validateCrcs: true })) {
+    attachments[name] = [mediaType, createHash("sha256").update(data).digest("hex")];
+  }
+  const metadata = {};
+  for await (const record of reader.readMetadata()) {
+    metadata[record.name] = Object.fromEntries(record.metadata);
+  }
+  const { profile, library } = reader.header;
+  return { profile, library, channels, attachments, metadata };
+}
+
+/** Return how many messages there are from the first byte to the last, all checksums compared. */
+async function streamed(handle) {
+  const reader = new McapStreamReader({ decompressHandlers, validateCrcs: true });
+  reader.append(await handle.readFile());
+  let messages = 0;
+  for (let record; (record = reader.nextRecord()); ) {
+    messages += record.type === "Message" ? 1 : 0;
+  }
+  return { messages, done: reader.done() };
+}
+
+const files = [];
+for (const path of paths) {
+  const handle = await open(path);
+  files.push({ ...(await indexed(handle)), streamed: await streamed(handle) });
+  await handle.close();
+}
+console.log(JSON.stringify({ files, published }));

@@ -1,0 +1,210 @@
+"""Small stories for the page: two problems over a lattice, listed starts, one parameter, hostile names."""
+
+import math
+from dataclasses import replace
+
+from orchestrator.report.story import (
+    Assumption,
+    Axis,
+    Claim,
+    Composition,
+    Problem,
+    Rollout,
+    Scene,
+    Story,
+    Surface,
+    Tests,
+    Throughput,
+    Trace,
+    Worker,
+)
+
+AXES = (Axis("x", "m", 0.0, 4.0), Axis("y", "m", 0.0, 3.0))
+NODES = tuple((float(i), float(j)) for i in range(5) for j in range(4))
+STARTED = 1_750_000_000.0
+
+
+def small(tests: int = 6) -> Story:
+    """A finished campaign of the two problems, its first claim refuted."""
+    problems = (_problem("nominal_robustness", "min", tests), _problem("sim_gap", "max", tests))
+    return Story(
+        name="small",
+        seed=1,
+        run="c0ffee",
+        state="finished",
+        updated=None,
+        system="segway",
+        doc="A system.",
+        specification="always (abs(phi) <= 0.95)",
+        horizon=2.0,
+        risk_weight=0.2,
+        clip=(-0.05, 0.75),
+        axes=AXES,
+        now="rho* >= 0.1743 with probability at least 0.8544",
+        claims=(_claim("product", ("rkhs_norm/sim_gap", "independence")), _claim("sum", ("accounting",))),
+        composition=Composition("product", 0.45, 0.2, 0.08, 0.17),
+        assumptions=(
+            Assumption("rkhs_norm/sim_gap", "refuted", "largest |y| = 0.68 exceeds B = 0.1."),
+            Assumption("independence", "derived", "each problem has seeds of its own."),
+            Assumption("accounting", "assumed", "the failure probabilities are added."),
+        ),
+        problems=problems,
+        scenes=tuple(scene(each.name, test) for each in problems for test in (worst(each), 0)),
+        counterexamples=(),
+        violations=0,
+        rollouts=4 * tests,
+        workers=(Worker("local-1", "vm", 4 * tests, 0, 9.0, 8.5, STARTED + 9, "unknown", None, None),),
+        throughput=Throughput(12.0, STARTED, (0.0, 5.0, 9.0), (0, 10, 4 * tests), 1, 0),
+        software={"perfbound": "0.1.0"},
+        resume="perfbound resume runs/small",
+    )
+
+
+def worst(problem: Problem) -> int:
+    """Return the number of the worst test."""
+    sign = 1.0 if problem.sense == "min" else -1.0
+    seen = [(sign * y, test) for test, y in zip(problem.tests.test, problem.tests.y, strict=True) if y is not None]
+    return min(seen)[1]
+
+
+def calm() -> Story:
+    """The same without anything refuted."""
+    story = small()
+    claims = tuple(replace(claim, refuted=()) for claim in story.claims)
+    kept = tuple(each for each in story.assumptions if each.status != "refuted")
+    return replace(story, claims=claims, assumptions=kept)
+
+
+def running(tests: int, scenes: tuple[Scene, ...] = ()) -> Story:
+    """A running campaign at one moment."""
+    workers = (Worker("local-1", "vm", tests, 0, 9.0, 8.5, STARTED, "busy", "sim_gap.3.true.0", STARTED + 1),)
+    story = replace(small(tests), state="running", updated=STARTED + tests, claims=(), composition=None)
+    return replace(story, scenes=scenes, workers=workers)
+
+
+def begun() -> Story:
+    """A running campaign before its first test is observed."""
+    story = running(1)
+    none = Tests((), (), (), (), (), ())
+    problems = tuple(replace(each, tests=none, surface=None, bound=None, stopped_by=None) for each in story.problems)
+    return replace(
+        story, problems=problems, assumptions=(), workers=(), throughput=Throughput(0.0, None, (), (), 1, 0), rollouts=0
+    )
+
+
+def starts() -> Story:
+    """Listed starts; no start has an upper bound of its own."""
+    story = small()
+    surface = _surface(shape=None)
+    listed = replace(surface, points=NODES, upper=(None,) * len(NODES))
+    problem = replace(story.problems[0], method="scenario", distance="U - L", surface=listed)
+    return replace(story, problems=(problem,))
+
+
+def profile() -> Story:
+    """A system with one parameter."""
+    story = small()
+    problem = story.problems[0]
+    line = replace(problem, surface=_surface(shape=(20,)), tests=replace(problem.tests, x=((0.5,), (1.5,)) * 3))
+    return replace(story, axes=AXES[:1], problems=(line,))
+
+
+def hostile() -> Story:
+    """Every text that a stranger may have chosen tries to run, to lead away, or to break the layout."""
+    script = '<script>window.pwned=1</script><img src=x onerror="window.pwned=1">'
+    long, strange = "a" * 10_000, "evil\u0000\u001b[31m\u202etxt\u2066" + script
+    bad = Rollout(script, script, 0, script, 0, 1, (1.0, 2.0), -0.2, "../../etc/passwd", f"rm -rf {long}")
+    paths = (
+        "javascript:alert(1)",
+        "trajectories/../../x.mcap",
+        "//evil.example/x",
+        "trajectories/\\x",
+        "https://e.example",
+    )
+    rollouts = (bad, *(replace(bad, path=path) for path in paths))
+    story = small()
+    problem = replace(story.problems[0], name=script, objective=long, method=strange, unit=strange, stopped_by=strange)
+    trace = replace(scene("x", 0).traces[0], label=script, column=long, unit=strange)
+    stage = replace(scene(script, worst(problem)), traces=(trace,), rollouts=rollouts, error=strange)
+    return replace(
+        story,
+        name=strange,
+        system=long,
+        doc=script,
+        specification=long,
+        run=script,
+        axes=(Axis(script, strange, 0.0, 4.0), Axis(long, long, 0.0, 3.0)),
+        claims=(replace(story.claims[0], sentence=script + long, method=long, rule=strange),),
+        assumptions=(Assumption("rkhs_norm/sim_gap", "refuted", script + long), Assumption(long, "assumed", strange)),
+        problems=(problem, replace(story.problems[1], name=long, left=script)),
+        scenes=(stage,),
+        counterexamples=rollouts,
+        violations=len(rollouts),
+        workers=(Worker(long, script, 1, 1, 1.0, 1.0, STARTED, strange, script, None),),
+        software={script: long},
+        resume=long,
+    )
+
+
+def scene(problem: str, test: int) -> Scene:
+    """The rollouts of a test: one nominal, two true."""
+    t = tuple(0.1 * k for k in range(21))
+    variants = (("nominal", 0), ("true", 0), ("true", 1))
+    rollouts = tuple(rollout(problem, test, variant, replicate) for variant, replicate in variants)
+    traces = tuple(
+        Trace(f"{variant} {k}", variant, "phi", "rad", t, tuple(0.3 * math.sin(each + 0.2 * k) for each in t))
+        for variant, k in variants
+    )
+    return Scene(problem, test, traces, (-0.95, 0.95), rollouts, limit_columns=("phi", "phi"))
+
+
+def rollout(problem: str, test: int, variant: str, replicate: int, robustness: float = 0.4) -> Rollout:
+    """A recorded rollout."""
+    name = f"{problem}.{test}.{variant}.{replicate}"
+    path = f"trajectories/{problem}/0/{name}.mcap"
+    return Rollout(
+        name, problem, test, variant, replicate, 7, (1.0, 2.0), robustness, path, f"perfbound replay runs/small {name}"
+    )
+
+
+def _claim(rule: str, assumptions: tuple[str, ...]) -> Claim:
+    refuted = tuple(each for each in assumptions if each.startswith("rkhs"))
+    sentence = f"rho* >= 0.1743 with probability at least 0.8544 ({rule})"
+    return Claim("rho_star", ">=", 0.1743861, 0.8544309, rule, "paper", sentence, assumptions, refuted)
+
+
+def _problem(name: str, sense: str, tests: int) -> Problem:
+    numbers = tuple(range(tests))
+    x = tuple(NODES[(7 * k) % 20] for k in numbers)
+    return Problem(
+        name=name,
+        objective="min over d of E[robustness]",
+        method="paper",
+        sense=sense,
+        unit="rad",
+        distance="F_i",
+        alpha=0.05,
+        delta=0.05,
+        bound=0.17439,
+        partner=None,
+        probability=0.92435,
+        budget=100,
+        rollouts=tests,
+        stopped_by="converged",
+        left=None,
+        surface=_surface(shape=(5, 4)),
+        tests=Tests(
+            test=numbers,
+            x=x,
+            y=tuple(0.5 + 0.2 * math.cos(3.0 * k) for k in numbers),
+            distance=(None, *(1.0 / (k + 1) for k in numbers[1:])),
+            lower=tuple(0.4 - 0.3 / (k + 1) for k in numbers),
+            upper=(None,) * tests,
+        ),
+    )
+
+
+def _surface(shape: tuple[int, ...] | None) -> Surface:
+    mean = tuple(0.3 + 0.02 * k for k in range(20))
+    lower, upper = tuple(each - 0.1 for each in mean), tuple(each + 0.1 for each in mean)
+    return Surface(shape, (), mean, lower, upper, tuple(k < 7 for k in range(20)), band="with probability 0.95")

@@ -1,0 +1,61 @@
+"""The report of real campaigns, written at their end and asked for afterwards."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestrator import service
+from tests.end_to_end.processes import Processes
+from tests.told import a_list, finish, play
+
+
+def story(directory: Path) -> Any:
+    """Return the story in the page of a report."""
+    found = re.search(r'id="story">(.*?)</script>', (directory / "report.html").read_text(), re.DOTALL)
+    assert found
+    return json.loads(found[1])
+
+
+def test_a_run_ends_with_its_report(calm: Path, started: Processes) -> None:
+    certificate = json.loads((calm / "certificate.json").read_text())["predicate"]
+    found = story(calm)
+    assert found["state"] == "finished"
+    assert [claim["assumptions"] for claim in found["claims"]] == [
+        each["assumptions"] for each in certificate["claims"]
+    ]
+    printed = started.run("perfbound", "report", calm, "--json")
+    assert (printed.code, printed.err) == (0, "")
+    scenes = [scene["test"] for scene in found["scenes"]]
+    assert [scene["test"] for scene in json.loads(printed.out)["scenes"]] == scenes
+    assert {trace["column"] for scene in found["scenes"] for trace in scene["traces"]} == {"phi"}
+
+
+def test_a_report_that_cannot_be_written_spoils_no_campaign(calm: Path, started: Processes) -> None:
+    run = started.folder / "run"
+    shutil.copytree(calm, run)
+    shutil.rmtree(run / "figures")
+    (run / "figures").write_text("in the way")
+    (run / "report.html").unlink()
+    ended = started.run("perfbound", "resume", run)
+    assert ended.code == 0
+    assert "there is no report" in ended.err
+    assert "Traceback" not in ended.err
+    assert "certificate.json" in ended.out
+    assert "report.html" not in ended.out
+
+
+def test_true_rollouts_are_shown_beside_a_nominal_one(
+    tmp_path: Path, started: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "TICK", 0.01)
+    finish(play(tmp_path / "run", a_list()), tmp_path / "run")
+    ended = started.run("perfbound", "report", tmp_path / "run")
+    assert ended.code == 0, ended.err
+    for scene in story(tmp_path / "run")["scenes"]:
+        first, *others = scene["traces"]
+        assert first["label"] == "nominal, simulated for this report"
+        assert {trace["variant"] for trace in others} == {"true"}

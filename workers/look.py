@@ -1,0 +1,32 @@
+"""What a person sees of a trajectory, for programs that draw it: the scene and the moving frames as JSON."""
+
+from typing import Any
+
+from schemas.trajectory import Transform, read
+from workers.systems import load
+
+
+def look(data: bytes) -> dict[str, Any] | None:
+    """Return the scene and the frames of a trajectory's file, one pose a frame a person sees; None if nothing is shown.
+
+    Poses are in the frame `parent`: translations (F, 3) in m, rotations (F, 4) as quaternions x, y, z, w.
+
+    Raises:
+        TrajectoryError: `data` is no trajectory file.
+        UnknownSystemError: its system is not installed.
+
+    """
+    file = read(data)
+    visual = load(str(file.request.get("system"))).visual(file.trajectory)
+    if visual is None:
+        return None
+    return {"scene": dict(visual.scene), "transforms": [_pose(each) for each in visual.transforms]}
+
+
+def _pose(transform: Transform) -> dict[str, Any]:
+    return {
+        "parent": transform.parent,
+        "child": transform.child,
+        "translation": transform.translation.tolist(),
+        "rotation": transform.rotation.tolist(),
+    }
