@@ -1,6 +1,5 @@
 """What a worker announces of a system under test, so that the orchestrator need not import it."""
 
-from functools import cached_property
 from typing import Literal
 
 from pydantic import Field
@@ -56,7 +55,7 @@ class SystemSpec(Model):
     max_horizon: float = Field(gt=0, description="longest rollout in seconds")
     versions: dict[str, str] = Field(default_factory=dict)
 
-    @cached_property
+    @property
     def digest(self) -> str:
         """Identity of this exact system; workers that announce another one are refused."""
         return digest(self.model_dump(mode="json"))

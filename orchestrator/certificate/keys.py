@@ -123,7 +123,7 @@ def _another_kind(path: Path) -> SignatureError:
 
 def _read(path: Path) -> tuple[bytes, os.stat_result]:
     try:
-        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | 0), "rb") as file:  # waits for no pipe
+        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:  # waits for no pipe
             status = os.fstat(file.fileno())
             data = file.read(MAX_FILE + 1) if stat.S_ISREG(status.st_mode) else b""
     except OSError as error:

@@ -35,7 +35,7 @@ def result(header: Header, account: Account) -> document.ProblemResult:
     chances = _probabilities(header, problem)
     return document.ProblemResult(
         name=problem.name,
-        objective=_objective(header, problem),
+        objective=objective(header, problem),
         method=problem.method,
         sense=SENSES[problem.name],
         bound=round_down(-bound.upper) if minimum else round_up(bound.upper),
@@ -50,7 +50,8 @@ def result(header: Header, account: Account) -> document.ProblemResult:
     )
 
 
-def _objective(header: Header, problem: Problem) -> str:
+def objective(header: Header, problem: Problem) -> str:
+    """Return what a problem bounds, in words."""
     gap = header.config.gap_of(problem) if problem.name == "sim_gap" else None
     text = GAPS[gap.kind] if gap else OBJECTIVES[problem.name]
     linear = not isinstance(problem, PaperProblem) and problem.linearised is not None

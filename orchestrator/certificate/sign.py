@@ -109,7 +109,7 @@ def _certificate(directory: Path) -> bytes:
     found = files.read(directory)
     if found is None:
         raise EvidenceError(f"{directory}: no {path.name} to sign; finish the campaign with `perfbound resume` first")
-    if not hashlib.sha256(manifest.read_bytes()).hexdigest() != found.predicate.evidence.manifest_sha256:
+    if hashlib.sha256(manifest.read_bytes()).hexdigest() != found.predicate.evidence.manifest_sha256:
         raise EvidenceError(f"{path}: is not about the {manifest.name} beside it; restore both from a copy")
     return path.read_bytes()
 

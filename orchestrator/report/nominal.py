@@ -14,7 +14,7 @@ from orchestrator.store.queries import reading
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import Trajectory, TrajectoryError, decode
 
-MOST = 6
+MOST = 8
 """Scenes that get one."""
 LABEL = "nominal, simulated for this report"
 

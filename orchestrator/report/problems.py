@@ -4,8 +4,10 @@ Facts speak of the maximised objective J; the story has the objective's own sign
 change places.
 """
 
+from itertools import islice
+
 from orchestrator import forecast
-from orchestrator.certificate.results import GAPS, OBJECTIVES
+from orchestrator.certificate.results import objective
 from orchestrator.methods import budget
 from orchestrator.observation import Observation
 from orchestrator.proposer import Proposer
@@ -101,9 +103,12 @@ class Told:
         return self._surface[1]
 
     def worst(self, number: int) -> list[int]:
-        """Return the worst tests, the worst first."""
+        """Return the worst test of each of the worst starts, the worst first."""
         order = sorted(self.observed, key=lambda test: (-test.y, test.test))  # y is of J, which is maximised
-        return [each.test for each in order[:number]]
+        found: dict[tuple[float, ...], int] = {}
+        for each in order:
+            found.setdefault(each.x, each.test)
+        return list(islice(found.values(), number))
 
     def _probability(self) -> float | None:
         """Return the probability with which the bound holds now; method paper has a bound only once it has stopped."""
@@ -118,14 +123,6 @@ class Told:
         now = distance[-1] if distance else None
         left = forecast.tests_left(self._header.config, self.problem, now, len(self.observed))
         return None if left is None else f"about {left} test{'' if left == 1 else 's'}"
-
-
-def objective(header: Header, problem: schema.Problem) -> str:
-    """Return what is bounded, in the words of the certificate."""
-    gap = header.config.gap_of(problem) if problem.name == "sim_gap" else None
-    text = GAPS[gap.kind] if gap else OBJECTIVES[problem.name]
-    linear = not isinstance(problem, schema.PaperProblem) and problem.linearised is not None
-    return f"{text}, through the expectation that bounds it" if linear else text
 
 
 def signed(value: float | None, sense: str) -> float | None:

@@ -228,7 +228,7 @@ class Story:
     assumptions: tuple[Assumption, ...]
     problems: tuple[Problem, ...]
     scenes: tuple[Scene, ...]
-    """The worst tests of every problem, the worst first; a live page asks for the others."""
+    """The worst test of each of the worst starts of every problem, the worst first; a live page asks for the others."""
     counterexamples: tuple[Rollout, ...]
     """Rollouts with robustness below 0, the worst first, at most `MOST`."""
     violations: int

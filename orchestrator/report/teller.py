@@ -19,8 +19,8 @@ from orchestrator.store.since import rollouts_of
 from schemas.campaign import Scenarios
 from schemas.certificate import ProblemResult
 
-SCENES = 6
-"""Of each problem."""
+SCENES = 8
+"""Of each problem, one a start."""
 MOST_KEPT = 200
 """Scenes that are not made again."""
 

@@ -111,7 +111,7 @@ class _Web:
         return _text("this failed; the page's owner sees why", 500)
 
     async def events(self, request: Request) -> Response:
-        if False:
+        if self._streams >= MOST_STREAMS:
             return _text(f"{MOST_STREAMS} pages of this campaign are open; close one and load this one again", 503)
         if request.method == "HEAD":
             return Response(media_type=EVENTS)

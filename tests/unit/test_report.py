@@ -23,6 +23,7 @@ from orchestrator.report import document, nominal, write
 from orchestrator.report.figures import figures
 from orchestrator.report.story import Axis, Rollout, Story, Surface, to_json
 from orchestrator.store.journal import DATABASE, Header
+from schemas.system import SystemSpec
 from schemas.trajectory import Trajectory
 from tests.told import a_list, a_pair, contents, finish, insert, play
 from workers.systems import load
@@ -249,7 +250,8 @@ def test_another_system_than_that_of_the_campaign_is_not_simulated(
 ) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
     story, spec = write.tell(tmp_path), load("test-function").spec
-    monkeypatch.setattr(nominal, "system_specs", lambda: {spec.name: spec.model_copy(update={"doc": "newer"})})
+    newer = SystemSpec.model_validate({**spec.model_dump(), "doc": "newer"})
+    monkeypatch.setattr(nominal, "system_specs", lambda: {spec.name: newer})
     scene = nominal.with_nominal(tmp_path, story).scenes[0]
     assert [replace(scene.traces[0], label=""), *scene.traces[1:]] == [
         replace(story.scenes[0].traces[0], label=""),

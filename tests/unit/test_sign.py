@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from securesystemslib.dsse import Envelope as TheirEnvelope
 from securesystemslib.exceptions import VerificationError
-from securesystemslib.signer import CryptoSigner, SSlibKey
+from securesystemslib.signer import CryptoSigner, SSlibKey  # type: ignore[attr-defined]
 
 from orchestrator.certificate import files, sign
 from orchestrator.certificate.keys import SignatureError, key_id, load_private, load_public, new_pair

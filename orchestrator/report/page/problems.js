@@ -34,7 +34,7 @@ function numbers(problem) {
   const sense = problem.sense === "max" ? "<=" : ">=";
   const facts = [
     ["Bound", problem.bound === null ? "none yet" : `${sense} ${outward(problem.bound, sense)} ${unitText(problem.unit)}`],
-    ["Other side", problem.partner === null ? null : `${sense === ">=" ? "<=" : ">="} ${outward(problem.partner, sense === ">=" ? "<=" : ">=")} ${unitText(problem.unit)}`],
+    [problem.method === "scenario" ? "The bound tends to" : "Other side", problem.partner === null ? null : `${sense === ">=" ? "<=" : ">="} ${outward(problem.partner, sense === ">=" ? "<=" : ">=")} ${unitText(problem.unit)}`],
     ["Probability", problem.probability === null ? null : `>= ${outward(problem.probability, ">=")}`],
     ["Tests", `${count(problem.tests.test.length)} of at most ${count(problem.budget)}`],
     ["Rollouts", count(problem.rollouts)],
