@@ -83,14 +83,15 @@ def written(directory: Path, console: Console) -> None:
     _heading(console, "Written", "bold")
     for name, what in (
         ("certificate.json", "certificate"),
+        ("certificate.dsse.json", "signed"),
         ("manifest.sha256", "manifest"),
         ("trajectories", "evidence"),
         ("campaign.db", "database"),
+        ("report.html", "report"),
     ):
-        _line(console, f"  {what:<12} {directory / name}")
-    if (directory / "report.html").is_file():
-        _line(console, f"  report       {directory / 'report.html'}")
-    _line(console, f"  check it:    cd {shlex.quote(str(directory))} && sha256sum --check --quiet manifest.sha256")
+        if (directory / name).exists():
+            _line(console, f"  {what:<12} {directory / name}")
+    _line(console, f"  check it:    perfbound verify {shlex.quote(str(directory))}")
 
 
 def _claim(claim: Claim, composition: Composition | None, broken: list[str], console: Console, *, first: bool) -> None:

@@ -166,12 +166,11 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool) -
     from orchestrator import session, summary  # noqa: PLC0415
 
     console, found = data(), session.certificate(directory)
-    signed = None if key is None else signing.sign(directory, key)
+    if key is not None:
+        signing.sign(directory, key)
     summary.show(found, console)
     draw(directory)
     summary.written(directory, console)
-    if signed:
-        click.echo(f"  {signed}")
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
 

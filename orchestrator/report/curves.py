@@ -58,18 +58,6 @@ def limits(header: Header, names: Sequence[str]) -> tuple[tuple[str, float], ...
     return tuple(dict.fromkeys(limit for limit in sorted(found) if limit[0] in names))
 
 
-def unit(header: Header, problem: Problem) -> str:
-    """Return the unit of a problem's objective; nothing if it does not follow from the units of columns."""
-    gap = header.config.gap_of(problem) if problem.name == "sim_gap" else None
-    if problem.name == "maximum" or (gap is not None and gap.column is not None):
-        units = {column_unit(header, name) for name in shown(header, problem)}
-    else:
-        tree = formula(header)
-        sides = [_sides(each) for each in predicates(tree)] if tree else []
-        units = {column_unit(header, side[0][0]) if side else "" for side in sides}
-    return next(iter(units)) if len(units) == 1 else ""
-
-
 def column_unit(header: Header, name: str) -> str:
     """Return the unit of a column of the system."""
     return next(column.unit for column in header.spec.columns if column.name == name)

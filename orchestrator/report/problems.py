@@ -12,10 +12,10 @@ from orchestrator.methods import budget
 from orchestrator.observation import Observation
 from orchestrator.proposer import Proposer
 from orchestrator.report import surfaces
-from orchestrator.report.curves import unit
 from orchestrator.report.story import Problem, Surface, Tests
 from orchestrator.store.journal import BoundFact, Header, ObservationFact, ProposalFact
 from orchestrator.store.queries import ObservedTest
+from orchestrator.store.rows import unit
 from orchestrator.store.since import Decision
 from schemas import campaign as schema
 from schemas.campaign import SENSES
@@ -74,7 +74,7 @@ class Told:
             objective=result.objective if result else objective(self._header, problem),
             method=problem.method,
             sense=self.sense,
-            unit=unit(self._header, problem),
+            unit=unit(problem, self._header.config, self._header.spec),
             distance="F_i" if problem.method == "paper" else "U - L",
             alpha=problem.alpha,
             delta=problem.delta,

@@ -1,12 +1,15 @@
 """`perfbound report`: one page that needs no server, the counterexamples, and the figures, beside the evidence."""
 
+import shlex
+from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.certificate.files import CERTIFICATE
 from orchestrator.report import document
 from orchestrator.report.figures import figures
-from orchestrator.report.story import Story, to_json
+from orchestrator.report.story import Rollout, Story, to_json
 from orchestrator.report.teller import Teller
+from orchestrator.session import resume_command
 from orchestrator.store import evidence, export
 
 REPORT, COUNTEREXAMPLES, FIGURES = "report.html", "counterexamples.csv", "figures"
@@ -22,6 +25,21 @@ def tell(directory: Path) -> Story:
     return Teller(directory).look()
 
 
+def here(story: Story) -> Story:
+    """Return the story with commands for somebody who stands in the run directory: a report may have been moved."""
+
+    def moved(rollout: Rollout) -> Rollout:
+        return replace(rollout, command=shlex.join(["perfbound", "replay", ".", rollout.id]))
+
+    scenes = tuple(replace(scene, rollouts=tuple(map(moved, scene.rollouts))) for scene in story.scenes)
+    return replace(
+        story,
+        scenes=scenes,
+        counterexamples=tuple(map(moved, story.counterexamples)),
+        resume=resume_command(Path()),
+    )
+
+
 def write(directory: Path, story: Story) -> tuple[Path, ...]:
     """Write the report of a campaign, each file whole or not at all, and return the files, the page first.
 
@@ -34,7 +52,7 @@ def write(directory: Path, story: Story) -> tuple[Path, ...]:
     pictures = dict(figures(story))
     for name, picture in pictures.items():
         evidence.write(directory / FIGURES / name, picture)
-    page = document.report(f"{story.name}: perfbound report", to_json(story))
+    page = document.report(f"{story.name}: perfbound report", to_json(here(story)))
     evidence.write(directory / REPORT, page.html.encode())
     return (directory / REPORT, directory / COUNTEREXAMPLES, *(directory / FIGURES / name for name in pictures))
 

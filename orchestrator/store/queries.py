@@ -107,13 +107,20 @@ def reading(directory: Path) -> Iterator[Connection]:
     """
     path = existing(directory).resolve()
     # Where nobody writes, a reader that did not say `immutable` would leave -wal and -shm beside the database.
-    still = not is_held(directory) and not path.with_name(f"{path.name}-wal").exists()
+    still = not is_held(directory) and not _size(path.with_name(f"{path.name}-wal"))
     try:
         with _engine(path, immutable=still).connect() as connection:
             connection.exec_driver_sql("BEGIN")  # the driver would begin before a write only
             yield connection
     except sa.exc.DatabaseError as error:
         raise JournalError(f"{directory / DATABASE}: cannot be read ({error.orig})") from None
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
 
 
 @lru_cache(maxsize=16)

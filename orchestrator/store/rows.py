@@ -1,14 +1,14 @@
 """The facts of a campaign as rows with named columns and units, for people who go on with pandas or a spreadsheet.
 
-| table             | a row is                                                                     |
-|-------------------|------------------------------------------------------------------------------|
+| table             | a row is                                                                       |
+|-------------------|--------------------------------------------------------------------------------|
 | `tests`           | a proposed test: what was expected there, its observation, the bounds after it |
-| `rollouts`        | a recorded rollout, its file, and the attempt that brought it                |
-| `observations`    | what one replicate contributed to an observed test                           |
-| `counterexamples` | a rollout with robustness below 0                                            |
+| `rollouts`        | a recorded rollout, its file, and the attempt that brought it                  |
+| `observations`    | what one replicate contributed to an observed test                             |
+| `counterexamples` | a rollout with robustness below 0                                              |
 
 Rows stand in the order of the facts. Numbers are in the unit of their objective: for sense min they are robustness,
-where the database holds J = -robustness. So lower <= truth <= upper in every row.
+where the database holds J = -robustness. So `lower` is a bound from below and `upper` one from above, in both senses.
 """
 
 import json

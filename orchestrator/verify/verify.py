@@ -82,7 +82,8 @@ def _signature(subject: Subject, key: Path | None, table: Table) -> bytes:
     if not signed:
         raise FailedError("signature", f"there is no {files.ENVELOPE}: the certificate is not signed")
     try:
-        payload = sign.verify(subject.envelope.read_bytes(), public)
+        with subject.envelope.open("rb") as file:
+            payload = sign.verify(file.read(sign.MAX_ENVELOPE + 1), public)
     except PerfboundError as error:
         raise FailedError("signature", str(error)) from None
     if subject.certificate.is_file() and subject.certificate.read_bytes() != payload:

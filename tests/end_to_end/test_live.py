@@ -26,7 +26,7 @@ from tests.end_to_end.processes import (
 )
 
 browser = chromium.browser
-TESTS = 25
+TESTS = 20
 SHOWN = "page.story.problems.reduce((sum, each) => sum + each.tests.test.length, 0)"
 STATE = "page.story.state"
 """Tests and state that the page shows. Its policy lets nobody evaluate a text in it, so we ask again and again."""

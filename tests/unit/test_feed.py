@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
+from typing import cast
 
 import pytest
 from rich.console import Console
@@ -14,6 +15,7 @@ from rich.console import Console
 from orchestrator import live
 from orchestrator.address import Address, bind
 from orchestrator.errors import PerfboundError
+from orchestrator.ledger import Ledger
 from orchestrator.live import LivePage, Shown, live_page, message
 from orchestrator.service import Seen
 from schemas.campaign_file import parse
@@ -102,7 +104,7 @@ def test_the_page_is_told_what_workers_do(looks: list[bytes]) -> None:
 def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
     """Nobody, told as often as asked."""
     monkeypatch.setattr(live, "PERIOD", 0.0)
-    return Seen(None, {}, {}, 0, 0, 0.0)  # type: ignore[arg-type]  (no page is told of the ledger)
+    return Seen(cast("Ledger", None), {}, {}, 0, 0, 0.0)  # no page is told of the ledger
 
 
 @pytest.fixture
@@ -118,7 +120,7 @@ def child(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, script: str) -> None:
     program = tmp_path / "child"
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
-    monkeypatch.setattr(live.sys, "executable", str(program))
+    monkeypatch.setattr("sys.executable", str(program))
 
 
 def test_a_child_that_takes_nothing_holds_nothing_up(

@@ -24,6 +24,7 @@ from orchestrator.report.teller import Teller
 from orchestrator.store import queries
 from orchestrator.store.journal import Header, ObservationFact, ProposalFact
 from orchestrator.store.lock import campaign_lock
+from orchestrator.store.rows import unit
 from orchestrator.store.since import Added, Outcome, Since
 from tests.campaigns import config
 from tests.told import a_list, a_pair, contents, finish, insert, play
@@ -104,6 +105,13 @@ def test_a_look_changes_no_file_and_leaves_none(finished: Path) -> None:
     for problem in story.problems:
         teller.scene(problem.name, 0)
     assert contents(finished) == before
+
+
+def test_an_empty_log_that_somebody_left_is_left_alone(one: Path) -> None:
+    (one / "campaign.db-wal").touch()
+    before = contents(one)
+    Teller(one).look()
+    assert contents(one) == before, "no -shm beside it"
 
 
 def test_a_surface_is_worked_out_again_only_after_a_new_test(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -320,8 +328,8 @@ def test_limits_are_read_from_simple_predicates(specification: str, limits: tupl
 
 def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
     about = header("always (abs(phi) <= 0.95)")
-    assert [curves.unit(about, problem) for problem in about.config.problems] == ["rad", "rad"]
-    assert curves.unit(header("always (phi^2 <= 0.95)"), about.config.problems[0]) == ""
+    assert [unit(problem, about.config, about.spec) for problem in about.config.problems] == ["rad", "rad"]
+    assert unit(about.config.problems[0], header("always (phi^2 <= 0.95)").config, about.spec) == ""
 
 
 # Scenes

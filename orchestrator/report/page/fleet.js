@@ -61,7 +61,7 @@ function softwareSection(story) {
     el(
       "dl.ways",
       {},
-      el("div", {}, el("dt", {}, "Check the certificate against its evidence"), el("dd", {}, el("code", {}, "perfbound verify DIR"))),
+      el("div", {}, el("dt", {}, "Check the certificate against its evidence"), el("dd", {}, el("code", {}, document.body.dataset.live ? "perfbound verify DIR" : "perfbound verify ."))),
       story.resume && story.state !== "finished" ? el("div", {}, el("dt", {}, "Continue the campaign"), el("dd", {}, commandLine(story.resume))) : null,
       el("div", {}, el("dt", {}, "Run"), el("dd", {}, el("code", {}, short(story.run, 120)))),
       versions.length ? el("div", {}, el("dt", {}, "Software"), el("dd", {}, versions.map(([name, version]) => `${short(name, 40)} ${short(version, 40)}`).join(", "))) : null,

@@ -184,7 +184,7 @@ function drawProblemCharts(problem, index) {
   const bounds = [
     [{ label: "observed", colour: "muted", points: true, unit }, y],
     [{ label: "lower bound", colour: "blue", unit }, lower],
-    [{ label: "upper bound", colour: "red", unit }, upper],
+    [{ label: problem.method === "scenario" ? "what it tends to" : "upper bound", colour: "red", unit }, upper],
   ].filter(([, values]) => values.some((value) => value !== null));
   chart(
     document.getElementById(`bound-${index}`),

@@ -132,11 +132,16 @@ function valueAt({ t, values }, time) {
   return values[after - 1] + share * (values[after] - values[after - 1]);
 }
 
+/** The report says `.` for the run directory, in which it lies. */
+function again() {
+  return document.body.dataset.live ? "Simulate it again" : "Simulate it again, in this folder";
+}
+
 function rolloutTable(rollouts, attributes = {}) {
   const row = (each) => [
     words(each.variant), String(each.replicate), robustnessCell(each), String(each.seed), fileLink(each.path), commandLine(each.command),
   ];
-  return table(["Variant", "#Replicate", "#Robustness", "#Seed", "Trajectory (MCAP)", "Simulate it again"], rollouts.map(row), { class: "rollouts", ...attributes });
+  return table(["Variant", "#Replicate", "#Robustness", "#Seed", "Trajectory (MCAP)", again()], rollouts.map(row), { class: "rollouts", ...attributes });
 }
 
 function robustnessCell(rollout) {
@@ -156,7 +161,7 @@ function counterexampleSection(story) {
     el("button", { type: "button", "data-select": `${each.problem}:${each.test}` }, `${words(each.problem)}, test ${each.test}`),
     words(each.variant), place(each.x, story.axes), robustnessCell(each), String(each.seed), fileLink(each.path), commandLine(each.command),
   ];
-  const heads = ["Test", "Variant", "Start", "#Robustness", "#Seed", "Trajectory (MCAP)", "Simulate it again"];
+  const heads = ["Test", "Variant", "Start", "#Robustness", "#Seed", "Trajectory (MCAP)", again()];
   const list = (rows) => table(heads, rows.map(row), { class: "rollouts" });
   const rest = found.slice(FIRST_ROWS);
   return el(
