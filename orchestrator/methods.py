@@ -62,8 +62,12 @@ class Method(Protocol):
         """Add an observation and return what follows from all of them."""
         ...
 
-    def band(self) -> Band:
-        """Return what is known of J over D; after at least one observation."""
+    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+        """Add observations of a campaign whose bounds are known; only `band` may be asked for afterwards."""
+        ...
+
+    def band(self, bound: Bound) -> Band:
+        """Return what is known of J over D, after at least one observation; `bound` is what followed from the last."""
         ...
 
 
@@ -106,7 +110,12 @@ class Paper(Method):
         stops = self.method.stops(proposal)
         return Bound(self.method.epsilon(proposal, observation.y), None, "converged" if stops else None)
 
-    def band(self) -> Band:
+    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+        """As `Method`."""
+        for proposal, observation in seen:
+            self.method.observe(proposal.index, observation.y, proposal.x)
+
+    def band(self, bound: Bound) -> Band:  # noqa: ARG002  (each moment's band stands alone)
         """As `Method`; on the nodes alone."""
         centre, half = self.method.band()
         upper, lower = centre + half, centre - half
@@ -148,13 +157,17 @@ class Rigorous(Method):
         found = self.method.bound()
         return Bound(found.upper, found.lower, None if found.status == "open" else found.status)
 
-    def band(self) -> Band:
+    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+        """As `Method`; a certified bound for each would take longer than the campaign did."""
+        self.method.recall([proposal.index for proposal, _ in seen], [observation.y for _, observation in seen])
+
+    def band(self, bound: Bound) -> Band:
         """As `Method`; refuted premises have no band."""
         mean, lower, upper = self.method.band()
-        if self.method.bound().status == "refuted":
+        if bound.verdict == "refuted" or bound.lower is None:
             nothing = np.full_like(mean, np.nan)
             return Band(mean, nothing, nothing, np.ones_like(mean, dtype=np.bool_))
-        return Band(mean, lower, upper, upper >= max(float(lower.max()), self.method.bound().lower))
+        return Band(mean, lower, upper, upper >= max(float(lower.max()), bound.lower))
 
 
 class Scenario(Method):
@@ -195,7 +208,12 @@ class Scenario(Method):
         verdict: Verdict | None = "refuted" if self.method.refuted else "converged" if self.method.stops() else None
         return Bound(-found.ell, -found.upper, verdict)
 
-    def band(self) -> Band:
+    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+        """As `Method`."""
+        for proposal, observation in seen:
+            self.method.observe(proposal.index, observation.each)
+
+    def band(self, bound: Bound) -> Band:  # noqa: ARG002  (the method has them at hand)
         """As `Method`; no start has a lower bound of its own, and the upper ones hold one by one."""
         found = self.method.bound()
         mean = [np.nan if each.mean is None else -each.mean for each in found.scenarios]

@@ -41,10 +41,18 @@ class Proposer:
             ValueError: the method cannot go on.
 
         """
-        chosen = Proposal(fact.node, fact.x, fact.mu or 0.0, fact.sigma or 0.0, fact.beta, fact.F)
-        found = self.methods[fact.problem].observe(chosen, observation)
+        found = self.methods[fact.problem].observe(_chosen(fact), observation)
         stopped_by = found.verdict or ("budget" if last else None)
         return BoundFact(fact.problem, fact.test, found.upper, found.lower, stopped_by)
+
+    def recall(self, problem: str, seen: Sequence[tuple[ProposalFact, Observation]]) -> None:
+        """Add observations whose bounds are known, for a picture of what the method knows; see `Method.recall`.
+
+        Raises:
+            ValueError: the method cannot go on.
+
+        """
+        self.methods[problem].recall([(_chosen(fact), observation) for fact, observation in seen])
 
     def _first(self, problem: str) -> int:
         return first_node(self._config, problem, self.methods[problem].size)
@@ -52,3 +60,7 @@ class Proposer:
 
 def _fact(problem: str, test: int, chosen: Proposal) -> ProposalFact:
     return ProposalFact(problem, test, chosen.index, chosen.x, chosen.mu, chosen.sigma, chosen.beta, chosen.F)
+
+
+def _chosen(fact: ProposalFact) -> Proposal:
+    return Proposal(fact.node, fact.x, fact.mu or 0.0, fact.sigma or 0.0, fact.beta, fact.F)

@@ -211,6 +211,18 @@ class RigorousMethod:
             self.n, best.upper, lower, best.candidates_upper, best.slack, b_min, self._status(best.upper, lower, b_min)
         )
 
+    def recall(self, indices: Sequence[int], values: Sequence[float]) -> None:
+        """Add observations of J whose bounds are known already: afterwards `band` is right, and `bound` is not.
+
+        Raises:
+            ValueError: a value is not finite.
+            IndexError: no candidate has this index.
+
+        """
+        for index, y in zip(indices, values, strict=True):
+            self._data.append(index, y - self._prior_mean)
+        self._look()
+
     def _status(self, upper: float, lower: float, b_min: float) -> Status:
         contradiction = upper < lower - ROUNDING or b_min > self._premises.rkhs_norm
         if self._bound.status == "refuted" or contradiction:

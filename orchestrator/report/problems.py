@@ -8,7 +8,7 @@ from itertools import islice
 
 from orchestrator import forecast
 from orchestrator.certificate.results import objective
-from orchestrator.methods import budget
+from orchestrator.methods import Bound, budget
 from orchestrator.observation import Observation
 from orchestrator.proposer import Proposer
 from orchestrator.report import surfaces
@@ -35,6 +35,7 @@ class Told:
         self._header, self._proposer = header, proposer
         self._proposals: dict[int, ProposalFact] = {}
         self._values: dict[int, float] = {}
+        self._unread: list[tuple[ProposalFact, Observation]] = []
         self._surface: tuple[int, Surface | None] = (0, None)
         self._tests: tuple[int, Tests] = (0, _columns(problem, self.sense, ()))
 
@@ -43,7 +44,6 @@ class Told:
 
         Raises:
             KeyError: an earlier fact is missing.
-            ValueError: the method cannot go on.
 
         """
         match fact:
@@ -51,7 +51,7 @@ class Told:
                 self._proposals[fact.test] = fact
                 self.starts.append(fact.x)
             case ObservationFact():
-                self._proposer.observe(self._proposals[fact.test], Observation(fact.y, fact.each), last=False)
+                self._unread.append((self._proposals[fact.test], Observation(fact.y, fact.each)))
                 self._values[fact.test] = fact.y
             case BoundFact():
                 proposal, y = self._proposals.pop(fact.test), self._values.pop(fact.test)
@@ -96,9 +96,18 @@ class Told:
         return self._tests[1]
 
     def surface(self) -> Surface | None:
-        """Return the band over D; it is worked out again only after a new test."""
-        if self._surface[0] != len(self.observed):
-            found = surfaces.surface(self._header, self.problem, self._proposer.methods[self.problem.name])
+        """Return the band over D; it is worked out again only after a new test.
+
+        Raises:
+            ValueError: the method cannot go on.
+
+        """
+        if self.last is not None and self._surface[0] != len(self.observed):
+            name = self.problem.name
+            self._proposer.recall(name, self._unread)
+            self._unread.clear()
+            bound = Bound(self.last.upper, self.last.lower, "refuted" if self.last.stopped_by == "refuted" else None)
+            found = surfaces.surface(self._header, self.problem, self._proposer.methods[name], bound)
             self._surface = (len(self.observed), found)
         return self._surface[1]
 

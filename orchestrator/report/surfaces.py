@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.gp.lattice import Lattice
-from orchestrator.methods import Band, Paper, Rigorous, Scenario, candidates
+from orchestrator.methods import Band, Bound, Paper, Rigorous, Scenario, candidates
 from orchestrator.report.story import Series, Surface
 from orchestrator.store.journal import Header
 from schemas.campaign import SENSES, PaperProblem, Problem, RigorousProblem, ScenarioProblem
@@ -17,14 +17,14 @@ MOST_NODES = 3000
 """Of one surface; a finer lattice is thinned to about this."""
 
 
-def surface(header: Header, problem: Problem, method: Paper | Rigorous | Scenario) -> Surface:
-    """Return what `method` knows of a problem after at least one observation.
+def surface(header: Header, problem: Problem, method: Paper | Rigorous | Scenario, bound: Bound) -> Surface:
+    """Return what `method` knows of a problem after at least one observation; `bound` is what followed from the last.
 
     Raises:
         ValueError: the method has no observation, or its kernel matrix is singular.
 
     """
-    band, space = method.band(), candidates(header.config, header.spec, problem)
+    band, space = method.band(bound), candidates(header.config, header.spec, problem)
     kept, shape = _thinned(_projected(band, space)) if isinstance(space, Lattice) else (band, None)
     minimum = SENSES[problem.name] == "min"
     lower, upper = _series(kept.lower, minimum=minimum), _series(kept.upper, minimum=minimum)

@@ -8,7 +8,7 @@ import sqlite3
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -258,7 +258,15 @@ class Journal:
             return _proposal(self._connection.execute(query).one())
 
     def close(self) -> None:
-        """Close the database; SQLite then folds its write-ahead log into it."""
+        """Fold the write-ahead log into the database, and close it.
+
+        SQLite folds it when the last connection closes; where somebody reads at that moment, it would stay for ever.
+        """
+        if not self._connection.closed and not self._connection.in_transaction():
+            driver = self._connection.connection.driver_connection
+            assert driver is not None
+            with suppress(sqlite3.Error):  # a full disk: what is committed stays in the log
+                driver.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self._connection.close()
         self._engine.dispose()
 

@@ -134,7 +134,7 @@ def test_the_page_needs_nothing_from_elsewhere(story: Story) -> None:
     for tag, attributes in parsed.tags:
         assert tag != "script" or "src" not in attributes
         assert tag != "link" or attributes["href"] == "data:,"
-    assert parsed.story == json.loads(to_json(write.here(story)))
+    assert parsed.story == json.loads(to_json(story))
 
 
 def test_hostile_text_is_text_in_the_page(story: Story) -> None:
@@ -272,7 +272,7 @@ def test_pairs_need_no_simulation(finished: Path, story: Story, monkeypatch: pyt
 def test_the_command_prints_the_files_or_the_story(finished: Path, story: Story) -> None:
     before = contents(finished)
     printed = CliRunner().invoke(cli, ["report", str(finished), "--json"], catch_exceptions=False)
-    assert json.loads(printed.stdout) == json.loads(to_json(write.here(story)))
+    assert json.loads(printed.stdout) == json.loads(to_json(story))
     assert contents(finished) == before
     printed = CliRunner().invoke(cli, ["report", str(finished)], catch_exceptions=False)
     assert printed.stdout.splitlines() == [str(path) for path in write.write(finished, story)]

@@ -1,7 +1,10 @@
 """What must not grow: the memory of a long campaign, and what a turn writes."""
 
 import gc
+import shutil
+import sqlite3
 import tracemalloc
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +16,7 @@ from orchestrator.campaign import RolloutId
 from orchestrator.dispatch import HandOut, Limits, Reported, Start, Wanted, WorkerUp
 from orchestrator.ledger import Ledger
 from orchestrator.store import queries
-from orchestrator.store.journal import Journal
+from orchestrator.store.journal import DATABASE, Journal
 from schemas.messages import Request
 from tests.benchmarks.fleet import a_config
 from tests.benchmarks.puppets import Stage
@@ -107,6 +110,19 @@ def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> 
     assert seen == sorted(seen)
     assert seen[-1] == 256
     stage.journal.close()
+
+
+@pytest.mark.usefixtures("no_disk")
+def test_whoever_reads_at_the_end_leaves_nothing_outside_the_database(tmp_path: Path) -> None:
+    """A copy of campaign.db alone has every fact, although a connection of somebody else outlives the writer's."""
+    stage = Stage(tmp_path, a_config(32), 8)
+    stage.play()
+    with closing(sqlite3.connect(f"file:{tmp_path / DATABASE}?mode=ro", uri=True)) as reader:
+        reader.execute("SELECT COUNT(*) FROM rollouts").fetchone()
+        stage.journal.close()
+        (tmp_path / "copy").mkdir()
+        shutil.copy(tmp_path / DATABASE, tmp_path / "copy" / DATABASE)
+    assert sum(problem.rollouts for problem in queries.progress(tmp_path / "copy").problems) == 32
 
 
 @pytest.mark.usefixtures("no_disk")

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from orchestrator import service
 from orchestrator.errors import JournalError, PerfboundError
 from orchestrator.gp.lattice import Lattice
-from orchestrator.methods import Band
+from orchestrator.methods import Band, Bound
 from orchestrator.observation import Observation
 from orchestrator.proposer import Proposer
 from orchestrator.report import curves, scenes, surfaces
@@ -193,7 +193,9 @@ def test_a_surface_is_what_the_method_says(tmp_path: Path, name: str) -> None:
     for problem in told(tmp_path).problems:
         method, surface = stage.ledger.proposer.methods[problem.name], problem.surface
         assert surface is not None
-        band = method.band()
+        last = stage.ledger.accounts[problem.name].last_bound
+        assert last is not None
+        band = method.band(Bound(last.upper, last.lower, None))
         sides = (surface.upper, surface.lower) if problem.sense == "min" else (surface.lower, surface.upper)
         sign = -1 if problem.sense == "min" else 1
         for found, wanted in zip((surface.mean, *sides), (band.mean, band.lower, band.upper), strict=True):
@@ -226,7 +228,7 @@ def test_the_band_of_method_paper_is_the_one_that_its_proposals_were_chosen_by(o
                 checked += 1
             case ObservationFact():
                 proposer.observe(proposals[fact.problem], Observation(fact.y, fact.each), last=False)
-                bands[fact.problem] = proposer.methods[fact.problem].band()
+                bands[fact.problem] = proposer.methods[fact.problem].band(Bound(None, None, None))
         if isinstance(fact, ProposalFact):
             proposals[fact.problem] = fact
     assert checked == 14
