@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from orchestrator import campaign, forecast
 from orchestrator.campaign import RolloutId
 from orchestrator.errors import EvidenceError, IllegalEvent, JournalError, PerfboundError, RequestError
@@ -31,6 +33,7 @@ from orchestrator.store.journal import (
     next_link,
 )
 from orchestrator.store.ports import Book, Shelf
+from schemas.base import canonical_json
 from schemas.campaign import ROLLED_OUT, CampaignConfig, Problem, RigorousProblem
 from schemas.rollout import RolloutRequest
 from schemas.system import SystemSpec
@@ -38,6 +41,8 @@ from schemas.trajectory import Trajectory, TrajectoryError, decode, read
 
 ROUND_OFF = 1e-9
 """A bound recomputed on another CPU may differ by less."""
+SAMPLES = 50
+"""The last sample is before the horizon by a step, and by a part of it that is this small, at most."""
 
 
 @dataclass(slots=True)
@@ -185,21 +190,33 @@ class Ledger:
 
         Raises:
             RequestError: it is of another request.
-            EvidenceError: it is no trajectory, or has other columns.
+            EvidenceError: it is no trajectory, has other columns, or is not from 0 to the horizon.
 
         """
         try:
             file = read(payload)
         except TrajectoryError as fault:
             raise EvidenceError(f"the result is not a trajectory: {fault}") from None
-        wanted = self.request(rollout).model_dump(mode="json")
-        if file.request != wanted:
+        request = self.request(rollout)
+        wanted = request.model_dump(mode="json")
+        if canonical_json(file.request) != canonical_json(wanted):  # 1, 1.0 and true are equal in Python
             differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
             names = ", ".join(differing)[:200]
             raise RequestError(f"the trajectory was simulated for another request (other {names})")
-        if file.trajectory.columns != tuple(column.name for column in self.header.spec.columns):
-            raise EvidenceError(f"the trajectory has the columns {', '.join(file.trajectory.columns)[:200]}")
+        self._check_whole(file.trajectory)
+        if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
+            raise RequestError("the metadata of the trajectory name another rollout")
         return file.trajectory
+
+    def _check_whole(self, trajectory: Trajectory) -> None:
+        """Refuse what is cut: robustness of less than the horizon is robustness of something else."""
+        if trajectory.columns != tuple(column.name for column in self.header.spec.columns):
+            raise EvidenceError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
+        t, horizon = trajectory.samples[:, 0], self.config.horizon
+        step = min(float(np.max(np.diff(t), initial=0.0)), horizon / SAMPLES)
+        if t[0] > ROUND_OFF or not horizon - step - ROUND_OFF <= t[-1] <= horizon + ROUND_OFF:
+            span = f"{t[0]:g} to {t[-1]:g} s"
+            raise EvidenceError(f"the trajectory goes from {span}, the campaign asks for 0 to {horizon:g} s")
 
     def request(self, rollout: RolloutId) -> RolloutRequest:
         """Return everything that a worker needs to know of an open rollout."""

@@ -21,18 +21,15 @@ from rich.text import Text
 from orchestrator.address import Address
 from orchestrator.certificate import files
 from orchestrator.errors import JournalError, PerfboundError
+from orchestrator.feasible import check
 from orchestrator.live import LivePage, Shown, live_page
 from orchestrator.notify import Systemd
-from orchestrator.stl.formula import FormulaError, columns
-from orchestrator.stl.formula import parse as parse_formula
-from orchestrator.stl.horizon import check_horizon
 from orchestrator.store import queries
 from orchestrator.store.journal import DATABASE, Header, Journal, existing, read_header
 from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import ZenohTransport, listen
 from orchestrator.versions import software
 from schemas.campaign import CampaignConfig, CampaignError
-from schemas.campaign_check import check_against
 from schemas.campaign_file import differences, parse
 from schemas.certificate import Certificate
 from schemas.link import Tls
@@ -89,8 +86,7 @@ def start(
     """
     _check_vacant(directory, config)
     spec = system_spec(config.system.name, f"{source}: system.name")
-    check_against(config, spec, str(source))
-    _check_specification(config, spec, source)
+    check(config, spec, str(source))
     header = Header.new(config, spec, software(spec))
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
@@ -106,8 +102,8 @@ def start(
         )
 
 
-def resume(directory: Path, *, workers: int, link: Link, console: Console, drain: bool = False) -> None:
-    """Continue a campaign from its database; one that is finished is left as it is. `drain` is as in `start`.
+def resume(directory: Path, *, workers: int, link: Link, console: Console, drain: bool = False) -> bool:
+    """Continue a campaign from its database; `drain` is as in `start`. One that is finished is left as it is: False.
 
     Raises:
         PerfboundError: what is wrong, in one line.
@@ -117,7 +113,7 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console, drain
     existing(directory)
     if files.read(directory) is not None:
         console.print(Text(f"{directory}: finished already"), soft_wrap=True)
-        return
+        return False
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
         campaign_lock(directory),
@@ -131,6 +127,7 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console, drain
         _conduct(
             directory, journal, transport, page, workers=workers, link=link, console=console, resumed=True, drain=drain
         )
+    return True
 
 
 def load(path: Path, **overrides: int) -> CampaignConfig:
@@ -228,28 +225,6 @@ def stored_differently(directory: Path, config: CampaignConfig) -> str:
 def _unfinished(directory: Path) -> list[Path]:
     """Return what is left of a database that was never finished: its orchestrator failed, or was killed."""
     return list(directory.glob(f"{DATABASE}.partial*"))
-
-
-def _check_specification(config: CampaignConfig, spec: SystemSpec, path: Path) -> None:
-    if config.specification is None:
-        return
-    try:
-        formula = parse_formula(config.specification, [column.name for column in spec.columns])
-        check_horizon(formula, config.horizon)
-        _check_gap(config, columns(formula), path)
-    except FormulaError as error:
-        raise CampaignError(f"{path}: specification: {error}") from None
-
-
-def _check_gap(config: CampaignConfig, read: frozenset[str], path: Path) -> None:
-    """Refuse a gap in one column where the robustness depends on others."""
-    for problem in config.problems:
-        gap = config.gap_of(problem) if problem.name == "sim_gap" else None
-        if gap is not None and gap.kind == "signal_sup" and read != {gap.column}:
-            raise CampaignError(
-                f"{path}: gap.column: {gap.column!r} cannot carry the claim over: the specification reads "
-                f'{", ".join(sorted(read)) or "no column"}; use kind = "predicate_sup", which fits every specification'
-            )
 
 
 def _check_software(header: Header) -> None:

@@ -8,8 +8,8 @@ from pydantic import Field
 from schemas.base import Model
 from schemas.campaign import ProblemName, Rule, Sense
 
-STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
-PREDICATE_TYPE = "urn:perfbound:certificate:v1"
+STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
+PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certificate:v1"
 
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
 StoppedBy = Literal["converged", "budget", "refuted"]
@@ -28,6 +28,7 @@ class CampaignId(Model):
     name: str
     seed: int
     config_sha256: str
+    system_sha256: str | None = Field(default=None, description="of the system's specification; not in older ones")
 
 
 class Claim(Model):
@@ -114,12 +115,14 @@ class Predicate(Model):
 class Certificate(Model):
     """in-toto Statement v1."""
 
-    type_: str = Field(default=STATEMENT_TYPE, alias="_type")
+    type_: Literal["https://in-toto.io/Statement/v1"] = Field(default=STATEMENT_TYPE, alias="_type")
     subject: tuple[Subject, ...]
-    predicateType: str = PREDICATE_TYPE  # noqa: N815  (the name in the in-toto specification)
+    predicateType: Literal["urn:perfbound:certificate:v1"] = PREDICATE_TYPE  # noqa: N815  (the name in the in-toto specification)
     predicate: Predicate
 
     def to_json(self) -> str:
         """Return the one text of this certificate, ending with a newline."""
         value = self.model_dump(mode="json", by_alias=True)
+        if self.predicate.campaign.system_sha256 is None:  # certificates stay the text that they were
+            del value["predicate"]["campaign"]["system_sha256"]
         return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=True, allow_nan=False) + "\n"

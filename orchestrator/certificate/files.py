@@ -9,6 +9,8 @@ from schemas.certificate import Certificate
 CERTIFICATE = "certificate.json"
 ENVELOPE = "certificate.dsse.json"
 """The certificate with its signatures."""
+MAX_CERTIFICATE, MAX_MANIFEST = 2**24, 2**28
+"""Bytes; a rollout takes 130 of a manifest."""
 MANIFEST = "manifest.sha256"
 """`sha256sum --check manifest.sha256` in the run directory checks every trajectory file."""
 
@@ -35,6 +37,6 @@ def read(directory: Path) -> Certificate | None:
     if not path.exists():
         return None
     try:
-        return Certificate.model_validate_json(path.read_bytes())
+        return Certificate.model_validate_json(evidence.contents(path, MAX_CERTIFICATE))
     except ValueError as error:
         raise EvidenceError(f"{path}: not a certificate ({str(error).splitlines()[0]}); delete it and resume") from None

@@ -38,7 +38,12 @@ def issue(
     manifest_sha256 = hashlib.sha256(evidence.manifest.encode()).hexdigest()
     predicate = document.Predicate(
         question=question(header),
-        campaign=document.CampaignId(name=config.name, seed=config.seed, config_sha256=header.config_sha256),
+        campaign=document.CampaignId(
+            name=config.name,
+            seed=config.seed,
+            config_sha256=header.config_sha256,
+            system_sha256=header.system_sha256,
+        ),
         claims=claimed.claims,
         problems=tuple(results.values()),
         composition=claimed.composition,
@@ -50,8 +55,12 @@ def issue(
         ),
         software=header.software,
     )
-    subject = document.Subject(name="manifest.sha256", digest={"sha256": manifest_sha256})
-    return document.Certificate(subject=(subject,), predicate=predicate)
+    return document.Certificate(subject=(subject(manifest_sha256),), predicate=predicate)
+
+
+def subject(manifest_sha256: str) -> document.Subject:
+    """Return what a certificate is about."""
+    return document.Subject(name="manifest.sha256", digest={"sha256": manifest_sha256})
 
 
 def question(header: Header) -> dict[str, object]:

@@ -128,8 +128,8 @@ def resume(*, directory: Path, workers: int, sign: Path | None, strict: bool, dr
 
     key = signing.load(sign) if sign else None
     with resumable(directory):
-        session.resume(directory, workers=workers, link=_link(**link), console=TALK.console, drain=drain)
-        _finish(directory, key, strict=strict)
+        went_on = session.resume(directory, workers=workers, link=_link(**link), console=TALK.console, drain=drain)
+        _finish(directory, key, strict=strict, report=went_on)
 
 
 def _start(
@@ -159,17 +159,18 @@ def _start(
             console=TALK.console,
             drain=drain,
         )
-        _finish(directory, key, strict=strict)
+        _finish(directory, key, strict=strict, report=True)
 
 
-def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool) -> None:
+def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, report: bool) -> None:
     from orchestrator import session, summary  # noqa: PLC0415
 
     console, found = data(), session.certificate(directory)
     if key is not None:
         signing.sign(directory, key)
     summary.show(found, console)
-    draw(directory)
+    if report:
+        draw(directory)
     summary.written(directory, console)
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)

@@ -42,7 +42,7 @@ def report(*, directory: Path, as_json: bool) -> None:
     """Write report.html, counterexamples.csv and figures of the campaign in DIRECTORY, finished or not."""
     from orchestrator.report.nominal import with_nominal  # noqa: PLC0415
     from orchestrator.report.story import to_json  # noqa: PLC0415
-    from orchestrator.report.write import tell, write  # noqa: PLC0415
+    from orchestrator.report.write import tell, write, write_figures  # noqa: PLC0415
 
     story = tell(directory)
     if as_json:
@@ -50,17 +50,17 @@ def report(*, directory: Path, as_json: bool) -> None:
         return
     if story.state != "finished":
         _say(f"{directory}: the campaign is {story.state}: the report shows how far it is now")
-    for path in write(directory, with_nominal(directory, story)):
+    told = with_nominal(directory, story)
+    for path in (*write(directory, told), *write_figures(directory, told)):
         click.echo(path)
 
 
 def draw(directory: Path) -> None:
-    """Write the report of a finished campaign; if that fails, the campaign is finished all the same."""
+    """Write the page of a finished campaign; if that fails, the campaign is finished all the same."""
     try:
-        from orchestrator.report.write import is_current, tell, write  # noqa: PLC0415
+        from orchestrator.report.write import tell, write  # noqa: PLC0415
 
-        if not is_current(directory):
-            write(directory, tell(directory))
+        write(directory, tell(directory))
     except Exception as error:  # noqa: BLE001  (whatever it is: the certificate is there, and this is a picture of it)
         again = shlex.join(["perfbound", "report", str(directory)])
         _say(one_line(f"{directory}: finished, but there is no report: {error}; try again with `{again}`"))

@@ -4,9 +4,7 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
-from orchestrator.certificate.files import CERTIFICATE
 from orchestrator.report import document
-from orchestrator.report.figures import figures
 from orchestrator.report.story import Rollout, Story, to_json
 from orchestrator.report.teller import Teller
 from orchestrator.session import resume_command
@@ -41,7 +39,7 @@ def here(story: Story) -> Story:
 
 
 def write(directory: Path, story: Story) -> tuple[Path, ...]:
-    """Write the report of a campaign, each file whole or not at all, and return the files, the page first.
+    """Write the page and the counterexamples, each file whole or not at all, and return the files, the page first.
 
     Raises:
         PerfboundError: the database cannot be read.
@@ -49,15 +47,21 @@ def write(directory: Path, story: Story) -> tuple[Path, ...]:
 
     """
     export.counterexamples(directory, directory / COUNTEREXAMPLES)
+    page = document.report(f"{story.name}: perfbound report", to_json(here(story)))
+    evidence.write(directory / REPORT, page.html.encode())
+    return (directory / REPORT, directory / COUNTEREXAMPLES)
+
+
+def write_figures(directory: Path, story: Story) -> tuple[Path, ...]:
+    """Write the figures as SVG and PNG, and return the files; it takes seconds.
+
+    Raises:
+        OSError: the directory cannot be written.
+
+    """
+    from orchestrator.report.figures import figures  # noqa: PLC0415  (late: matplotlib takes a second to load)
+
     pictures = dict(figures(story))
     for name, picture in pictures.items():
         evidence.write(directory / FIGURES / name, picture)
-    page = document.report(f"{story.name}: perfbound report", to_json(here(story)))
-    evidence.write(directory / REPORT, page.html.encode())
-    return (directory / REPORT, directory / COUNTEREXAMPLES, *(directory / FIGURES / name for name in pictures))
-
-
-def is_current(directory: Path) -> bool:
-    """Whether the report of a finished campaign stands there already: it is not older than the certificate."""
-    page, certificate = directory / REPORT, directory / CERTIFICATE
-    return page.is_file() and page.stat().st_mtime_ns >= certificate.stat().st_mtime_ns
+    return tuple(directory / FIGURES / name for name in pictures)

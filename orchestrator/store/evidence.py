@@ -2,12 +2,14 @@
 
 import hashlib
 import os
+import stat
 from collections.abc import Iterable, Set
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from orchestrator.campaign import RolloutId
 from orchestrator.errors import EvidenceError
+from schemas.trajectory import MAX_FILE_BYTES
 
 FOLDER = "trajectories"
 TEMPORARY = ".partial"
@@ -113,16 +115,31 @@ def read(directory: Path, relative: str, sha256: str) -> bytes:
         EvidenceError: it is missing, unreadable, or not the file that was recorded.
 
     """
-    try:
-        data = (directory / relative).read_bytes()
-    except OSError as error:
-        raise EvidenceError(f"{directory / relative}: {error.strerror}; restore it from a copy") from None
+    data = contents(directory / relative, MAX_FILE_BYTES)
     found = hashlib.sha256(data).hexdigest()
     if found != sha256:
         raise EvidenceError(
             f"{directory / relative}: sha256 {found[:12]}... is not the recorded {sha256[:12]}...; "
             "restore it from a copy"
         )
+    return data
+
+
+def contents(path: Path, most: int) -> bytes:
+    """Return the bytes of a file that may be anything: a pipe is not waited for, and no more than `most` is read.
+
+    Raises:
+        EvidenceError: it is missing, unreadable, too large, or no file.
+
+    """
+    try:
+        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
+            regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
+            data = file.read(most + 1) if regular else b""
+    except OSError as error:
+        raise EvidenceError(f"{path}: {error.strerror}; restore it from a copy") from None
+    if not regular or len(data) > most:
+        raise EvidenceError(f"{path}: not a file of at most {most} bytes; restore it from a copy")
     return data
 
 

@@ -313,16 +313,21 @@ def read_header(connection: Connection, directory: Path) -> Header:
             f"{directory / DATABASE}: schema version {version}, this perfbound reads {tables.SCHEMA_VERSION}; "
             "use the perfbound that wrote it, or a newer one"
         )
-    row = connection.execute(sa.select(tables.campaign)).first()
+    rows = connection.execute(sa.select(tables.campaign).limit(2)).all()
+    row = rows[0] if rows else None
     try:
         if row is None:
             raise ValueError("it is missing")
+        if len(rows) != 1:
+            raise ValueError("there are several")
         found, system = (hashlib.sha256(text.encode()).hexdigest() for text in (row.config, row.system))
         if found != row.config_sha256:
             raise ValueError("the campaign file is another one")
         config, spec = CampaignConfig.model_validate_json(row.config), SystemSpec.model_validate_json(row.system)
+        if (row.name, row.seed) != (config.name, config.seed):
+            raise ValueError("name or seed are not the file's")
         return Header(row.run, config, spec, json.loads(row.software), found, system)
-    except ValueError as error:
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise JournalError(
             f"{directory / DATABASE}: the header was changed after the start ({reason}); restore it from a copy"

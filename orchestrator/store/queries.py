@@ -1,6 +1,7 @@
 """Read-only views of a campaign database; they can never hurt the orchestrator that writes it."""
 
 import json
+import sqlite3
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ from orchestrator.store import tables
 from orchestrator.store.journal import DATABASE, RECORDED, RESTORED, Header, existing, read_header
 from orchestrator.store.lock import is_held
 
+LONGEST = 2**26
+"""Bytes of one value."""
 RECENT = 1000
 MINUTE = 60.0
 """The rate is that of the last minute of work, or of its last `RECENT` rollouts."""
@@ -128,7 +131,15 @@ def _engine(path: Path, *, immutable: bool) -> Engine:
     """Return what opens a database and closes it again; kept, because it keeps the queries that it has compiled."""
     query = {"mode": "ro", "uri": "true"} | ({"immutable": "1"} if immutable else {})
     url = sa.URL.create("sqlite", database=f"file:{quote(str(path))}", query=query)
-    return sa.create_engine(url, poolclass=sa.NullPool)
+    engine = sa.create_engine(url, poolclass=sa.NullPool)
+    sa.event.listen(engine, "connect", _distrust)
+    return engine
+
+
+def _distrust(connection: Any, _record: object) -> None:
+    """Let a database that somebody made run nothing and fill no memory."""
+    connection.execute("PRAGMA trusted_schema=OFF")
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
 
 
 class Watch:

@@ -1,12 +1,12 @@
 """What a campaign database holds, table by table, for somebody who does not trust it."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import sqlalchemy as sa
 
 from orchestrator.errors import JournalError
+from orchestrator.store import tables
 from orchestrator.store.journal import (
     DATABASE,
     READERS,
@@ -40,9 +40,36 @@ def stored(directory: Path) -> Stored:
 
     """
     with reading(directory) as connection:
+        there = _shape(connection, directory)
         header = read_header(connection, directory)
-        there = set(sa.inspect(connection).get_table_names())
         return Stored(header, *(_rows(connection, directory, table, there) for table in READERS))  # type: ignore[arg-type]
+
+
+def stored_header(directory: Path) -> Header:
+    """Return the first fact.
+
+    Raises:
+        JournalError: there is no database, or its header cannot be read.
+
+    """
+    with reading(directory) as connection:
+        _shape(connection, directory)
+        return read_header(connection, directory)
+
+
+def _shape(connection: sa.Connection, directory: Path) -> set[str]:
+    """Return the tables that are there, if they are ours and hold nothing but rows: a view may compute for ever."""
+    master = connection.exec_driver_sql("SELECT name, type FROM sqlite_master WHERE type IN ('table', 'view')").all()
+    for name, kind in master:
+        table = tables.metadata.tables.get(name)
+        if kind != "table" or (table is None and not name.startswith("sqlite_")):
+            raise JournalError(f"{directory / DATABASE}: the {kind} {str(name)[:80]} is not perfbound's")
+        if table is not None:
+            quoted = name.replace('"', '""')
+            columns = connection.exec_driver_sql(f'PRAGMA table_xinfo("{quoted}")').all()
+            if [row.name for row in columns] != list(table.c.keys()) or any(row.hidden for row in columns):
+                raise JournalError(f"{directory / DATABASE}: the table {name} has other columns than perfbound's")
+    return {name for name, _ in master}
 
 
 def _rows(connection: sa.Connection, directory: Path, table: sa.Table, there: set[str]) -> tuple[Fact, ...]:
@@ -50,5 +77,5 @@ def _rows(connection: sa.Connection, directory: Path, table: sa.Table, there: se
         return ()
     try:
         return tuple(READERS[table](row) for row in connection.execute(sa.select(table).order_by(table.c.seq)))
-    except (ValueError, TypeError, json.JSONDecodeError) as error:
+    except (ValueError, TypeError, RecursionError, OverflowError) as error:
         raise JournalError(f"{directory / DATABASE}: table {table.name}: a row cannot be read ({error})") from None

@@ -1,31 +1,38 @@
 """The checks of a verification, and what became of each."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from orchestrator.errors import PerfboundError
+from schemas.base import one_line
+from schemas.campaign import CampaignError
+
+KNOWN = (PerfboundError, CampaignError)
 Status = Literal["passed", "failed", "skipped"]
 
 CHECKS = {
     "signature": "the certificate was signed with this key",
-    "certificate": "the certificate is one, written as perfbound writes it",
-    "header": "campaign and system are those that the certificate names",
-    "manifest": "the manifest is the one that the certificate names",
-    "files": "every trajectory file is the one in the manifest",
+    "certificate": "the certificate is one of perfbound's, written as perfbound writes it",
+    "header": "the campaign file and the specification of the system are those of the certificate, and fit each other",
+    "manifest": "the manifest is the one that the certificate is about",
+    "files": "every file in the manifest is there and unchanged",
     "requests": "every rollout is one that the campaign asks for: start, seed, options",
-    "trajectories": "every file holds one whole trajectory of this system",
-    "proposals": "every test is the maximiser of what was known before it",
-    "observations": "every y follows from its trajectories: robustness, gap, risk",
+    "trajectories": "every file is intact, and holds the columns of the system from 0 to the horizon",
+    "proposals": "the first test was drawn by the seed, every other is a maximiser of what was known before it",
+    "observations": "every y was computed again from its trajectories: robustness, gap, risk",
     "stop": "every problem goes on until its rule stops it, and no longer",
     "evidence": "the manifest lists the rollouts of the observed tests, all and no others",
     "chain": "the hash chain over proposals, digests and observations ends where the certificate says",
-    "problems": "the bounds of the problems follow from the observations",
-    "probabilities": "the probabilities follow from what was fixed beforehand",
+    "problems": "the bounds and parameters of the problems follow from the campaign file and the observations",
+    "probabilities": "the probabilities follow from the campaign file",
     "composition": "the terms of the composition follow from the bounds",
     "claims": "the claims follow, and name what they rest on",
     "audit": "the assumptions and their status follow from the data",
     "software": "this machine has the software of the campaign",
-    "database": "the tables of the database say the same as the evidence",
-    "resimulation": "rollouts that are simulated again give the same trajectory",
+    "database": "the tables of facts that are there say the same: tests, rollouts, observations, bounds",
+    "resimulation": "rollouts that are simulated again here give the same trajectory",
 }
 """Every check in the order of the table, and what it means that it passes."""
 
@@ -77,9 +84,25 @@ class Table:
         else:
             self.failed(name, fault)
 
+    @contextmanager
+    def making(self, name: str) -> Iterator[None]:
+        """Have this check fail if what it reads breaks what reads it: whoever forges may write anything anywhere.
+
+        Raises:
+            FailedError: it broke, or it failed.
+
+        """
+        try:
+            yield
+        except FailedError:
+            raise
+        except Exception as error:
+            text = str(error).partition("\n")[0][:200]
+            raise FailedError(name, text if isinstance(error, KNOWN) else f"{type(error).__name__}: {text}") from error
+
     def _add(self, check: Check) -> None:
         assert check.name in CHECKS
-        self.found.setdefault(check.name, check)
+        self.found.setdefault(check.name, replace(check, detail=one_line(check.detail)))
 
     def lines(self) -> tuple[Check, ...]:
         """Return every check in the order of the table; those that were never reached are skipped."""

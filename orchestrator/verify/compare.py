@@ -5,10 +5,11 @@ Numbers are the same up to `ROUND_OFF`, because another CPU computes other last 
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+from orchestrator.seeds import rollout_seed
 from orchestrator.store.journal import (
     Fact,
     Header,
@@ -28,47 +29,62 @@ IN_WORDS = 1e-5
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 
-def difference(ours: Any, theirs: Any, where: str = "") -> str | None:
+def difference(
+    ours: Any, theirs: Any, where: str = "", *, same: Callable[[Any, Any], bool] | None = None
+) -> str | None:
     """Return the first place in which two JSON values differ, and both sides; None if they are the same.
+
+    `same` compares what is neither a list nor an object: `identical`, `computed` (the default) or `told`.
 
     >>> difference({"a": [1.0, "x"]}, {"a": [1.0, "y"]})
     'a[1] is "y", the evidence gives "x"'
     """
+    same = same or computed
     if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
         keys = [*ours, *(key for key in theirs if key not in ours)]
-        inside = (difference(ours.get(key), theirs.get(key), f"{where}.{key}" if where else str(key)) for key in keys)
+        inside = (
+            difference(
+                ours.get(key, ABSENT), theirs.get(key, ABSENT), f"{where}.{key}" if where else str(key), same=same
+            )
+            for key in keys
+        )
         return next((found for found in inside if found), None)
     if _listed(ours) and _listed(theirs) and len(ours) == len(theirs):
         pairs = enumerate(zip(ours, theirs, strict=True))
-        return next((d for k, (a, b) in pairs if (d := difference(a, b, f"{where}[{k}]"))), None)
-    return None if _same(ours, theirs) else f"{where} is {_text(theirs)}, the evidence gives {_text(ours)}"
+        return next((d for k, (a, b) in pairs if (d := difference(a, b, f"{where}[{k}]", same=same))), None)
+    return None if same(ours, theirs) else f"{where} is {_text(theirs)}, the evidence gives {_text(ours)}"
+
+
+ABSENT = "(nothing)"
 
 
 def _listed(value: object) -> bool:
     return isinstance(value, list | tuple)
 
 
-def _same(a: Any, b: Any) -> bool:
-    if isinstance(a, str) and isinstance(b, str):
-        return a == b or _same_sentence(a, b)
-    if type(a) is bool or type(b) is bool or a is None or b is None:
-        return a is b
-    if isinstance(a, float) or isinstance(b, float):  # whole numbers are seeds and counts
-        return isinstance(a, int | float) and isinstance(b, int | float) and close(a, b, ROUND_OFF)
-    return bool(a == b)
+def identical(a: Any, b: Any) -> bool:
+    """Whether two values are the same, and of the same kind: 1, 1.0 and true differ."""
+    return type(a) is type(b) and bool(a == b)
 
 
-def _same_sentence(a: str, b: str) -> bool:
-    """Whether two sentences differ in the last digit of a number alone."""
-    if _NUMBER.sub("", a) != _NUMBER.sub("", b):
-        return False
+def computed(a: Any, b: Any) -> bool:
+    """Whether two values are the same where another CPU may have computed other last digits of a float."""
+    if isinstance(a, float) and isinstance(b, float):
+        return close(a, b, ROUND_OFF)
+    return identical(a, b)
+
+
+def told(a: Any, b: Any) -> bool:
+    """Whether two sentences are the same, up to the last digit of a number in them."""
+    if not (isinstance(a, str) and isinstance(b, str)) or _NUMBER.sub("", a) != _NUMBER.sub("", b):
+        return computed(a, b)
     pairs = zip(_NUMBER.findall(a), _NUMBER.findall(b), strict=True)
     return all(x == y or ("." in x + y and close(float(x), float(y), IN_WORDS)) for x, y in pairs)
 
 
 def close(a: float, b: float, tolerance: float) -> bool:
-    """Whether two numbers are the same, absolutely or relatively."""
-    return a == b or math.isclose(a, b, rel_tol=tolerance, abs_tol=tolerance)
+    """Whether two finite numbers are the same, absolutely or relatively."""
+    return math.isfinite(a) and math.isfinite(b) and math.isclose(a, b, rel_tol=tolerance, abs_tol=tolerance)
 
 
 def _text(value: object) -> str:
@@ -76,29 +92,31 @@ def _text(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def tables(ours: Iterable[Fact], stored: Stored) -> tuple[str | None, str]:
+def tables(header: Header, ours: Iterable[Fact], stored: Stored) -> tuple[str | None, str]:
     """Compare every table that is there with the facts that follow; return the fault, or None and what was compared."""
     derived = _by_key(ours)
     compared, gone = [], []
-    for name, kind, rows in (
-        ("tests", ProposalFact, stored.proposals),
-        ("rollouts", RolloutFact, stored.rollouts),
-        ("observations", ObservationFact, stored.observations),
-        ("bounds", None, stored.bounds),
+    for name, rows in (
+        ("tests", stored.proposals),
+        ("rollouts", stored.rollouts),
+        ("observations", stored.observations),
+        ("bounds", stored.bounds),
     ):
         if not rows:
             gone.append(name)
             continue
         compared.append(f"{len(rows)} {name}")
-        fault = _table(name, derived, rows, loose=kind is RolloutFact)
+        fault = _table(header, name, derived, rows)
         if fault:
             return fault, ""
     left = f"; not there: {', '.join(gone)}" if gone else ""
     return None, f"{', '.join(compared) or 'nothing'}{left}"
 
 
-def _table(name: str, derived: Mapping[object, Fact], rows: Sequence[Fact], *, loose: bool) -> str | None:
+def _table(header: Header, name: str, derived: Mapping[object, Fact], rows: Sequence[Fact]) -> str | None:
     written = _by_key(rows)
+    if len(written) != len(rows):
+        return f"table {name}: something stands there twice"
     kind = type(rows[0])
     wanted = {key: fact for key, fact in derived.items() if isinstance(fact, kind)}
     for key, fact in wanted.items():
@@ -107,11 +125,17 @@ def _table(name: str, derived: Mapping[object, Fact], rows: Sequence[Fact], *, l
         found = difference(_values(fact), _values(written[key]))
         if found:
             return f"table {name}, {_label(fact)}: {found}"
-    extra = [fact for key, fact in written.items() if key not in wanted]
-    if loose:  # rollouts of tests that nobody observed any more, because their problem had stopped
-        observed = {(fact.problem, fact.test) for fact in derived.values() if isinstance(fact, ObservationFact)}
-        extra = [fact for fact in extra if isinstance(fact, RolloutFact) and fact.rollout[:2] in observed]
+    extra = [fact for key, fact in written.items() if key not in wanted and not _in_flight(header, derived, fact)]
     return f"table {name}: {_label(extra[0])} does not follow from the evidence" if extra else None
+
+
+def _in_flight(header: Header, derived: Mapping[object, Fact], fact: Fact) -> bool:
+    """Whether this is a rollout of a test that was proposed, and never observed because its problem had stopped."""
+    if not isinstance(fact, RolloutFact):
+        return False
+    test = f"{fact.rollout.problem}, test {fact.rollout.test}"
+    open_test = (ProposalFact, test) in derived and (ObservationFact, test) not in derived
+    return open_test and fact.seed == rollout_seed(header.config, fact.rollout)
 
 
 def _by_key(facts: Iterable[Fact]) -> dict[object, Fact]:

@@ -20,14 +20,25 @@ def issued(rerun: Rerun, certificate: Certificate) -> Iterator[tuple[str, str | 
     _forget_later_keys(ledger.header, ours["problems"])
     problems, claims = len(ours["problems"]), len(ours["claims"])
     rule = "nothing is composed" if ours["composition"] is None else f"rule {ours['composition']['rule']}"
-    for name, part, detail in (
-        ("problems", _bounds, f"problems: {problems}"),
-        ("probabilities", _probabilities, f"problems: {problems}, claims: {claims}"),
-        ("composition", lambda predicate: predicate["composition"], rule),
-        ("claims", _claims, f"claims: {claims}"),
-        ("audit", lambda predicate: predicate["assumptions"], f"assumptions: {len(ours['assumptions'])}"),
+    for name, part, same, detail in (
+        ("problems", _fixed, compare.identical, ""),
+        ("problems", _bounds, compare.computed, f"problems: {problems}"),
+        ("probabilities", _probabilities, compare.computed, f"problems: {problems}, claims: {claims}"),
+        ("composition", lambda predicate: predicate["composition"], compare.computed, rule),
+        ("claims", _claims, compare.computed, f"claims: {claims}"),
+        ("audit", _audit, compare.told, f"assumptions: {len(ours['assumptions'])}"),
     ):
-        yield name, compare.difference(part(ours), part(theirs), name), detail
+        fault = compare.difference(part(ours), part(theirs), name, same=same)
+        if fault or detail:
+            yield name, fault, detail
+
+
+def _fixed(predicate: Mapping[str, Any]) -> Any:
+    return [row["parameters"] for row in predicate["problems"]]
+
+
+def _audit(predicate: Mapping[str, Any]) -> Any:
+    return [[row["id"], row["status"], row["detail"]] for row in predicate["assumptions"]]
 
 
 def _forget_later_keys(header: Header, problems: Sequence[Mapping[str, Any]]) -> None:

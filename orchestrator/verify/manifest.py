@@ -11,7 +11,8 @@ from orchestrator.errors import EvidenceError
 from orchestrator.store import evidence
 from orchestrator.verify.checks import FailedError
 
-_LINE = re.compile(r"([0-9a-f]{64})  (trajectories/[a-z_]+/\d+/([a-z_]+\.\d+\.[a-z]+\.\d+)\.mcap)")
+_ROLLOUT = r"[a-z_]{1,40}\.\d{1,9}\.[a-z]{1,10}\.\d{1,6}"
+_LINE = re.compile(rf"([0-9a-f]{{64}})  (trajectories/[a-z_]+/\d{{1,6}}/({_ROLLOUT})\.mcap)")
 SHOWN = 3
 """Damaged files that are named."""
 
@@ -34,7 +35,7 @@ def parse(text: str) -> Mapping[RolloutId, Entry]:
     found: dict[RolloutId, Entry] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         match = _LINE.fullmatch(line)
-        if match is None:
+        if match is None or not line.isascii():
             raise FailedError("manifest", f"line {number} is not a digest and the path of a trajectory")
         rollout = RolloutId.parse(match[3])
         if evidence.relative_path(rollout) != match[2]:

@@ -124,6 +124,7 @@ class Rerun:
             FailedError: the evidence is not that of this campaign.
 
         """
+        self._check_size()
         used, missing = set[RolloutId](), list[RolloutId]()
         waiting = deque(self._step(self.ledger.outstanding))
         while waiting:
@@ -137,6 +138,14 @@ class Rerun:
             used.add(rollout)
             tell(len(used))
         self._check_end(used, missing)
+
+    def _check_size(self) -> None:
+        """Refuse a campaign whose first tests alone need more than there is, before they are laid out."""
+        for each in self.ledger.state.problems:
+            listed = sum(rollout.problem == each.plan.problem for rollout in self._entries)
+            if listed < len(each.plan.rollouts):
+                wanted = f"{len(each.plan.rollouts)} rollouts a test"
+                raise FailedError("evidence", f"{each.plan.problem} takes {wanted}, the manifest has {listed} of it")
 
     def _stopped(self) -> set[str]:
         bounds = {name: account.last_bound for name, account in self.ledger.accounts.items()}
@@ -174,7 +183,7 @@ class Rerun:
         try:
             found = read(self._read(entry)).request["x"]
             return tuple(float(value) for value in found)
-        except (TrajectoryError, KeyError, TypeError, ValueError) as error:
+        except (TrajectoryError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise FailedError("trajectories", f"{entry.path}: {error}") from None
 
     def _check_end(self, used: set[RolloutId], missing: Sequence[RolloutId]) -> None:

@@ -1,5 +1,6 @@
 """Random rollouts once more: is what the workers sent what the simulator computes?"""
 
+import math
 import random
 import secrets
 import tempfile
@@ -79,8 +80,10 @@ def sentence(again: tuple[Again, ...], total: int) -> str:
     count = len(again)
     same = sum(each.bitwise for each in again)
     how = "bitwise the same" if same == count else f"{same} bitwise the same, the others within {TOLERANCE:g}"
-    share = 1.0 - 0.05 ** (1.0 / count)
+    if count == total:
+        return f"all {total} rollouts, {how}: workers_honest is checked"
+    percent = math.ceil(1000 * (1.0 - 0.05 ** (1.0 / count))) / 10
     return (
-        f"{count} of {total} rollouts, {how}: workers_honest is spot-checked; if more than {100 * share:.0f} % were "
-        "false, this would have been noticed with probability .95"
+        f"{count} of {total} rollouts, {how}: workers_honest is spot-checked; if more than {percent:g} % were false, "
+        "this would have been noticed with probability .95"
     )

@@ -27,7 +27,8 @@ def show(table: Table, certificate: Certificate | None, console: Console) -> Non
         lines.add_row(check.name, Text(check.status, COLOURS[check.status]), found)
     console.print(lines)
     counts = {status: sum(check.status == status for check in table.lines()) for status in COLOURS}
-    verdict = "VERIFIED" if table.good else "NOT VERIFIED"
+    signed = table.found["signature"].status == "passed" if "signature" in table.found else False
+    verdict = f"VERIFIED{'' if signed else ' (the signature was not checked)'}" if table.good else "NOT VERIFIED"
     told = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
     console.print(Text(f"\n{verdict}: {told}", "bold" if table.good else "bold red"))
     if table.good and certificate is not None:

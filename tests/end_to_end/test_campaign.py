@@ -204,7 +204,7 @@ def test_an_impatient_person_presses_ctrl_c_again_and_again(started: Processes, 
 def test_a_signal_that_meets_a_destructor_is_not_lost(started: Processes) -> None:
     (started.folder / "dying.py").write_text(
         "import os, signal, time\n"
-        "from orchestrator import cli\n"
+        "from orchestrator.cli import entry\n"
         "class Dying:\n"
         "    def __del__(self):\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
@@ -212,8 +212,8 @@ def test_a_signal_that_meets_a_destructor_is_not_lost(started: Processes) -> Non
         "def run():\n"
         "    Dying()\n"
         "    time.sleep(30)\n"
-        "cli._main = run\n"
-        "cli.main()\n"
+        "entry._main = run\n"
+        "entry.main()\n"
     )
     ended = started.run("python", "dying.py")
     assert (ended.code, ended.err) == (143, "perfbound: stopped; nothing was started\n")

@@ -298,12 +298,20 @@ def with_digest(header: ResultHeader, payload: bytes) -> tuple[ResultHeader, byt
     return header.model_copy(update={"sha256": hashlib.sha256(payload).hexdigest()}), payload
 
 
-def rewritten(payload: bytes, columns: tuple[str, ...], **request: Any) -> bytes:
-    """The file of a worker that changes columns or request, with true checksums."""
+def rewritten(
+    payload: bytes,
+    columns: tuple[str, ...],
+    *,
+    time: float = 0.0,
+    metadata: dict[str, str] | None = None,
+    **request: Any,
+) -> bytes:
+    """The file of a worker that changes columns, metadata or request, with true checksums."""
     file = read(payload)
-    trajectory = Trajectory(columns, np.array([[0.0, *[0.5] * (len(columns) - 1)]]))
+    trajectory = Trajectory(columns, np.array([[time, *[0.5] * (len(columns) - 1)]]))
     changed = {**file.request, **request}
-    return encode(trajectory, request=changed, metadata={}, units=dict.fromkeys(columns, "1"))
+    record = {name: text for name, text in file.metadata.items() if name != "columns"} | (metadata or {})
+    return encode(trajectory, request=changed, metadata=record, units=dict.fromkeys(columns, "1"))
 
 
 COLUMNS = ("t", "value")
@@ -319,6 +327,12 @@ LIES: dict[str, tuple[Lie, str]] = {
     "another": (lambda first, _: (first, True), "simulated for another request (other "),
     "seed": (lambda _, mine: (rewritten(mine, COLUMNS, seed=1), True), "simulated for another request (other seed)"),
     "start": (lambda _, mine: (rewritten(mine, COLUMNS, x=[0.0, 0.0]), True), "another request (other x)"),
+    "kind": (lambda _, mine: (rewritten(mine, COLUMNS, replicate=False), True), "another request (other "),
+    "metadata": (
+        lambda _, mine: (rewritten(mine, COLUMNS, metadata={"seed": "1"}), True),
+        "metadata of the trajectory",
+    ),
+    "time": (lambda _, mine: (rewritten(mine, COLUMNS, time=1.0), True), "goes from 1 to 1 s, the campaign asks for 0"),
     "more": (lambda _, mine: (rewritten(mine, COLUMNS, comment=""), True), "another request (other comment)"),
 }
 

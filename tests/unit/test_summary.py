@@ -72,14 +72,20 @@ def test_text_in_brackets_is_printed_as_it_is() -> None:
     assert "    clip                derived     in [bold] :warning: [/]" in lines
 
 
-def test_paths_and_log_lines_in_brackets_are_printed_as_they_are() -> None:
+def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a [red] :x: b").mkdir()
+    (tmp_path / "a [red] :x: b" / "certificate.json").touch()
     console = Console(file=io.StringIO(), width=40)
     summary.written(Path("a [red] :x: b"), console)
     Plain(console).say("worker [bold]x[/] :x: ended")
     assert isinstance(console.file, io.StringIO)
     text = console.file.getvalue()
     assert "  certificate  a [red] :x: b/certificate.json\n" in text
-    assert "cd 'a [red] :x: b' && sha256sum" in text
+    assert "perfbound verify 'a [red] :x: b'" in text
+    assert "signed" not in text, "nobody did"
     assert "worker [bold]x[/] :x: ended\n" in text
 
 

@@ -44,6 +44,9 @@ class SystemUnderTest(Protocol):
     ) -> Trajectory:
         """Simulate `horizon` seconds from the starting condition `x` (one value per parameter of the spec).
 
+        The first sample is at 0; the last one at the horizon, or before it by less than a step and by at most a
+        fiftieth of the horizon. A trajectory that is shorter is refused.
+
         Raises:
             SimulationError: `x` or the resulting trajectory is not finite, or an argument is outside the spec.
             Cancelled: raised by `progress`.
