@@ -47,7 +47,7 @@ imports: $(VENV)/.installed-dev ## Which room may import which
 # Readers of our files in JavaScript; where there is no npm or no network, their tests are skipped.
 build/node/.installed: Makefile
 	@if command -v npm >/dev/null && npm install --silent --no-save --no-audit --no-fund --prefix build/node \
-	  @mcap/core@2.2.2 fzstd@0.1.1 @foxglove/schemas@2.1.0; then touch $@; fi
+	  @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 @foxglove/schemas@2.1.0; then touch $@; fi
 
 unit: $(VENV)/.installed-dev build/node/.installed ## Tests, with real workers, Zenoh and PyBullet
 	$(BIN)/python -m pytest --doctest-modules orchestrator workers schemas

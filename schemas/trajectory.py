@@ -1,8 +1,8 @@
 """The trajectory and its file: the only importer of mcap.
 
 A file holds the evidence (attachment `trajectory.npy`, attachment `request.json`, one metadata record) and, if the
-trajectory carries a `Visual`, what a person sees at 30 Hz (channels /tf, /scene, /state and /log). Nothing in it
-depends on the clock or the host: the same rollout gives the same bytes.
+trajectory carries a `Visual`, what a person sees at 30 Hz (channels /tf, /scene, /solids, /state and /log). Nothing in
+it depends on the clock or the host: the same rollout gives the same bytes.
 
 | symbol | meaning | shape, unit |
 |---|---|---|
@@ -114,7 +114,8 @@ def encode(
     `units` names the unit of each column; the metadata record is `metadata` and the list of columns.
 
     Raises:
-        ValueError: `request` holds a number that is not finite, or `units` lacks a column.
+        ValueError: `request` holds a number that is not finite, `units` lacks a column, or the name of a column that a
+            person sees is no name of a protobuf field.
 
     """
     if missing := set(trajectory.columns) - set(units):
@@ -250,11 +251,13 @@ def _evidence(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
 
 def _write_visual(writer: Writer, trajectory: Trajectory, visual: Visual, units: Mapping[str, str]) -> None:
     shown = {name: units[name] for name in trajectory.columns}
-    messages: list[tuple[int, int, str]] = []
-    for topic, name, schema, texts in channels(visual, trajectory.samples[trajectory.frames], shown):
-        schema_id = writer.register_schema(name, "jsonschema", canonical_json(dict(schema)).encode())
-        channel = writer.register_channel(topic, "json", schema_id)
-        messages += [(time, channel, text) for time, text in texts]
+    schemas: dict[str, int] = {}
+    messages: list[tuple[int, int, bytes]] = []
+    for each in channels(visual, trajectory.samples[trajectory.frames], shown):
+        if each.kind.full_name not in schemas:
+            schemas[each.kind.full_name] = writer.register_schema(each.kind.full_name, "protobuf", each.definition)
+        channel = writer.register_channel(each.topic, "protobuf", schemas[each.kind.full_name], dict(each.metadata))
+        messages += [(time, channel, data) for time, data in each.messages]
     messages.sort(key=lambda message: message[:2])
-    for time, channel, text in messages:
-        writer.add_message(channel, time, text.encode(), time)
+    for time, channel, data in messages:
+        writer.add_message(channel, time, data, time)

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from google.protobuf.json_format import MessageToDict
+
 from schemas.trajectory import Transform, read
 from workers.systems import load
 
@@ -20,7 +22,8 @@ def look(data: bytes) -> dict[str, Any] | None:
     visual = load(str(file.request.get("system"))).visual(file.trajectory)
     if visual is None:
         return None
-    return {"scene": dict(visual.scene), "transforms": [_pose(each) for each in visual.transforms]}
+    scene = MessageToDict(visual.scene, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
+    return {"scene": scene, "transforms": [_pose(each) for each in visual.transforms]}
 
 
 def _pose(transform: Transform) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 // node read_mcap.mjs PACKAGES FILE...: what @mcap/core, the reader inside Foxglove, finds in MCAP files, as JSON on
 // stdout: one object a file under "files", and the schemas that Foxglove publishes under "published".
-// PACKAGES is the folder into which npm installed @mcap/core, fzstd (chunks are compressed) and @foxglove/schemas.
+// PACKAGES is the folder into which npm installed @mcap/core, @mcap/support (decodes protobuf by the types in a file),
+// fzstd (chunks are compressed) and @foxglove/schemas.
 
 import { createHash } from "node:crypto";
 import { open } from "node:fs/promises";
@@ -11,10 +12,18 @@ const [packages, ...paths] = process.argv.slice(2);
 const require = createRequire(join(resolve(packages), "none.js"));
 const { McapIndexedReader, McapStreamReader } = require("@mcap/core");
 const { decompress } = require("fzstd");
+const { protobufFromBinaryDescriptor } = require("@mcap/support");
 const published = require("@foxglove/schemas/jsonschema");
 
 const decompressHandlers = { zstd: (data, size) => decompress(data, new Uint8Array(Number(size))) };
-const text = (bytes) => new TextDecoder("utf-8", { fatal: true }).decode(bytes);
+// Foxglove shows a field that is not sent with its default, too.
+const plain = { defaults: true, longs: Number, bytes: String, enums: Number };
+
+/** Return a function that decodes messages of a type by the definition in the file. */
+function decoder({ name, data }) {
+  const type = protobufFromBinaryDescriptor(data).lookupType(name);
+  return (bytes) => type.toObject(type.decode(bytes), plain);
+}
 
 /** Return everything in a file, found by its index as Foxglove does. */
 async function indexed(handle) {
@@ -28,14 +37,16 @@ async function indexed(handle) {
   };
   const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers });
   const channels = {};
-  for (const { topic, messageEncoding, schemaId } of reader.channelsById.values()) {
+  const decoders = new Map();
+  for (const { id, topic, messageEncoding, schemaId, metadata } of reader.channelsById.values()) {
     const schema = reader.schemasById.get(schemaId);
-    const definition = JSON.parse(text(schema.data));
-    channels[topic] = { messageEncoding, schema: schema.name, encoding: schema.encoding, definition, messages: [] };
+    decoders.set(id, decoder(schema));
+    const remarks = Object.fromEntries(metadata);
+    channels[topic] = { messageEncoding, schema: schema.name, encoding: schema.encoding, remarks, messages: [] };
   }
   for await (const { channelId, logTime, publishTime, data } of reader.readMessages({ validateCrcs: true })) {
     const { topic } = reader.channelsById.get(channelId);
-    channels[topic].messages.push([String(logTime), String(publishTime), JSON.parse(text(data))]);
+    channels[topic].messages.push([String(logTime), String(publishTime), decoders.get(channelId)(data)]);
   }
   const attachments = {};
   for await (const { name, mediaType, data } of reader.readAttachments({ validateCrcs: true })) {

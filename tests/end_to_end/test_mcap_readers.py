@@ -1,7 +1,9 @@
-"""The files of rollouts in the hands of others: rerun's own check, and the reader that Foxglove is made of."""
+"""The files of rollouts in the hands of others: rerun, and the reader that Foxglove is made of."""
 
+import base64
 import hashlib
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -9,17 +11,23 @@ from typing import Any
 
 import jsonschema
 import pytest
+from google.protobuf.message import Message
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from tests.end_to_end import processes
 from tests.end_to_end.processes import BIN, Ended, Processes
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ROOT / "build" / "node"
-NEEDED = ("@mcap/core", "fzstd", "@foxglove/schemas")
-INSTALL = "npm install --no-save --prefix build/node @mcap/core@2.2.2 fzstd@0.1.1 @foxglove/schemas@2.1.0"
+NEEDED = ("@mcap/core", "@mcap/support", "fzstd", "@foxglove/schemas")
+INSTALL = (
+    "npm install --no-save --prefix build/node @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 @foxglove/schemas@2.1.0"
+)
 FRAMES = 91
 """Of three seconds at 30 Hz."""
+SOLIDS = {f"/solids/{name}" for name in ("ground/0", "goal/0", "wheels/0", "wheels/1", "body/0")}
+TOPICS = SOLIDS | {"/scene", "/log", "/tf", "/state"}
 
 
 @pytest.fixture(scope="module")
@@ -64,15 +72,13 @@ def test_rerun_finds_no_fault(rerun: Any, visual: Path, evidence: Path) -> None:
     found = rerun("mcap", "check", "--full", visual)
     assert found.code == 0, found.err
     lines = [line.split() for line in found.out.splitlines() if line.startswith(("ok", "warn", "err", "fail"))]
-    assert {line[3]: (line[0], line[-1]) for line in lines} == dict.fromkeys(
-        ("/scene", "/log", "/tf", "/state"), ("ok", "—")
-    )
+    assert {line[3]: (line[0], line[-1]) for line in lines} == dict.fromkeys(TOPICS, ("ok", "—"))
     assert rerun("mcap", "check", "--full", evidence).code == 0
 
 
-def test_rerun_converts_a_file(rerun: Any, visual: Path, evidence: Path, tmp_path: Path) -> None:
-    """Its 0.41 decodes no JSON: the channels arrive as they are, the evidence as attachments."""
-    expected = {visual: {"/scene", "/log", "/tf", "/state"}, evidence: set()}
+def test_rerun_draws_a_file(rerun: Any, visual: Path, evidence: Path, tmp_path: Path) -> None:
+    """It finds poses, solids, lines of a log and numbers, each in the frame and at the time at which they belong."""
+    expected = {visual: TOPICS, evidence: set()}
     for path, topics in expected.items():
         converted = tmp_path / f"{path.stem}.rrd"
         ended = rerun("mcap", "convert", path, "-o", converted)
@@ -82,6 +88,15 @@ def test_rerun_converts_a_file(rerun: Any, visual: Path, evidence: Path, tmp_pat
         found = {line.split(":")[0] for line in entities.splitlines() if line.startswith("/")}
         assert found == topics | {"/__mcap_attachments", "/__mcap_metadata", "/__mcap_properties"}
         assert rerun("rrd", "verify", converted).code == 0
+    printed = rerun("rrd", "print", "-v", tmp_path / f"{visual.stem}.rrd").out
+    chunks = re.findall(r"with (\d+) rows .* - (\S+) - data columns: \[(.*)\]", printed)
+    drawn = {(entity, int(rows), frozenset(re.findall(r"@(\S+?):", columns))) for rows, entity, columns in chunks}
+    assert {chunk for chunk in drawn if not chunk[2] & {"McapChannel", "McapStatistics", "RecordingInfo"}} >= {
+        ("/tf", 2 * FRAMES, frozenset({"Transform3D"})),
+        ("/log", 2, frozenset({"TextLog"})),
+        ("/state", FRAMES, frozenset({"perfbound.State"})),
+        *((topic, 1, frozenset({"CoordinateFrame", "VoxelGridMap"})) for topic in SOLIDS),
+    }
 
 
 # @mcap/core
@@ -107,16 +122,16 @@ def javascript(visual: Path, evidence: Path) -> dict[str, Any]:
 def test_javascript_reads_what_python_reads(javascript: Any, visual: Path, evidence: Path, number: int) -> None:
     found, path = javascript["files"][number], (visual, evidence)[number]
     with path.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         assert (found["profile"], found["library"]) == ("", "perfbound")
         messages: dict[str, list[Any]] = {topic: [] for topic in found["channels"]}
-        for schema, channel, message in reader.iter_messages():
+        for schema, channel, message, body in reader.iter_decoded_messages():
             assert schema is not None
             theirs = found["channels"][channel.topic]
-            assert (theirs["messageEncoding"], theirs["encoding"]) == ("json", "jsonschema")
-            assert (theirs["schema"], theirs["definition"]) == (schema.name, json.loads(schema.data))
+            assert (theirs["messageEncoding"], theirs["encoding"]) == ("protobuf", "protobuf")
+            assert (theirs["schema"], theirs["remarks"]) == (schema.name, channel.metadata)
             times = (str(message.log_time), str(message.publish_time))
-            messages[channel.topic].append([*times, json.loads(message.data)])
+            messages[channel.topic].append([*times, as_javascript(body)])
         assert {topic: each["messages"] for topic, each in found["channels"].items()} == messages
         digests = {each.name: [each.media_type, _sha256(each.data)] for each in reader.iter_attachments()}
         assert found["attachments"] == digests
@@ -124,28 +139,55 @@ def test_javascript_reads_what_python_reads(javascript: Any, visual: Path, evide
     assert set(digests) == {"trajectory.npy", "request.json"}
     count = sum(len(each) for each in messages.values())
     assert found["streamed"] == {"messages": count, "done": True}
-    assert count == (0 if path == evidence else 2 * FRAMES + 3)
+    assert count == (0 if path == evidence else 2 * FRAMES + 3 + len(SOLIDS))
 
 
 def test_messages_keep_to_the_schemas_that_foxglove_publishes(javascript: Any) -> None:
     """Every field that Foxglove knows is there with its type, and none besides."""
     channels = javascript["files"][0]["channels"].values()
     known = [channel for channel in channels if channel["schema"].startswith("foxglove.")]
-    assert len(known) == 3
+    assert len(known) == 3 + len(SOLIDS)
     for channel in known:
         published = exact(javascript["published"][channel["schema"].removeprefix("foxglove.")])
         validator = jsonschema.Draft202012Validator(published)
         for _, _, message in channel["messages"]:
-            validator.validate(message)
+            validator.validate(with_times(message))
 
 
 def test_times_are_those_of_the_messages(javascript: Any) -> None:
-    for topic, channel in javascript["files"][0]["channels"].items():
+    for channel in javascript["files"][0]["channels"].values():
         for log_time, publish_time, message in channel["messages"]:
             assert log_time == publish_time
             stamps = [each["timestamp"] for each in message.get("transforms", [])]
-            stamps += [message["timestamp"]] if topic == "/log" else []
-            assert {stamp["sec"] * 10**9 + stamp["nsec"] for stamp in stamps} <= {int(log_time)}
+            stamps += [message["timestamp"]] if "timestamp" in message else []
+            assert {stamp["seconds"] * 10**9 + stamp["nanos"] for stamp in stamps} <= {int(log_time)}
+
+
+def as_javascript(message: Message) -> dict[str, Any]:
+    """Return what JavaScript makes of a message: every field, bytes as base64, None for a message that was not sent."""
+    return {field.name: _as_javascript(message, field) for field in message.DESCRIPTOR.fields}
+
+
+def _as_javascript(message: Message, field: Any) -> Any:
+    value = getattr(message, field.name)
+    if field.type == field.TYPE_BYTES:
+        return base64.b64encode(value).decode()
+    if field.type != field.TYPE_MESSAGE:
+        return value
+    if field.is_repeated:
+        return [as_javascript(each) for each in value]
+    return as_javascript(value) if message.HasField(field.name) else None
+
+
+def with_times(value: Any) -> Any:
+    """Return a message as Foxglove shows it: with times in its own names."""
+    if isinstance(value, list):
+        return [with_times(each) for each in value]
+    if not isinstance(value, dict):
+        return value
+    if set(value) == {"seconds", "nanos"}:
+        return {"sec": value["seconds"], "nsec": value["nanos"]}
+    return {name: with_times(each) for name, each in value.items()}
 
 
 def exact(schema: Any) -> Any:

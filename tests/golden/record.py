@@ -22,7 +22,7 @@ from workers.systems.base import SystemUnderTest
 FILE = Path(__file__).with_name("segway.json")
 CPU_INFO = Path("/proc/cpuinfo")
 INSTRUCTION_SETS = ("fma", "avx2", "avx512f")
-DECIDING_PACKAGES = ("lz4", "mcap", "numpy", "pybullet", "zstandard")
+DECIDING_PACKAGES = ("foxglove-schemas-protobuf", "lz4", "mcap", "numpy", "protobuf", "pybullet", "zstandard")
 
 Rollout = dict[str, Any]
 """The arguments of `SystemUnderTest.rollout` without `progress`."""
@@ -80,7 +80,7 @@ def platform_key() -> dict[str, str]:
     """Return what may decide the last bits of a rollout or the bytes of its file.
 
     The C library and numpy choose their sin, tanh or atan2 by the instruction sets of the CPU; Python brings its own
-    hypot, pybullet its own compiled code; mcap and the compressions decide the bytes around the samples.
+    hypot, pybullet its own compiled code; mcap, protobuf and the compressions decide the bytes around the samples.
     """
     packages = {package: version(package) for package in DECIDING_PACKAGES}
     python = ".".join(platform.python_version_tuple()[:2])

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from google.protobuf.json_format import MessageToDict
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -73,7 +74,8 @@ def a_segway(phi: float, heading: float = 0.3, x: float = 1.0) -> Film:
     row = dict.fromkeys(UNITS, 0.0) | {"x": x, "y": -2.0, "heading": heading, "phi": phi}
     seen = visual(Trajectory(tuple(UNITS), np.array([list(row.values())])))
     motions = (Motion(each.parent, each.child, each.translation, each.rotation) for each in seen.transforms)
-    return Film(solids(seen.scene), tuple(motions))
+    scene = MessageToDict(seen.scene, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
+    return Film(solids(scene), tuple(motions))
 
 
 def body(film: Film) -> Floats:

@@ -1,21 +1,29 @@
 import io
-import json
+import math
 import time
 from dataclasses import replace
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from mcap_protobuf.decoder import DecoderFactory
 
 from schemas import trajectory as module
 from schemas.trajectory import Trajectory, TrajectoryError, Transform, Visual, decode, encode
 
-UNITS = {"t": "s", "x": "m", "phi%": "rad"}
+UNITS = {"t": "s", "x": "m", "phi": "rad"}
 REQUEST: dict[str, Any] = {"seed": 7, "x": [1.0, 2.0]}
 METADATA = {"campaign": "c", "seed": "7"}
 
@@ -30,7 +38,14 @@ def a_visual(frames: int) -> Visual:
     turn = np.tile([0.0, 0.0, 0.0, 1.0], (frames, 1))
     body = Transform('the "world" 100%', "body", np.full((frames, 3), 1 / 3), turn)
     arm = Transform("body", "arm", np.full((frames, 3), 1e-9), turn)
-    return Visual({"deletions": [], "entities": []}, (body, arm), ((0.0, "start"), (1.5, "fallen")))
+    return Visual(a_scene(), (body, arm), ((0.0, "start"), (1.5, "fallen")))
+
+
+def a_scene() -> SceneUpdate:
+    """A red wheel: a cylinder whose axis is turned from z to y."""
+    pose = Pose(position=Vector3(x=1, y=2, z=3), orientation=Quaternion(x=0.5**0.5, w=0.5**0.5))
+    wheel = CylinderPrimitive(pose=pose, size=Vector3(x=0.4, y=0.4, z=0.1), color=Color(r=1, a=0.5))
+    return SceneUpdate(entities=[SceneEntity(id="wheels", frame_id="body", cylinders=[wheel])])
 
 
 def encoded(trajectory: Trajectory) -> bytes:
@@ -128,44 +143,95 @@ def test_the_conventions_of_the_file() -> None:
     assert array.dtype == np.float64
     assert array.shape == (241, 3)
     (record,) = reader.iter_metadata()
-    assert record.metadata == {"campaign": "c", "columns": '["t", "x", "phi%"]', "seed": "7"}
+    assert record.metadata == {"campaign": "c", "columns": '["t", "x", "phi"]', "seed": "7"}
     assert list(reader.iter_messages()) == []
 
 
-def test_a_person_sees_valid_messages_at_thirty_hertz() -> None:
-    reader = make_reader(io.BytesIO(encoded(a_trajectory(visual=True))), validate_crcs=True)
+def seen_in(data: bytes) -> dict[str, list[Any]]:
+    """Return the times and messages of every topic, decoded by the types that the file holds."""
+    reader = make_reader(io.BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
     seen: dict[str, list[Any]] = {}
-    for schema, channel, message in reader.iter_messages():
-        assert schema is not None
-        assert schema.encoding == "jsonschema"
+    for _, channel, message, body in reader.iter_decoded_messages():
         assert message.log_time == message.publish_time
-        body = json.loads(message.data)
-        jsonschema.validate(body, json.loads(schema.data))
         seen.setdefault(channel.topic, []).append((message.log_time, body))
+    return seen
+
+
+def test_a_person_sees_valid_messages_at_thirty_hertz() -> None:
+    seen = seen_in(encoded(a_trajectory(visual=True)))
     assert {topic: len(messages) for topic, messages in seen.items()} == {
         "/tf": 61,
         "/state": 61,
         "/scene": 1,
+        "/solids/wheels/0": 1,
         "/log": 2,
     }
     when, frame = seen["/tf"][31]
-    body, _ = frame["transforms"]
-    assert body["timestamp"] == {"sec": 1, "nsec": when - 10**9}
-    assert body["parent_frame_id"] == 'the "world" 100%'
-    assert body["translation"]["x"] == 0.333333
-    assert body["rotation"] == {"x": 0, "y": 0, "z": 0, "w": 1}
-    assert set(seen["/state"][0][1]) == set(UNITS)
+    body, arm = frame.transforms
+    assert (body.timestamp.seconds, body.timestamp.nanos) == (1, when - 10**9)
+    assert (body.parent_frame_id, arm.parent_frame_id) == ('the "world" 100%', "body")
+    assert (body.translation.x, arm.translation.x) == (1 / 3, 1e-9)
+    assert [getattr(body.rotation, name) for name in "xyzw"] == [0, 0, 0, 1]
+    when, state = seen["/state"][31]
+    assert state.DESCRIPTOR.full_name == "perfbound.State"
+    assert [state.t, state.x, state.phi] == pytest.approx([when / 1e9, math.sin(when / 1e9) / 3, -when / 1e9])
+    assert [field.name for field in state.DESCRIPTOR.fields] == list(UNITS)
+    assert [(when, line.message, line.level) for when, line in seen["/log"]] == [
+        (0, "start", 2),
+        (15 * 10**8, "fallen", 2),
+    ]
+
+
+def test_a_type_comes_after_what_it_imports() -> None:
+    """Readers take in the files of a definition one by one."""
+    summary = make_reader(io.BytesIO(encoded(a_trajectory(visual=True)))).get_summary()
+    assert summary is not None
+    schemas = list(summary.schemas.values())
+    assert len({schema.name for schema in schemas}) == len(schemas) == 5
+    for schema in schemas:
+        files = FileDescriptorSet.FromString(schema.data).file
+        names = [file.name for file in files]
+        assert len(set(names)) == len(names)
+        for number, file in enumerate(files):
+            assert set(file.dependency) <= set(names[:number])
+        assert schema.name.rpartition(".")[2] in {message.name for message in files[-1].message_type}
+
+
+def test_the_units_stand_beside_the_state() -> None:
+    summary = make_reader(io.BytesIO(encoded(a_trajectory(visual=True)))).get_summary()
+    assert summary is not None
+    assert {channel.topic: channel.metadata for channel in summary.channels.values() if channel.metadata} == {
+        "/state": UNITS
+    }
+
+
+def test_a_solid_is_also_a_grid_of_one_cell() -> None:
+    """Its corner is the lowest one of the box, turned with it: -0.2, -0.2, -0.05 becomes -0.2, 0.05, -0.2."""
+    ((_, grid),) = seen_in(encoded(a_trajectory(visual=True)))["/solids/wheels/0"]
+    (wheel,) = a_scene().entities[0].cylinders
+    corner = [getattr(grid.pose.position, name) for name in "xyz"]
+    assert corner == pytest.approx([1 - 0.2, 2 + 0.05, 3 - 0.2])
+    assert grid.pose.orientation.w == wheel.pose.orientation.w
+    assert [getattr(grid.cell_size, name) for name in "xyz"] == [0.4, 0.4, 0.1]
+    assert (grid.frame_id, grid.row_count, grid.column_count) == ("body", 1, 1)
+    assert grid.data == bytes([255, 0, 0, 128])
+    assert [field.name for field in grid.fields] == ["red", "green", "blue", "alpha"]
+
+
+@pytest.mark.parametrize("column", ["phi%", "", "1"])
+def test_a_column_that_a_person_sees_is_a_field(column: str) -> None:
+    plain = Trajectory(("t", column), np.array([[0.0, 1.0]]), Visual(SceneUpdate(), ()))
+    with pytest.raises(ValueError, match="names of protobuf fields"):
+        encode(plain, request={}, metadata={}, units={"t": "s", column: "1"})
 
 
 def test_a_scene_may_stand_still() -> None:
-    still = replace(a_trajectory(), visual=Visual({"deletions": [], "entities": []}, ()))
-    reader = make_reader(io.BytesIO(encoded(still)), validate_crcs=True)
-    topics = {channel.topic for _, channel, _ in reader.iter_messages()}
-    assert topics == {"/scene", "/state"}
+    still = replace(a_trajectory(), visual=Visual(SceneUpdate(), ()))
+    assert set(seen_in(encoded(still))) == {"/scene", "/state"}
 
 
 def test_every_column_has_a_unit() -> None:
-    with pytest.raises(ValueError, match="no unit for phi%, x"):
+    with pytest.raises(ValueError, match="no unit for phi, x"):
         encode(a_trajectory(), request={}, metadata={}, units={"t": "s"})
 
 

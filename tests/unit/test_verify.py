@@ -2,7 +2,9 @@
 that is about it."""
 
 import hashlib
+import io
 import json
+import os
 import random
 import shutil
 import sqlite3
@@ -13,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from orchestrator import service
 from orchestrator.campaign import RolloutId
@@ -23,11 +26,12 @@ from orchestrator.store.evidence import relative_path
 from orchestrator.store.journal import DATABASE, Fact, read_header
 from orchestrator.store.queries import reading
 from orchestrator.store.stored import stored
-from orchestrator.verify import compare, resimulate
+from orchestrator.verify import compare, resimulate, show
 from orchestrator.verify.checks import CHECKS, Table
 from orchestrator.verify.manifest import parse
 from orchestrator.verify.rerun import Rerun
 from orchestrator.verify.verify import verify
+from schemas.base import canonical_json
 from schemas.campaign import CampaignConfig
 from schemas.certificate import Certificate
 from schemas.trajectory import Trajectory, encode, read
@@ -406,6 +410,121 @@ def test_something_is_missing(campaign: Path, name: str) -> None:
 def test_nothing_to_verify(tmp_path: Path) -> None:
     with pytest.raises(PerfboundError, match="no certificate here"):
         check(tmp_path)
+
+
+# What nobody writes by mistake
+
+
+def test_a_pipe_is_not_waited_for(campaign: Path) -> None:
+    victim = some_files(campaign)[3]
+    victim.unlink()
+    os.mkfifo(victim)
+    assert failed(campaign) == ["files"]
+
+
+@pytest.mark.parametrize(
+    ("name", "line"), [(files.MANIFEST, "manifest"), (files.CERTIFICATE, "certificate"), ("trajectories", "files")]
+)
+def test_a_file_as_large_as_a_disk_fills_no_memory(campaign: Path, name: str, line: str) -> None:
+    victim = campaign / name if (campaign / name).is_file() else some_files(campaign)[3]
+    with victim.open("r+b") as file:
+        file.truncate(2**40)
+    assert failed(campaign) == [line]
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "CREATE VIEW bounds AS SELECT seq, problem, test, y AS upper, y AS lower, NULL AS stopped_by FROM observations",
+        "CREATE VIEW bounds AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS seq FROM n",
+        "CREATE TABLE bounds (seq INTEGER PRIMARY KEY, problem TEXT, test INTEGER, upper REAL, lower REAL, "
+        "stopped_by TEXT GENERATED ALWAYS AS (hex(zeroblob(800000000))))",
+        "CREATE TABLE notes (text TEXT)",
+    ],
+)
+def test_tables_that_are_none_of_ours(campaign: Path, statement: str) -> None:
+    with editing(campaign) as database:
+        database.execute("DROP TABLE bounds")
+        database.execute(statement)
+    assert failed(campaign) == ["header"]
+
+
+def test_rows_that_stand_there_twice(campaign: Path) -> None:
+    with editing(campaign) as database:
+        columns = "seq, problem, test, upper, lower, stopped_by"
+        database.execute("ALTER TABLE bounds RENAME TO once")
+        database.execute("CREATE TABLE bounds (seq, problem, test, upper, lower, stopped_by)")
+        database.execute(f"INSERT INTO bounds SELECT {columns} FROM once")
+        database.execute(f"INSERT INTO bounds SELECT -{columns} FROM once WHERE test = 3")
+        database.execute("DROP TABLE once")
+    assert "twice" in check(campaign).found["database"].detail
+
+
+def test_a_rollout_of_a_test_that_nobody_proposed(campaign: Path) -> None:
+    with editing(campaign) as database:
+        database.execute(
+            "INSERT INTO rollouts SELECT 9999, problem, 77, variant, replicate, seed, sha256, size, path, -1 "
+            "FROM rollouts WHERE test = 3 LIMIT 1"
+        )
+    assert failed(campaign) == ["database"]
+
+
+def respecify(directory: Path, edit: Callable[[Any], object]) -> None:
+    """Edit the system in the database, with its digest in the certificate."""
+    with editing(directory) as database:
+        (text,) = database.execute("SELECT system FROM campaign").fetchone()
+        value = json.loads(text)
+        edit(value)
+        new = canonical_json(value)
+        database.execute("UPDATE campaign SET system = ?", (new,))
+    digest = hashlib.sha256(new.encode()).hexdigest()
+    rewrite(directory, lambda predicate: predicate["campaign"].update(system_sha256=digest))
+
+
+@pytest.mark.parametrize(
+    ("edit", "line"),
+    [
+        (lambda spec: spec.update(name="autopilot"), "header"),
+        (lambda spec: spec["parameters"][0].update(high=4.0), "header"),
+        (lambda spec: spec["parameters"][0].update(unit="km"), "header"),
+        (lambda spec: spec.update(noisy=[]), "requests"),
+        (lambda spec: spec.update(doc="certified"), "requests"),
+    ],
+)
+def test_a_campaign_of_another_system(campaign: Path, edit: Callable[[Any], object], line: str) -> None:
+    respecify(campaign, edit)
+    assert failed(campaign) == [line]
+
+
+def test_the_certificate_names_the_system(campaign: Path) -> None:
+    rewrite(campaign, lambda predicate: predicate["campaign"].update(system_sha256="0" * 64))
+    assert failed(campaign) == ["header"]
+
+
+@pytest.mark.parametrize("kept", [slice(0, 1), slice(0, -30)])
+def test_a_trajectory_that_was_cut(campaign: Path, kept: slice) -> None:
+    altered(of(campaign, "nominal_robustness", 7, "nominal"), numbers=lambda samples: samples[kept])
+    relist(campaign)
+    assert failed(campaign) == ["trajectories"]
+
+
+def test_a_resimulation_that_cannot_be_done_is_no_pass(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: str) -> str:
+        raise PerfboundError("the system is not installed")
+
+    monkeypatch.setattr(resimulate, "ask", missing)
+    found, _ = verify(campaign, key=None, again=2, tell=lambda *_: None)
+    assert found.found["resimulation"].status == "failed"
+
+
+def test_what_a_stranger_wrote_is_shown_and_not_obeyed(campaign: Path) -> None:
+    with editing(campaign) as database:
+        database.execute("UPDATE rollouts SET path = path || char(27) || '[2J' WHERE test = 3")
+    console = Console(file=io.StringIO(), width=300, force_terminal=False)
+    show.show(check(campaign), None, console)
+    assert isinstance(console.file, io.StringIO)
+    assert "\x1b" not in console.file.getvalue()
+    assert "NOT VERIFIED" in console.file.getvalue()
 
 
 # Another CPU, and dishonest workers

@@ -3,15 +3,26 @@
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.duration_pb2 import Duration
+from google.protobuf.timestamp_pb2 import Timestamp
 
 from schemas.trajectory import Floats, Trajectory, Transform, Visual
 from workers.systems.segway.bullet import CENTRE_OF_MASS, FALLEN, WHEEL_RADIUS
 from workers.systems.segway.controller import GOAL
 
+Vector = tuple[float, ...]
+
 _STEEL, _BLUE, _GREEN, _GREY = (0.25, 0.25, 0.28, 1.0), (0.1, 0.4, 0.9, 1.0), (0.1, 0.7, 0.3, 0.7), (0.8, 0.8, 0.8, 1.0)
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 _ALONG_AXLE = (0.7071067811865476, 0.0, 0.0, 0.7071067811865476)  # z of the cylinder onto y of the frame
-_EMPTY = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models", "metadata")
 
 
 def visual(trajectory: Trajectory) -> Visual:
@@ -40,40 +51,46 @@ def _log(trajectory: Trajectory) -> tuple[tuple[float, str], ...]:
     return tuple(lines)
 
 
-def _scene() -> dict[str, Any]:
-    ground = {"cubes": [_solid((2.5, 2.5, -0.01), (10.0, 10.0, 0.02), _GREY)]}
-    goal = {"cylinders": [_cylinder((*GOAL, 0.005), 0.4, 0.01, _UPRIGHT, _GREEN)]}
+def _scene() -> SceneUpdate:
+    ground = _cube((2.5, 2.5, -0.01), (10.0, 10.0, 0.02), _GREY)
+    goal = _cylinder((*GOAL, 0.005), 0.4, 0.01, _UPRIGHT, _GREEN)
     wheels = [_cylinder((0.0, side, 0.0), 2 * WHEEL_RADIUS, 0.06, _ALONG_AXLE, _STEEL) for side in (0.25, -0.25)]
-    body = {"cubes": [_solid((0.0, 0.0, CENTRE_OF_MASS), (0.1, 0.3, 0.7), _BLUE)]}
-    entities = [
-        _entity("ground", "world", ground),
-        _entity("goal", "world", goal),
-        _entity("wheels", "base_link", {"cylinders": wheels}),
-        _entity("body", "pendulum", body),
-    ]
-    return {"deletions": [], "entities": entities}
+    body = _cube((0.0, 0.0, CENTRE_OF_MASS), (0.1, 0.3, 0.7), _BLUE)
+    return SceneUpdate(
+        entities=[
+            _entity("ground", "world", cubes=[ground]),
+            _entity("goal", "world", cylinders=[goal]),
+            _entity("wheels", "base_link", cylinders=wheels),
+            _entity("body", "pendulum", cubes=[body]),
+        ]
+    )
 
 
-def _entity(name: str, frame: str, solids: dict[str, Any]) -> dict[str, Any]:
-    never = {"sec": 0, "nsec": 0}
-    empty: dict[str, Any] = {kind: [] for kind in _EMPTY}
-    return {"id": name, "frame_id": frame, "frame_locked": True, "timestamp": never, "lifetime": never} | empty | solids
+def _entity(name: str, frame: str, **solids: Any) -> SceneEntity:
+    return SceneEntity(id=name, frame_id=frame, frame_locked=True, timestamp=Timestamp(), lifetime=Duration(), **solids)
 
 
-def _solid(centre: tuple[float, ...], size: tuple[float, ...], color: tuple[float, ...]) -> dict[str, Any]:
-    return {"pose": _pose(centre, _UPRIGHT), "size": _named("xyz", size), "color": _named("rgba", color)}
+def _cube(centre: Vector, size: Vector, color: Vector) -> CubePrimitive:
+    return CubePrimitive(pose=_pose(centre, _UPRIGHT), size=_vector(size), color=_color(color))
 
 
-def _cylinder(
-    centre: tuple[float, ...], diameter: float, length: float, turn: tuple[float, ...], color: tuple[float, ...]
-) -> dict[str, Any]:
-    solid = _solid(centre, (diameter, diameter, length), color)
-    return solid | {"pose": _pose(centre, turn), "bottom_scale": 1.0, "top_scale": 1.0}
+def _cylinder(centre: Vector, diameter: float, length: float, turn: Vector, color: Vector) -> CylinderPrimitive:
+    return CylinderPrimitive(
+        pose=_pose(centre, turn),
+        size=_vector((diameter, diameter, length)),
+        color=_color(color),
+        bottom_scale=1.0,
+        top_scale=1.0,
+    )
 
 
-def _pose(position: tuple[float, ...], orientation: tuple[float, ...]) -> dict[str, Any]:
-    return {"position": _named("xyz", position), "orientation": _named("xyzw", orientation)}
+def _pose(position: Vector, orientation: Vector) -> Pose:
+    return Pose(position=_vector(position), orientation=Quaternion(**dict(zip("xyzw", orientation, strict=True))))
 
 
-def _named(names: str, values: tuple[float, ...]) -> dict[str, float]:
-    return dict(zip(names, values, strict=True))
+def _vector(values: Vector) -> Vector3:
+    return Vector3(**dict(zip("xyz", values, strict=True)))
+
+
+def _color(values: Vector) -> Color:
+    return Color(**dict(zip("rgba", values, strict=True)))
