@@ -50,7 +50,7 @@ class TestFunctionSystem(SystemUnderTest):
         options: Mapping[str, OptionValue],
         progress: Progress,
     ) -> Trajectory:
-        """Evaluate the function at `x`; the horizon has no influence.
+        """Evaluate the function at `x`: one value from 0 to the horizon.
 
         Raises:
             SimulationError: an argument is not finite or outside the spec.
@@ -62,4 +62,5 @@ class TestFunctionSystem(SystemUnderTest):
         if variant == "true":
             value += noise_sd * np.random.default_rng(seed).standard_normal()
         progress(1)
-        return Trajectory(("t", "value"), np.array([[0.0, value]]))
+        times = (0.0, horizon) if horizon else (0.0,)
+        return Trajectory(("t", "value"), np.array([[time, value] for time in times]))
