@@ -19,7 +19,7 @@ class TestFunctionSystem(SystemUnderTest):
     >>> start = (math.pi / 2, 0.0)
     >>> rollout = system.rollout(start, variant="nominal", seed=0, horizon=1.0, options={}, progress=lambda step: None)
     >>> rollout.samples.tolist()
-    [[0.0, 0.5]]
+    [[0.0, 0.5], [1.0, 0.5]]
     """
 
     __test__ = False  # the name is the paper's; pytest would collect it
