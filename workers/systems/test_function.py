@@ -13,7 +13,7 @@ from workers.systems.base import Progress, SystemUnderTest, checked_options
 
 
 class TestFunctionSystem(SystemUnderTest):
-    """J(z) = sin(z1) cos(z2) / 2, alone (nominal) or with Gaussian noise (true): one sample at t = 0.
+    """J(z) = sin(z1) cos(z2) / 2, alone (nominal) or with Gaussian noise (true): one value, from 0 to the horizon.
 
     >>> system = TestFunctionSystem()
     >>> start = (math.pi / 2, 0.0)
