@@ -71,12 +71,18 @@ def _now(problem: Problem) -> str:
     if problem.bound is None:
         return f"{problem.name}: no bound yet."
     if problem.probability is None:
-        what = f"{problem.objective} {sense} {outward(problem.bound, sense)}"
+        what = f"{_quantity(problem)} {sense} {outward(problem.bound, sense)}"
         return (
             f"{problem.name}: not yet a bound. Method {problem.method} claims one only where it stops; if its budget "
             f"ended here, it would be {what}."
         )
-    return f"{problem.name}: {problem.objective} {_at_least(problem.bound, sense, problem.probability)}."
+    return f"{_quantity(problem)} {_at_least(problem.bound, sense, problem.probability)}."
+
+
+def _quantity(problem: Problem) -> str:
+    """Return what a problem bounds, as the claims call it where it is a claim by itself."""
+    direct = {"true_risk": "rho_star", "maximum": "J_star"}.get(problem.name)
+    return QUANTITIES[direct] if direct else problem.objective.partition(", through")[0]
 
 
 def _at_least(bound: float, sense: str, probability: float) -> str:
