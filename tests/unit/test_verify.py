@@ -10,6 +10,7 @@ import shutil
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,9 @@ from orchestrator.certificate import files, sign
 from orchestrator.certificate.issue import issue, manifest
 from orchestrator.errors import PerfboundError
 from orchestrator.store.evidence import relative_path
-from orchestrator.store.journal import DATABASE, Fact, read_header
+from orchestrator.store.journal import DATABASE, Fact, RolloutFact, read_header
 from orchestrator.store.queries import reading
-from orchestrator.store.stored import stored
+from orchestrator.store.stored import Stored, stored
 from orchestrator.verify import compare, resimulate, show
 from orchestrator.verify.checks import CHECKS, Table
 from orchestrator.verify.manifest import parse
@@ -368,6 +369,7 @@ def test_a_rollout_of_another_campaign(campaign: Path) -> None:
     shutil.copy(of(campaign, "nominal_robustness", 7, "nominal"), campaign / relative_path(stranger))
     relist(campaign, lambda listed: listed.update({stranger: relative_path(stranger)}))
     assert failed(campaign) == ["evidence"]
+    assert "belong to no observed test" in check(campaign).found["evidence"].detail
 
 
 @pytest.mark.parametrize(
@@ -467,6 +469,30 @@ def test_a_rollout_of_a_test_that_nobody_proposed(campaign: Path) -> None:
             "FROM rollouts WHERE test = 3 LIMIT 1"
         )
     assert failed(campaign) == ["database"]
+
+
+def test_rollouts_in_flight_when_their_problem_stopped_have_their_seeds(campaign: Path) -> None:
+    """As if test 7 had been proposed and simulated, and nobody had waited for it."""
+    there = stored(campaign)
+
+    def last(fact: Fact) -> bool:
+        problem, test = fact.rollout[:2] if isinstance(fact, RolloutFact) else (fact.problem, fact.test)
+        return (problem, test) == ("sim_gap", 7)
+
+    early = Stored(
+        there.header,
+        there.proposals,
+        there.rollouts,
+        tuple(fact for fact in there.observations if not last(fact)),
+        tuple(fact for fact in there.bounds if not last(fact)),
+    )
+    derived: list[Fact] = [*there.proposals, *early.observations, *early.bounds]
+    derived += [fact for fact in there.rollouts if not last(fact)]
+    assert compare.tables(there.header, derived, early)[0] is None
+    other = tuple(replace(fact, seed=fact.seed + 1) if last(fact) else fact for fact in there.rollouts)
+    fault, _ = compare.tables(there.header, derived, replace(early, rollouts=other))
+    assert fault is not None
+    assert "sim_gap.7" in fault
 
 
 def respecify(directory: Path, edit: Callable[[Any], object]) -> None:
