@@ -44,12 +44,12 @@ def fill_disk(scene: Scene) -> None:
 def _fill(disk: Path, left: int) -> None:
     free = os.statvfs(disk)
     size = free.f_bavail * free.f_frsize - left
-    with open(disk / f"ballast-{len(list(disk.iterdir()))}", "wb") as file:
-        try:
+    try:
+        with open(disk / f"ballast-{len(list(disk.iterdir()))}", "wb") as file:
             file.write(bytes(max(0, size)))
             file.flush()
-        except OSError:
-            return  # the campaign was quicker: it is full already
+    except OSError:
+        return  # the campaign was quicker: it is full already, perhaps without room for an empty file
 
 
 def _ended_by(scene: Scene) -> None:
