@@ -8,7 +8,7 @@ import socket
 import time
 from dataclasses import dataclass
 
-from orchestrator.errors import PerfboundError
+from schemas.errors import PerfboundError
 
 BACKLOG = 64
 """Connections that may wait to be accepted."""

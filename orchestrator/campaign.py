@@ -19,12 +19,13 @@ The state holds what is open; closed tests are a counter.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
-from orchestrator.errors import IllegalEvent
+from schemas.errors import IllegalEvent
+from schemas.ids import RolloutId
+from schemas.values import StoppedBy, Verdict
 
 Phase = Literal["absent", "running", "complete", "closed"]
-StoppedBy = Literal["converged", "budget", "refuted"]
 
 LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("absent", "Proposed"): ("running",),
@@ -34,24 +35,6 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("closed", "Recorded"): ("closed",),
 }
 """(phase of the test, event) -> the phases that may follow."""
-
-
-class RolloutId(NamedTuple):
-    """One rollout of the campaign."""
-
-    problem: str
-    test: int
-    variant: str
-    replicate: int
-
-    def __str__(self) -> str:
-        return f"{self.problem}.{self.test}.{self.variant}.{self.replicate}"
-
-    @classmethod
-    def parse(cls, text: str) -> "RolloutId":
-        """Read the text form."""
-        problem, test, variant, replicate = text.split(".")
-        return cls(problem, int(test), variant, int(replicate))
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +121,7 @@ class Observed:
 
     problem: str
     test: int
-    verdict: Literal["converged", "refuted"] | None = None
+    verdict: Verdict | None = None
 
 
 Event = Proposed | Recorded | Observed

@@ -32,7 +32,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from orchestrator.campaign import RolloutId
+from schemas.ids import Attempt, RolloutId
 
 WorkerPhase = Literal["new", "idle", "sent", "busy", "shunned", "gone"]
 NEVER = float("inf")
@@ -47,14 +47,6 @@ class Limits:
     hung_after: float = 10.0
     deadline: float = 600.0
     max_attempts: int = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """One try of a rollout."""
-
-    rollout: RolloutId
-    number: int
 
 
 @dataclass(frozen=True, slots=True)

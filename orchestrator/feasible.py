@@ -2,8 +2,9 @@
 
 from orchestrator.stl.formula import FormulaError, columns, parse
 from orchestrator.stl.horizon import check_horizon
-from schemas.campaign import CampaignConfig, CampaignError
+from schemas.campaign import CampaignConfig
 from schemas.campaign_check import check_against
+from schemas.errors import CampaignError
 from schemas.system import SystemSpec
 
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from orchestrator.errors import PerfboundError
+from schemas.errors import PerfboundError
 
 GRACE = 1.0
 """Seconds between asking a worker to end and killing it."""

@@ -1,18 +1,23 @@
 """How much is left: guesses from the decay so far, and what a budget can never reach. Nothing here is certified."""
 
 import math
+from typing import TYPE_CHECKING
 
 from schemas.campaign import CampaignConfig, PaperProblem, Problem, RigorousProblem
+from schemas.values import Bound
+
+if TYPE_CHECKING:
+    from orchestrator.plan import ProblemPlan
 
 FEWEST = 10
 """Tests before the decay says anything."""
 
 
-def distance(problem: Problem, last_f: float | None, upper: float | None, lower: float | None) -> float | None:
+def distance(problem: Problem, last_f: float | None, bound: Bound | None) -> float | None:
     """Return what has to fall to alpha: F_i in method paper, upper - lower in the others; None before there is one."""
     if isinstance(problem, PaperProblem):
         return last_f
-    return None if upper is None or lower is None else upper - lower
+    return None if bound is None or bound.upper is None or bound.lower is None else bound.upper - bound.lower
 
 
 def tests_left(config: CampaignConfig, problem: Problem, now: float | None, tests: int) -> int | None:
@@ -30,22 +35,21 @@ def tests_left(config: CampaignConfig, problem: Problem, now: float | None, test
     return max(0, min(math.ceil(min(needed, 1e12)) - tests, budget))
 
 
-def out_of_reach(config: CampaignConfig, problem: Problem, noise: float) -> str | None:
+def out_of_reach(plan: "ProblemPlan") -> str | None:
     """Return a sentence if the budget of a `rigorous` problem cannot reach alpha, however the tests are placed.
 
     n observations of one and the same z leave upper - lower >= 2 R sqrt(2 ln(1/delta)/n) in [FR]; elsewhere it is more.
-    `noise` is R of one test.
     """
-    if not isinstance(problem, RigorousProblem) or noise == 0:
+    problem, tests = plan.problem, plan.budget
+    if not isinstance(problem, RigorousProblem) or plan.noise == 0:
         return None
-    tests = config.max_tests_of(problem)
-    least = 2 * noise * math.sqrt(2 * math.log(1 / problem.delta) / tests)
+    least = 2 * plan.noise * math.sqrt(2 * math.log(1 / problem.delta) / tests)
     least = min(least, 2 * (problem.rkhs_norm + problem.misspecification))  # what is known before the first test
     if least <= problem.alpha:
         return None
     return (
-        f"{problem.name}: {tests} tests can hardly reach alpha = {problem.alpha:g}: even if all stood at one place, "
-        f"upper and lower bound would stay about {least:.3g} apart. The budget then ends it, with the bound it has"
+        f"{problem.name}: {tests} tests cannot be expected to reach alpha = {problem.alpha:g}: even with all tests "
+        f"at one point, upper and lower bound stay about {least:.3g} apart. The budget then ends the problem"
     )
 
 

@@ -1,53 +1,42 @@
-"""What the campaign knows: facts are written here, the campaign core is stepped, numbers are asked for.
+"""The ledger: facts are drawn here, the campaign machine is stepped, and the methods are asked for numbers.
 
-Every fact takes one way, live and in a replay: `_apply`. Live, it is written to the journal first.
+Every fact takes one way, live and in a replay: `_apply`. Live, it is written to the store first.
 """
 
-import hashlib
 import math
 from array import array
 from collections import deque
-from collections.abc import Iterable, Iterator, MutableSequence
+from collections.abc import Callable, Iterable, Iterator, MutableSequence, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
-import numpy as np
-
-from orchestrator import campaign, forecast
-from orchestrator.campaign import RolloutId
-from orchestrator.errors import EvidenceError, IllegalEvent, JournalError, PerfboundError, RequestError
-from orchestrator.methods import budget, noise_per_test
-from orchestrator.observation import Observation, Observer, shared
-from orchestrator.proposer import Proposer
-from orchestrator.requests import request
+from orchestrator import campaign, forecast, objectives
+from orchestrator.methods import methods
+from orchestrator.observation import Observer
+from orchestrator.plan import ProblemPlan, plans
+from orchestrator.restoration import Restoration
+from orchestrator.seeds import first_node, rollout_seed
 from orchestrator.store import evidence
-from orchestrator.store.journal import (
-    BoundFact,
-    Fact,
-    ObservationFact,
-    ProposalFact,
-    RolloutFact,
-    first_link,
-    next_link,
-)
 from orchestrator.store.ports import Book, Shelf
-from schemas.base import canonical_json
-from schemas.campaign import ROLLED_OUT, CampaignConfig, Problem, RigorousProblem
+from schemas.campaign import CampaignConfig
+from schemas.errors import IllegalEvent, JournalError, PerfboundError
+from schemas.facts import BoundFact, Fact, ObservationFact, ProposalFact, RolloutFact, first_link, next_link
+from schemas.ids import RolloutId
 from schemas.rollout import RolloutRequest
-from schemas.system import SystemSpec
-from schemas.trajectory import Trajectory, TrajectoryError, decode, read
+from schemas.trajectory import Trajectory, decode
+from schemas.values import Bound, Observation, ProblemProgress, Proposal
 
 ROUND_OFF = 1e-9
 """A bound recomputed on another CPU may differ by less."""
-SAMPLES = 50
-"""The last sample is before the horizon by a step, and by a part of it that is this small, at most."""
+
+Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | None]], Proposal]
+"""(problem, test, the method's proposal, the rival at a given start) -> the proposal to take."""
 
 
 @dataclass(slots=True)
 class Work:
-    """What the dispatch core is to be told."""
+    """The rollouts that are to be simulated from now on, and those that no longer are."""
 
     wanted: list[RolloutId] = field(default_factory=list)
     unwanted: list[RolloutId] = field(default_factory=list)
@@ -55,9 +44,9 @@ class Work:
 
 @dataclass(slots=True)
 class Account:
-    """What is known of one problem; open tests by number."""
+    """The sums over the closed tests of one problem, and its open tests by number."""
 
-    problem: Problem
+    plan: ProblemPlan
     link: str
     proposals: dict[int, ProposalFact] = field(default_factory=dict)
     rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
@@ -68,31 +57,43 @@ class Account:
     """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
     counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
-    last_proposal: ProposalFact | None = None
+    last_proposal: Proposal | None = None
     last_bound: BoundFact | None = None
+
+    @property
+    def progress(self) -> ProblemProgress:
+        """The state of the problem, for people."""
+        last, proposal = self.last_bound, self.last_proposal
+        return ProblemProgress(
+            len(self.observations),
+            sum(self.counts.values()),
+            proposal.F if proposal and last else None,
+            last.bound if last else None,
+            last.stopped_by if last else None,
+        )
 
 
 class Ledger:
     """The campaign of one run directory."""
 
     def __init__(
-        self, directory: Path, journal: Book, *, files: Shelf | None = None, proposer: Proposer | None = None
+        self, directory: Path, store: Book, *, files: Shelf | None = None, follow: Follow | None = None
     ) -> None:
-        header = journal.header
-        self.header = header
+        """Begin with no fact; `follow` takes the place of the methods' choice where a campaign is decided again."""
+        self.header = header = store.header
         self.config: CampaignConfig = header.config
-        self.accounts: dict[str, Account] = {
-            problem.name: Account(problem, first_link(header, problem.name)) for problem in self.config.problems
-        }
-        plans = (plan(self.config, header.spec, problem) for problem in self.config.problems)
-        self.state = campaign.initial(tuple(plans))
-        self._directory = directory
-        self._journal = journal
-        self._observer = Observer(self.config, header.spec)
-        self.proposer = proposer or Proposer(self.config, header.spec)
+        self.plans = plans(header.config, header.spec)
+        self.methods = methods(self.plans)
+        self.accounts = {name: Account(plan, first_link(header, name)) for name, plan in self.plans.items()}
+        self.state = campaign.initial(
+            tuple(campaign.Plan(name, each.window, each.budget, each.rollouts) for name, each in self.plans.items())
+        )
+        self._directory, self._store = directory, store
         self._files: Shelf = files or evidence.Batch()
-        self._damaged: dict[RolloutId, RolloutFact] = {}
-        self._closed: dict[tuple[str, int], ProposalFact] = {}
+        self._follow = follow
+        self._observer = Observer(header.config, header.spec)
+        self._template = header.template
+        self._restoration = Restoration(directory)
         self._trajectories: dict[RolloutId, Trajectory] = {}
         self._requests: dict[RolloutId, RolloutRequest] = {}
         self._recomputed: dict[str, BoundFact] = {}
@@ -100,23 +101,23 @@ class Ledger:
     @property
     def done(self) -> bool:
         """Whether every problem has stopped, and all evidence is there."""
-        return self.state.done and not self._damaged
+        return self.state.done and not self._restoration
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """Make everything inside durable together, files before facts, or nothing of it."""
-        with self._journal.transaction(), self._files:
+        with self._store.transaction(), self._files:
             yield
 
     def replay(self) -> None:
-        """Rebuild everything from the journal.
+        """Rebuild everything from the facts.
 
         Raises:
-            JournalError: the facts are not what was written.
+            JournalError: the facts are not those that were written.
 
         """
         try:
-            for fact in self._journal.facts():
+            for fact in self._store.facts():
                 self._apply(fact)
             if any(len(self.accounts[each.plan.problem].observations) != each.observed for each in self.state.problems):
                 raise IllegalEvent("an observation without its bound")
@@ -126,47 +127,45 @@ class Ledger:
             ) from None
 
     def warnings(self) -> list[str]:
-        """Return what is to be said at the start: problems whose budget cannot reach their tolerance."""
-        config, spec = self.config, self.header.spec
-        found = [
-            forecast.out_of_reach(config, problem, noise_per_test(config, spec, problem))
-            for problem in config.problems
-            if isinstance(problem, RigorousProblem)
-        ]
+        """Return a line for every problem whose budget cannot reach its tolerance."""
+        found = (forecast.out_of_reach(plan) for plan in self.plans.values())
         return [line for line in found if line is not None]
 
-    def mend(self) -> int:
-        """Look for evidence that a crash of the machine spoiled, and remove what no fact knows; after a replay.
-
-        What is damaged is simulated again before anything else: the same seed gives the same file. Returns how many.
-        """
-        facts = self._journal.recorded()
-        evidence.sweep(self._directory, {fact.path for fact in facts})
-        paths = set(evidence.damaged(self._directory, ((fact.path, fact.size, fact.sha256) for fact in facts)))
-        self._damaged = {fact.rollout: fact for fact in facts if fact.path in paths}
-        tests = {rollout[:2] for rollout in self._damaged}
-        self._closed = {test: self._journal.proposal(*test) for test in tests}
-        return len(self._damaged)
+    def check_files(self) -> int:
+        """Find files that a crash of the machine damaged, after a replay; return how many are simulated again."""
+        self._restoration = Restoration(self._directory, self._store)
+        return len(self._restoration)
 
     def outstanding(self) -> Work:
-        """Return what is to be done at the start or after a replay; inside a transaction."""
-        if self._damaged:
-            return Work(wanted=sorted(self._damaged))
+        """Return the work at the start or after a replay; inside a transaction."""
+        if self._restoration:  # before anything else: the facts rest on these files
+            return Work(wanted=self._restoration.wanted)
         return self._advance(campaign.outstanding(self.state))
 
-    def record(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory, sha256: str | None = None) -> Work:
-        """Make a result durable and draw its consequences; inside a transaction.
+    def request(self, rollout: RolloutId) -> RolloutRequest:
+        """Return the request for an open or a damaged rollout."""
+        found = self._requests.get(rollout)
+        if found is None:  # needed when it is assigned, and when its result is admitted
+            seed = rollout_seed(self.config, rollout)
+            found = self._requests[rollout] = self._template.request(rollout, self._start(rollout), seed)
+        return found
 
-        `sha256` is the digest of the payload, for a caller that has computed it already.
+    def restores(self, rollout: RolloutId) -> bool:
+        """Whether this rollout has been recorded, and only its file is wanted again."""
+        return rollout in self._restoration
+
+    def record(self, rollout: RolloutId, payload: bytes, trajectory: Trajectory, sha256: str) -> Work:
+        """Make an admitted result durable and draw its consequences; inside a transaction.
 
         Raises:
             PerfboundError: the mathematics cannot go on (singular kernel matrix).
             OSError: the disk is full.
 
         """
-        sha256 = sha256 or hashlib.sha256(payload).hexdigest()
-        if rollout in self._damaged:
-            return self._restore(rollout, payload, sha256)
+        if rollout in self._restoration:
+            self._restoration.restore(rollout, payload, sha256, self._files)
+            self._requests.pop(rollout, None)
+            return Work() if self._restoration else self.outstanding()
         try:
             robustness = self._observer.robustness(trajectory)
         except ValueError as error:
@@ -174,77 +173,13 @@ class Ledger:
         path = evidence.relative_path(rollout)
         self._files.write(self._directory / path, payload)
         self._trajectories[rollout] = trajectory
-        fact = RolloutFact(
-            rollout,
-            seed=self.request(rollout).seed,
-            sha256=sha256,
-            size=len(payload),
-            path=path,
-            robustness=robustness,
-        )
+        seed = self.request(rollout).seed
         del self._requests[rollout]
-        return self._advance(self._write(fact))
+        return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, robustness)))
 
-    def trajectory(self, rollout: RolloutId, payload: bytes) -> Trajectory:
-        """Return the trajectory in the file of an open rollout.
-
-        Raises:
-            RequestError: it is of another request.
-            EvidenceError: it is no trajectory, has other columns, or is not from 0 to the horizon.
-
-        """
-        try:
-            file = read(payload)
-        except TrajectoryError as fault:
-            raise EvidenceError(f"the result is not a trajectory: {fault}") from None
-        request = self.request(rollout)
-        wanted = request.model_dump(mode="json")
-        if canonical_json(file.request) != canonical_json(wanted):  # 1, 1.0 and true are equal in Python
-            differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
-            names = ", ".join(differing)[:200]
-            raise RequestError(f"the trajectory was simulated for another request (other {names})")
-        self._check_whole(file.trajectory)
-        if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
-            raise RequestError("the metadata of the trajectory name another rollout")
-        return file.trajectory
-
-    def _check_whole(self, trajectory: Trajectory) -> None:
-        """Refuse what is cut: robustness of less than the horizon is robustness of something else."""
-        if trajectory.columns != tuple(column.name for column in self.header.spec.columns):
-            raise EvidenceError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
-        t, horizon = trajectory.samples[:, 0], self.config.horizon
-        step = min(float(np.max(np.diff(t), initial=0.0)), horizon / SAMPLES)
-        if t[0] > ROUND_OFF or not horizon - step - ROUND_OFF <= t[-1] <= horizon + ROUND_OFF:
-            span = f"{t[0]:g} to {t[-1]:g} s"
-            raise EvidenceError(f"the trajectory goes from {span}, the campaign asks for 0 to {horizon:g} s")
-
-    def request(self, rollout: RolloutId) -> RolloutRequest:
-        """Return everything that a worker needs to know of an open rollout."""
-        found = self._requests.get(rollout)
-        if found is None:  # asked for when it is assigned, and when its result is checked
-            found = self._requests[rollout] = request(self.header, rollout, self._proposal(rollout).x)
-        return found
-
-    def restores(self, rollout: RolloutId) -> bool:
-        """Whether this rollout has been recorded, and only its file is wanted again."""
-        return rollout in self._damaged
-
-    def _restore(self, rollout: RolloutId, payload: bytes, sha256: str) -> Work:
-        """Put a damaged file back."""
-        fact = self._damaged[rollout]
-        if sha256 != fact.sha256:
-            raise PerfboundError(
-                f"{self._directory / fact.path}: damaged, and simulated again it has the sha256 {sha256[:12]}..., not "
-                f"the recorded {fact.sha256[:12]}...: this machine computes other digits. Restore it from a copy"
-            )
-        self._files.write(self._directory / fact.path, payload)
-        del self._damaged[rollout]
-        self._requests.pop(rollout, None)
-        return Work() if self._damaged else self.outstanding()
-
-    def _proposal(self, rollout: RolloutId) -> ProposalFact:
-        found = self.accounts[rollout.problem].proposals.get(rollout.test)
-        return found or self._closed[rollout.problem, rollout.test]
+    def _start(self, rollout: RolloutId) -> tuple[float, ...]:
+        fact = self.accounts[rollout.problem].proposals.get(rollout.test)
+        return fact.proposal.x if fact else self._restoration.start(rollout)
 
     def _advance(self, actions: Iterable[campaign.Action]) -> Work:
         work, pending = Work(), deque(actions)
@@ -265,38 +200,45 @@ class Ledger:
         return work
 
     def _propose(self, problem: str, test: int) -> ProposalFact:
+        method = self.methods[problem]
+        pending = [fact.proposal.node for fact in self.accounts[problem].proposals.values()]
+        first = first_node(self.config, problem, method.size) if test == 0 else None
         try:
-            pending = [proposal.node for proposal in self.accounts[problem].proposals.values()]
-            return self.proposer.propose(problem, test, pending)
+            chosen = method.propose(first, pending)
+            if self._follow is not None:
+                # The first test is drawn by the seed alone: it has no rival.
+                chosen = self._follow(problem, test, chosen, lambda x: method.rival(x, pending) if test else None)
         except ValueError as error:
             raise PerfboundError(f"problem {problem}, test {test}: {error}") from None
+        return ProposalFact(problem, test, chosen)
 
     def _observe(self, problem: str, test: int) -> tuple[campaign.Action, ...]:
         account = self.accounts[problem]
         facts = sorted(account.rollouts[test], key=lambda fact: fact.rollout)
         trajectories = {(f.rollout.variant, f.rollout.replicate): self._trajectory(f) for f in facts}
         try:
-            found = self._observer.observe(account.problem, trajectories)
+            found = self._observer.observe(account.plan, trajectories)
         except ValueError as error:
             raise PerfboundError(f"problem {problem}, test {test}: {error}") from None
-        link = next_link(account.link, account.proposals[test], facts, found.y, found.each)
-        self._write(ObservationFact(problem, test, found.y, found.each, link))
+        link = next_link(account.link, account.proposals[test], facts, found)
+        self._write(ObservationFact(problem, test, found, link))
         return self._write(self._bound(account, test, found))
 
     def _bound(self, account: Account, test: int, found: Observation) -> BoundFact:
-        last = test + 1 >= budget(self.config, self.header.spec, account.problem)
         assert account.last_proposal is not None
+        name = account.plan.name
         try:
-            return self.proposer.observe(account.last_proposal, found, last=last)
+            bound = self.methods[name].observe(account.last_proposal, found)
         except ValueError as error:
-            raise PerfboundError(f"problem {account.problem.name}, test {test}: {error}") from None
+            raise PerfboundError(f"problem {name}, test {test}: {error}") from None
+        return BoundFact(name, test, bound, budget=bound.verdict is None and test + 1 >= account.plan.budget)
 
     def _trajectory(self, fact: RolloutFact) -> Trajectory:
         kept = self._trajectories.pop(fact.rollout, None)
         return kept or decode(evidence.read(self._directory, fact.path, fact.sha256))
 
     def _write(self, fact: Fact) -> tuple[campaign.Action, ...]:
-        self._journal.add(fact)
+        self._store.add(fact)
         return self._apply(fact, live=True)
 
     def _apply(self, fact: Fact, *, live: bool = False) -> tuple[campaign.Action, ...]:
@@ -315,47 +257,35 @@ class Ledger:
                 if not live:
                     self._compare(fact)
                 self.accounts[fact.problem].last_bound = fact
-                return self._step(campaign.Observed(fact.problem, fact.test, _verdict(fact)))
+                return self._step(campaign.Observed(fact.problem, fact.test, fact.bound.verdict))
 
     def _close(self, fact: ObservationFact, *, live: bool) -> None:
         """Move an observed test from the open ones into the sums."""
-        account = self.accounts[fact.problem]
+        account, found = self.accounts[fact.problem], fact.observation
         proposal, rollouts = account.proposals.pop(fact.test), account.rollouts.pop(fact.test, [])
-        if next_link(account.link, proposal, rollouts, fact.y, fact.each) != fact.chain:
+        if next_link(account.link, proposal, rollouts, found) != fact.chain:
             raise JournalError(
                 f"{self._directory}: the facts of test {fact.test} of {fact.problem} were changed after they were "
                 "written (hash chain); restore the database from a copy"
             )
-        account.link, account.last_proposal = fact.chain, proposal
-        account.observations.append(fact.y)
-        account.each.append(fact.each)
-        account.nodes.append(proposal.node)
-        if account.problem.name == "sim_gap":
-            account.excess = max(account.excess, self._excess(account.problem, rollouts, fact.each))
+        account.link, account.last_proposal = fact.chain, proposal.proposal
+        account.observations.append(found.y)
+        account.each.append(found.each)
+        account.nodes.append(proposal.proposal.node)
+        if fact.problem == "sim_gap":
+            robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
+            account.excess = max(account.excess, objectives.excess(account.plan, robustness, found.each))
         for rollout in rollouts:
             account.counts[rollout.rollout.variant] += 1
             if rollout.robustness is not None:
                 account.robustness.append(rollout.robustness)
         if not live:
-            self._recomputed[fact.problem] = self._bound(account, fact.test, Observation(fact.y, fact.each))
-
-    def _excess(self, problem: Problem, rollouts: list[RolloutFact], gaps: tuple[float, ...]) -> float:
-        gap = self.config.gap_of(problem)
-        assert gap is not None, "the campaign file was checked"
-        found = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
-        first = {variant: shared(self.header.spec, problem, variant) for variant in ("nominal", "true")}
-        differences = []
-        for replicate, value in enumerate(gaps):
-            nominal, true = (found[v, 0 if first[v] else replicate] for v in ("nominal", "true"))
-            signed = nominal - true if gap.kind == "robustness" else abs(nominal - true)
-            differences.append(signed - gap.lipschitz * value)
-        return max(differences)
+            self._recomputed[fact.problem] = self._bound(account, fact.test, found)
 
     def _compare(self, fact: BoundFact) -> None:
         """Refuse a bound that does not follow from the observations before it."""
         ours = self._recomputed[fact.problem]
-        same = all(_close_to(a, b) for a, b in ((ours.upper, fact.upper), (ours.lower, fact.lower)))
-        if ours.stopped_by != fact.stopped_by or not same:
+        if ours.stopped_by != fact.stopped_by or not _close(ours.bound, fact.bound):
             raise JournalError(
                 f"{self._directory}: the bound after test {fact.test} of {fact.problem} is not the one that follows "
                 "from the observations; restore the database from a copy"
@@ -366,20 +296,6 @@ class Ledger:
         return actions
 
 
-def _verdict(fact: BoundFact) -> Literal["converged", "refuted"] | None:
-    return None if fact.stopped_by == "budget" else fact.stopped_by
-
-
-def _close_to(a: float | None, b: float | None) -> bool:
-    return a is b if a is None or b is None else a == b or abs(a - b) <= ROUND_OFF
-
-
-def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> campaign.Plan:
-    """Return what is fixed about a problem before its first test."""
-    rollouts = tuple(
-        (variant, replicate)
-        for replicate in range(config.replicates_of(problem))
-        for variant in ROLLED_OUT[problem.name]
-        if replicate == 0 or not shared(spec, problem, variant)
-    )
-    return campaign.Plan(problem.name, config.window_of(problem), budget(config, spec, problem), rollouts)
+def _close(ours: Bound, stored: Bound) -> bool:
+    pairs = ((ours.upper, stored.upper), (ours.lower, stored.lower))
+    return all(a is b if a is None or b is None else a == b or abs(a - b) <= ROUND_OFF for a, b in pairs)

@@ -22,10 +22,10 @@ from rich.console import Console
 from rich.text import Text
 
 from orchestrator.address import Address, bind
-from orchestrator.errors import PerfboundError
+from schemas.errors import PerfboundError
 
 if TYPE_CHECKING:
-    from orchestrator.service import Seen, View
+    from orchestrator.service import RunStatus
 
 PERIOD = 1.0
 """Seconds between two messages to the child."""
@@ -37,11 +37,11 @@ MOST_SAID = 4096
 """Bytes of what the child says that are read in one turn."""
 
 
-def message(seen: "Seen") -> bytes:
+def message(status: "RunStatus") -> bytes:
     """Return what the child is told: of each worker its state, its rollout, and the Unix time of its last heartbeat."""
     to_unix, workers = time.time() - time.monotonic(), {}
-    for name, phase in islice(seen.workers.items(), MOST_WORKERS):
-        known = seen.known.get(name)
+    for name, phase in islice(status.workers.items(), MOST_WORKERS):
+        known = status.known.get(name)
         state = "busy" if phase == "sent" else phase
         rollout = known.state.rollout if known and known.state and state == "busy" else None
         workers[name] = (state, rollout, known.heard + to_unix if known else None)
@@ -90,18 +90,22 @@ class LivePage:
             self._child = _Child(listening, address, self._directory)
         self._say(f"live page: {address.url}")
 
-    def tell(self, seen: "Seen") -> list[str]:
-        """Tell the child about the workers, at most once in `PERIOD` and without waiting; return what is to be said."""
+    def say(self, line: str) -> None:
+        """Nothing: the page shows the campaign, not its log."""
+
+    def show(self, status: "RunStatus") -> None:
+        """Send the state of the workers to the child, at most once in `PERIOD` and without waiting."""
         now = time.monotonic()
         if self._child is None or now < self._next:
-            return []
+            return
         self._next = now + PERIOD
         try:
-            return self._child.turn(message(seen))
+            for line in self._child.turn(message(status)):
+                self._say(line)
         except Exception as error:  # noqa: BLE001  (whatever it is: no page stops a campaign)
             self._child.stop(grace=0.0)
             self._child = None
-            return [f"the live page has ended: {error}. The campaign goes on; {again(self._directory)} shows it, too"]
+            self._say(f"the live page has ended: {error}. The campaign continues; {again(self._directory)} shows it")
 
     def stop(self) -> None:
         """Give the port back; a child that serves shows the end of the campaign first."""
@@ -113,23 +117,6 @@ class LivePage:
 
     def _say(self, line: str) -> None:
         self._console.print(Text(line), soft_wrap=True)
-
-
-class Shown:
-    """A view that also feeds the live page."""
-
-    def __init__(self, inner: "View", page: LivePage) -> None:
-        self._inner, self._page = inner, page
-
-    def say(self, line: str) -> None:
-        """Pass it on."""
-        self._inner.say(line)
-
-    def show(self, seen: "Seen") -> None:
-        """Pass it on, and tell the page."""
-        self._inner.show(seen)
-        for line in self._page.tell(seen):
-            self._inner.say(line)
 
 
 class _Child:

@@ -8,11 +8,12 @@
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.plan import ProblemPlan
 from orchestrator.stl.predicates import check_grids
 from orchestrator.stl.robustness import robustness
 from orchestrator.stl.tree import Formula
@@ -96,6 +97,20 @@ def risk(values: Sequence[float], risk_weight: float) -> float:
         raise ValueError(f"risk_weight must not be negative, not {risk_weight!r}")
     centre = mean(values)
     return centre - risk_weight * math.sqrt(math.fsum((v - centre) ** 2 for v in values) / (len(values) - 1))
+
+
+def excess(plan: ProblemPlan, robustness: Mapping[tuple[str, int], float], gaps: Sequence[float]) -> float:
+    """Return the most by which the robustness of a pair of rollouts differs beyond L times its gap.
+
+    `robustness` is that of the rollout of each (variant, replicate), `gaps` (replicates,) are those of one test. Above
+    0 the gap does not dominate the difference of the robustness, and the composition does not follow.
+    """
+    differences = []
+    for replicate, value in enumerate(gaps):
+        nominal, true = (robustness[plan.replicate(variant, replicate)] for variant in ("nominal", "true"))
+        signed = nominal - true if plan.gap.kind == "robustness" else abs(nominal - true)
+        differences.append(signed - plan.gap.lipschitz * value)
+    return max(differences)
 
 
 def _finite(value: float, what: str) -> float:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from orchestrator.campaign import RolloutId
 from schemas.campaign import CampaignConfig
+from schemas.ids import RolloutId
 
 VARIANTS = ("nominal", "true")
 

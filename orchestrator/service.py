@@ -5,25 +5,28 @@ orchestrator never takes a worker for dead whose message it has not read yet. Ev
 committed in one transaction; only then do messages leave.
 """
 
-import hashlib
 import os
 import queue
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from orchestrator import dispatch
-from orchestrator.campaign import RolloutId
-from orchestrator.dispatch import Attempt
-from orchestrator.errors import EvidenceError, PerfboundError, Stopped
+from orchestrator.admission import admit
 from orchestrator.fleet import Fleet
 from orchestrator.ledger import Ledger, Work
-from orchestrator.store.journal import RECORDED, RESTORED, Journal
+from orchestrator.store.journal import Journal
 from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from schemas import __version__
-from schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
+from schemas.campaign import CampaignConfig
+from schemas.errors import EvidenceError, PerfboundError, Stopped
+from schemas.facts import RECORDED, RESTORED
+from schemas.ids import Attempt, RolloutId
+from schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, WorkerState
 from schemas.trajectory import Trajectory
+from schemas.values import ProblemProgress
 
 TICK = 0.25
 """Seconds between two looks at the clock."""
@@ -52,29 +55,31 @@ class Known:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """What the view is shown of the moment."""
+class RunStatus:
+    """The state of a run at one moment, for listeners."""
 
-    ledger: Ledger
+    config: CampaignConfig
+    problems: Mapping[str, ProblemProgress]
+    """By name, in the order of the campaign file."""
     workers: Mapping[str, str]
     """Name and phase of every worker."""
     known: Mapping[str, Known]
-    """What workers said last, by name; it changes under the reader."""
+    """The last messages of the workers, by name; it changes under the reader."""
     recorded: int
     """Rollouts since this orchestrator started."""
     waiting: int
     seconds: float
 
 
-class View(Protocol):
+class Listener(Protocol):
     """Where progress is shown."""
 
     def say(self, line: str) -> None:
-        """Tell one thing that happened."""
+        """Print one event."""
         ...
 
-    def show(self, seen: Seen) -> None:
-        """Show how far the campaign is; called every tick."""
+    def show(self, status: RunStatus) -> None:
+        """Show the progress; called every tick."""
         ...
 
 
@@ -87,7 +92,7 @@ class Service:
         journal: Journal,
         transport: Transport,
         fleet: Fleet | None,
-        view: View,
+        listeners: Sequence[Listener],
         *,
         resumed: bool,
         drain: bool = False,
@@ -97,16 +102,20 @@ class Service:
         self._journal = journal
         self._transport = transport
         self._fleet = fleet
-        self._view = view
+        self._listeners = listeners
         self._known: dict[str, Known] = {}
         self._outgoing: list[tuple[str, Request]] = []
         self._drain = drain
         self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: tuple[RolloutId, tuple[str, ...]] | None = None
+        self._events: deque[dispatch.Event] = deque()
+        self._results: dict[Attempt, tuple[Result, Trajectory]] = {}
+        """Admitted results that the dispatch machine has not decided on."""
         self._started = time.monotonic()
         self._next_tick = self._started
         self._spec_sha256 = ledger.header.spec.digest
+        self._columns = tuple(column.name for column in ledger.header.spec.columns)
         config = ledger.config
         limits = dispatch.Limits(
             hung_after=config.hung_after, deadline=config.deadline, max_attempts=config.max_attempts
@@ -126,12 +135,12 @@ class Service:
         """
         attempts = self._journal.attempts()
         with self._ledger.transaction():
-            work = self._ledger.outstanding()
-            self._dispatch(self._wanted(work, attempts))
+            self._demand(self._ledger.outstanding(), attempts)
+            self._settle()
         self._send()
         while not self._ledger.done:
             self._turn(*self._receive())
-        self._view.show(self._seen())
+        self._show()
 
     def _receive(self) -> tuple[list[Inbound | Interrupted], float]:
         """Wait for the next message or tick; return messages, and the time up to which they are all that came."""
@@ -149,10 +158,12 @@ class Service:
         with self._ledger.transaction():
             for message in messages:
                 self._take(message)
+                self._settle()
             if complete >= self._next_tick:
                 self._tick(complete)
             if self._draining is None:
-                self._dispatch(dispatch.HandOut(time.monotonic()))
+                self._events.append(dispatch.HandOut(time.monotonic()))
+                self._settle()
             elif not dispatch.under_way(self._state):
                 self._stop = self._draining
         self._send()
@@ -166,7 +177,7 @@ class Service:
             case Result():
                 self._result(message)
             case Garbage():
-                self._view.say(f"ignored a message of {message.worker}: {message.reason}")
+                self._say(f"ignored a message of {message.worker}: {message.reason}")
             case Interrupted():
                 self._interrupted(message.signal)
 
@@ -177,14 +188,14 @@ class Service:
             return
         self._draining = signal
         count = dispatch.under_way(self._state)
-        self._view.say(f"draining: {count} rollouts are under way; a second signal stops at once")
+        self._say(f"draining: {count} rollouts are under way; a second signal stops at once")
 
     def _token(self, message: Token) -> None:
         known = self._known.setdefault(message.worker, Known())
         known.alive = message.alive
         if known.state is not None and not known.refused:
             event = dispatch.WorkerUp if message.alive else dispatch.WorkerDown
-            self._dispatch(event(message.at, message.worker))
+            self._events.append(event(message.at, message.worker))
         if not message.alive and (known.state is None or known.refused):
             del self._known[message.worker]
 
@@ -195,17 +206,17 @@ class Service:
         if known.state is None:
             if (reason := self._mismatch(message.state)) is not None:
                 known.refused = True
-                self._view.say(f"refused worker {message.worker}: {reason}")
+                self._say(f"refused worker {message.worker}: {reason}")
                 self._outgoing.append((message.worker, Refuse(reason=reason)))
                 return
             known.state = message.state
-            self._dispatch(dispatch.WorkerUp(message.at, message.worker))
+            self._events.append(dispatch.WorkerUp(message.at, message.worker))
         known.heard = message.at
         state = known.state = message.state
         busy = None
         if state.rollout is not None and state.attempt is not None:
             busy = Attempt(RolloutId.parse(state.rollout), state.attempt)
-        self._dispatch(dispatch.Reported(message.at, message.worker, busy, state.progress))
+        self._events.append(dispatch.Reported(message.at, message.worker, busy, state.progress))
 
     def _mismatch(self, state: WorkerState) -> str | None:
         spec = self._ledger.header.spec
@@ -226,76 +237,77 @@ class Service:
         known = self._known.get(message.worker)
         if known is None or known.state is None or known.refused:
             return  # not acknowledged, so it comes again once the worker is known
-        header = message.header
-        attempt = Attempt(RolloutId.parse(header.rollout), header.attempt)
-        trajectory: Trajectory | None = None
-        error: str | None = None
-        if attempt.rollout in self._state.open:
-            if header.outcome == "failed":
-                error = header.error or "the worker gave no reason"
-            else:
-                trajectory, error = self._checked(attempt.rollout, header, message.payload)
-        event = dispatch.Delivered(message.at, message.worker, attempt, error)
-        self._dispatch(event, result=(header, message.payload, trajectory))
+        attempt = Attempt(RolloutId.parse(message.header.rollout), message.header.attempt)
+        # A result that nobody wants any more is acknowledged unread.
+        error = self._admit(attempt, message) if attempt.rollout in self._state.open else None
+        self._events.append(dispatch.Delivered(message.at, message.worker, attempt, error))
 
-    def _checked(
-        self, rollout: RolloutId, header: ResultHeader, payload: bytes
-    ) -> tuple[Trajectory | None, str | None]:
-        """Return the trajectory of a result, or why it is refused."""
-        if hashlib.sha256(payload).hexdigest() != header.sha256:
-            return None, "the result does not have the sha256 that its header names"
+    def _admit(self, attempt: Attempt, message: Result) -> str | None:
+        """Keep a result until the dispatch machine has decided on it; return the reason if it is refused."""
+        header = message.header
+        if header.outcome == "failed":
+            return header.error or "the worker gave no reason"
+        request, columns = self._ledger.request(attempt.rollout), self._columns
         try:
-            return self._ledger.trajectory(rollout, payload), None
+            trajectory = admit(request, columns, message.payload, header.sha256)
         except EvidenceError as fault:
-            return None, str(fault)
+            return str(fault)
+        self._results[attempt] = message, trajectory
+        return None
 
     def _tick(self, now: float) -> None:
         # `now` is not later than the last look into the inbox: what waits there since is no silence of a worker.
         self._next_tick = now + TICK
         if self._fleet is not None:
             for news in self._fleet.tend():
-                self._view.say(news)
-        self._dispatch(dispatch.Tick(now))
-        self._view.show(self._seen())
+                self._say(news)
+        self._events.append(dispatch.Tick(now))
+        self._settle()
+        self._show()
 
-    def _dispatch(
-        self, event: dispatch.Event, result: tuple[ResultHeader, bytes, Trajectory | None] | None = None
-    ) -> None:
-        self._state, actions = dispatch.step(self._state, event)
-        for action in actions:
-            match action:
-                case dispatch.Record(worker, attempt):
-                    assert result is not None
-                    self._record(worker, attempt, result)
-                case dispatch.Start(worker, attempt):
-                    self._start(worker, attempt)
-                case dispatch.Resend(worker, attempt):
-                    self._assign(worker, attempt)
-                case dispatch.Cancel(worker, attempt):
-                    self._outgoing.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
-                case dispatch.Acknowledge(worker, attempt):
-                    self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
-                case dispatch.Fail(worker, attempt, reason):
-                    self._journal.attempt_ended(attempt, worker, reason)
-                    self._view.say(f"{attempt.rollout}, attempt {attempt.number} on {worker}: {reason}")
-                case dispatch.GiveUp(worker):
-                    self._give_up(worker)
-                case dispatch.Poison(rollout, story):
-                    self._poisoned = (rollout, story)
+    def _settle(self) -> None:
+        """Step the dispatch machine until no event is left; actions may add events, which wait for their turn."""
+        while self._events:
+            self._state, actions = dispatch.step(self._state, self._events.popleft())
+            for action in actions:
+                self._act(action)
+        self._results.clear()
 
-    def _record(self, worker: str, attempt: Attempt, result: tuple[ResultHeader, bytes, Trajectory | None]) -> None:
-        header, payload, trajectory = result
-        assert trajectory is not None, "only a checked result is recorded"
-        outcome = RESTORED if self._ledger.restores(attempt.rollout) else RECORDED
-        work = self._ledger.record(attempt.rollout, payload, trajectory, header.sha256)  # checked before
+    def _act(self, action: dispatch.Action) -> None:
+        match action:
+            case dispatch.Record(worker, attempt):
+                self._record(worker, attempt)
+            case dispatch.Start(worker, attempt):
+                self._start(worker, attempt)
+            case dispatch.Resend(worker, attempt):
+                self._assign(worker, attempt)
+            case dispatch.Cancel(worker, attempt):
+                self._outgoing.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
+            case dispatch.Acknowledge(worker, attempt):
+                self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
+            case dispatch.Fail(worker, attempt, reason):
+                self._journal.attempt_ended(attempt, worker, reason)
+                self._say(f"{attempt.rollout}, attempt {attempt.number} on {worker}: {reason}")
+            case dispatch.GiveUp(worker):
+                self._give_up(worker)
+            case dispatch.Poison(rollout, story):
+                self._poisoned = (rollout, story)
+
+    def _record(self, worker: str, attempt: Attempt) -> None:
+        (message, trajectory), rollout = self._results[attempt], attempt.rollout
+        header = message.header
+        outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
+        work = self._ledger.record(rollout, message.payload, trajectory, header.sha256)
         self._journal.attempt_ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
-        if work.unwanted:
-            self._dispatch(dispatch.Unwanted(time.monotonic(), tuple(work.unwanted)))
-        if work.wanted:
-            self._dispatch(self._wanted(work, {}))
+        self._demand(work, {})
 
-    def _wanted(self, work: Work, attempts: dict[RolloutId, int]) -> dispatch.Wanted:
-        return dispatch.Wanted(time.monotonic(), tuple((rollout, attempts.get(rollout, 0)) for rollout in work.wanted))
+    def _demand(self, work: Work, attempts: Mapping[RolloutId, int]) -> None:
+        """Have rollouts simulated, or no longer; `attempts` are those made before a restart."""
+        now = time.monotonic()
+        if work.unwanted:
+            self._events.append(dispatch.Unwanted(now, tuple(work.unwanted)))
+        if work.wanted:
+            self._events.append(dispatch.Wanted(now, tuple((each, attempts.get(each, 0)) for each in work.wanted)))
 
     def _start(self, worker: str, attempt: Attempt) -> None:
         state = self._known[worker].state
@@ -328,7 +340,19 @@ class Service:
                 + ". Reproduce it with `perfbound simulate`, mend the cause, then resume"
             )
 
-    def _seen(self) -> Seen:
-        workers = {name: worker.phase for name, worker in self._state.workers.items()}
-        seconds = time.monotonic() - self._started
-        return Seen(self._ledger, workers, self._known, self._state.recorded, len(self._state.waiting), seconds)
+    def _say(self, line: str) -> None:
+        for listener in self._listeners:
+            listener.say(line)
+
+    def _show(self) -> None:
+        status = RunStatus(
+            self._ledger.config,
+            {name: account.progress for name, account in self._ledger.accounts.items()},
+            {name: worker.phase for name, worker in self._state.workers.items()},
+            self._known,
+            self._state.recorded,
+            len(self._state.waiting),
+            time.monotonic() - self._started,
+        )
+        for listener in self._listeners:
+            listener.show(status)

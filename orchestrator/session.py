@@ -20,18 +20,20 @@ from rich.text import Text
 
 from orchestrator.address import Address
 from orchestrator.certificate import files
-from orchestrator.errors import JournalError, PerfboundError
 from orchestrator.feasible import check
-from orchestrator.live import LivePage, Shown, live_page
+from orchestrator.fleet import Fleet
+from orchestrator.live import LivePage, live_page
 from orchestrator.notify import Systemd
 from orchestrator.store import queries
-from orchestrator.store.journal import DATABASE, Header, Journal, existing, read_header
+from orchestrator.store.journal import DATABASE, Journal, existing, read_header
 from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import ZenohTransport, listen
 from orchestrator.versions import software
-from schemas.campaign import CampaignConfig, CampaignError
+from schemas.campaign import CampaignConfig
 from schemas.campaign_file import differences, parse
 from schemas.certificate import Certificate
+from schemas.errors import CampaignError, JournalError, PerfboundError
+from schemas.facts import Header
 from schemas.link import Tls
 from schemas.system import SystemSpec
 
@@ -65,19 +67,21 @@ class Link:
         return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]
 
 
-def start(
-    config: CampaignConfig,
-    source: Path,
-    *,
-    workers: int,
-    directory: Path,
-    link: Link,
-    console: Console,
-    drain: bool = False,
-) -> None:
-    """Run a new campaign, read from the file `source`, to its certificate.
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a campaign is run; none of it changes the certificate.
 
     With `drain`, the first signal lets the rollouts under way end; the second one stops at once.
+    """
+
+    workers: int
+    """Local worker processes."""
+    link: Link
+    drain: bool = False
+
+
+def start(config: CampaignConfig, source: Path, directory: Path, options: RunOptions, console: Console) -> None:
+    """Run a new campaign, read from the file `source`, to its certificate.
 
     Raises:
         PerfboundError, CampaignError: what is wrong, in one line.
@@ -87,7 +91,7 @@ def start(
     _check_vacant(directory, config)
     spec = system_spec(config.system.name, f"{source}: system.name")
     check(config, spec, str(source))
-    header = Header.new(config, spec, software(spec))
+    header, link = Header.new(config, spec, software(spec)), options.link
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
         listen(link.endpoint, link.tls, insecure=link.insecure) as transport,
@@ -97,13 +101,11 @@ def start(
         journal = Journal.create(directory, header)
         stack.callback(journal.close)
         page.start()
-        _conduct(
-            directory, journal, transport, page, workers=workers, link=link, console=console, resumed=False, drain=drain
-        )
+        _conduct(directory, journal, transport, page, options=options, console=console, resumed=False)
 
 
-def resume(directory: Path, *, workers: int, link: Link, console: Console, drain: bool = False) -> bool:
-    """Continue a campaign from its database; `drain` is as in `start`. One that is finished is left as it is: False.
+def resume(directory: Path, options: RunOptions, console: Console) -> bool:
+    """Continue a campaign from its database; one that is finished is left as it is: False.
 
     Raises:
         PerfboundError: what is wrong, in one line.
@@ -114,6 +116,7 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console, drain
     if files.read(directory) is not None:
         console.print(Text(f"{directory}: finished already"), soft_wrap=True)
         return False
+    link = options.link
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
         campaign_lock(directory),
@@ -124,9 +127,7 @@ def resume(directory: Path, *, workers: int, link: Link, console: Console, drain
         _check_software(journal.header)
         transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
         page.start()
-        _conduct(
-            directory, journal, transport, page, workers=workers, link=link, console=console, resumed=True, drain=drain
-        )
+        _conduct(directory, journal, transport, page, options=options, console=console, resumed=True)
     return True
 
 
@@ -267,19 +268,15 @@ def _conduct(
     transport: ZenohTransport,
     page: LivePage,
     *,
-    workers: int,
-    link: Link,
+    options: RunOptions,
     console: Console,
     resumed: bool,
-    drain: bool,
 ) -> None:
-    from orchestrator.fleet import Fleet  # noqa: PLC0415
-
     run, systemd = journal.header.run, Systemd()
     with ExitStack() as stack:
         fleet = None
-        if workers:
-            fleet = Fleet(workers, transport.endpoint, run, link.worker_options())
+        if options.workers:
+            fleet = Fleet(options.workers, transport.endpoint, run, options.link.worker_options())
             stack.callback(fleet.stop)
             fleet.start()
         else:
@@ -287,19 +284,20 @@ def _conduct(
             console.print(Text(text), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
         from orchestrator.ledger import Ledger  # noqa: PLC0415
+        from orchestrator.progress import SystemdStatus, listener  # noqa: PLC0415
         from orchestrator.service import Interrupted, Service  # noqa: PLC0415
-        from orchestrator.terminal import Watched, view  # noqa: PLC0415
 
         ledger = Ledger(directory, journal)
         ledger.replay()
-        damaged = ledger.mend() if resumed else 0
+        damaged = ledger.check_files() if resumed else 0
         if not ledger.done:
-            shown = Shown(Watched(stack.enter_context(view(console)), systemd), page)
+            terminal = stack.enter_context(listener(console))
             if damaged:
-                shown.say(f"{damaged} trajectory files are missing or damaged: simulating them again")
+                terminal.say(f"{damaged} trajectory files are missing or damaged: simulating them again")
             for line in ledger.warnings():
-                shown.say(line)
-            service = Service(ledger, journal, transport, fleet, shown, resumed=resumed, drain=drain)
+                terminal.say(line)
+            listeners = (terminal, SystemdStatus(systemd), page)
+            service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))
             transport.start(run, service.inbox.put)
             systemd.ready(f"workers connect to {transport.endpoint}")
@@ -312,7 +310,7 @@ def _certify(directory: Path, journal: Journal, ledger: "Ledger") -> None:
     from orchestrator.certificate.issue import issue, manifest  # noqa: PLC0415
 
     found = manifest((sha256, path) for _, sha256, path in journal.observed())
-    files.write(directory, issue(journal.header, ledger.accounts, ledger.proposer.methods, found), found.manifest)
+    files.write(directory, issue(ledger, found), found.manifest)
 
 
 @contextmanager

@@ -4,9 +4,10 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from orchestrator.errors import PerfboundError
 from orchestrator.session import ask, system_spec, system_specs
-from schemas.rollout import RolloutRequest
+from schemas.errors import PerfboundError
+from schemas.ids import RolloutId
+from schemas.rollout import RequestTemplate
 from schemas.system import OptionValue, SystemSpec
 from schemas.trajectory import decode
 
@@ -23,21 +24,8 @@ def simulate(
     spec = system_spec(system, "SYSTEM")
     if not 0 <= horizon <= spec.max_horizon:  # also refuses NaN
         raise PerfboundError(f"--horizon {horizon:g}: {spec.name} takes 0 to {spec.max_horizon:g} s")
-    request = RolloutRequest(
-        campaign="simulate",
-        config_sha256="0" * 64,
-        problem="simulate",
-        test=0,
-        variant="nominal" if variant == "nominal" else "true",
-        replicate=0,
-        seed=seed,
-        system=system,
-        spec_sha256=spec.digest,
-        options={option.name: option.default for option in spec.options} | _options(spec, options),
-        x=_numbers(spec, start),
-        horizon=horizon,
-        visual=True,
-    )
+    template = RequestTemplate.of(spec, _options(spec, options), horizon=horizon, visual=True)
+    request = template.request(RolloutId("simulate", 0, variant, 0), _numbers(spec, start), seed)
     ask("simulate", "--request", request.model_dump_json(), "--out", str(out))
     trajectory = decode(out.read_bytes())
     yield f"{'column':<14} {'unit':<8} {'first':>12} {'least':>12} {'greatest':>12} {'last':>12}"

@@ -10,19 +10,10 @@ from typing import Any, Protocol
 
 import zenoh
 
-from orchestrator.errors import PerfboundError
 from schemas import keys
-from schemas.link import LinkError, Tls, listen_config
-from schemas.messages import (
-    MAX_RESULT,
-    MessageError,
-    Request,
-    ResultHeader,
-    WorkerState,
-    decode_header,
-    decode_state,
-    encode,
-)
+from schemas.errors import LinkError, MessageError, PerfboundError
+from schemas.link import Tls, listen_config
+from schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState, decode_header, decode_state, encode
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""

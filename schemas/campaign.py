@@ -32,10 +32,6 @@ ROLLED_OUT: dict[ProblemName, tuple[Variant, ...]] = {
 }
 
 
-class CampaignError(ValueError):
-    """A campaign file that cannot be run; the text names the file, the key and what is allowed."""
-
-
 class SystemChoice(Model, extra="allow"):
     """The system under test and its options, as its SystemSpec lists them."""
 

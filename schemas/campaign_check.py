@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 
-from schemas.campaign import ROLLED_OUT, CampaignConfig, CampaignError, Scenarios
+from schemas.campaign import ROLLED_OUT, CampaignConfig, Scenarios
+from schemas.errors import CampaignError
 from schemas.system import SystemSpec
 
 

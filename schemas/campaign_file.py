@@ -17,7 +17,6 @@ from schemas.campaign import (
     PROBLEM_MODELS,
     SENSES,
     CampaignConfig,
-    CampaignError,
     Gap,
     Linearised,
     MaternKernel,
@@ -26,6 +25,7 @@ from schemas.campaign import (
     SystemChoice,
     Weighted,
 )
+from schemas.errors import CampaignError
 
 Location = tuple[int | str, ...]
 """Where pydantic found a fault."""

@@ -7,12 +7,12 @@ from pydantic import Field
 
 from schemas.base import Model
 from schemas.campaign import ProblemName, Rule, Sense
+from schemas.values import StoppedBy
 
 STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certificate:v1"
 
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
-StoppedBy = Literal["converged", "budget", "refuted"]
 
 
 class Subject(Model):

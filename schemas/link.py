@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.base import Model
+from schemas.errors import LinkError
 from schemas.messages import MAX_RESULT
 
 LEASE_MS = 2000
@@ -15,10 +16,6 @@ LOCAL = "tcp/127.0.0.1:0"
 """Loopback, a free port."""
 ENCRYPTED = ("tls", "quic")
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|tls|quic)/(?P<host>\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z._-]+):(?P<port>[0-9]{1,5})")
-
-
-class LinkError(ValueError):
-    """An endpoint that cannot be used as asked; the text says what to change."""
 
 
 class Tls(Model):

@@ -5,6 +5,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import Field, TypeAdapter, ValidationError
 
 from schemas.base import Model
+from schemas.errors import MessageError
 from schemas.rollout import RolloutRequest
 
 PROTOCOL = 1
@@ -16,10 +17,6 @@ MAX_RESULT = 64 * 1024 * 1024
 Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.[0-9]{1,9}\.(nominal|true)\.[0-9]{1,6}$")]
 Attempt = Annotated[int, Field(ge=1, le=1_000_000)]
 Word = Annotated[str, Field(max_length=200)]
-
-
-class MessageError(ValueError):
-    """A message that could not be accepted; the text says why."""
 
 
 class Assign(Model):

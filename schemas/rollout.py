@@ -1,11 +1,14 @@
-"""What a worker needs to simulate one rollout."""
+"""The request for one rollout, and its one builder."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import Field
 
 from schemas.base import Model
-from schemas.system import OptionValue, Variant
+from schemas.ids import RolloutId
+from schemas.system import OptionValue, SystemSpec, Variant
 
 MAX_SEED = 2**53
 """Seeds are below this, so that every JSON reader keeps them exact."""
@@ -15,10 +18,10 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 class RolloutRequest(Model):
-    """One rollout: which one it is, and everything that decides its trajectory.
+    """One rollout: its name, and everything that decides its trajectory.
 
     `x` is the starting condition d (one number per parameter of the system, in its units), `horizon` is in seconds,
-    `spec_sha256` the identity of the system that the campaign was planned for. `visual` adds what a person sees.
+    `spec_sha256` the identity of the system that the campaign was planned for. `visual` adds a scene to draw.
     """
 
     campaign: Name
@@ -38,12 +41,58 @@ class RolloutRequest(Model):
     @property
     def rollout(self) -> str:
         """Name of the rollout, unique in its campaign."""
-        return f"{self.problem}.{self.test}.{self.variant}.{self.replicate}"
+        return str(RolloutId(self.problem, self.test, self.variant, self.replicate))
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What stands in the metadata record of the trajectory's file."""
+        """The metadata record of the trajectory's file."""
         fields: dict[str, Any] = self.model_dump(
             include={"campaign", "problem", "test", "variant", "replicate", "seed", "system", "config_sha256"}
         )
         return {name: str(value) for name, value in fields.items()} | {"rollout": self.rollout}
+
+
+@dataclass(frozen=True, slots=True)
+class RequestTemplate:
+    """All that the rollouts of one campaign have in common: the one builder of their requests."""
+
+    spec: SystemSpec
+    spec_sha256: str
+    options: Mapping[str, OptionValue]
+    horizon: float
+    visual: bool
+    campaign: str
+    config_sha256: str
+
+    @classmethod
+    def of(
+        cls,
+        spec: SystemSpec,
+        options: Mapping[str, OptionValue],
+        *,
+        horizon: float,
+        visual: bool,
+        campaign: str = "simulate",
+        config_sha256: str = "0" * 64,
+    ) -> "RequestTemplate":
+        """Fill in the system's defaults; without `campaign` and `config_sha256` the rollouts belong to none."""
+        defaults = {option.name: option.default for option in spec.options}
+        return cls(spec, spec.digest, defaults | dict(options), horizon, visual, campaign, config_sha256)
+
+    def request(self, rollout: RolloutId, x: Sequence[float], seed: int) -> RolloutRequest:
+        """Return the request for a rollout that starts at `x` (p,), in the units of the parameters."""
+        return RolloutRequest(
+            campaign=self.campaign,
+            config_sha256=self.config_sha256,
+            problem=rollout.problem,
+            test=rollout.test,
+            variant="nominal" if rollout.variant == "nominal" else "true",
+            replicate=rollout.replicate,
+            seed=seed,
+            system=self.spec.name,
+            spec_sha256=self.spec_sha256,
+            options=dict(self.options),
+            x=tuple(x),
+            horizon=self.horizon,
+            visual=self.visual,
+        )

@@ -31,6 +31,7 @@ from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from schemas.base import canonical_json
+from schemas.errors import TrajectoryError
 from schemas.visual import Floats, Transform, Visual, channels
 
 __all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read"]
@@ -46,10 +47,6 @@ EVIDENCE, REQUEST, RECORD = "trajectory.npy", "request.json", "rollout"
 _MAGIC = b"\x89MCAP0\r\n"
 _DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
-
-
-class TrajectoryError(Exception):
-    """The bytes are not one whole trajectory file; the message says what is wrong with them."""
 
 
 @dataclass(frozen=True, eq=False)

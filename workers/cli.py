@@ -14,7 +14,8 @@ from typing import NoReturn
 import click
 
 from schemas.base import canonical_json, one_blas_thread, one_line
-from schemas.link import LinkError, Tls
+from schemas.errors import LinkError, PerfboundError, RefusedError
+from schemas.link import Tls
 
 RUN_GONE = 5.0
 """Seconds without its orchestrator after which an idle worker may join another campaign."""
@@ -86,7 +87,7 @@ def _hold(descriptor: int) -> None:
 def _serve(endpoint: str, name: str, run: str | None, tls: Tls | None) -> None:
     from schemas import keys  # noqa: PLC0415
     from workers.transport import connect  # noqa: PLC0415
-    from workers.worker import RefusedError, Worker  # noqa: PLC0415
+    from workers.worker import Worker  # noqa: PLC0415
 
     started = keys.fresh_id(name)
     with connect(endpoint, tls, _waiting(endpoint)) as uplink:
@@ -168,15 +169,13 @@ def simulate(request: str, out: Path) -> None:
 
     from schemas.rollout import RolloutRequest  # noqa: PLC0415
     from workers.simulate import run  # noqa: PLC0415
-    from workers.systems import UnknownSystemError  # noqa: PLC0415
-    from workers.systems.base import SimulationError  # noqa: PLC0415
 
     try:
         data = run(RolloutRequest.model_validate_json(request), lambda _: None)
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")
-    except (SimulationError, UnknownSystemError) as error:
+    except PerfboundError as error:
         fail(str(error))
     temporary = out.with_name(f"{out.name}.{os.getpid()}.partial")
     try:
@@ -191,16 +190,14 @@ def simulate(request: str, out: Path) -> None:
 @click.option("--file", "path", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file.")
 def look(path: Path) -> None:
     """Print what a person sees of a trajectory, as JSON: the scene and the moving frames, or null."""
-    from schemas.trajectory import TrajectoryError  # noqa: PLC0415
     from workers import look as view  # noqa: PLC0415
-    from workers.systems import UnknownSystemError  # noqa: PLC0415
 
     try:
         with contextlib.redirect_stdout(sys.stderr):  # what a plug-in prints is not our data
             seen = view.look(path.read_bytes())
     except OSError as error:
         fail(f"{path}: {error.strerror}")
-    except (TrajectoryError, UnknownSystemError) as error:
+    except PerfboundError as error:
         fail(f"{path}: {error}")
     click.echo(canonical_json(seen))
 

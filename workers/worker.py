@@ -9,19 +9,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from schemas import __version__
+from schemas.errors import PerfboundError, RefusedError
 from schemas.messages import MAX_RESULT, PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
 from workers.simulate import run
-from workers.systems import UnknownSystemError, available, load
-from workers.systems.base import Cancelled, SimulationError
+from workers.systems import available, load
+from workers.systems.base import Cancelled
 from workers.transport import Uplink
 
 HEARTBEAT = 0.5
 RESEND = 1.0
 """Seconds between two deliveries of a result that is not acknowledged."""
-
-
-class RefusedError(Exception):
-    """The orchestrator does not want this worker; the message says why and what to do."""
 
 
 Key = tuple[str, int]
@@ -107,7 +104,7 @@ class Worker:
         except Cancelled:
             self._finish(assign)
             return
-        except (SimulationError, UnknownSystemError) as fault:
+        except PerfboundError as fault:
             error = str(fault) or type(fault).__name__
         except Exception as fault:  # noqa: BLE001  (whatever a system raises is the orchestrator's to judge)
             error = f"{type(fault).__name__}: {fault}"

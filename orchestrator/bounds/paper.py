@@ -22,17 +22,18 @@ The maximiser is sought on the nodes of a lattice. With `refine` it is then impr
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from orchestrator.bounds.method import Method
 from orchestrator.gp.acquisition import maximiser, refined, rivals
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
 from orchestrator.gp.observations import Anywhere
 from orchestrator.gp.posterior import Posterior
 from orchestrator.gp.radial import Radial
+from schemas.values import Band, Bound, Observation, Proposal, Verdict
 
 Regulariser = float | Literal["1+eta"]
 SigmaReading = Literal["variance", "std"]
@@ -40,22 +41,6 @@ Tail = Literal["gaussian", "sub-gaussian"]
 
 SMALLEST_VARIANCE = 1e-16
 """Below this the slope of the standard deviation is round-off."""
-
-
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """The next test: its node, and what the data before it said there.
-
-    `x` (p,) has the parameters' units, `mu` and `F` the unit of J. The start has no `beta` and no `F`. With refinement
-    `x` need not be the node, but lies within one cell of it.
-    """
-
-    index: int
-    x: tuple[float, ...]
-    mu: float
-    sigma: float
-    beta: float | None
-    F: float | None
 
 
 def eta(i: int) -> float:
@@ -172,11 +157,10 @@ def mills_probability(c: float, delta: float, noise_scale: float, tail: Tail) ->
     return (1.0 - tail_probability(c, noise_scale, tail)) * (1.0 - delta)
 
 
-class PaperMethod:
-    """One problem's Algorithm 1: proposals from observations, all in terms of the maximised J.
+class PaperMethod(Method):
+    """One problem's Algorithm 1; `stops` and `epsilon` need the F with which a test was proposed.
 
-    The caller keeps the proposals: `stops` and `epsilon` need the F with which a test was proposed.
-    Observations enter in test order. Raises ValueError at construction for parameters outside their range.
+    Raises ValueError at construction for parameters outside their range.
     """
 
     def __init__(
@@ -200,7 +184,7 @@ class PaperMethod:
             raise ValueError(f"prior_mean must be finite, not {prior_mean!r}")
         if sigma not in {"variance", "std"}:
             raise ValueError(f"sigma is 'variance' or 'std', not {sigma!r}")
-        self.probability = mills_probability(c, delta, noise_scale, tail)
+        self._probability = mills_probability(c, delta, noise_scale, tail)
         self._lattice = lattice
         self._rkhs_norm, self._noise_scale, self._delta = rkhs_norm, noise_scale, delta
         self._alpha, self._c, self._prior_mean = alpha, c, prior_mean
@@ -215,31 +199,41 @@ class PaperMethod:
         """Number of observations."""
         return self._posterior.n
 
-    def propose(self, first_index: int | None = None) -> Proposal:
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return self._lattice.size
+
+    @property
+    def probability(self) -> float:
+        """Delta, the claimed probability of J* <= eps."""
+        return self._probability
+
+    def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:
         """Return the next test, proposed from all observations so far; it changes nothing.
         Implements Algorithm 1 of [ARA].
 
         Formula: z_i = argmax mu_{i-1} + beta_i sigma_{i-1}, ties to the lowest index; i is the number of observations.
         With `refine`, a climb from that node leads to z_i, within the neighbouring cells.
-        Without observations the caller chooses the node `first_index` (a uniform draw from the campaign's seed).
+        Without observations the caller chooses the node `first` (a uniform draw from the campaign's seed).
 
         Raises:
-            ValueError: `first_index` is missing before the first observation, or given after it.
-            IndexError: `first_index` is no node.
+            ValueError: `first` is missing before the first observation, or given after it; or a test is in flight.
+            IndexError: `first` is no node.
             SingularKernelError: K + lambda I is singular.
 
         """
-        if (first_index is None) != (self.n > 0):
-            raise ValueError(
-                f"first_index must be given before the first observation and only then; there are {self.n}"
-            )
-        if first_index is not None:
-            return self._proposal(first_index, self._node(first_index), 0.0, 1.0, None)
+        if pending:
+            raise ValueError("Algorithm 1 is sequential: no test may be in flight")
+        if (first is None) != (self.n > 0):
+            raise ValueError(f"first must be given before the first observation and only then; there are {self.n}")
+        if first is not None:
+            return self._proposal(first, self._node(first), 0.0, 1.0, None)
         scale = self._scale()
         index = maximiser(self._values(scale))
         return self._refined(index, scale) if self._refine else self._at_node(index, scale)
 
-    def rival(self, x: Sequence[float]) -> Proposal | None:
+    def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:  # noqa: ARG002  (sequential)
         """Return the proposal of `x` (p,) if another CPU could have taken it for the maximiser; of nodes only."""
         if self.n == 0 or self._refine:
             return None
@@ -254,19 +248,31 @@ class PaperMethod:
         mu, sigma = float(self._posterior.mean[index]), float(self._sigma()[index])
         return self._proposal(index, self._node(index), mu, sigma, scale)
 
-    def observe(self, index: int, y: float, x: tuple[float, ...] | None = None) -> None:
-        """Add the observation `y` of J at node `index`; with `refine`, at `x` (p,). On an error nothing changes.
+    def observe(self, proposal: Proposal, observation: Observation) -> Bound:
+        """Add the observation of J at a proposed test and return the bound; there is none after the first test.
 
         Raises:
-            ValueError: `y` is not finite.
+            ValueError: y is not finite.
             IndexError: no node has this index.
             SingularKernelError: K + lambda I would be singular.
 
         """
+        self._append(proposal, observation)
+        if proposal.F is None:
+            return Bound(None, None, None)
+        verdict: Verdict | None = "converged" if self.stops(proposal) else None
+        return Bound(self.epsilon(proposal, observation.y), None, verdict)
+
+    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+        """Add observations whose bounds are known; raises as `observe`."""
+        for proposal, observation in seen:
+            self._append(proposal, observation)
+
+    def _append(self, proposal: Proposal, observation: Observation) -> None:
         # lambda first: under "1+eta" the factor is rebuilt anyway, so that the new row is only stored.
         self._posterior.regularise(self._lambda(self.n + 1))
-        point = (x or self._node(index)) if self._refine else index
-        self._posterior.append(point, y - self._prior_mean)
+        point = (proposal.x or self._node(proposal.node)) if self._refine else proposal.node
+        self._posterior.append(point, observation.y - self._prior_mean)
 
     def stops(self, proposal: Proposal) -> bool:
         """Return whether the campaign may stop once this proposal's observation is in: F_i <= alpha."""
@@ -283,15 +289,18 @@ class PaperMethod:
             raise ValueError("the first test alone gives no bound: allow max_tests of at least 2")
         return epsilon(y, proposal.F, self._alpha, self._c)
 
-    def band(self) -> tuple[Floats, Floats]:
-        """Return centre m0 + mu and half width beta sigma of the band of J on every node, (m,) each, unit J.
+    def band(self, bound: Bound) -> Band:  # noqa: ARG002  (the band of a moment follows from the posterior alone)
+        """Return m0 + mu -+ beta sigma on every node.
 
         Raises:
             ValueError: there is no observation yet.
             SingularKernelError: K + lambda I is singular.
 
         """
-        return self._prior_mean + self._posterior.mean, self._scale() * self._sigma()
+        centre, half = self._prior_mean + self._posterior.mean, self._scale() * self._sigma()
+        upper, lower = centre + half, centre - half
+        possible = upper >= lower.max()
+        return Band(*(tuple(each.tolist()) for each in (centre, lower, upper, possible)))
 
     def _scale(self) -> float:
         """Return beta after the observations so far."""

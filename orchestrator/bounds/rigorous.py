@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from orchestrator.bounds.confidence import Mixture, Premises, scales_squared
 from orchestrator.bounds.cover import certified_maximum
 from orchestrator.bounds.envelope import Envelope
-from orchestrator.bounds.paper import Proposal
+from orchestrator.bounds.method import Method
 from orchestrator.gp.acquisition import maximiser, rivals
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
@@ -35,6 +35,7 @@ from orchestrator.gp.observations import Observations
 from orchestrator.gp.points import Points
 from orchestrator.gp.radial import Radial
 from orchestrator.gp.spectrum import decompose
+from schemas.values import Band, Bound, Observation, Proposal
 
 Status = Literal["open", "converged", "refuted"]
 
@@ -75,10 +76,9 @@ class RigorousBound:
     status: Status
 
 
-class RigorousMethod:
-    """Proposals and bounds of one problem, all in terms of the maximised J.
+class RigorousMethod(Method):
+    """Proposals and bounds of one problem, from one confidence set.
 
-    The state is a function of the observations: the same ones in the same order give the same bits.
     Raises ValueError at construction for parameters outside their range.
     """
 
@@ -112,12 +112,22 @@ class RigorousMethod:
         reach = rkhs_norm + tau_misspecification
         top = prior_mean + reach
         self._bound = RigorousBound(0, top, prior_mean - reach, top, 0.0, 0.0, "open")
-        self._look()
+        self._update()
 
     @property
     def n(self) -> int:
         """Number of observations."""
         return self._data.n
+
+    @property
+    def size(self) -> int:
+        """Number of candidates."""
+        return self._candidates.size
+
+    @property
+    def candidates(self) -> Lattice | Points:
+        """The candidates, a box seen through a lattice or a finite list."""
+        return self._candidates
 
     @property
     def probability(self) -> float:
@@ -129,38 +139,41 @@ class RigorousMethod:
         """The band of J after the last observation, m0 and tau included."""
         return self._envelope
 
-    def band(self) -> tuple[Floats, Floats, Floats]:
-        """Return mean, lower and upper bound of J on every candidate, (m,) each; the mean is that of one a for all.
-
-        After a refutation there is no band, and these are numbers without a meaning.
-        """
+    def band(self, bound: Bound) -> Band:
+        """Return the band of J on every candidate, its mean at one a for all; refuted premises have no band."""
         upper, lower = self._envelope.band(self._data.kernel)
         column = int(np.argmin(np.max(self._mu + self._g * self._sd, axis=0)))
-        return np.clip(self._prior_mean + self._mu[:, column], lower, upper), lower, upper
+        mean = np.clip(self._prior_mean + self._mu[:, column], lower, upper)
+        if bound.verdict == "refuted" or bound.lower is None:
+            lower, upper = np.full_like(mean, np.nan), np.full_like(mean, np.nan)
+            possible = np.ones_like(mean, dtype=np.bool_)
+        else:
+            possible = upper >= max(float(lower.max()), bound.lower)
+        return Band(*(tuple(each.tolist()) for each in (mean, lower, upper, possible)))
 
     def bound(self) -> RigorousBound:
         """Return what the observations so far prove; it costs nothing."""
         return self._bound
 
-    def propose(self, first_index: int | None = None, pending: Sequence[int] = ()) -> Proposal:
+    def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:
         """Return the next test, given all observations so far and the tests in flight; it changes nothing.
         Implements eq. (proposal) of [PB].
 
         Formula: argmax over the candidates of min_a (mu_a + g_a sigma_a), ties to the lowest index. With `pending`
         nodes, whose observations are not known, mu + g sigma' at one a, sigma' being the standard deviation as if they
         were observed: that needs their places alone, so the proposal stays predictable and the theorem holds. Without
-        noise no node is observed twice. Without observations and pending tests the caller chooses `first_index`.
+        noise no node is observed twice. Without observations and pending tests the caller chooses `first`.
 
         Raises:
-            ValueError: `first_index` is missing for the first test, or given for another one.
-            IndexError: `first_index` or a pending index is no candidate.
+            ValueError: `first` is missing for the first test, or given for another one.
+            IndexError: `first` or a pending index is no candidate.
             ExhaustedError: R = 0 and every candidate is observed or pending.
 
         """
-        if (first_index is None) != bool(self.n or pending):
-            raise ValueError("first_index must be given for the first test and only then")
-        if first_index is not None:
-            return self._proposal(first_index, 0.0, 1.0, None)
+        if (first is None) != bool(self.n or pending):
+            raise ValueError("first must be given for the first test and only then")
+        if first is not None:
+            return self._proposal(first, 0.0, 1.0, None)
         for index in pending:
             self._check(index)
         values, columns, sd = self._scored(pending)
@@ -191,37 +204,39 @@ class RigorousMethod:
         chosen = int(columns[index])
         return self._proposal(index, float(self._mu[index, chosen]), float(sd[index]), float(self._g[chosen]))
 
-    def observe(self, index: int, y: float) -> None:
-        """Add the observation `y` of J at candidate `index` and update the bound; on an error nothing changes.
+    def observe(self, proposal: Proposal, observation: Observation) -> Bound:
+        """Add the observation of J at a candidate and return the bound; on an error nothing changes.
         Implements eq. (anytime) of [PB].
 
         Formula: U = min(U, U_n), L = max(L, L_n), B_min = max(B_min, sqrt(max(0, B^2 - min_a g_a^2))).
 
         Raises:
-            ValueError: `y` is not finite.
+            ValueError: y is not finite.
             IndexError: no candidate has this index.
 
         """
-        self._data.append(index, y - self._prior_mean)
-        self._look()
+        self._data.append(proposal.node, observation.y - self._prior_mean)
+        self._update()
         old, now = self._bound, self._bound_now()
         lower, b_min = max(old.lower, now.lower), max(old.b_min, now.b_min)
         best = now if now.upper < old.upper else old
         self._bound = RigorousBound(
             self.n, best.upper, lower, best.candidates_upper, best.slack, b_min, self._status(best.upper, lower, b_min)
         )
+        status = self._bound.status
+        return Bound(best.upper, lower, None if status == "open" else status)
 
-    def recall(self, indices: Sequence[int], values: Sequence[float]) -> None:
-        """Add observations of J whose bounds are known already: afterwards `band` is right, and `bound` is not.
+    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+        """Add observations whose bounds are known: certifying each again would take as long as the campaign.
 
         Raises:
             ValueError: a value is not finite.
             IndexError: no candidate has this index.
 
         """
-        for index, y in zip(indices, values, strict=True):
-            self._data.append(index, y - self._prior_mean)
-        self._look()
+        for proposal, observation in seen:
+            self._data.append(proposal.node, observation.y - self._prior_mean)
+        self._update()
 
     def _status(self, upper: float, lower: float, b_min: float) -> Status:
         contradiction = upper < lower - ROUNDING or b_min > self._premises.rkhs_norm
@@ -229,8 +244,8 @@ class RigorousMethod:
             return "refuted"
         return "converged" if upper - lower <= self._alpha else "open"
 
-    def _look(self) -> None:
-        """Work out everything that depends on the data but not on the question."""
+    def _update(self) -> None:
+        """Compute everything that depends on the data alone."""
         premises, spectrum = self._premises, decompose(self._data)
         squared = scales_squared(spectrum, premises, self._grid)
         self._b_min = math.sqrt(max(0.0, premises.rkhs_norm**2 - float(squared.min())))

@@ -39,8 +39,10 @@ import numpy as np
 
 from orchestrator.bounds.betting import CAREFUL, GRID, BettingSequence, Floats, Past
 from orchestrator.bounds.composition import STEP
+from orchestrator.bounds.method import Method
 from orchestrator.bounds.risk import bhatia_davis, check_range, linearised, linearised_range
 from orchestrator.gp.acquisition import rivals
+from schemas.values import Band, Bound, Observation, Proposal, Verdict
 
 Risk = Literal["linearised", "bhatia-davis"]
 
@@ -77,12 +79,11 @@ class ScenarioBound:
         return self.upper - self.ell
 
 
-class ScenarioMethod:
+class ScenarioMethod(Method):
     """Betting bounds of K scenarios, and which of them is to be tested next.
     Implements eq. (scenario) of [PB].
 
-    A test is a batch of true rollouts of one scenario. What was observed, in test order, is all the state: observing
-    the same values again in the same order rebuilds it to the bit. `constants` are (c, s) and belong to `linearised`.
+    A test is a batch of true rollouts of one scenario. `constants` are (c, s) and belong to `linearised`.
 
     Raises:
         ValueError: a parameter is outside its range, constants are missing or too many, scenarios are not finite, are
@@ -90,12 +91,12 @@ class ScenarioMethod:
 
     >>> method = ScenarioMethod(np.array([[0.0], [1.0]]), clip=(-0.05, 0.75), risk_weight=0.2, delta=0.05, alpha=0.02,
     ...                         constants=(0.7, 0.09))
-    >>> method.propose(), method.propose(pending=(0,))
+    >>> method.propose().node, method.propose(pending=(0,)).node
     (0, 1)
-    >>> for index, value in ((0, 0.7), (1, 0.65)):
-    ...     method.observe(index, [value] * 100)
+    >>> for value in (0.7, 0.65):
+    ...     _ = method.observe(method.propose(), Observation(-value, (value,) * 100))
     >>> bound = method.bound()
-    >>> bound.worst, method.propose(), bound.ell <= 0.65 - 0.1 * (0.05**2 / 0.09 + 0.09) <= bound.upper
+    >>> bound.worst, method.propose().node, bound.ell <= 0.65 - 0.1 * (0.05**2 / 0.09 + 0.09) <= bound.upper
     (1, 1, True)
 
     """
@@ -118,7 +119,7 @@ class ScenarioMethod:
         if risk not in {"linearised", "bhatia-davis"} or (constants is None) == (risk == "linearised"):
             raise ValueError(f"risk is 'linearised' with constants (c, s), or 'bhatia-davis' without; not {risk!r}")
         size = len(self.scenarios)
-        self.probability = 1.0 - delta
+        self._probability = 1.0 - delta
         self._clip, self._risk_weight, self._alpha, self._constants = clip, risk_weight, alpha, constants
         self._range = clip if constants is None else linearised_range(clip, risk_weight, *constants)
         least = bhatia_davis(clip[0], clip, risk_weight)  # no law on the clip has a lower risk
@@ -135,49 +136,72 @@ class ScenarioMethod:
         """Number of tests observed."""
         return sum(self._tests)
 
-    def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> int:
-        """Return the scenario of the next test; it changes nothing.
+    @property
+    def size(self) -> int:
+        """Number of scenarios."""
+        return len(self.scenarios)
 
-        First every scenario once, in order; `first` may choose the very first. Then the one whose lower bound is least,
-        a test in flight counting as one that brings the bound nearer to the mean: bound = mean - constant/tests.
-        Ties go to the lowest index. `pending` holds the scenarios of the tests in flight, one entry per test.
+    @property
+    def probability(self) -> float:
+        """1 - delta."""
+        return self._probability
+
+    def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:  # noqa: ARG002
+        """Return the scenario of the next test; it changes nothing, and `first` is of no use here.
+
+        First every scenario once, in order. Then the one whose lower bound is least, a test in flight counting as one
+        that brings the bound nearer to the mean: bound = mean - constant/tests. Ties go to the lowest index. `pending`
+        holds the scenarios of the tests in flight, one entry per test.
 
         Raises:
-            ValueError: `first` is given after the first proposal.
-            IndexError: `first` or an entry of `pending` is no scenario.
+            IndexError: an entry of `pending` is no scenario.
 
         """
-        size = len(self._tests)
-        for index in (*pending, *(() if first is None else (first,))):
+        size = self.size
+        for index in pending:
             _check_index(index, size)
-        if first is not None:
-            if self.n or pending:
-                raise ValueError("first is for the first proposal only")
-            return first
         flying = [0] * size
         for index in pending:
             flying[index] += 1
         for k in range(size):
             if not self._tests[k] and not flying[k]:
-                return k
-        return min(range(size), key=lambda k: (self._outlook(k, flying[k]), k))
+                return self._at(k)
+        return self._at(min(range(size), key=lambda k: (self._outlook(k, flying[k]), k)))
 
-    def rival(self, x: Sequence[float], pending: Sequence[int]) -> int | None:
+    def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the scenario at `x` (p,) if another CPU could have proposed it."""
         flying = [pending.count(k) for k in range(len(self._tests))]
         if not all(tests or flown for tests, flown in zip(self._tests, flying, strict=True)):
             return None
         outlook = np.array([self._outlook(k, flown) for k, flown in enumerate(flying)])
-        return rivals(-outlook, self.scenarios, x)
+        index = rivals(-outlook, self.scenarios, x)
+        return None if index is None else self._at(index)
 
-    def observe(self, index: int, values: Sequence[float]) -> None:
-        """Add the robustness of every rollout of one test of scenario `index`; on an error nothing changes.
+    def _at(self, index: int) -> Proposal:
+        x = tuple(float(value) for value in self.scenarios[index])
+        return Proposal(index, x, -self._states[index].lower, 0.0, None, None)
+
+    def observe(self, proposal: Proposal, observation: Observation) -> Bound:
+        """Add the robustness of every rollout of one test and return the bound; on an error nothing changes.
 
         Raises:
             ValueError: there is no value, or one is outside the clip or not finite.
             IndexError: no scenario has this index.
 
         """
+        self.recall([(proposal, observation)])
+        found = self.bound()
+        verdict: Verdict | None = None
+        if found.gap <= self._alpha:
+            verdict = "converged" if found.gap >= 0.0 else "refuted"
+        return Bound(-found.ell, -found.upper, verdict)
+
+    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+        """Add observations; raises as `observe`."""
+        for proposal, observation in seen:
+            self._add(proposal.node, observation.each)
+
+    def _add(self, index: int, values: Sequence[float]) -> None:
         _check_index(index, len(self._tests))
         low, high = self._clip
         if not values or not all(low <= value <= high for value in values):
@@ -190,6 +214,17 @@ class ScenarioMethod:
             self._below[index].add(1.0 - x)
         self._tests[index] += 1
         self._states[index] = self._state(index)
+
+    def band(self, bound: Bound) -> Band:  # noqa: ARG002  (the bounds of the scenarios are at hand)
+        """Return the band; no scenario has a lower bound of its own, and the upper ones hold one by one."""
+        found = self.bound()
+        refuted = found.gap < 0.0
+        return Band(
+            mean=tuple(math.nan if each.mean is None else -each.mean for each in found.scenarios),
+            lower=(math.nan,) * self.size,
+            upper=tuple(-each.lower for each in found.scenarios),
+            possible=tuple(refuted or each.each <= found.upper for each in found.scenarios),
+        )
 
     def bound(self) -> ScenarioBound:
         """Return what holds now, whenever it is asked for; units as in ScenarioBound.

@@ -6,50 +6,47 @@ from typing import Literal
 
 from orchestrator.bounds import audit
 from orchestrator.bounds.audit import Assumption
-from orchestrator.certificate.claims import PAIR, Methods
+from orchestrator.bounds.rigorous import RigorousMethod
+from orchestrator.certificate.claims import PAIR
 from orchestrator.gp.lattice import Lattice
 from orchestrator.ledger import Account
-from orchestrator.methods import Rigorous, candidates, derived_noise, kernel, noise_per_test
-from orchestrator.observation import shared
-from orchestrator.store.journal import Header
+from orchestrator.methods import Methods, kernel
 from schemas.campaign import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
 
 ROUNDING = 1e-9
 
 
-def assumptions(header: Header, accounts: Mapping[str, Account], methods: Methods) -> list[Assumption]:
+def assumptions(accounts: Mapping[str, Account], methods: Methods) -> list[Assumption]:
     """Return every assumption of the campaign, problem by problem, then those of the whole."""
     found: list[Assumption] = []
     for name, account in accounts.items():
-        problem = account.problem
+        plan, problem = account.plan, account.plan.problem
         if isinstance(problem, PaperProblem):
-            found += _paper(header, account, problem)
+            found += _paper(account, problem)
         elif isinstance(problem, RigorousProblem):
             method = methods[name]
-            assert isinstance(method, Rigorous)
-            found += _rigorous(header, account, problem, method)
+            assert isinstance(method, RigorousMethod)
+            found += _rigorous(account, problem, method)
         else:
             found += _scenario(account, problem, size=methods[name].size)
         if name == "sim_gap":
-            found.append(_dominates(header, account))
-            if shared(header.spec, problem, "nominal"):
+            found.append(_dominates(account))
+            if "nominal" in plan.shared:
                 found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
-        if account.robustness and header.config.clip is not None:
-            found.append(audit.clipped_share(name, account.robustness, header.config.clip))
+        if account.robustness:
+            found.append(audit.clipped_share(name, account.robustness, plan.clip))
     found.append(_finite(accounts))
     pair = [name for name in accounts if name in PAIR]
     if len(pair) == len(PAIR):
-        methods_used = {accounts[name].problem.method for name in PAIR}
+        methods_used = {accounts[name].plan.problem.method for name in PAIR}
         rules: tuple[Literal["product", "sum"], ...] = ("product", "sum") if methods_used == {"paper"} else ("sum",)
         found += [audit.independent_problems(pair, rule) for rule in rules]
     return [*found, _fixed_beforehand(), audit.workers_honest()]
 
 
-def _dominates(header: Header, account: Account) -> Assumption:
+def _dominates(account: Account) -> Assumption:
     """Say why the gap dominates the difference of the robustness; test it on every pair of rollouts."""
-    gap = header.config.gap_of(account.problem)
-    assert gap is not None, "the campaign file was checked"
-    name = "lipschitz/sim_gap"
+    gap, name = account.plan.gap, "lipschitz/sim_gap"
     if account.excess > ROUNDING:
         return Assumption(
             name,
@@ -111,11 +108,8 @@ def _finite(accounts: Mapping[str, Account]) -> Assumption:
     return Assumption("finite_rollouts", "derived", detail)
 
 
-def _paper(header: Header, account: Account, problem: PaperProblem) -> Iterator[Assumption]:
-    config, name = header.config, problem.name
-    noise, replicates = noise_per_test(config, header.spec, problem), config.replicates_of(problem)
-    lattice = candidates(config, header.spec, problem)
-    assert isinstance(lattice, Lattice), "the campaign file was checked"
+def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
+    name, noise, replicates = problem.name, account.plan.noise, account.plan.replicates
     yield audit.rkhs_norm(
         name,
         account.observations,
@@ -128,14 +122,15 @@ def _paper(header: Header, account: Account, problem: PaperProblem) -> Iterator[
     yield audit.noise_tail(name, c=problem.c, delta=problem.delta, noise_scale=noise, tail=problem.tail)
     yield audit.sigma_reading(name, problem.sigma)
     yield audit.regulariser(name, problem.regulariser)
-    yield audit.lattice_for_box(name, lattice, kernel(problem), problem.rkhs_norm, refine=problem.refine)
+    lattice = account.plan.candidates
+    if isinstance(lattice, Lattice):
+        yield audit.lattice_for_box(name, lattice, kernel(problem), problem.rkhs_norm, refine=problem.refine)
     if name == "true_risk":
         yield audit.centred_risk(name, replicates)
 
 
-def _rigorous(header: Header, account: Account, problem: RigorousProblem, method: Rigorous) -> Iterator[Assumption]:
-    config, name, bound = header.config, problem.name, method.method.bound()
-    noise, last = noise_per_test(config, header.spec, problem), account.last_bound
+def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod) -> Iterator[Assumption]:
+    name, bound, noise, last = problem.name, method.bound(), account.plan.noise, account.last_bound
     yield audit.norm_from_data(
         name, b_min=bound.b_min, rkhs_norm=problem.rkhs_norm, delta=problem.delta, noise_scale=noise
     )
@@ -146,9 +141,9 @@ def _rigorous(header: Header, account: Account, problem: RigorousProblem, method
         length_scale=problem.kernel.length_scale,
         rkhs_norm=problem.rkhs_norm,
     )
-    if last is not None and last.upper is not None and last.lower is not None:
-        yield audit.bounds_agree(name, upper=last.upper, lower=last.lower)
-    yield from _noise(header, account, problem, noise)
+    if last is not None and last.bound.upper is not None and last.bound.lower is not None:
+        yield audit.bounds_agree(name, upper=last.bound.upper, lower=last.bound.lower)
+    yield from _noise(account, problem)
     if isinstance(method.candidates, Lattice):
         yield audit.certified_box(name, nodes=bound.candidates_upper, slack=bound.slack)
     else:
@@ -157,26 +152,24 @@ def _rigorous(header: Header, account: Account, problem: RigorousProblem, method
         yield _linearised(name, problem.linearised)
 
 
-def _noise(header: Header, account: Account, problem: RigorousProblem, noise: float) -> Iterator[Assumption]:
-    name = problem.name
-    if noise == 0:
+def _noise(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:
+    name, plan = problem.name, account.plan
+    if plan.noise == 0:
         places = sorted(zip(account.nodes, account.each, strict=True))
         by_place = itertools.groupby(places, key=lambda place: place[0])
         yield audit.deterministic_variant(name, [[v for _, each in group for v in each] for _, group in by_place])
         return
-    per_rollout = noise * header.config.replicates_of(problem) ** 0.5
+    per_rollout = plan.noise_per_rollout
     if name != "maximum":
-        yield audit.noise_range(
-            name, noise_scale=per_rollout * (1 + 1e-12), hoeffding=derived_noise(header.config, header.spec, problem)
-        )
+        yield audit.noise_range(name, noise_scale=per_rollout * (1 + 1e-12), hoeffding=plan.hoeffding)
     else:
-        yield audit.noise_scale(name, noise_scale=noise, replicates=header.config.replicates_of(problem))
-    planned = header.config.max_tests_of(problem) * header.config.replicates_of(problem)
+        yield audit.noise_scale(name, noise_scale=plan.noise, replicates=plan.replicates)
+    planned = plan.budget * plan.replicates
     yield audit.replicate_spread(name, account.each, noise_scale=per_rollout, delta=problem.delta, planned=planned)
 
 
 def _scenario(account: Account, problem: ScenarioProblem, *, size: int) -> Iterator[Assumption]:
-    name, bound = problem.name, account.last_bound
+    name, last = problem.name, account.last_bound
     rollouts = sum(account.counts.values())
     yield _listed(name, size)
     yield Assumption(
@@ -185,8 +178,8 @@ def _scenario(account: Account, problem: ScenarioProblem, *, size: int) -> Itera
         f"the {rollouts} rollouts have seeds of their own, and those of one start differ in nothing else; the bound "
         "needs no more of the noise than this and the clip.",
     )
-    if bound is not None and bound.upper is not None and bound.lower is not None:
-        ell, reach = -bound.upper, -bound.lower
+    if last is not None and last.bound.upper is not None and last.bound.lower is not None:
+        ell, reach = -last.bound.upper, -last.bound.lower
         yield Assumption(
             f"one_law_per_start/{name}",
             "refuted" if reach < ell else "not refuted",

@@ -13,12 +13,13 @@ from orchestrator.bounds.composition import (
     round_down,
     round_up,
 )
-from orchestrator.methods import Paper, Rigorous, Scenario
-from orchestrator.store.journal import Header
+from orchestrator.bounds.paper import PaperMethod
+from orchestrator.bounds.rigorous import RigorousMethod
+from orchestrator.methods import Methods
+from orchestrator.plan import Plans
 from schemas import certificate as document
-from schemas.campaign import CampaignConfig, Gap, Rule
+from schemas.campaign import CampaignConfig, Rule
 
-Methods = Mapping[str, Paper | Rigorous | Scenario]
 Results = Mapping[str, document.ProblemResult]
 PAIR = ("nominal_robustness", "sim_gap")
 MULTIPLIED, ADDED = "independence", "accounting"
@@ -33,15 +34,16 @@ class Claimed:
     composition: document.Composition | None
 
 
-def claims(header: Header, results: Results, methods: Methods, assumptions: Sequence[Assumption]) -> Claimed:
+def claims(
+    config: CampaignConfig, plans: Plans, results: Results, methods: Methods, assumptions: Sequence[Assumption]
+) -> Claimed:
     """Return the claims in the order: chosen beforehand, other rules over the same pair, direct ones.
 
     Each has its own probability; whoever reads several pays the sum of what is missing to 1.
     """
-    config = header.config
     found: list[tuple[document.Claim, document.Composition | None]] = []
     if set(PAIR) <= set(results):
-        found += [_composed(header, results, methods, assumptions, rule) for rule in _rules(config)]
+        found += [_composed(plans, results, methods, assumptions, rule) for rule in _rules(config)]
     found += [(_direct(result, assumptions), None) for result in results.values() if result.name not in PAIR]
     found.sort(key=lambda pair: pair[0].rule != config.composition)  # stable
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
@@ -71,11 +73,10 @@ def _direct(result: document.ProblemResult, assumptions: Sequence[Assumption]) -
 
 
 def _composed(
-    header: Header, results: Results, methods: Methods, assumptions: Sequence[Assumption], rule: Rule
+    plans: Plans, results: Results, methods: Methods, assumptions: Sequence[Assumption], rule: Rule
 ) -> tuple[document.Claim, document.Composition]:
-    config = header.config
-    paper = rule in ("product", "sum") and isinstance(methods["sim_gap"], Paper)
-    terms = _theorem_2(config, results, rule) if paper else _rigorous(header, results, methods, rule)
+    paper = rule in ("product", "sum") and isinstance(methods["sim_gap"], PaperMethod)
+    terms = _theorem_2(plans, results, rule) if paper else _rigorous(plans, results, methods, rule)
     claim = document.Claim(
         quantity="rho_star",
         sense=">=",
@@ -88,14 +89,14 @@ def _composed(
     return claim, terms
 
 
-def _theorem_2(config: CampaignConfig, results: Results, rule: Rule) -> document.Composition:
-    nominal, gap, measure = results["nominal_robustness"], results["sim_gap"], _gap(config)
+def _theorem_2(plans: Plans, results: Results, rule: Rule) -> document.Composition:
+    nominal, gap, plan = results["nominal_robustness"], results["sim_gap"], plans["sim_gap"]
     composed = compose(
         nominal.bound,
         gap.bound,
-        lipschitz=measure.lipschitz,
-        risk_weight=config.risk_weight,
-        clip=_clip(config),
+        lipschitz=plan.gap.lipschitz,
+        risk_weight=plan.risk_weight,
+        clip=plan.clip,
         probabilities=(nominal.probability, gap.probability),
         rule="product" if rule == "product" else "sum",
     )
@@ -103,7 +104,7 @@ def _theorem_2(config: CampaignConfig, results: Results, rule: Rule) -> document
         rule=rule,
         nominal_bound=nominal.bound,
         gap_bound=gap.bound,
-        lipschitz=measure.lipschitz,
+        lipschitz=plan.gap.lipschitz,
         gap_term=composed.gap,
         risk_term=composed.spread,
         bound=composed.ell,
@@ -116,16 +117,16 @@ def _probability(results: Results, rule: Rule) -> float:
     return round_down(joint_probability(pair, "product" if rule == "product" else "sum"))
 
 
-def _rigorous(header: Header, results: Results, methods: Methods, rule: Rule) -> document.Composition:
-    config, measure = header.config, _gap(header.config)
-    nominal, gap = results["nominal_robustness"], results["sim_gap"]
-    mean = compose_mean(nominal.bound, gap.bound, kind=measure.kind, clip=_clip(config), lipschitz=measure.lipschitz)
+def _rigorous(plans: Plans, results: Results, methods: Methods, rule: Rule) -> document.Composition:
+    nominal, gap, plan = results["nominal_robustness"], results["sim_gap"], plans["sim_gap"]
+    measure = plan.gap
+    mean = compose_mean(nominal.bound, gap.bound, kind=measure.kind, clip=plan.clip, lipschitz=measure.lipschitz)
     if rule == "pointwise":
-        mean = _pointwise(config, methods, mean)
+        mean = _pointwise(plans, methods, mean)
     ell = least_risk(
         mean,
-        risk_weight=config.risk_weight,
-        clip=_clip(config),
+        risk_weight=plan.risk_weight,
+        clip=plan.clip,
         variance="popoviciu" if rule == "sum" else "bhatia-davis",
     )
     return document.Composition(
@@ -139,33 +140,21 @@ def _rigorous(header: Header, results: Results, methods: Methods, rule: Rule) ->
     )
 
 
-def _pointwise(config: CampaignConfig, methods: Methods, extremes: float) -> float:
-    nominal, gap = methods["nominal_robustness"], methods["sim_gap"]
-    assert isinstance(nominal, Rigorous)
-    assert isinstance(gap, Rigorous)
-    if "refuted" in (nominal.method.bound().status, gap.method.bound().status):
-        return extremes  # there are no bands any more
-    alphas = [problem.alpha for problem in config.problems if problem.name in PAIR]
+def _pointwise(plans: Plans, methods: Methods, extremes: float) -> float:
+    nominal, gap, plan = methods["nominal_robustness"], methods["sim_gap"], plans["sim_gap"]
+    assert isinstance(nominal, RigorousMethod)
+    assert isinstance(gap, RigorousMethod)
+    if "refuted" in (nominal.bound().status, gap.bound().status):
+        return extremes  # a refuted problem has no band
     return pointwise_mean(
-        nominal.method.envelope,
-        gap.method.envelope,
+        nominal.envelope,
+        gap.envelope,
         nominal.candidates,
-        clip=_clip(config),
-        lipschitz=_gap(config).lipschitz,
-        slack=min(alphas) / 4,
+        clip=plan.clip,
+        lipschitz=plan.gap.lipschitz,
+        slack=min(plans[name].problem.alpha for name in PAIR) / 4,
         extremes=extremes,
     )
-
-
-def _gap(config: CampaignConfig) -> Gap:
-    found = next(config.gap_of(problem) for problem in config.problems if problem.name == "sim_gap")
-    assert found is not None, "the campaign file was checked"
-    return found
-
-
-def _clip(config: CampaignConfig) -> tuple[float, float]:
-    assert config.clip is not None, "the campaign file was checked"
-    return config.clip
 
 
 def _rests_on(assumptions: Sequence[Assumption], problems: set[str], rule: Rule) -> dict[str, tuple[str, ...]]:

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from orchestrator.errors import EvidenceError
 from orchestrator.store import evidence
 from schemas.certificate import Certificate
+from schemas.errors import EvidenceError
 
 CERTIFICATE = "certificate.json"
 ENVELOPE = "certificate.dsse.json"

@@ -1,16 +1,16 @@
 """Issue the certificate of a finished campaign; nothing in it depends on time, host or the number of workers."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from orchestrator.certificate.assumptions import assumptions
-from orchestrator.certificate.claims import Methods, claims
+from orchestrator.certificate.claims import claims
 from orchestrator.certificate.results import result
-from orchestrator.ledger import Account
-from orchestrator.store.journal import Header
+from orchestrator.ledger import Ledger
 from schemas import certificate as document
 from schemas.base import digest
+from schemas.facts import Header
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +27,12 @@ def manifest(entries: Iterable[tuple[str, str]]) -> Evidence:
     return Evidence("".join(lines), len(lines))
 
 
-def issue(
-    header: Header, accounts: Mapping[str, Account], methods: Methods, evidence: Evidence
-) -> document.Certificate:
+def issue(ledger: Ledger, evidence: Evidence) -> document.Certificate:
     """Return the certificate of a campaign whose problems have all stopped."""
-    config = header.config
-    results = {name: result(header, account) for name, account in accounts.items()}
-    found = assumptions(header, accounts, methods)
-    claimed = claims(header, results, methods, found)
+    header, config, accounts = ledger.header, ledger.config, ledger.accounts
+    results = {name: result(account) for name, account in accounts.items()}
+    found = assumptions(accounts, ledger.methods)
+    claimed = claims(config, ledger.plans, results, ledger.methods, found)
     manifest_sha256 = hashlib.sha256(evidence.manifest.encode()).hexdigest()
     predicate = document.Predicate(
         question=question(header),

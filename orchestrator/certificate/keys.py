@@ -19,17 +19,13 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
-from orchestrator.errors import PerfboundError
 from orchestrator.store.evidence import TEMPORARY
 from schemas.base import digest
+from schemas.errors import SignatureError
 
 MAX_FILE = 64 * 1024
 """Bytes of a key's file."""
 ENCRYPTED = b"-----BEGIN ENCRYPTED PRIVATE KEY-----"
-
-
-class SignatureError(PerfboundError):
-    """A key cannot be used, or a signature does not hold."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,10 +20,10 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from pydantic import ValidationError
 
 from orchestrator.certificate import files
-from orchestrator.certificate.keys import SignatureError, key_id, load_private, load_public, new_pair
-from orchestrator.errors import EvidenceError
+from orchestrator.certificate.keys import key_id, load_private, load_public, new_pair
 from orchestrator.store import evidence
 from schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, Envelope, Signature
+from schemas.errors import EvidenceError, SignatureError
 
 __all__ = [
     "SignatureError",

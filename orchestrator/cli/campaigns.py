@@ -128,7 +128,8 @@ def resume(*, directory: Path, workers: int, sign: Path | None, strict: bool, dr
 
     key = signing.load(sign) if sign else None
     with resumable(directory):
-        went_on = session.resume(directory, workers=workers, link=_link(**link), console=TALK.console, drain=drain)
+        options = session.RunOptions(workers, _link(**link), drain)
+        went_on = session.resume(directory, options, TALK.console)
         _finish(directory, key, strict=strict, report=went_on)
 
 
@@ -150,15 +151,8 @@ def _start(
     config = session.load(campaign, **overrides)
     directory = out or Path("runs") / config.name
     with resumable(directory):
-        session.start(
-            config,
-            campaign,
-            workers=workers,
-            directory=directory,
-            link=_link(**link),
-            console=TALK.console,
-            drain=drain,
-        )
+        options = session.RunOptions(workers, _link(**link), drain)
+        session.start(config, campaign, directory, options, TALK.console)
         _finish(directory, key, strict=strict, report=True)
 
 

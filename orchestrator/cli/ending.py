@@ -10,8 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from orchestrator.errors import Stopped
 from orchestrator.talk import TALK
+from schemas.errors import Stopped
 
 
 @contextmanager

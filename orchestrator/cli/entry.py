@@ -8,7 +8,7 @@ from types import FrameType
 
 from orchestrator.cli.ending import end, take_signals
 from orchestrator.cli.group import cli
-from orchestrator.errors import PerfboundError, Stopped
+from schemas.errors import PerfboundError, Stopped
 
 
 def _stop(number: int, _frame: FrameType | None) -> None:
@@ -37,12 +37,11 @@ def main() -> None:
 
 def _main() -> None:
     from schemas.base import one_blas_thread  # noqa: PLC0415
-    from schemas.campaign import CampaignError  # noqa: PLC0415
 
     one_blas_thread()
     try:
         cli(prog_name="perfbound")
-    except (PerfboundError, CampaignError) as error:
+    except PerfboundError as error:
         end(str(error), 1)
     except OSError as error:
         end(f"{error.filename or 'file system'}: {error.strerror or error}", 1)

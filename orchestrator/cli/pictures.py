@@ -9,9 +9,9 @@ from orchestrator.address import Address
 from orchestrator.cli.ending import end
 from orchestrator.cli.group import RUN_DIRECTORY, cli
 from orchestrator.cli.place import web_option
-from orchestrator.errors import Stopped
 from orchestrator.talk import TALK
 from schemas.base import one_line
+from schemas.errors import Stopped
 
 
 @cli.command()
@@ -26,7 +26,9 @@ def web(*, directory: Path, web: Address, insecure: bool) -> None:
     existing(directory)
     listening, address = bind(web, insecure=insecure)
     try:
-        from orchestrator.report.server import server  # noqa: PLC0415  (late: a port that is taken is said at once)
+        from orchestrator.report.server import (  # noqa: PLC0415  (late: a port that is taken is said at once)
+            server,
+        )
 
         page = server(directory, address, _say)
         _say(f"live page: {address.url}")

@@ -38,7 +38,8 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
         SignatureError: nobody is there to ask.
 
     """
-    from orchestrator.certificate.keys import SignatureError, read_passphrase  # noqa: PLC0415
+    from orchestrator.certificate.keys import read_passphrase  # noqa: PLC0415
+    from schemas.errors import SignatureError  # noqa: PLC0415
 
     path = os.environ.get(FROM_FILE)
     if path:

@@ -6,7 +6,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from orchestrator.errors import PerfboundError
 from orchestrator.replay.comparison import Comparison, compare, lines
 from orchestrator.replay.moments import Moment, margins, moments
 from orchestrator.replay.recorded import Recorded, recorded
@@ -15,8 +14,9 @@ from orchestrator.report import curves
 from orchestrator.session import ask
 from orchestrator.store import evidence
 from schemas.campaign import Problem
+from schemas.errors import PerfboundError, TrajectoryError
 from schemas.rollout import RolloutRequest
-from schemas.trajectory import Trajectory, TrajectoryError, decode
+from schemas.trajectory import Trajectory, decode
 
 MOMENTS = 8
 """Pictures on a strip."""

@@ -6,15 +6,16 @@ from pathlib import Path
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
-from orchestrator.campaign import RolloutId
-from orchestrator.errors import EvidenceError, PerfboundError
 from orchestrator.report.scenes import inside
-from orchestrator.requests import request
+from orchestrator.seeds import rollout_seed
 from orchestrator.store import evidence, tables
-from orchestrator.store.journal import READERS, Header, ProposalFact, RolloutFact, read_header
+from orchestrator.store.journal import READERS, read_header
 from orchestrator.store.queries import reading
+from schemas.errors import EvidenceError, PerfboundError, TrajectoryError
+from schemas.facts import Header, ProposalFact, RolloutFact
+from schemas.ids import RolloutId
 from schemas.rollout import RolloutRequest
-from schemas.trajectory import File, Trajectory, TrajectoryError, read
+from schemas.trajectory import File, Trajectory, read
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ def recorded(directory: Path, text: str) -> Recorded:
     with reading(directory) as connection:
         header = read_header(connection, directory)
         fact, proposal = _find(connection, header, directory, text)
-    wanted = request(header, fact.rollout, proposal.x)
+    wanted = header.template.request(fact.rollout, proposal.proposal.x, rollout_seed(header.config, fact.rollout))
     try:
         file = _read(directory, fact)
     except EvidenceError as error:

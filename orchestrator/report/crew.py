@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from orchestrator.report.story import Throughput, Worker
-from orchestrator.store.journal import RECORDED, RESTORED
 from orchestrator.store.queries import RECENT, rate
 from orchestrator.store.since import Added, Outcome
+from schemas.facts import RECORDED, RESTORED
 
 MOST_POINTS = 200
 

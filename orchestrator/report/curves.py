@@ -17,8 +17,8 @@ from orchestrator.stl.tree import (
     columns,
     predicates,
 )
-from orchestrator.store.journal import Header
 from schemas.campaign import Problem
+from schemas.facts import Header
 
 Floats = NDArray[np.float64]
 

@@ -3,15 +3,15 @@
 from pathlib import Path
 
 from orchestrator.certificate import files
-from orchestrator.errors import JournalError
-from orchestrator.proposer import Proposer
+from orchestrator.plan import plans
 from orchestrator.report import scenes
 from orchestrator.report.crew import Crew
 from orchestrator.report.problems import Told
 from orchestrator.report.story import Rollout
-from orchestrator.store.journal import Header, RolloutFact
 from orchestrator.store.since import Added, Since
 from schemas.certificate import Certificate
+from schemas.errors import JournalError
+from schemas.facts import Header, RolloutFact
 
 MOST = 1000
 """Counterexamples that a story lists; the file beside a report has them all."""
@@ -34,10 +34,8 @@ class Known:
         self.certificate = files.read(directory)  # before the facts: with a certificate, they are all there
         added = self._since.look()
         self.header: Header = added.header
-        proposer = Proposer(self.header.config, self.header.spec)
-        self.told: dict[str, Told] = {
-            each.name: Told(self.header, each, proposer) for each in self.header.config.problems
-        }
+        found = plans(self.header.config, self.header.spec)
+        self.told: dict[str, Told] = {name: Told(self.header, plan) for name, plan in found.items()}
         self._add(added)
         self._check(self.certificate)
 

@@ -8,9 +8,9 @@ from typing import Protocol
 
 from anyio import to_thread
 
-from orchestrator.errors import PerfboundError
 from orchestrator.report.crew import Live
 from orchestrator.report.story import Scene, Story, to_json
+from schemas.errors import PerfboundError
 
 PERIOD = 1.0
 """Seconds from the end of a look to the next one, at least."""

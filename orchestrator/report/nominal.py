@@ -5,14 +5,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from orchestrator.errors import PerfboundError
 from orchestrator.report import curves
 from orchestrator.report.story import Rollout, Scene, Story, Trace
 from orchestrator.session import ask, system_specs
-from orchestrator.store.journal import Header, read_header
+from orchestrator.store.journal import read_header
 from orchestrator.store.queries import reading
-from schemas.rollout import RolloutRequest
-from schemas.trajectory import Trajectory, TrajectoryError, decode
+from schemas.errors import PerfboundError
+from schemas.facts import Header
+from schemas.ids import RolloutId
+from schemas.trajectory import Trajectory, decode
 
 MOST = 8
 """Scenes that get one."""
@@ -37,7 +38,7 @@ def with_nominal(directory: Path, story: Story) -> Story:
         for scene in lonely:
             start = scene.rollouts[0].x
             known[start] = known.get(start) or _simulated(header, scene.rollouts[0])
-    except (PerfboundError, TrajectoryError) as error:
+    except PerfboundError as error:
         note = f" (no nominal curve: {error})"
         return _changed(story, {id(scene): _noted(scene, note) for scene in lonely})
     return _changed(story, {id(scene): _joined(header, scene, known[scene.rollouts[0].x]) for scene in lonely})
@@ -53,21 +54,8 @@ def _check(header: Header) -> None:
 
 
 def _simulated(header: Header, rollout: Rollout) -> Trajectory:
-    config, spec = header.config, header.spec
-    request = RolloutRequest(
-        campaign=config.name,
-        config_sha256=header.config_sha256,
-        problem=rollout.problem,
-        test=rollout.test,
-        variant="nominal",
-        replicate=0,
-        seed=rollout.seed,
-        system=spec.name,
-        spec_sha256=spec.digest,
-        options={option.name: option.default for option in spec.options} | config.system.options,
-        x=rollout.x,
-        horizon=config.horizon,
-    )
+    rollout_id = RolloutId(rollout.problem, rollout.test, "nominal", 0)
+    request = replace(header.template, visual=False).request(rollout_id, rollout.x, rollout.seed)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "nominal.mcap"
         ask("simulate", "--request", request.model_dump_json(), "--out", str(file))

@@ -8,34 +8,35 @@ from itertools import islice
 
 from orchestrator import forecast
 from orchestrator.certificate.results import objective
-from orchestrator.methods import Bound, budget
-from orchestrator.observation import Observation
-from orchestrator.proposer import Proposer
+from orchestrator.methods import method
+from orchestrator.plan import ProblemPlan
 from orchestrator.report import surfaces
 from orchestrator.report.story import Problem, Surface, Tests
-from orchestrator.store.journal import BoundFact, Header, ObservationFact, ProposalFact
 from orchestrator.store.queries import ObservedTest
 from orchestrator.store.rows import unit
 from orchestrator.store.since import Decision
 from schemas import campaign as schema
 from schemas.campaign import SENSES
 from schemas.certificate import ProblemResult
+from schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
+from schemas.values import Observation, Proposal
 
 
 class Told:
     """What has been told of one problem so far."""
 
-    def __init__(self, header: Header, problem: schema.Problem, proposer: Proposer) -> None:
-        self.problem = problem
+    def __init__(self, header: Header, plan: ProblemPlan) -> None:
+        self.problem = problem = plan.problem
+        self._plan, self._method = plan, method(plan)
         self.sense = SENSES[problem.name]
         self.rollouts = 0
         self.starts: list[tuple[float, ...]] = []
         """z of every proposed test."""
         self.observed: list[ObservedTest] = []
-        self._header, self._proposer = header, proposer
+        self._header = header
         self._proposals: dict[int, ProposalFact] = {}
-        self._values: dict[int, float] = {}
-        self._unread: list[tuple[ProposalFact, Observation]] = []
+        self._values: dict[int, ObservationFact] = {}
+        self._unread: list[tuple[Proposal, Observation]] = []
         self._surface: tuple[int, Surface | None] = (0, None)
         self._tests: tuple[int, Tests] = (0, _columns(problem, self.sense, ()))
 
@@ -49,14 +50,13 @@ class Told:
         match fact:
             case ProposalFact():
                 self._proposals[fact.test] = fact
-                self.starts.append(fact.x)
+                self.starts.append(fact.proposal.x)
             case ObservationFact():
-                self._unread.append((self._proposals[fact.test], Observation(fact.y, fact.each)))
-                self._values[fact.test] = fact.y
+                self._unread.append((self._proposals[fact.test].proposal, fact.observation))
+                self._values[fact.test] = fact
             case BoundFact():
-                proposal, y = self._proposals.pop(fact.test), self._values.pop(fact.test)
-                found = (fact.upper, fact.lower, fact.stopped_by)
-                self.observed.append(ObservedTest(fact.test, proposal.x, y, proposal.F, *found))
+                proposal, observation = self._proposals.pop(fact.test), self._values.pop(fact.test)
+                self.observed.append(ObservedTest.of(proposal, observation, fact))
 
     @property
     def last(self) -> ObservedTest | None:
@@ -65,13 +65,13 @@ class Told:
 
     def told(self, result: ProblemResult | None) -> Problem:
         """Return it for the story; `result` is what the certificate says of it."""
-        config, spec, problem, last = self._header.config, self._header.spec, self.problem, self.last
+        problem, last = self.problem, self.last
         tests = self.tests()
         bound, partner = _sides(self.sense, last)
         stopped = last.stopped_by if last else None
         return Problem(
             name=problem.name,
-            objective=result.objective if result else objective(self._header, problem),
+            objective=result.objective if result else objective(self._plan),
             method=problem.method,
             sense=self.sense,
             unit=unit(problem, self._header.config, self._header.spec),
@@ -81,7 +81,7 @@ class Told:
             bound=result.bound if result else bound,
             partner=result.partner if result else partner,
             probability=result.probability if result else self._probability(),
-            budget=budget(config, spec, problem),
+            budget=self._plan.budget,
             rollouts=self.rollouts,
             stopped_by=stopped,
             left=None if stopped else self._left(),
@@ -103,20 +103,20 @@ class Told:
 
         """
         if self.last is not None and self._surface[0] != len(self.observed):
-            name = self.problem.name
-            self._proposer.recall(name, self._unread)
+            self._method.recall(self._unread)
             self._unread.clear()
-            bound = Bound(self.last.upper, self.last.lower, "refuted" if self.last.stopped_by == "refuted" else None)
-            found = surfaces.surface(self._header, self.problem, self._proposer.methods[name], bound)
+            found = surfaces.surface(self._plan, self._method, self.last.bound)
             self._surface = (len(self.observed), found)
         return self._surface[1]
 
     def worst(self, number: int) -> list[int]:
         """Return the worst test of each of the worst starts, the worst first."""
-        order = sorted(self.observed, key=lambda test: (-test.y, test.test))  # y is of J, which is maximised
+        order = sorted(
+            self.observed, key=lambda test: (-test.observation.y, test.test)
+        )  # y is of J, which is maximised
         found: dict[tuple[float, ...], int] = {}
         for each in order:
-            found.setdefault(each.x, each.test)
+            found.setdefault(each.proposal.x, each.test)
         return list(islice(found.values(), number))
 
     def _probability(self) -> float | None:
@@ -125,7 +125,7 @@ class Told:
             return None
         if self.problem.method == "paper" and self.last.stopped_by is None:
             return None
-        return self._proposer.methods[self.problem.name].method.probability
+        return self._method.probability
 
     def _left(self) -> str | None:
         distance = self.tests().distance
@@ -145,19 +145,19 @@ def signed(value: float | None, sense: str) -> float | None:
 
 def _sides(sense: str, last: ObservedTest | None) -> tuple[float | None, float | None]:
     """Return the bound of the certificate's side, and the one from the other side."""
-    return (None, None) if last is None else (signed(last.upper, sense), signed(last.lower, sense))
+    return (None, None) if last is None else (signed(last.bound.upper, sense), signed(last.bound.lower, sense))
 
 
 def _columns(problem: schema.Problem, sense: str, tests: tuple[ObservedTest, ...]) -> Tests:
     upper, lower = (
-        tuple(signed(each.upper, sense) for each in tests),
-        tuple(signed(each.lower, sense) for each in tests),
+        tuple(signed(each.bound.upper, sense) for each in tests),
+        tuple(signed(each.bound.lower, sense) for each in tests),
     )
     return Tests(
         test=tuple(each.test for each in tests),
-        x=tuple(each.x for each in tests),
-        y=tuple(signed(each.y, sense) for each in tests),
-        distance=tuple(forecast.distance(problem, each.F, each.upper, each.lower) for each in tests),
+        x=tuple(each.proposal.x for each in tests),
+        y=tuple(signed(each.observation.y, sense) for each in tests),
+        distance=tuple(forecast.distance(problem, each.proposal.F, each.bound) for each in tests),
         lower=upper if sense == "min" else lower,
         upper=lower if sense == "min" else upper,
     )

@@ -4,13 +4,13 @@ import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
-from orchestrator.errors import EvidenceError, PerfboundError
 from orchestrator.report import curves
 from orchestrator.report.story import Rollout, Scene, Trace
 from orchestrator.store import evidence
-from orchestrator.store.journal import Header, RolloutFact
 from schemas.campaign import Problem
-from schemas.trajectory import Trajectory, TrajectoryError, decode
+from schemas.errors import EvidenceError, PerfboundError, TrajectoryError
+from schemas.facts import Header, RolloutFact
+from schemas.trajectory import Trajectory, decode
 
 MOST_REPLICATES = 3
 """Whose curves are drawn, the worst first."""

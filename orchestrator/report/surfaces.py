@@ -1,15 +1,17 @@
 """What a method knows over D, as a picture needs it: few nodes, two axes, the sign of the objective."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.gp.lattice import Lattice
-from orchestrator.methods import Band, Bound, Paper, Rigorous, Scenario, candidates
+from orchestrator.methods import ProblemMethod
+from orchestrator.plan import ProblemPlan
 from orchestrator.report.story import Series, Surface
-from orchestrator.store.journal import Header
 from schemas.campaign import SENSES, PaperProblem, Problem, RigorousProblem, ScenarioProblem
+from schemas.values import Band, Bound
 
 Floats = NDArray[np.float64]
 
@@ -17,14 +19,14 @@ MOST_NODES = 3000
 """Of one surface; a finer lattice is thinned to about this."""
 
 
-def surface(header: Header, problem: Problem, method: Paper | Rigorous | Scenario, bound: Bound) -> Surface:
+def surface(plan: ProblemPlan, method: ProblemMethod, bound: Bound) -> Surface:
     """Return what `method` knows of a problem after at least one observation; `bound` is what followed from the last.
 
     Raises:
         ValueError: the method has no observation, or its kernel matrix is singular.
 
     """
-    band, space = method.band(bound), candidates(header.config, header.spec, problem)
+    problem, space, band = plan.problem, plan.candidates, _Arrays.of(method.band(bound))
     kept, shape = _thinned(_projected(band, space)) if isinstance(space, Lattice) else (band, None)
     minimum = SENSES[problem.name] == "min"
     lower, upper = _series(kept.lower, minimum=minimum), _series(kept.upper, minimum=minimum)
@@ -39,7 +41,7 @@ def surface(header: Header, problem: Problem, method: Paper | Rigorous | Scenari
     )
 
 
-def meaning(problem: Problem, method: Paper | Rigorous | Scenario) -> str:
+def meaning(problem: Problem, method: ProblemMethod) -> str:
     """Say what the lower and upper values of a surface are."""
     match problem:
         case PaperProblem():
@@ -49,7 +51,7 @@ def meaning(problem: Problem, method: Paper | Rigorous | Scenario) -> str:
                 f"with probability at least {1 - problem.delta:g}"
             )
         case RigorousProblem():
-            return f"at all candidates at once with probability at least {method.method.probability:g}"
+            return f"at all candidates at once with probability at least {method.probability:g}"
         case ScenarioProblem():
             mean = "robustness" if problem.linearised is None else "linearised risk"
             return (
@@ -58,16 +60,30 @@ def meaning(problem: Problem, method: Paper | Rigorous | Scenario) -> str:
             )
 
 
-def _projected(band: Band, lattice: Lattice) -> Band:
+@dataclass(frozen=True, eq=False, slots=True)
+class _Arrays:
+    """A band as arrays of one shape."""
+
+    mean: Floats
+    lower: Floats
+    upper: Floats
+    possible: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, band: Band) -> "_Arrays":
+        return cls(np.array(band.mean), np.array(band.lower), np.array(band.upper), np.array(band.possible))
+
+
+def _projected(band: _Arrays, lattice: Lattice) -> _Arrays:
     """Return the worst over all axes but the first two, each array of shape (resolution,) or (resolution,) * 2."""
     shape = (lattice.resolution,) * lattice.dimension
     others = tuple(range(2, lattice.dimension))
     fields = (band.mean, band.lower, band.upper)
     mean, lower, upper = (np.max(each.reshape(shape), axis=others) for each in fields)
-    return Band(mean, lower, upper, np.any(band.possible.reshape(shape), axis=others))
+    return _Arrays(mean, lower, upper, np.any(band.possible.reshape(shape), axis=others))
 
 
-def _thinned(band: Band) -> tuple[Band, tuple[int, ...]]:
+def _thinned(band: _Arrays) -> tuple[_Arrays, tuple[int, ...]]:
     """Take nodes along each axis; a node that stands for possible ones is possible."""
     size, axes = band.mean.shape[0], band.mean.ndim
     count = _count(size, int(MOST_NODES ** (1 / axes) + 1e-9))
@@ -77,7 +93,7 @@ def _thinned(band: Band) -> tuple[Band, tuple[int, ...]]:
     where = np.ix_(*(nearest,) * axes)
     np.logical_or.at(possible, where, band.possible)
     take = np.ix_(*(taken,) * axes)
-    return Band(band.mean[take], band.lower[take], band.upper[take], possible), possible.shape
+    return _Arrays(band.mean[take], band.lower[take], band.upper[take], possible), possible.shape
 
 
 def _count(size: int, most: int) -> int:

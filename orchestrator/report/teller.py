@@ -6,7 +6,6 @@ It works beside a running campaign, of a stopped one and of a finished one, and 
 from collections.abc import Mapping
 from pathlib import Path
 
-from orchestrator.errors import PerfboundError
 from orchestrator.report import scenes, sentences
 from orchestrator.report.crew import Live
 from orchestrator.report.known import Known
@@ -14,10 +13,11 @@ from orchestrator.report.problems import Told
 from orchestrator.report.story import Axis, Scene, State, Story
 from orchestrator.session import resume_command
 from orchestrator.store import lock
-from orchestrator.store.journal import Header
 from orchestrator.store.since import rollouts_of
 from schemas.campaign import Scenarios
 from schemas.certificate import ProblemResult
+from schemas.errors import PerfboundError
+from schemas.facts import Header
 
 SCENES = 8
 """Of each problem, one a start."""

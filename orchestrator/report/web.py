@@ -26,13 +26,13 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from orchestrator.certificate.files import CERTIFICATE
-from orchestrator.errors import EvidenceError, PerfboundError
 from orchestrator.report import document, recorded
 from orchestrator.report.guard import Guard, Hosts
 from orchestrator.report.looks import Looks
 from orchestrator.store import export
 from orchestrator.store.evidence import FOLDER
 from schemas.base import one_line
+from schemas.errors import EvidenceError, PerfboundError
 
 MOST_STREAMS = 32
 MOST_FILES = 4

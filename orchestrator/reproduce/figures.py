@@ -97,7 +97,7 @@ def _nearest(pixels: npt.NDArray[np.int64], palette: npt.NDArray[np.uint8]) -> n
 
 def curve(tests: Tests) -> tuple[list[int], list[float]]:
     """Return i and F_i of all tests but the start, which no posterior chose."""
-    chosen = [(each.test, each.F) for each in tests if each.F is not None]
+    chosen = [(each.test, each.proposal.F) for each in tests if each.proposal.F is not None]
     return [test for test, _ in chosen], [regret for _, regret in chosen]
 
 
@@ -112,7 +112,7 @@ def figure_2(found: Decay) -> Figure:
     with _drawn(4.8) as figure:
         axes = figure.subplot_mosaic("MB;DD", width_ratios=(1, 0.05), height_ratios=(1.45, 1))
         _map(axes["M"], found.runs[typical(found.runs)])
-        _bar(figure, axes["B"], found.runs[typical(found.runs)][-1].upper)
+        _bar(figure, axes["B"], found.runs[typical(found.runs)][-1].bound.upper)
         below = axes["D"]
         for tests in found.runs.values():
             below.plot(*curve(tests), color=GREY, linewidth=THIN, alpha=0.7)
@@ -130,7 +130,7 @@ def _map(axes: Axes, tests: Tests) -> None:
     side = np.linspace(0.0, 5.0, 201)  # (201,)
     surface = np.sin(side[None, :]) * np.cos(side[:, None]) / 2.0  # (201, 201), rows are z2
     axes.contourf(side, side, surface, levels=np.linspace(-0.5, 0.5, 21), cmap=GREYS)
-    counts = dict(Counter(each.x for each in tests).most_common())  # small dots upon large ones
+    counts = dict(Counter(each.proposal.x for each in tests).most_common())  # small dots upon large ones
     z1, z2 = zip(*counts, strict=True)
     areas = [6.0 + 4.0 * count for count in counts.values()]  # pt^2
     axes.scatter(z1, z2, areas, color=GREEN, alpha=0.7, edgecolor="white", linewidth=0.5, clip_on=False, zorder=3)
@@ -205,20 +205,21 @@ def _decay_axes(axes: Axes, label: str) -> None:
 
 def figure_2_csv(found: Decay) -> str:
     """Return the numbers of Fig. 2; y and upper are those of the maximised J."""
-    lines = (
-        (seed, each.test, *each.x, each.y, each.F, each.upper, each.stopped_by)
-        for seed, tests in found.runs.items()
-        for each in tests
-    )
+    lines = (_line(seed, each) for seed, tests in found.runs.items() for each in tests)
     return csv_text(("seed", "test", "z1", "z2", "y", "F", "upper", "stopped_by"), lines)
 
 
 def figure_4_csv(decays: Sequence[Decay]) -> str:
     """Return the numbers of Fig. 4; F and alpha in rad."""
     lines = (
-        (each.problem, seed, test.test, test.F, each.alpha, test.stopped_by)
+        (each.problem, seed, test.test, test.proposal.F, each.alpha, test.stopped_by)
         for each in decays
         for seed, tests in each.runs.items()
         for test in tests
     )
     return csv_text(("problem", "seed", "test", "F", "alpha", "stopped_by"), lines)
+
+
+def _line(seed: int, test: ObservedTest) -> tuple[object, ...]:
+    chosen, bound = test.proposal, test.bound
+    return seed, test.test, *chosen.x, test.observation.y, chosen.F, bound.upper, test.stopped_by

@@ -13,10 +13,10 @@ from rich.text import Text
 
 from orchestrator import session
 from orchestrator.certificate import files
-from orchestrator.errors import PerfboundError
 from orchestrator.store.journal import DATABASE
 from orchestrator.words import duration
 from schemas.campaign import CampaignConfig, MethodName, ProblemName
+from schemas.errors import PerfboundError
 from schemas.link import LOCAL
 
 SHIPPED = Path(__file__).parents[2] / "deploy" / "campaigns"
@@ -169,14 +169,12 @@ def time_left(done: Sequence[tuple[float, float]], costs: Iterable[float]) -> fl
 
 
 def _run(campaign: Planned, workers: int) -> None:
-    link, console = session.Link(LOCAL), Console(quiet=True, force_terminal=False)
+    options, console = session.RunOptions(workers, session.Link(LOCAL)), Console(quiet=True, force_terminal=False)
     directory = campaign.directory
     if (directory / DATABASE).exists():
-        session.resume(directory, workers=workers, link=link, console=console)
+        session.resume(directory, options, console)
     else:
-        session.start(
-            campaign.config, campaign.source, workers=workers, directory=directory, link=link, console=console
-        )
+        session.start(campaign.config, campaign.source, directory, options, console)
 
 
 class Lines:

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Set
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
-from orchestrator.campaign import RolloutId
-from orchestrator.errors import EvidenceError
+from schemas.errors import EvidenceError
+from schemas.ids import RolloutId
 from schemas.trajectory import MAX_FILE_BYTES
 
 FOLDER = "trajectories"

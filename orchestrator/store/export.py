@@ -11,12 +11,13 @@ from typing import IO, Literal
 
 from sqlalchemy import Connection
 
-from orchestrator.errors import PerfboundError
 from orchestrator.store import rows
 from orchestrator.store.evidence import FOLDER, TEMPORARY
-from orchestrator.store.journal import DATABASE, Header, read_header
+from orchestrator.store.journal import DATABASE, read_header
 from orchestrator.store.queries import reading
 from orchestrator.store.rows import TABLES, Column, Row, Table, Value
+from schemas.errors import PerfboundError
+from schemas.facts import Header
 
 __all__ = ["TABLES", "counterexamples", "export", "stream"]
 

@@ -3,127 +3,31 @@
 import hashlib
 import json
 import os
-import secrets
 import sqlite3
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
-from orchestrator.campaign import RolloutId
-from orchestrator.dispatch import Attempt
-from orchestrator.errors import JournalError
 from orchestrator.store import tables
-from schemas.base import canonical_json, digest
+from schemas.base import canonical_json
 from schemas.campaign import CampaignConfig
-from schemas.certificate import StoppedBy
+from schemas.errors import JournalError
+from schemas.facts import RECORDED, RESTORED, BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from schemas.ids import Attempt, RolloutId
 from schemas.system import SystemSpec
+from schemas.values import Bound, Observation, Proposal
 
 DATABASE = "campaign.db"
 _INSERTS = {table: table.insert() for table in tables.FACTS} | {
     table: table.insert().prefix_with("OR IGNORE") for table in (tables.attempts, tables.outcomes)
 }
 """In this order: what a foreign key names is written before."""
-RECORDED, RESTORED = "recorded", "restored"
-"""Outcomes of attempts that brought a result: a new one, or once more the file of one whose file was damaged."""
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """The first fact: what was to be done, on which system, with which software.
-
-    The digests are those of the texts as they were written: a later perfbound may know more keys, with defaults.
-    """
-
-    run: str
-    config: CampaignConfig
-    spec: SystemSpec
-    software: dict[str, str]
-    config_sha256: str
-    system_sha256: str
-
-    @classmethod
-    def new(
-        cls, config: CampaignConfig, spec: SystemSpec, software: dict[str, str], *, run: str | None = None
-    ) -> "Header":
-        """Return the header of a new campaign, with a random run id if none is given."""
-        return cls(run or secrets.token_hex(8), config, spec, software, config.digest, spec.digest)
-
-
-@dataclass(frozen=True, slots=True)
-class ProposalFact:
-    """z of a test, and the numbers that chose it."""
-
-    problem: str
-    test: int
-    node: int
-    x: tuple[float, ...]
-    mu: float | None
-    sigma: float | None
-    beta: float | None
-    F: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class RolloutFact:
-    """A trajectory that is durable."""
-
-    rollout: RolloutId
-    seed: int
-    sha256: str
-    size: int
-    path: str
-    robustness: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class ObservationFact:
-    """y of a test, and what each replicate contributed; `chain` is the head of the problem's hash chain after it."""
-
-    problem: str
-    test: int
-    y: float
-    each: tuple[float, ...]
-    chain: str
-
-
-@dataclass(frozen=True, slots=True)
-class BoundFact:
-    """What the method says after a test."""
-
-    problem: str
-    test: int
-    upper: float | None
-    lower: float | None
-    stopped_by: StoppedBy | None
-
-
-Fact = ProposalFact | RolloutFact | ObservationFact | BoundFact
-
-
-def first_link(header: Header, problem: str) -> str:
-    """Return the start of a problem's hash chain."""
-    return digest({"config": header.config_sha256, "system": header.system_sha256, "problem": problem})
-
-
-def next_link(link: str, proposal: ProposalFact, rollouts: list[RolloutFact], y: float, each: Sequence[float]) -> str:
-    """Return the head of a problem's hash chain after one more observed test.
-
-    Rollouts enter in the order of their ids, whatever order they arrived in.
-    """
-    fact = {
-        "test": [proposal.test, proposal.node, proposal.x, proposal.mu, proposal.sigma, proposal.beta, proposal.F],
-        "rollouts": sorted([str(fact.rollout), fact.seed, fact.sha256] for fact in rollouts),
-        "y": y,
-        "each": list(each),
-    }
-    return hashlib.sha256((link + canonical_json(fact)).encode()).hexdigest()
 
 
 class Journal:
@@ -344,7 +248,7 @@ def read_facts(connection: Connection) -> Iterator[Fact]:
 
 def _proposal(row: Any) -> ProposalFact:
     x = tuple(json.loads(row.x))
-    return ProposalFact(row.problem, row.test, row.node, x, row.mu, row.sigma, row.beta, row.F)
+    return ProposalFact(row.problem, row.test, Proposal(row.node, x, row.mu, row.sigma, row.beta, row.F))
 
 
 def _rollout(row: Any) -> RolloutFact:
@@ -353,11 +257,14 @@ def _rollout(row: Any) -> RolloutFact:
 
 
 def _observation(row: Any) -> ObservationFact:
-    return ObservationFact(row.problem, row.test, row.y, tuple(json.loads(row.each)), row.chain)
+    found = Observation(row.y, tuple(json.loads(row.each)))
+    return ObservationFact(row.problem, row.test, found, row.chain)
 
 
 def _bound(row: Any) -> BoundFact:
-    return BoundFact(row.problem, row.test, row.upper, row.lower, row.stopped_by)
+    budget = row.stopped_by == "budget"
+    bound = Bound(row.upper, row.lower, None if budget else row.stopped_by)
+    return BoundFact(row.problem, row.test, bound, budget)
 
 
 READERS: dict[sa.Table, Callable[[Any], Fact]] = {
@@ -384,19 +291,21 @@ def _header_row(header: Header) -> dict[str, Any]:
 def _row(fact: Fact) -> tuple[sa.Table, dict[str, Any]]:
     # SQLite turns NaN into NULL without a word; canonical_json refuses it here, for every kind of fact.
     match fact:
-        case ProposalFact():
-            row = _fields(fact) | {"x": canonical_json(list(fact.x))}
+        case ProposalFact(problem, test, chosen):
+            row = {"problem": problem, "test": test, **_fields(chosen), "x": canonical_json(list(chosen.x))}
             table = tables.tests
         case RolloutFact():
             row = _fields(fact)
-            del row["rollout"]
-            row |= fact.rollout._asdict()
+            row |= row.pop("rollout")._asdict()
             table = tables.rollouts
-        case ObservationFact():
-            row = _fields(fact) | {"each": canonical_json(list(fact.each))}
+        case ObservationFact(problem, test, found, chain):
+            row = {"problem": problem, "test": test, "y": found.y, "each": canonical_json(list(found.each))}
+            row["chain"] = chain
             table = tables.observations
-        case BoundFact():
-            row, table = _fields(fact), tables.bounds
+        case BoundFact(problem, test, bound):
+            row = {"problem": problem, "test": test, "upper": bound.upper, "lower": bound.lower}
+            row["stopped_by"] = fact.stopped_by
+            table = tables.bounds
     canonical_json(row)
     return table, row
 
@@ -405,8 +314,8 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
     return {"rollout": str(attempt.rollout), "attempt": attempt.number}
 
 
-def _fields(fact: Fact) -> dict[str, Any]:
-    return {name: getattr(fact, name) for name in fact.__slots__}
+def _fields(value: RolloutFact | Proposal) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in value.__slots__}
 
 
 def _of_the_disk(error: sa.exc.DatabaseError) -> bool:

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
-from orchestrator.store.journal import Fact, Header, ProposalFact, RolloutFact
+from schemas.facts import Fact, Header, ProposalFact, RolloutFact
 
 
 class Book(Protocol):

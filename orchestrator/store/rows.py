@@ -21,8 +21,8 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from orchestrator.store import tables
-from orchestrator.store.journal import RECORDED, Header
 from schemas.campaign import SENSES, CampaignConfig, Problem
+from schemas.facts import RECORDED, Header
 from schemas.system import SystemSpec
 
 TABLES = ("tests", "rollouts", "observations", "counterexamples")
@@ -183,7 +183,7 @@ def _observations(header: Header) -> Table:
 
 
 def _contributes_robustness(problem: Problem) -> bool:
-    """Whether `each` of an observation holds robustness and not J: `orchestrator.observation.Observation`."""
+    """Whether `each` of an observation holds robustness and not J: `schemas.values.Observation`."""
     return problem.name == "true_risk" and problem.method != "rigorous"
 
 

@@ -7,19 +7,11 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
-from orchestrator.errors import JournalError
 from orchestrator.store import tables
-from orchestrator.store.journal import (
-    DATABASE,
-    READERS,
-    BoundFact,
-    Header,
-    ObservationFact,
-    ProposalFact,
-    RolloutFact,
-    read_header,
-)
+from orchestrator.store.journal import DATABASE, READERS, read_header
 from orchestrator.store.queries import reading
+from schemas.errors import JournalError
+from schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 
 _SINCE: sa.BindParameter[int] = sa.bindparam("since")
 _rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.attempts.c

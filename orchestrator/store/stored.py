@@ -5,20 +5,11 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from orchestrator.errors import JournalError
 from orchestrator.store import tables
-from orchestrator.store.journal import (
-    DATABASE,
-    READERS,
-    BoundFact,
-    Fact,
-    Header,
-    ObservationFact,
-    ProposalFact,
-    RolloutFact,
-    read_header,
-)
+from orchestrator.store.journal import DATABASE, READERS, read_header
 from orchestrator.store.queries import reading
+from schemas.errors import JournalError
+from schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 
 
 @dataclass(frozen=True, slots=True)

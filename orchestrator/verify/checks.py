@@ -5,11 +5,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from orchestrator.errors import PerfboundError
 from schemas.base import one_line
-from schemas.campaign import CampaignError
+from schemas.errors import PerfboundError
 
-KNOWN = (PerfboundError, CampaignError)
 Status = Literal["passed", "failed", "skipped"]
 
 CHECKS = {
@@ -98,7 +96,9 @@ class Table:
             raise
         except Exception as error:
             text = str(error).partition("\n")[0][:200]
-            raise FailedError(name, text if isinstance(error, KNOWN) else f"{type(error).__name__}: {text}") from error
+            raise FailedError(
+                name, text if isinstance(error, PerfboundError) else f"{type(error).__name__}: {text}"
+            ) from error
 
     def _add(self, check: Check) -> None:
         assert check.name in CHECKS

@@ -6,21 +6,13 @@ Numbers are the same up to `ROUND_OFF`, because another CPU computes other last 
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict
 from typing import Any
 
 from orchestrator.seeds import rollout_seed
-from orchestrator.store.journal import (
-    Fact,
-    Header,
-    ObservationFact,
-    ProposalFact,
-    RolloutFact,
-    first_link,
-    next_link,
-)
 from orchestrator.store.stored import Stored
 from schemas.base import digest
+from schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact, first_link, next_link
 
 ROUND_OFF = 2e-9
 """Bounds are rounded outward to 1e-9, so that round-off may move one by a step."""
@@ -148,7 +140,15 @@ def _label(fact: Fact) -> str:
 
 def _values(fact: Fact) -> dict[str, Any]:
     # The chain is compared by itself: it rests on the last digits of the proposals.
-    return {each.name: getattr(fact, each.name) for each in fields(fact) if each.name != "chain"}
+    match fact:
+        case ProposalFact(proposal=chosen):
+            return asdict(chosen)
+        case ObservationFact(observation=found):
+            return asdict(found)
+        case BoundFact(bound=bound):
+            return {"upper": bound.upper, "lower": bound.lower, "stopped_by": fact.stopped_by}
+        case RolloutFact():
+            return asdict(fact)
 
 
 def chain_head(header: Header, ours: Sequence[Fact], proposals: Sequence[ProposalFact]) -> str:
@@ -166,5 +166,5 @@ def chain_head(header: Header, ours: Sequence[Fact], proposals: Sequence[Proposa
     for fact in ours:
         if isinstance(fact, ObservationFact):
             test = (fact.problem, fact.test)
-            links[fact.problem] = next_link(links[fact.problem], chosen[test], rollouts[test], fact.y, fact.each)
+            links[fact.problem] = next_link(links[fact.problem], chosen[test], rollouts[test], fact.observation)
     return digest(list(links.values()))

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from orchestrator.certificate.issue import issue, manifest
-from orchestrator.store.journal import Header
 from orchestrator.verify import compare
 from orchestrator.verify.rerun import Rerun
 from schemas.certificate import Certificate
+from schemas.facts import Header
 
 CHANCES = ("probability", "probabilities")
 
@@ -15,7 +15,7 @@ CHANCES = ("probability", "probabilities")
 def issued(rerun: Rerun, certificate: Certificate) -> Iterator[tuple[str, str | None, str]]:
     """Yield (check, fault or None, what was compared) for every part of the certificate."""
     ledger = rerun.ledger
-    again = issue(ledger.header, ledger.accounts, ledger.proposer.methods, manifest(rerun.observed()))
+    again = issue(ledger, manifest(rerun.observed()))
     ours, theirs = again.predicate.model_dump(mode="json"), certificate.predicate.model_dump(mode="json")
     _forget_later_keys(ledger.header, ours["problems"])
     problems, claims = len(ours["problems"]), len(ours["claims"])

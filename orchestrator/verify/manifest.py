@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from orchestrator.campaign import RolloutId
-from orchestrator.errors import EvidenceError
 from orchestrator.store import evidence
 from orchestrator.verify.checks import FailedError
+from schemas.errors import EvidenceError
+from schemas.ids import RolloutId
 
 _ROLLOUT = r"[a-z_]{1,40}\.\d{1,9}\.[a-z]{1,10}\.\d{1,6}"
 _LINE = re.compile(rf"([0-9a-f]{{64}})  (trajectories/[a-z_]+/\d{{1,6}}/({_ROLLOUT})\.mcap)")

@@ -9,15 +9,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from orchestrator.campaign import RolloutId
-from orchestrator.errors import EvidenceError, PerfboundError, RequestError
+from orchestrator.admission import admit
 from orchestrator.ledger import Ledger, Work
-from orchestrator.proposer import Proposer
 from orchestrator.store import evidence
-from orchestrator.store.journal import Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from orchestrator.verify.checks import FailedError
 from orchestrator.verify.manifest import Entry
-from schemas.trajectory import TrajectoryError, read
+from schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError
+from schemas.facts import Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from schemas.ids import RolloutId
+from schemas.trajectory import read
+from schemas.values import Proposal
 
 
 class Remembered:
@@ -63,35 +64,6 @@ class Nowhere:
         """End."""
 
 
-class Following(Proposer):
-    """Goes on from the tests that were made, if each was a maximiser, up to what another CPU computes otherwise."""
-
-    def __init__(self, header: Header, start: Callable[[str, int], tuple[float, ...] | None]) -> None:
-        super().__init__(header.config, header.spec)
-        self._start = start
-        self.ties = 0
-        """Tests for which this machine would have chosen another one of equal value."""
-
-    def propose(self, problem: str, test: int, pending: Sequence[int]) -> ProposalFact:
-        """Choose z as the campaign did.
-
-        Raises:
-            FailedError: the campaign chose something else.
-
-        """
-        ours = super().propose(problem, test, pending)
-        x = self._start(problem, test)
-        if x is None or x == ours.x:
-            return ours
-        theirs = self.instead(problem, test, pending, x)
-        if theirs is None:
-            raise FailedError(
-                "proposals", f"{problem}, test {test}: {list(x)} was tested, the maximiser is {list(ours.x)}"
-            )
-        self.ties += 1
-        return theirs
-
-
 class Rerun:
     """One campaign, decided again; `facts` and `ledger` hold what follows from the evidence."""
 
@@ -100,9 +72,11 @@ class Rerun:
         self._first: dict[tuple[str, int], RolloutId] = {}
         for rollout in entries:
             self._first.setdefault(rollout[:2], rollout)
+        self._columns = tuple(column.name for column in header.spec.columns)
         self._book = Remembered(header)
-        self.proposer = Following(header, self._start)
-        self.ledger = Ledger(directory, self._book, files=Nowhere(), proposer=self.proposer)
+        self.ties = 0
+        """Tests for which this machine would have chosen another one of equal value."""
+        self.ledger = Ledger(directory, self._book, files=Nowhere(), follow=self._follow)
 
     @property
     def facts(self) -> list[Fact]:
@@ -161,7 +135,7 @@ class Rerun:
         entry = self._entries[rollout]
         payload = self._read(entry)
         try:
-            trajectory = self.ledger.trajectory(rollout, payload)
+            trajectory = admit(self.ledger.request(rollout), self._columns, payload, entry.sha256)
         except RequestError as error:
             raise FailedError("requests", f"{entry.path}: {error}") from None
         except EvidenceError as error:
@@ -173,6 +147,21 @@ class Rerun:
             return evidence.read(self._directory, entry.path, entry.sha256)
         except EvidenceError as error:
             raise FailedError("files", str(error)) from None
+
+    def _follow(
+        self, problem: str, test: int, ours: Proposal, rival: Callable[[Sequence[float]], Proposal | None]
+    ) -> Proposal:
+        """Take the test that was made, if it was a maximiser up to what another CPU computes otherwise."""
+        x = self._start(problem, test)
+        if x is None or x == ours.x:
+            return ours
+        theirs = rival(x)
+        if theirs is None:
+            raise FailedError(
+                "proposals", f"{problem}, test {test}: {list(x)} was tested, the maximiser is {list(ours.x)}"
+            )
+        self.ties += 1
+        return theirs
 
     def _start(self, problem: str, test: int) -> tuple[float, ...] | None:
         """Return where the campaign tested, as the first file of that test says."""

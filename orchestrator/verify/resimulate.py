@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.campaign import RolloutId
 from orchestrator.session import ask
 from orchestrator.store import evidence
 from orchestrator.verify.checks import FailedError
 from orchestrator.verify.manifest import Entry
 from schemas.base import canonical_json
+from schemas.ids import RolloutId
 from schemas.trajectory import Trajectory, read
 
 AT_A_TIME = 2

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.certificate import files, sign
-from orchestrator.errors import PerfboundError
 from orchestrator.store import evidence
 from orchestrator.verify.checks import FailedError, Table
 from schemas.certificate import Certificate
+from schemas.errors import PerfboundError
 
 
 @dataclass(frozen=True, slots=True)

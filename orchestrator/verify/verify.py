@@ -7,13 +7,10 @@ campaign is then decided again from the files alone, and compared with the certi
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from orchestrator.campaign import RolloutId
 from orchestrator.certificate import files
 from orchestrator.certificate.issue import manifest, question, subject
-from orchestrator.errors import JournalError
 from orchestrator.feasible import check
 from orchestrator.store import evidence
-from orchestrator.store.journal import Header, ObservationFact, ProposalFact
 from orchestrator.store.stored import Stored, stored, stored_header
 from orchestrator.verify import compare
 from orchestrator.verify.checks import FailedError, Table
@@ -24,6 +21,9 @@ from orchestrator.verify.resimulate import resimulate, sentence
 from orchestrator.verify.subject import Subject, parsed, signed_text
 from orchestrator.versions import here
 from schemas.certificate import Certificate
+from schemas.errors import JournalError
+from schemas.facts import Header, ObservationFact, ProposalFact
+from schemas.ids import RolloutId
 
 Tell = Callable[[str, int, int], None]
 """Hears a stage, how much of it is done, and how much there is."""
@@ -108,7 +108,7 @@ def _campaign(rerun: Rerun, text: str, certificate: Certificate, table: Table) -
     count = sum(sum(account.counts.values()) for account in accounts.values())
     table.passed("requests", _count(count, "rollout"))
     table.passed("trajectories", _count(count, "file"))
-    ties = f", {rerun.proposer.ties} of them one of several within 1e-9" if rerun.proposer.ties else ""
+    ties = f", {rerun.ties} of them one of several within 1e-9" if rerun.ties else ""
     table.passed("proposals", f"{_count(tests, 'test')}{ties}")
     table.passed("observations", _count(tests, "test"))
     table.passed("stop", ends)

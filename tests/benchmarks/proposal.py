@@ -13,6 +13,7 @@ from orchestrator.gp.kernels import Matern
 from orchestrator.gp.lattice import Lattice
 from tests.benchmarks import data
 from tests.benchmarks.report import Row
+from tests.fakes.observations import an_observation
 
 REPEATS = 5
 LONGEST: dict[tuple[Regulariser, bool], int] = {
@@ -71,7 +72,7 @@ def _distinct(regulariser: Regulariser, refine: bool, peers: Peers) -> list[Row]
         for i in range(n, n + REPEATS):
             start = time.process_time_ns()
             method.observe(nodes[i], y[i])
-            proposed.append(method.propose().index)
+            proposed.append(method.propose().node)
             times.append((time.process_time_ns() - start) / 1e6)
         if regulariser == data.REGULARISER and not refine:
             _check_agreement(n, proposed[0], peers)
@@ -101,7 +102,7 @@ def _campaign(regulariser: Regulariser, refine: bool, peers: Peers) -> list[Row]
         seen.add(proposal.x)
         value = float(data.objective(np.array([proposal.x]))[0] + rng.normal(0.0, data.NOISE))
         start = time.process_time_ns()
-        method.observe(proposal.index, value, proposal.x)
+        method.observe(*an_observation(proposal.node, value, proposal.x))
         proposal = method.propose()
         times.append((time.process_time_ns() - start) / 1e6)
     kind, rows = _kind(regulariser, refine), []

@@ -13,14 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.errors import Stopped
 from orchestrator.ledger import Ledger
-from orchestrator.service import Interrupted, Seen, Service
-from orchestrator.store.journal import Header, Journal
+from orchestrator.service import Interrupted, RunStatus, Service
+from orchestrator.store.journal import Journal
 from orchestrator.transport import Heartbeat, Result, Sink, Token
 from orchestrator.versions import software
 from schemas import __version__
 from schemas.campaign import CampaignConfig
+from schemas.errors import Stopped
+from schemas.facts import Header
 from schemas.messages import (
     PROTOCOL,
     Assign,
@@ -168,7 +169,7 @@ class Stage:
             if over():
                 service.inbox.put(Interrupted(2))
 
-        service = Service(self.ledger, self.journal, self.puppets, None, _View(look), resumed=False)
+        service = Service(self.ledger, self.journal, self.puppets, None, [_Listener(look)], resumed=False)
         self.puppets.start(self.journal.header.run, service.inbox.put)
         with suppress(Stopped), self.clock.running():
             service.run()
@@ -179,13 +180,13 @@ class Stage:
         return (self.clock.wall - own.wall) / count, (self.clock.cpu - own.cpu) / count
 
 
-class _View:
+class _Listener:
     def __init__(self, look: Callable[[], None]) -> None:
         self._look = look
 
     def say(self, line: str) -> None:
         """Keep silent."""
 
-    def show(self, seen: Seen) -> None:
+    def show(self, status: RunStatus) -> None:
         """Look."""
         self._look()

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from orchestrator.store import queries
+from orchestrator.store.since import Since
 from schemas.campaign import CampaignConfig
 from tests.benchmarks.puppets import Stage, scratch
 from tests.benchmarks.report import Row
@@ -104,7 +104,7 @@ def _processes(directory: Path, looks: list[float]) -> Iterator[None]:
 
 def beside(kind: str, directory: Path) -> float:
     """Look, or burn as much CPU time, whenever the file named `kind` is there; return what a look took."""
-    watch = queries.Watch(directory)
+    watch = Since(directory)
     looks = [_look(watch) for _ in range(WARM)]
     while not (directory / OVER).exists():
         if (directory / kind).exists():
@@ -125,7 +125,7 @@ def _forked(directory: Path) -> None:
         print(json.dumps(found.get()))  # noqa: T201
 
 
-def _look(watch: queries.Watch) -> float:
+def _look(watch: Since) -> float:
     start = time.process_time()
     watch.look()
     return time.process_time() - start

@@ -12,6 +12,7 @@ from orchestrator.gp.lattice import Lattice
 from tests.benchmarks import data
 from tests.benchmarks.proposal import Peers, best_beside
 from tests.benchmarks.report import Row
+from tests.fakes.observations import an_observation
 
 SIZES = data.SIZES[:3]
 KINDS = ("ucb", "spread")
@@ -52,9 +53,9 @@ class _Campaign:
 
     def step(self) -> None:
         """Ask, tell and bound."""
-        index = self.method.propose(None if self.method.n else 0).index
+        index = self.method.propose(None if self.method.n else 0).node
         index = index if self._order is None else self._order[self.method.n]
-        self.method.observe(index, self._y(index))
+        self.method.observe(*an_observation(index, self._y(index)))
         self.method.bound()
 
     def fill(self, n: int) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from orchestrator.bounds.scenario import Risk, ScenarioMethod
 from tests.benchmarks.report import Row
+from tests.fakes.observations import an_observation
 
 MARKS = (250, 1000, 6000)
 BATCH = 10
@@ -35,9 +36,9 @@ def _measure(size: int, risk: Risk) -> list[Row]:
         start_at = rollouts
         while rollouts < mark:
             values = np.clip(rng.normal(0.7, 0.08, BATCH), -0.05, 0.75).tolist()
-            index = method.propose()
+            index = method.propose().node
             start = time.process_time_ns()
-            method.observe(index, values)
+            method.observe(*an_observation(index, values))
             spent += time.process_time_ns() - start
             rollouts += BATCH
         name = f"scenario, {size} starts, {risk}, after {mark} rollouts"

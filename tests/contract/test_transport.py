@@ -16,8 +16,8 @@ from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Token, T
 from schemas import keys
 from schemas.link import LOCAL, connect_config
 from schemas.messages import MAX_MESSAGE, PROTOCOL, Ack, Cancel, Request, ResultHeader, WorkerState, encode
-from tests import inmemory
-from tests.inmemory import InMemoryTransport, InMemoryUplink, Network
+from tests.fakes import inmemory
+from tests.fakes.inmemory import InMemoryTransport, InMemoryUplink, Network
 from workers.transport import Uplink, connect
 
 RUN = "0123456789abcdef"

@@ -19,6 +19,7 @@ from tests.coverage.functions import Floats, fine_points, maximum, random_functi
 from tests.coverage.laws import CLIP, RISK_WEIGHT, draw_extremes, extreme_risk
 from tests.coverage.oracle import ROUNDING
 from tests.coverage.rigorous import LENGTHS, candidates
+from tests.fakes.observations import an_observation
 
 LOOKS = 3
 """How often a campaign looks at its composed bounds."""
@@ -113,14 +114,14 @@ def _step(pair: Pair, which: int, row: Composition, rng: np.random.Generator) ->
         return
     first = None if method.n else int(rng.integers(pair.candidates.size))
     try:
-        index = method.propose(first).index
+        index = method.propose(first).node
     except ExhaustedError:  # without noise: what is left lies between the candidates
         return
     nominal = float(pair.nominal[index])
     if row.noisy_nominal:
         nominal = float(draw_extremes(rng, nominal, row.replicates).mean())
     gap = nominal - float(draw_extremes(rng, float(pair.mean[index]), row.replicates).mean())
-    method.observe(index, gap if which else -nominal)
+    method.observe(*an_observation(index, gap if which else -nominal))
 
 
 def _claims(pair: Pair) -> dict[str, float]:

@@ -20,6 +20,7 @@ from tests.coverage.composition import GAP, GAP_NORM, NOMINAL, NOMINAL_NORM
 from tests.coverage.functions import SIDE, Floats, Known, fine_points, maximum, random_function
 from tests.coverage.laws import CLIP, RISK_WEIGHT, extreme_risk
 from tests.coverage.oracle import ROUNDING
+from tests.fakes.observations import an_observation
 
 NU, LENGTH, RESOLUTION, MAX_TESTS, DELTA = 2.5, 1.5, 16, 100, 0.05
 NOISE, MARGIN, TOLERANCE = 0.0035, 2.0, 0.01
@@ -84,8 +85,8 @@ def problem(row: Paper, rng: np.random.Generator, values: Floats, norm: float, p
     proposal = method.propose(int(rng.integers(lattice().size)))
     seen: list[float] = []
     while True:
-        seen.append(float(values[proposal.index]) + float(rng.normal(0.0, noise)))
-        method.observe(proposal.index, seen[-1])
+        seen.append(float(values[proposal.node]) + float(rng.normal(0.0, noise)))
+        method.observe(*an_observation(proposal.node, seen[-1]))
         if method.stops(proposal) or method.n == MAX_TESTS:
             break
         proposal = method.propose()

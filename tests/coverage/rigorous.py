@@ -16,6 +16,7 @@ from orchestrator.gp.points import Points
 from tests.coverage.functions import SIDE, Floats, Known, fine_points, maximum, random_function
 from tests.coverage.noises import NOISES
 from tests.coverage.oracle import ROUNDING, outside
+from tests.fakes.observations import an_observation
 
 NORM = 1.0
 LENGTHS = {1: 1.0, 2: 1.5, 3: 2.5}
@@ -127,10 +128,10 @@ def method(setting: Setting, premises: Premises, alpha: float) -> RigorousMethod
 
 def places(told: RigorousMethod, rng: np.random.Generator, size: int, window: int) -> Iterator[int]:
     """Propose with `window` tests in flight until the method is done; yield the place whose result is due."""
-    flying = [told.propose(int(rng.integers(size))).index]
+    flying = [told.propose(int(rng.integers(size))).node]
     while told.bound().status == "open":
         while len(flying) < window:
-            flying.append(told.propose(None, flying).index)
+            flying.append(told.propose(None, flying).node)
         yield flying.pop(0)
 
 
@@ -147,7 +148,7 @@ def campaign(row: Rigorous, rng: np.random.Generator, *, told_delta: float | Non
     band = left = False
     for _, index in zip(range(row.tests), places(told, rng, len(truth.values), row.window), strict=False):
         error = NOISES[row.noise](rng, row.noise_scale, index, past) if row.noise_scale else 0.0
-        told.observe(index, float(truth.values[index]) + error)
+        told.observe(*an_observation(index, float(truth.values[index]) + error))
         past.append(error)
         upper, lower = told.envelope.at(truth.points)
         band |= outside(truth.fine, lower, upper)
@@ -182,7 +183,7 @@ def audited(row: Audit, rng: np.random.Generator) -> Counts:
     each: list[list[float]] = []
     for _, index in zip(range(row.tests), places(told, rng, len(truth.values), 1), strict=False):
         each.append((truth.values[index] + rng.normal(0.0, row.noise_scale, row.replicates)).tolist())
-        told.observe(index, float(np.mean(each[-1])))
+        told.observe(*an_observation(index, float(np.mean(each[-1]))))
     bound, planned = told.bound(), row.tests * row.replicates
     by_norm = audit.norm_from_data("-", b_min=bound.b_min, rkhs_norm=norm, delta=delta, noise_scale=scale)
     by_bounds = audit.bounds_agree("-", upper=bound.upper, lower=bound.lower)

@@ -16,6 +16,7 @@ import numpy as np
 from orchestrator.bounds.scenario import Risk, ScenarioMethod
 from tests.coverage.laws import CLIP, CONSTANTS, LAWS, RISK_WEIGHT, Law, extreme_risk
 from tests.coverage.oracle import ROUNDING
+from tests.fakes.observations import an_observation
 
 REPLICATES = 5
 
@@ -75,9 +76,9 @@ def campaign(row: Scenario, rng: np.random.Generator, *, told: float | None = No
     flying: deque[int] = deque()
     for _ in range(row.tests):
         while len(flying) < row.window:
-            flying.append(method.propose(pending=flying))
+            flying.append(method.propose(pending=flying).node)
         index = flying.popleft()
-        method.observe(index, laws[index].draw(rng, REPLICATES).tolist())
+        method.observe(*an_observation(index, laws[index].draw(rng, REPLICATES).tolist()))
         if method.stops():
             break
     bound, least = method.bound(), min(aims)

@@ -5,9 +5,9 @@ from pathlib import Path
 import click
 import pytest
 
-from orchestrator.errors import Stopped
 from schemas.campaign_file import parse
-from tests.inmemory import Faults, Log, Network, begin, hurry, run_of, serve, working
+from schemas.errors import Stopped
+from tests.fakes.inmemory import Faults, Log, Network, begin, hurry, run_of, serve, working
 
 
 class Counting(Network):

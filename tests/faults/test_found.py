@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from orchestrator.campaign import RolloutId
-from orchestrator.dispatch import Attempt
-from orchestrator.store.journal import DATABASE, Header, Journal
+from orchestrator.store.journal import DATABASE, Journal
+from schemas.facts import Header
+from schemas.ids import Attempt, RolloutId
 from tests.campaigns import config
 from tests.end_to_end.processes import processes
 from workers.systems import load

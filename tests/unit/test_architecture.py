@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from orchestrator import campaign, dispatch
-from orchestrator.campaign import Plan, RolloutId
-from orchestrator.dispatch import Attempt
-from orchestrator.errors import IllegalEvent
+from orchestrator.campaign import Plan
+from schemas.errors import IllegalEvent
+from schemas.ids import Attempt, RolloutId
 from tests.architecture.diagrams import FOLDER, texts
 from tests.architecture.transitions import Transition, of_campaign, of_dispatch, of_table
 

@@ -12,6 +12,7 @@ from orchestrator.bounds.rigorous import RigorousMethod
 from orchestrator.gp.kernels import Matern
 from orchestrator.gp.lattice import Lattice
 from orchestrator.gp.points import Points
+from tests.fakes.observations import an_observation
 
 
 def norm(y: list[float], **changed: float) -> audit.Assumption:
@@ -84,7 +85,7 @@ class TestRigorous:
             regularisers=mixture(0.25, 0.005),
         )
         for z, (x, y) in enumerate(points.nodes):
-            method.observe(z, math.sin(x) * math.cos(y) / 2 + rng.normal(0, 0.001))
+            method.observe(*an_observation(z, math.sin(x) * math.cos(y) / 2 + rng.normal(0, 0.001)))
         assert method.bound().status == "refuted"
         assert 0.6 <= method.bound().b_min <= 1.0
 

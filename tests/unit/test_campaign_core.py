@@ -23,7 +23,6 @@ from orchestrator.campaign import (
     Propose,
     Proposed,
     Recorded,
-    RolloutId,
     Simulate,
     State,
     Withdraw,
@@ -32,7 +31,8 @@ from orchestrator.campaign import (
     outstanding,
     step,
 )
-from orchestrator.errors import IllegalEvent
+from schemas.errors import IllegalEvent
+from schemas.ids import RolloutId
 
 PAIR = (("nominal", 0), ("true", 0))
 

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.campaign import SENSES, CampaignConfig, CampaignError, PaperProblem
+from schemas.campaign import SENSES, CampaignConfig, PaperProblem
 from schemas.campaign_check import check_against
 from schemas.campaign_file import parse
+from schemas.errors import CampaignError
 from schemas.system import Column, Option, Parameter, SystemSpec
 from tests.campaigns import FOLDER, config, table
 

@@ -2,18 +2,21 @@
 
 import hashlib
 import json
+from pathlib import Path
 
 import pytest
 
 from orchestrator.certificate import files
 from orchestrator.certificate.issue import issue, manifest
-from orchestrator.errors import EvidenceError
-from orchestrator.ledger import Account
-from orchestrator.proposer import Proposer
-from orchestrator.store.journal import BoundFact, Header, ProposalFact
+from orchestrator.ledger import Account, Ledger
+from orchestrator.plan import plan
+from orchestrator.verify.rerun import Remembered
 from schemas.campaign import PaperProblem
 from schemas.certificate import PREDICATE_TYPE, STATEMENT_TYPE, Certificate
+from schemas.errors import EvidenceError
+from schemas.facts import BoundFact, Header
 from schemas.system import Column, Parameter, SystemSpec
+from schemas.values import Bound, Proposal
 from tests.campaigns import config
 
 SPEC = SystemSpec(
@@ -28,21 +31,24 @@ FILES = [("ab" * 32, "trajectories/a.mcap"), ("cd" * 32, "trajectories/b.mcap")]
 
 def account(problem_index: int, y: float, campaign: str = "segway-paper", **changes: object) -> Account:
     """Return a problem that stopped after two tests, the last one with observation y of J."""
-    problem = config(campaign, **changes).problems[problem_index]
+    chosen = config(campaign, **changes)
+    problem = chosen.problems[problem_index]
     assert isinstance(problem, PaperProblem)
     return Account(
-        problem,
+        plan(chosen, SPEC, problem),
         link="0" * 64,
         observations=[y, y],
         robustness=[0.71, 0.75],
         counts={"nominal": 2, "true": 2 * (problem_index == 1)},
-        last_proposal=ProposalFact(problem.name, 1, 3, (5.0, 0.0), 0.1, 0.01, 0.4, 0.0099),
-        last_bound=BoundFact(problem.name, 1, y + problem.alpha + problem.c, None, "converged"),
+        last_proposal=Proposal(3, (5.0, 0.0), 0.1, 0.01, 0.4, 0.0099),
+        last_bound=BoundFact(problem.name, 1, Bound(y + problem.alpha + problem.c, None, "converged")),
     )
 
 
 def issued(header: Header, accounts: dict[str, Account]) -> Certificate:
-    return issue(header, accounts, Proposer(header.config, SPEC).methods, manifest(FILES))
+    ledger = Ledger(Path(), Remembered(header))
+    ledger.accounts = accounts
+    return issue(ledger, manifest(FILES))
 
 
 def certificate(**changes: object) -> Certificate:

@@ -27,6 +27,7 @@ from orchestrator.bounds.risk import bhatia_davis
 from orchestrator.gp.kernels import Floats, Matern
 from orchestrator.gp.lattice import Lattice
 from orchestrator.gp.points import Points
+from tests.fakes.observations import an_observation
 
 finite = st.floats(-1e6, 1e6, allow_nan=False)
 RULES: tuple[Rule, ...] = ("sum", "product")
@@ -210,7 +211,7 @@ class TestPointwise:
             candidates, kernel, rkhs_norm=0.3, noise_scale=0.0, delta=0.05, alpha=0.01, regularisers=(), prior_mean=mean
         )
         for z in range(0, 36, 3):
-            method.observe(z, float(values[z]))
+            method.observe(*an_observation(z, float(values[z])))
         return method
 
     @pytest.mark.parametrize("finite", [True, False])

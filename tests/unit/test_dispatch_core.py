@@ -12,11 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orchestrator import dispatch
-from orchestrator.campaign import RolloutId
 from orchestrator.dispatch import (
     Acknowledge,
     Action,
-    Attempt,
     Cancel,
     Delivered,
     Event,
@@ -38,6 +36,7 @@ from orchestrator.dispatch import (
     check,
     initial,
 )
+from schemas.ids import Attempt, RolloutId
 
 LIMITS = Limits(resend_after=1.5, lost_after=3.0, hung_after=10.0, deadline=60.0, max_attempts=3)
 R = [RolloutId("p", test, "true", 0) for test in range(6)]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestrator.campaign import RolloutId
-from orchestrator.errors import EvidenceError
 from orchestrator.store import evidence
-from schemas.trajectory import Trajectory, TrajectoryError, encode, read
+from schemas.errors import EvidenceError, TrajectoryError
+from schemas.ids import RolloutId
+from schemas.trajectory import Trajectory, encode, read
 
 DATA = b"evidence" * 1000
 NAME = "trajectories/p/0/p.0.true.0.mcap"

@@ -18,25 +18,16 @@ import pytest
 from click.testing import CliRunner, Result
 
 from orchestrator import service
-from orchestrator.campaign import RolloutId
 from orchestrator.cli.group import cli
-from orchestrator.dispatch import Attempt
-from orchestrator.errors import JournalError, PerfboundError
 from orchestrator.store import export
-from orchestrator.store.journal import (
-    RECORDED,
-    RESTORED,
-    BoundFact,
-    Fact,
-    Header,
-    Journal,
-    ObservationFact,
-    ProposalFact,
-    RolloutFact,
-)
+from orchestrator.store.journal import Journal
 from orchestrator.store.rows import robustness_unit, unit
 from schemas.campaign import SENSES, CampaignConfig
+from schemas.errors import JournalError, PerfboundError
+from schemas.facts import RECORDED, RESTORED, BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from schemas.ids import Attempt, RolloutId
 from schemas.system import Column, Parameter, SystemSpec
+from schemas.values import Bound, Observation, Proposal
 from tests.benchmarks.fleet import a_config
 from tests.benchmarks.puppets import Stage
 from tests.campaigns import config, table
@@ -154,7 +145,7 @@ def test_every_replicate_has_its_row_and_their_mean_is_the_observation(campaign:
 def test_counterexamples_are_the_rollouts_below_zero(tmp_path: Path) -> None:
     journal = journal_of(tmp_path, config("segway-paper"))
     values = (0.1, -1e-300, 0.0, -0.05, None)
-    add(journal, ProposalFact("sim_gap", 0, 7, (1.0, 2.0), None, None, None, None))
+    add(journal, ProposalFact("sim_gap", 0, Proposal(7, (1.0, 2.0), None, None, None, None)))
     add(journal, *(rollout("sim_gap", 0, number, value) for number, value in enumerate(values)))
     journal.close()
     found = exported(tmp_path)
@@ -207,9 +198,9 @@ def test_signs(tmp_path: Path, preset: str, problem: str, expected: dict[str, fl
     journal = journal_of(tmp_path, settings, load(settings.system.name).spec)
     add(
         journal,
-        ProposalFact(problem, 0, 7, (1.0, 2.0), J["mu"], 0.1, 2.0, 0.2),
-        ObservationFact(problem, 0, J["y"], (-0.8, -0.6), "b" * 64),
-        BoundFact(problem, 0, J["upper"], J["lower"], None),
+        ProposalFact(problem, 0, Proposal(7, (1.0, 2.0), J["mu"], 0.1, 2.0, 0.2)),
+        ObservationFact(problem, 0, Observation(J["y"], (-0.8, -0.6)), "b" * 64),
+        BoundFact(problem, 0, Bound(J["upper"], J["lower"], None)),
     )
     journal.close()
     found = exported(tmp_path)
@@ -227,8 +218,8 @@ def test_a_linearised_risk_contributes_what_its_mean_is_made_of(tmp_path: Path) 
     journal = journal_of(tmp_path, config("segway-rigorous", problems=[risk], composition="single"))
     add(
         journal,
-        ProposalFact("true_risk", 0, 7, (1.0, 2.0), None, None, None, None),
-        ObservationFact("true_risk", 0, -0.7, (-0.8, -0.6), "b" * 64),
+        ProposalFact("true_risk", 0, Proposal(7, (1.0, 2.0), None, None, None, None)),
+        ObservationFact("true_risk", 0, Observation(-0.7, (-0.8, -0.6)), "b" * 64),
     )
     journal.close()
     assert [row["contribution"] for row in exported(tmp_path)["observations"]] == ["0.8", "0.6"]
@@ -236,7 +227,7 @@ def test_a_linearised_risk_contributes_what_its_mean_is_made_of(tmp_path: Path) 
 
 def test_zero_has_no_sign(tmp_path: Path) -> None:
     journal = journal_of(tmp_path, config("segway-paper"))
-    add(journal, ProposalFact("nominal_robustness", 0, 7, (0.0, 2.0), 0.0, 1.0, None, None))
+    add(journal, ProposalFact("nominal_robustness", 0, Proposal(7, (0.0, 2.0), 0.0, 1.0, None, None)))
     journal.close()
     (row,) = exported(tmp_path)["tests"]
     assert (row["mu"], row["x (m)"], row["beta"], row["observation"], row["lower"]) == ("0.0", "0.0", "", "", "")
@@ -244,7 +235,7 @@ def test_zero_has_no_sign(tmp_path: Path) -> None:
 
 def test_the_attempt_is_the_one_that_brought_the_result(tmp_path: Path) -> None:
     journal, which = journal_of(tmp_path, config("segway-paper")), RolloutId("sim_gap", 0, "true", 0)
-    add(journal, ProposalFact("sim_gap", 0, 7, (1.0, 2.0), None, None, None, None), rollout("sim_gap", 0, 0))
+    add(journal, ProposalFact("sim_gap", 0, Proposal(7, (1.0, 2.0), None, None, None, None)), rollout("sim_gap", 0, 0))
     add(journal, rollout("sim_gap", 0, 1))
     with journal.transaction():
         for try_ in (1, 2, 3):
@@ -272,7 +263,11 @@ def test_a_parameter_that_is_called_like_a_column_gets_another_name(tmp_path: Pa
         max_horizon=60,
     )
     journal = journal_of(tmp_path, config("segway-paper"), spec)
-    add(journal, ProposalFact("sim_gap", 0, 7, (1.0, 2.0, 3.0), None, None, None, None), rollout("sim_gap", 0, 0))
+    add(
+        journal,
+        ProposalFact("sim_gap", 0, Proposal(7, (1.0, 2.0, 3.0), None, None, None, None)),
+        rollout("sim_gap", 0, 0),
+    )
     journal.close()
     found = exported(tmp_path)
     for (row,) in (found["tests"], found["rollouts"]):
@@ -354,7 +349,7 @@ def test_numbers_are_not_text(tmp_path: Path) -> None:
     """A negative number stays a number, and every digit of it."""
     journal = journal_of(tmp_path, config("segway-paper"))
     values = (-1 / 3, -5e-324, 1e22, -1.7976931348623157e308)
-    add(journal, ProposalFact("sim_gap", 0, 7, (values[0], values[1]), values[2], values[3], None, None))
+    add(journal, ProposalFact("sim_gap", 0, Proposal(7, (values[0], values[1]), values[2], values[3], None, None)))
     journal.close()
     (row,) = exported(tmp_path)["tests"]
     assert tuple(float(row[title]) for title in ("x (m)", "y (m)", "mu", "sigma")) == values
@@ -467,7 +462,7 @@ def test_a_running_campaign_is_exported_whole_turn_by_whole_turn(tmp_path: Path)
 def test_all_tables_show_one_moment(tmp_path: Path) -> None:
     """What is written between two tables is in neither of them."""
     journal = journal_of(tmp_path, config("segway-paper"))
-    add(journal, ProposalFact("sim_gap", 0, 7, (1.0, 2.0), None, None, None, None), rollout("sim_gap", 0, 0))
+    add(journal, ProposalFact("sim_gap", 0, Proposal(7, (1.0, 2.0), None, None, None, None)), rollout("sim_gap", 0, 0))
 
     def progress(name: str, _rows: int) -> None:
         if name == "tests":
@@ -484,7 +479,7 @@ def test_all_tables_show_one_moment(tmp_path: Path) -> None:
 def test_a_long_table_takes_little_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: export.Format) -> None:
     monkeypatch.setattr(export, "GROUP", 1000)
     journal = journal_of(tmp_path, config("segway-paper"))
-    add(journal, ProposalFact("sim_gap", 0, 7, (1.0, 2.0), None, None, None, None))
+    add(journal, ProposalFact("sim_gap", 0, Proposal(7, (1.0, 2.0), None, None, None, None)))
     add(journal, *(rollout("sim_gap", 0, number) for number in range(8000)))
     journal.close()
     export.export(tmp_path, tmp_path / "warm", form=form)

@@ -7,20 +7,18 @@ import time
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
-from typing import cast
 
 import pytest
 from rich.console import Console
 
 from orchestrator import live
 from orchestrator.address import Address, bind
-from orchestrator.errors import PerfboundError
-from orchestrator.ledger import Ledger
-from orchestrator.live import LivePage, Shown, live_page, message
-from orchestrator.service import Seen
+from orchestrator.live import LivePage, live_page, message
+from orchestrator.service import RunStatus
 from schemas.campaign_file import parse
-from tests.campaigns import FOLDER
-from tests.inmemory import Log, campaign
+from schemas.errors import PerfboundError
+from tests.campaigns import FOLDER, config
+from tests.fakes.inmemory import Log, campaign
 
 pytestmark = pytest.mark.timeout(60)
 
@@ -75,8 +73,8 @@ def test_a_host_that_is_not_here(host: str) -> None:
 def looks(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     """What the page of a short campaign was told, look by look."""
     found: list[bytes] = []
-    config = parse((FOLDER / "test-function.toml").read_bytes(), "test", resolution=5, max_tests=5)
-    campaign(tmp_path_factory.mktemp("feed") / "run", config, log=_Told(found))
+    chosen = parse((FOLDER / "test-function.toml").read_bytes(), "test", resolution=5, max_tests=5)
+    campaign(tmp_path_factory.mktemp("feed") / "run", chosen, log=_Told(found))
     return found
 
 
@@ -85,8 +83,8 @@ class _Told(Log):
         super().__init__()
         self._found = found
 
-    def show(self, seen: Seen) -> None:
-        self._found.append(message(seen))
+    def show(self, status: RunStatus) -> None:
+        self._found.append(message(status))
 
 
 def test_the_page_is_told_what_workers_do(looks: list[bytes]) -> None:
@@ -101,10 +99,17 @@ def test_the_page_is_told_what_workers_do(looks: list[bytes]) -> None:
 
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
-    """Nobody, told as often as asked."""
+def status(monkeypatch: pytest.MonkeyPatch) -> RunStatus:
+    """No workers; shown as often as asked."""
     monkeypatch.setattr(live, "PERIOD", 0.0)
-    return Seen(cast("Ledger", None), {}, {}, 0, 0, 0.0)  # no page is told of the ledger
+    return RunStatus(config("test-function"), {}, {}, {}, 0, 0, 0.0)
+
+
+def said(page: LivePage) -> list[str]:
+    """Return what a page has printed so far."""
+    stream = page._console.file
+    assert isinstance(stream, StringIO)
+    return stream.getvalue().splitlines()[1:]  # after its address
 
 
 @pytest.fixture
@@ -124,46 +129,49 @@ def child(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, script: str) -> None:
 
 
 def test_a_child_that_takes_nothing_holds_nothing_up(
-    page: LivePage, seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live, "message", lambda _: b"x" * 50_000)
     child(monkeypatch, tmp_path, "exec sleep 60")
     page.start()
-    assert [page.tell(seen) for _ in range(100)] == [[]] * 100
+    for _ in range(100):
+        page.show(status)
+    assert said(page) == []
 
 
 def test_a_child_that_ends_is_said_once(
-    page: LivePage, seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     child(monkeypatch, tmp_path, "echo something is wrong >&2; exit 3")
     page.start()
-    log = Log()
-    while not any("has ended" in line for line in log.lines):
-        Shown(log, page).show(seen)
+    while not any("has ended" in line for line in said(page)):
+        page.show(status)
         time.sleep(0.01)
-    said = [line for line in log.lines if "has ended" in line]
-    again = f"`perfbound web {tmp_path / 'run'}` shows it, too"
-    assert said[0].startswith("the live page has ended: exit code 3")
-    assert said[0].endswith(f". The campaign goes on; {again}")
-    assert "live page: something is wrong" in "\n".join(log.lines)
-    assert page.tell(seen) == []
-    assert len(said) == 1
+    lines = said(page)
+    (ended,) = [line for line in lines if "has ended" in line]
+    assert ended.startswith("the live page has ended: exit code 3")
+    assert ended.endswith(f". The campaign continues; `perfbound web {tmp_path / 'run'}` shows it")
+    assert "something is wrong" in "\n".join(lines)
+    page.show(status)
+    assert said(page) == lines
 
 
 def test_whatever_cannot_be_told_is_no_end_of_a_run(
-    page: LivePage, seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live, "message", lambda _: b"x" * 10_000_000)
     child(monkeypatch, tmp_path, "exec sleep 60")
     page.start()
-    (line,) = page.tell(seen)
+    page.show(status)
+    (line,) = said(page)
     assert line.startswith("the live page has ended: [Errno ")
-    assert page.tell(seen) == []
+    page.show(status)
+    assert said(page) == [line]
 
 
-def test_without_an_address_there_is_no_page(tmp_path: Path, seen: Seen) -> None:
+def test_without_an_address_there_is_no_page(tmp_path: Path, status: RunStatus) -> None:
     console = Console(file=StringIO())
     with live_page(None, tmp_path, console, insecure=False) as page:
         page.start()
-        assert page.tell(seen) == []
+        page.show(status)
     assert console.file.getvalue() == ""  # type: ignore[attr-defined]

@@ -1,5 +1,6 @@
 """The journal: what is written stays as it was, and a change is found."""
 
+import hashlib
 import os
 import signal
 import sqlite3
@@ -13,38 +14,30 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from orchestrator.campaign import RolloutId
-from orchestrator.dispatch import Attempt
-from orchestrator.errors import JournalError, PerfboundError
 from orchestrator.ledger import Ledger
 from orchestrator.store import queries, tables
-from orchestrator.store.journal import (
-    DATABASE,
-    BoundFact,
-    Fact,
-    Header,
-    Journal,
-    ObservationFact,
-    ProposalFact,
-    RolloutFact,
-)
+from orchestrator.store.journal import DATABASE, Journal
 from orchestrator.store.lock import campaign_lock, is_held
 from orchestrator.versions import software
 from schemas.campaign import CampaignConfig
 from schemas.campaign_file import parse
+from schemas.errors import JournalError, PerfboundError
+from schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from schemas.ids import Attempt, RolloutId
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import decode
+from schemas.values import Bound, Observation, Proposal
 from workers.simulate import run
 from workers.systems import load
 
 PRESET = Path(__file__).parents[2] / "deploy" / "campaigns" / "test-function.toml"
 R0 = RolloutId("maximum", 0, "true", 0)
 FACTS: list[Fact] = [
-    ProposalFact("maximum", 0, 7, (0.5, 1 / 3), 0.0, 1.0, None, None),
+    ProposalFact("maximum", 0, Proposal(7, (0.5, 1 / 3), 0.0, 1.0, None, None)),
     RolloutFact(R0, 2**53 - 1, "a" * 64, 1234, "trajectories/x", None),
-    ObservationFact("maximum", 0, -0.1, (-0.2, 0.0), "b" * 64),
-    BoundFact("maximum", 0, None, None, None),
-    ProposalFact("maximum", 1, 0, (5.0, -0.0), 1e-300, 0.1 + 0.2, 2.0, 3.0),
+    ObservationFact("maximum", 0, Observation(-0.1, (-0.2, 0.0)), "b" * 64),
+    BoundFact("maximum", 0, Bound(None, None, None)),
+    ProposalFact("maximum", 1, Proposal(0, (5.0, -0.0), 1e-300, 0.1 + 0.2, 2.0, 3.0)),
 ]
 
 
@@ -123,12 +116,12 @@ def test_nothing_is_changed_or_removed(journal: Journal, tmp_path: Path, table: 
 @pytest.mark.parametrize(
     "fact",
     [
-        ProposalFact("maximum", 0, 7, (0.5, float("nan")), 0.0, 1.0, None, None),
-        ProposalFact("maximum", 0, 7, (0.5,), float("nan"), 1.0, None, None),
-        ProposalFact("maximum", 0, 7, (0.5,), 0.0, 1.0, None, float("inf")),
+        ProposalFact("maximum", 0, Proposal(7, (0.5, float("nan")), 0.0, 1.0, None, None)),
+        ProposalFact("maximum", 0, Proposal(7, (0.5,), float("nan"), 1.0, None, None)),
+        ProposalFact("maximum", 0, Proposal(7, (0.5,), 0.0, 1.0, None, float("inf"))),
         RolloutFact(R0, 1, "a" * 64, 1, "x", float("nan")),
-        ObservationFact("maximum", 0, float("nan"), (), "b" * 64),
-        BoundFact("maximum", 0, float("nan"), None, None),
+        ObservationFact("maximum", 0, Observation(float("nan"), ()), "b" * 64),
+        BoundFact("maximum", 0, Bound(float("nan"), None, None)),
     ],
 )
 def test_a_number_that_is_not_finite_is_refused(journal: Journal, fact: Fact) -> None:
@@ -245,7 +238,7 @@ def finished(tmp_path: Path) -> Path:
         rollout = waiting.pop()
         payload = simulated(ledger.request(rollout))
         with ledger.transaction():
-            waiting += ledger.record(rollout, payload, decode(payload)).wanted
+            waiting += ledger.record(rollout, payload, decode(payload), hashlib.sha256(payload).hexdigest()).wanted
     assert ledger.done
     journal.close()
     return tmp_path

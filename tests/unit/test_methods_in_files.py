@@ -1,15 +1,19 @@
 """Campaign files of methods `rigorous` and `scenario`: what is allowed, and the one line for what is not."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from orchestrator import forecast
-from schemas.campaign import CampaignError, RigorousProblem, Scenarios
+from orchestrator.plan import plan
+from schemas.campaign import RigorousProblem, Scenarios
 from schemas.campaign_check import check_against
 from schemas.campaign_file import parse
+from schemas.errors import CampaignError
 from schemas.system import Column, Option, Parameter, SystemSpec
 from tests.campaigns import FOLDER, config
+from workers.systems import load
 
 RIGOROUS = (FOLDER / "segway-rigorous.toml").read_text()
 SCENARIO = (FOLDER / "segway-scenario.toml").read_text()
@@ -133,11 +137,12 @@ def test_a_csv_file_elsewhere_is_refused(name: str) -> None:
 
 
 def test_a_budget_that_cannot_reach_its_tolerance_is_said() -> None:
-    gap = config("segway-rigorous").problems[1]
-    sentence = forecast.out_of_reach(config("segway-rigorous"), gap, noise=0.4 / 8)
+    chosen = config("segway-rigorous")
+    gap = plan(chosen, load(chosen.system.name).spec, chosen.problems[1])
+    sentence = forecast.out_of_reach(gap)
     assert sentence is not None
-    assert "100 tests can hardly reach alpha = 0.02" in sentence
-    assert forecast.out_of_reach(config("segway-rigorous", max_tests=2000), gap, noise=0.001) is None
+    assert "100 tests cannot be expected to reach alpha = 0.02" in sentence
+    assert forecast.out_of_reach(replace(gap, budget=2000, noise=0.001)) is None
 
 
 def test_tests_left_follow_a_power_law_and_end_with_the_budget() -> None:

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from orchestrator.errors import Stopped
-from orchestrator.service import Seen
-from schemas.campaign import CampaignConfig, CampaignError
+from orchestrator.service import RunStatus
+from schemas.campaign import CampaignConfig
+from schemas.errors import CampaignError, Stopped
 from tests.campaigns import table
-from tests.inmemory import Faults, Log, Network, begin, campaign, hurry, run_of, serve, working
+from tests.fakes.inmemory import Faults, Log, Network, begin, campaign, hurry, run_of, serve, working
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -80,7 +80,7 @@ def stopped_and_resumed(directory: Path, config: CampaignConfig) -> str:
     return found
 
 
-def _after(limit: int, seen: Seen) -> bool:
+def _after(limit: int, seen: RunStatus) -> bool:
     return seen.recorded >= limit
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from orchestrator.observation import Observer
+from orchestrator.plan import plan
 from orchestrator.stl.formula import FormulaError
 from schemas.system import Column, Parameter, SystemSpec
 from schemas.trajectory import Trajectory
@@ -24,7 +25,7 @@ def trajectory(*phi: float) -> Trajectory:
 
 def observe(campaign: str, trajectories: dict[tuple[str, int], Trajectory], problem: int = 0) -> float:
     chosen = config(campaign)
-    return Observer(chosen, SPEC).observe(chosen.problems[problem], trajectories).y
+    return Observer(chosen, SPEC).observe(plan(chosen, SPEC, chosen.problems[problem]), trajectories).y
 
 
 def test_nominal_robustness_is_minus_the_mean_of_the_clipped_robustness() -> None:

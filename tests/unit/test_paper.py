@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 
 from orchestrator.bounds.paper import (
     PaperMethod,
-    Proposal,
     Tail,
     beta,
     epsilon,
@@ -25,6 +24,8 @@ from orchestrator.bounds.paper import (
 )
 from orchestrator.gp.kernels import Matern
 from orchestrator.gp.lattice import PARTS, Lattice
+from schemas.values import Proposal
+from tests.fakes.observations import an_observation
 
 PRESET: dict[str, Any] = {"rkhs_norm": 0.25, "noise_scale": 0.005, "delta": 0.05, "alpha": 0.015, "c": 0.01}
 KERNEL = Matern(nu=10, length_scale=1.0)
@@ -49,11 +50,11 @@ class Run:
         values, rng = objective(lattice) + shift, np.random.default_rng(seed)
         self.method = PaperMethod(lattice, KERNEL, **{**PRESET, **options})
         self.proposals = [self.method.propose(int(rng.integers(lattice.size)))]
-        self.y = [float(values[self.proposals[0].index] + rng.normal(0, 0.001))]
+        self.y = [float(values[self.proposals[0].node] + rng.normal(0, 0.001))]
         while not self.method.stops(self.proposals[-1]) and len(self.y) < max_tests:
-            self.method.observe(self.proposals[-1].index, self.y[-1])
+            self.method.observe(*an_observation(self.proposals[-1].node, self.y[-1]))
             self.proposals.append(self.method.propose())
-            self.y.append(float(values[self.proposals[-1].index] + rng.normal(0, 0.001)))
+            self.y.append(float(values[self.proposals[-1].node] + rng.normal(0, 0.001)))
         self.epsilon = self.method.epsilon(self.proposals[-1], self.y[-1])
 
 
@@ -119,7 +120,7 @@ class TestProposals:
         kernel = ScikitMatern(1.0, nu=10)(SMALL.nodes)
         assert len(run.proposals) == 40
         for i, proposal in enumerate(run.proposals[1:], start=1):
-            before, y = [p.index for p in run.proposals[:i]], np.array(run.y[:i])
+            before, y = [p.node for p in run.proposals[:i]], np.array(run.y[:i])
             small = kernel[np.ix_(before, before)]
             diagonal = 1 + 2 / i if regulariser == "1+eta" else float(regulariser)
             gain = np.linalg.solve(small + diagonal * np.eye(i), kernel[before]).T
@@ -128,7 +129,7 @@ class TestProposals:
             determinant = np.linalg.det((1 + 2 / i) * np.eye(i) + small)
             scale = 0.25 + 0.005 * math.sqrt(2 * math.log(math.sqrt(determinant) / 0.05))
             ucb = gain @ y + scale * spread
-            z = proposal.index
+            z = proposal.node
             assert ucb[z] == pytest.approx(ucb.max(), abs=1e-9)
             assert (proposal.mu, proposal.sigma) == pytest.approx(((gain @ y)[z], spread[z]), abs=1e-8)
             assert proposal.beta == pytest.approx(scale, abs=1e-9)
@@ -145,7 +146,7 @@ class TestProposals:
         for i in range(1, 25):
             y = math.sin(proposal.x[0]) * math.cos(proposal.x[1]) / 2 + float(rng.normal(0, 0.001))
             data.append((*proposal.x, y))
-            method.observe(proposal.index, y, proposal.x)
+            method.observe(*an_observation(proposal.node, y, proposal.x))
             proposal = method.propose()
             diagonal = 1 + 2 / i if regulariser == "1+eta" else float(regulariser)
             seen = np.array(data)
@@ -158,21 +159,21 @@ class TestProposals:
 
             mine, best = acquisition(np.array([proposal.x]))[0], acquisition(SMALL.nodes).max()
             assert mine >= best - 1e-9
-            assert (np.abs(np.subtract(proposal.x, SMALL.nodes[proposal.index])) <= 0.5 + 1e-9).all()
+            assert (np.abs(np.subtract(proposal.x, SMALL.nodes[proposal.node])) <= 0.5 + 1e-9).all()
             moved += mine > best + 1e-6
             steps = 0.5 / PARTS * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
             around = np.clip(proposal.x + steps, 0.0, 5.0)
-            inside = (np.abs(around - SMALL.nodes[proposal.index]) <= 0.5 + 1e-9).all(axis=1)
+            inside = (np.abs(around - SMALL.nodes[proposal.node]) <= 0.5 + 1e-9).all(axis=1)
             assert mine >= acquisition(around[inside]).max() - 2e-3
         assert moved >= 5
         assert plain.propose(17) == PaperMethod(SMALL, KERNEL, **PRESET, refine=True).propose(17)
 
     def test_a_climb_that_leads_down_is_not_followed(self, monkeypatch: pytest.MonkeyPatch) -> None:
         method = PaperMethod(SMALL, KERNEL, **PRESET, refine=True)
-        method.observe(60, 0.5, tuple(SMALL.nodes[60].tolist()))
+        method.observe(*an_observation(60, 0.5, tuple(SMALL.nodes[60].tolist())))
         monkeypatch.setattr("orchestrator.bounds.paper.refined", lambda value, start, low, high: low)
         proposal = method.propose()
-        assert proposal.x == tuple(SMALL.nodes[proposal.index])
+        assert proposal.x == tuple(SMALL.nodes[proposal.node])
 
     def test_the_start_is_the_callers_and_has_no_bound(self) -> None:
         method = PaperMethod(SMALL, KERNEL, **PRESET, prior_mean=0.3)
@@ -184,36 +185,36 @@ class TestProposals:
 
     def test_first_index_only_before_the_first_observation(self) -> None:
         method = PaperMethod(SMALL, KERNEL, **PRESET)
-        with pytest.raises(ValueError, match="first_index"):
+        with pytest.raises(ValueError, match="first must be"):
             method.propose()
         with pytest.raises(IndexError):
             method.propose(SMALL.size)
-        method.observe(5, 0.0)
-        with pytest.raises(ValueError, match="first_index"):
+        method.observe(*an_observation(5, 0.0))
+        with pytest.raises(ValueError, match="first must be"):
             method.propose(5)
 
     def test_proposing_changes_nothing_and_a_replay_proposes_the_same(self) -> None:
         run = Run(SMALL, seed=3)
         replay = PaperMethod(SMALL, KERNEL, **PRESET)
         for proposal, y in zip(run.proposals[:-1], run.y, strict=False):
-            replay.observe(proposal.index, y)  # as a resume does: without proposing
+            replay.observe(*an_observation(proposal.node, y))  # as a resume does: without proposing
         assert replay.propose() == replay.propose() == run.proposals[-1]
 
     def test_a_delayed_proposal_uses_the_observations_so_far(self) -> None:
         method = PaperMethod(SMALL, KERNEL, **PRESET)
         first, second = method.propose(5), method.propose(60)  # a window of two
         assert second.F is None
-        method.observe(first.index, 0.1)
+        method.observe(*an_observation(first.node, 0.1))
         one = method.propose()
-        method.observe(second.index, 0.2)
+        method.observe(*an_observation(second.node, 0.2))
         assert one.beta is not None
         assert (method.n, one.beta < (method.propose().beta or 0)) == (2, True)
 
     def test_prior_mean_centres(self) -> None:
         plain, shifted = Run(SMALL, seed=4), Run(SMALL, seed=4, shift=0.7, prior_mean=0.7)
-        assert [p.index for p in plain.proposals] == [p.index for p in shifted.proposals]
+        assert [p.node for p in plain.proposals] == [p.node for p in shifted.proposals]
         assert shifted.epsilon == pytest.approx(plain.epsilon + 0.7)
-        assert shifted.proposals[-1].mu == pytest.approx(plain.proposals[-1].mu + 0.7)
+        assert shifted.proposals[-1].mu == pytest.approx((plain.proposals[-1].mu or 0.0) + 0.7)
 
     def test_stops_at_the_tolerance(self) -> None:
         run = Run(SMALL, seed=5)

@@ -1,5 +1,6 @@
 """A recorded rollout, simulated again: what is said, what is written, and what is refused."""
 
+import hashlib
 import io
 import json
 from collections.abc import Callable
@@ -12,15 +13,16 @@ import pytest
 from mcap.reader import make_reader
 from PIL import Image
 
-from orchestrator.campaign import RolloutId
-from orchestrator.errors import EvidenceError, JournalError, PerfboundError
 from orchestrator.ledger import Ledger
 from orchestrator.replay import again
 from orchestrator.replay.comparison import compare
 from orchestrator.replay.recorded import recorded
 from orchestrator.store import evidence
-from orchestrator.store.journal import Header, Journal
+from orchestrator.store.journal import Journal
 from schemas.base import canonical_json
+from schemas.errors import EvidenceError, JournalError, PerfboundError
+from schemas.facts import Header
+from schemas.ids import RolloutId
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import Trajectory, decode, encode, read
 from tests import campaigns
@@ -48,7 +50,8 @@ def a_run(directory: Path, name: str, payload: Callable[[RolloutRequest], bytes]
     while wanted:
         data = payload(ledger.request(wanted[0]))
         with ledger.transaction():
-            wanted = [*wanted[1:], *ledger.record(wanted[0], data, decode(data)).wanted]
+            digest = hashlib.sha256(data).hexdigest()
+            wanted = [*wanted[1:], *ledger.record(wanted[0], data, decode(data), digest).wanted]
     journal.close()
     return directory
 

@@ -22,7 +22,8 @@ from orchestrator.cli.group import cli
 from orchestrator.report import document, nominal, write
 from orchestrator.report.figures import figures
 from orchestrator.report.story import Axis, Rollout, Story, Surface, to_json
-from orchestrator.store.journal import DATABASE, Header
+from orchestrator.store.journal import DATABASE
+from schemas.facts import Header
 from schemas.system import SystemSpec
 from schemas.trajectory import Trajectory
 from tests.told import a_list, a_pair, contents, finish, insert, play

@@ -14,22 +14,16 @@ from matplotlib.image import imread
 from matplotlib.lines import Line2D
 from rich.console import Console
 
-from orchestrator.errors import PerfboundError
 from orchestrator.reproduce import figures, study, table
 from orchestrator.reproduce.figures import Decay
 from orchestrator.store import queries
-from orchestrator.store.journal import BoundFact, Header, Journal, ObservationFact, ProposalFact
+from orchestrator.store.journal import Journal
 from orchestrator.store.queries import ObservedTest
-from schemas.campaign import CampaignError, ProblemName, Rule
-from schemas.certificate import (
-    CampaignId,
-    Claim,
-    Composition,
-    Evidence,
-    Predicate,
-    ProblemResult,
-    Rollouts,
-)
+from schemas.campaign import ProblemName, Rule
+from schemas.certificate import CampaignId, Claim, Composition, Evidence, Predicate, ProblemResult, Rollouts
+from schemas.errors import CampaignError, PerfboundError
+from schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
+from schemas.values import Bound, Observation, Proposal, StoppedBy
 from tests import campaigns
 from workers.systems.test_function import TestFunctionSystem
 
@@ -108,19 +102,32 @@ def test_progress_names_the_campaign(tmp_path: Path, terminal: bool) -> None:
 # The history of a campaign
 
 
+def an_observed_test(  # noqa: PLR0917
+    test: int,
+    x: tuple[float, ...],
+    y: float,
+    regret: float | None,
+    upper: float | None,
+    stopped_by: StoppedBy | None = None,
+) -> ObservedTest:
+    verdict = None if stopped_by == "budget" else stopped_by
+    chosen = Proposal(test, x, 0.0, 1.0, None, regret)
+    return ObservedTest(test, chosen, Observation(y, (y,)), Bound(upper, None, verdict), stopped_by)
+
+
 def test_the_history_holds_observed_tests_alone(tmp_path: Path) -> None:
     journal = Journal.create(tmp_path, Header.new(campaigns.config("test-function"), TestFunctionSystem().spec, {}))
     with journal.transaction():
         for test, (regret, upper) in enumerate([(None, None), (0.5, 1.25), (0.25, None)]):
-            journal.add(ProposalFact("maximum", test, test, (0.0, float(test)), 0.0, 1.0, None, regret))
+            journal.add(ProposalFact("maximum", test, Proposal(test, (0.0, float(test)), 0.0, 1.0, None, regret)))
             if test < 2:
-                journal.add(ObservationFact("maximum", test, 0.125, (0.125,), "link"))
-                journal.add(BoundFact("maximum", test, upper, None, "budget" if test else None))
+                journal.add(ObservationFact("maximum", test, Observation(0.125, (0.125,)), "link"))
+                journal.add(BoundFact("maximum", test, Bound(upper, None, None), budget=test > 0))
     journal.close()
     assert queries.history(tmp_path) == {
         "maximum": (
-            ObservedTest(0, (0.0, 0.0), 0.125, None, None, None, None),
-            ObservedTest(1, (0.0, 1.0), 0.125, 0.5, 1.25, None, "budget"),
+            an_observed_test(0, (0.0, 0.0), 0.125, None, None),
+            an_observed_test(1, (0.0, 1.0), 0.125, 0.5, 1.25, "budget"),
         )
     }
 
@@ -249,13 +256,12 @@ def test_claims_for_people_promise_no_more() -> None:
 def decaying(count: int) -> tuple[ObservedTest, ...]:
     """Return tests at two points whose F halves."""
     return tuple(
-        ObservedTest(
+        an_observed_test(
             i,
             (1.0, float(i == 0)),
             0.5,
             0.5**i if i else None,
             0.52 if i else None,
-            None,
             "converged" if i == count - 1 else None,
         )
         for i in range(count)

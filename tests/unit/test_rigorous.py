@@ -21,6 +21,7 @@ from orchestrator.gp.observations import Observations
 from orchestrator.gp.points import Points
 from orchestrator.gp.radial import Radial
 from orchestrator.gp.spectrum import Spectrum, decompose
+from tests.fakes.observations import an_observation
 
 LATTICE = Lattice((0.0, 0.0), (5.0, 5.0), 7)
 KERNEL = Matern(nu=2.5, length_scale=2.0)
@@ -53,15 +54,15 @@ def exactly(norm: float, seed: int, kernel: Matern = KERNEL) -> Callable[[Floats
 
 def run(method: RigorousMethod, values: Floats, noise: Callable[[], float], tests: int, window: int = 1) -> list[int]:
     """A campaign of `tests` tests; the proposals in order."""
-    flying, done = [method.propose(3).index], list[int]()
+    flying, done = [method.propose(3).node], list[int]()
     while len(done) < tests:
         while len(flying) < window:
-            flying.append(method.propose(None, flying).index)
+            flying.append(method.propose(None, flying).node)
         z = flying.pop(0)
-        method.observe(z, float(values[z]) + noise())
+        method.observe(*an_observation(z, float(values[z]) + noise()))
         done.append(z)
         if window == 1:
-            flying.append(method.propose().index)
+            flying.append(method.propose().node)
     return done
 
 
@@ -147,7 +148,7 @@ class TestScale:
         rng, y = np.random.default_rng(2), []
         for z in [3, 9, 9, 30, 41, 20, 3]:
             y.append(float(rng.normal()) * 0.3)
-            method.observe(z, y[-1])
+            method.observe(*an_observation(z, y[-1]))
             chosen.append(z)
             k = DENSE[np.ix_(chosen, chosen)]
             inverse = np.linalg.inv(k + lam * np.eye(len(y)))
@@ -169,7 +170,7 @@ class TestScale:
         best = (math.inf, -math.inf)
         for n, z in enumerate(indices, start=1):
             y.append(float(values[z]))
-            method.observe(z, y[-1])
+            method.observe(*an_observation(z, y[-1]))
             uppers, lowers = [np.full(LATTICE.size, 1.0)], [np.full(LATTICE.size, -1.0)]
             for a in premises.grid():
                 k = DENSE[np.ix_(indices[:n], indices[:n])] + a * np.eye(n)
@@ -199,7 +200,7 @@ class TestTruth:
             method = make(kernel=kernel, noise_scale=0.0, prior_mean=0.3, alpha=1e-6)
             values, top = j(LATTICE.nodes) + 0.3, float(j(FINE).max()) + 0.3
             for z in [5, *range(0, 49, 6)]:
-                method.observe(z, float(values[z]))
+                method.observe(*an_observation(z, float(values[z])))
                 bound = method.bound()
                 assert bound.lower <= top + 1e-9
                 assert bound.upper >= top - 1e-9
@@ -228,7 +229,7 @@ class TestTruth:
         values = j(LATTICE.nodes) + tau * np.sign(np.sin(50 * LATTICE.nodes[:, 0]))
         method = make(noise_scale=0.0, tau_misspecification=tau)
         for z in range(0, 49, 4):
-            method.observe(z, float(values[z]))
+            method.observe(*an_observation(z, float(values[z])))
             upper, lower = method.envelope.at(LATTICE.nodes)
             assert (lower <= values).all()
             assert (values <= upper).all()
@@ -252,7 +253,7 @@ class TestTruth:
         method = make(points, noise_scale=0.0, alpha=1e-4)
         z = method.propose(1)
         while method.bound().status == "open":
-            method.observe(z.index, float(j[z.index]))
+            method.observe(*an_observation(z.node, float(j[z.node])))
             if method.bound().status == "open":
                 z = method.propose()
         bound = method.bound()
@@ -270,7 +271,9 @@ class TestRefutation:
             seen = []
             flying = method.propose(seed)
             for _ in range(40):
-                method.observe(flying.index, float(j(LATTICE.nodes[[flying.index]])[0] + rng.normal(0, 0.02)))
+                method.observe(
+                    *an_observation(flying.node, float(j(LATTICE.nodes[[flying.node]])[0] + rng.normal(0, 0.02)))
+                )
                 seen.append(method.bound().status)
                 flying = method.propose()
             if "refuted" in seen:
@@ -281,27 +284,27 @@ class TestRefutation:
 
     def test_an_impossible_observation_without_noise(self) -> None:
         method = make(noise_scale=0.0)
-        method.observe(3, 0.5)
+        method.observe(*an_observation(3, 0.5))
         assert method.bound().b_min == pytest.approx(0.5, abs=1e-6)
         before = method.bound()
-        method.observe(3, 0.6)
+        method.observe(*an_observation(3, 0.6))
         after = method.bound()
         assert after.status == "refuted"
         assert (after.upper, after.lower) == (before.upper, before.lower)
-        method.observe(4, 0.5)
+        method.observe(*an_observation(4, 0.5))
         assert method.bound().status == "refuted"
 
     @pytest.mark.parametrize("noise", [0.0, 0.1])
     def test_an_absurd_observation(self, noise: float) -> None:
         method = make(noise_scale=noise)
-        method.observe(3, 1e99)
+        method.observe(*an_observation(3, 1e99))
         assert method.bound().status == "refuted"
         assert math.isfinite(method.bound().upper)
 
     def test_replicates_without_noise_must_agree(self) -> None:
         method = make(noise_scale=0.0)
         for _ in range(3):
-            method.observe(3, 0.5)
+            method.observe(*an_observation(3, 0.5))
         assert method.bound().status == "open"
 
 
@@ -312,7 +315,7 @@ class TestCover:
         j = exactly(0.5, 7, kernel)(LATTICE.nodes)
         method = make(kernel=kernel, noise_scale=0.0)
         for z in range(0, 49, 5):
-            method.observe(z, float(j[z]))
+            method.observe(*an_observation(z, float(j[z])))
             nodes = float(method.envelope.at(LATTICE.nodes)[0].max())
             cover = certified_maximum((method.envelope,), LATTICE, nodes=nodes, slack=0.01, max_cells=20_000)
             fine = float(method.envelope.at(FINE)[0].max())
@@ -327,14 +330,14 @@ class TestCover:
             j = exactly(1.0, seed, kernel)
             method = make(kernel=kernel, noise_scale=0.0)
             for z in range(0, 49, 3):
-                method.observe(z, float(j(LATTICE.nodes[[z]])[0]))
+                method.observe(*an_observation(z, float(j(LATTICE.nodes[[z]])[0])))
             nodes = float(method.envelope.at(LATTICE.nodes)[0].max())
             cover = certified_maximum((method.envelope,), LATTICE, nodes=nodes, slack=0.005, max_cells=20_000)
             assert j(FINE).max() <= cover.upper <= cover.found + 0.005
 
     def test_a_budget_of_cells_keeps_the_bound_valid(self) -> None:
         method = make(kernel=Matern(0.5, 2.0), noise_scale=0.0)
-        method.observe(24, 0.2)
+        method.observe(*an_observation(24, 0.2))
         coarse, fine = (
             certified_maximum((method.envelope,), LATTICE, nodes=0.0, slack=1e-3, max_cells=cells)
             for cells in (40, 20_000)
@@ -347,8 +350,8 @@ class TestCover:
             lattice = Lattice((0.0,) * dimension, (1.0,) * dimension, 4)
             for nu in (0.5, 2.5):
                 method = make(lattice, Matern(nu, 1.0), noise_scale=0.0)
-                method.observe(0, 0.5)
-                method.observe(lattice.size - 1, 0.4)
+                method.observe(*an_observation(0, 0.5))
+                method.observe(*an_observation(lattice.size - 1, 0.4))
                 assert 0.5 <= method.bound().upper <= 1.0
 
 
@@ -356,10 +359,10 @@ class TestProposals:
     def test_first_index(self) -> None:
         method = make(prior_mean=0.2)
         first = method.propose(5)
-        assert (first.index, first.mu, first.sigma, first.beta, first.F) == (5, 0.2, 1.0, None, None)
-        with pytest.raises(ValueError, match="first_index"):
+        assert (first.node, first.mu, first.sigma, first.beta, first.F) == (5, 0.2, 1.0, None, None)
+        with pytest.raises(ValueError, match="first must be"):
             method.propose()
-        with pytest.raises(ValueError, match="first_index"):
+        with pytest.raises(ValueError, match="first must be"):
             method.propose(4, [5])
         with pytest.raises(IndexError):
             method.propose(49)
@@ -371,33 +374,33 @@ class TestProposals:
         method = make(noise_scale=noise)
         flying = [24]
         while len(flying) < 8:
-            flying.append(method.propose(None, flying).index)
+            flying.append(method.propose(None, flying).node)
         assert len(set(flying)) == 8
-        method.observe(24, 0.3)
+        method.observe(*an_observation(24, 0.3))
         more = flying[1:]
         while len(more) < 8:
-            more.append(method.propose(None, more).index)
+            more.append(method.propose(None, more).node)
         assert len({*more, 24}) == 9 if noise == 0 else len(set(more)) >= 7
 
     def test_pending_variance_is_that_after_observing(self) -> None:
         method, y = make(regularisers=((0.05, 1.0),)), 0.1
         for z in (3, 20, 20):
-            method.observe(z, y)
+            method.observe(*an_observation(z, y))
         proposal = method.propose(None, [40, 7, 40])
         later = make(regularisers=((0.05, 1.0),))
         for z in (3, 20, 20, 40, 7, 40):
-            later.observe(z, y)
+            later.observe(*an_observation(z, y))
         # The a of the proposal is known by its beta alone; look for the sigma among the grid's.
-        _, sd = later.envelope.moments(method._rows.row(proposal.index)[[3, 20, 40, 7]][:, None])
+        _, sd = later.envelope.moments(method._rows.row(proposal.node)[[3, 20, 40, 7]][:, None])
         assert float(np.abs(sd[0] - proposal.sigma).min()) < 1e-7
 
     def test_without_noise_nothing_is_observed_twice(self) -> None:
         method, values = make(noise_scale=0.0, alpha=1e-9), exactly(0.9, 1)(LATTICE.nodes)
         z = method.propose(0)
         for _ in range(LATTICE.size - 1):
-            method.observe(z.index, float(values[z.index]))
+            method.observe(*an_observation(z.node, float(values[z.node])))
             z = method.propose()
-        method.observe(z.index, float(values[z.index]))
+        method.observe(*an_observation(z.node, float(values[z.node])))
         with pytest.raises(ExhaustedError, match="Raise the resolution"):
             method.propose()
 
@@ -408,7 +411,7 @@ class TestProposals:
         live, replayed = make(), make()
         order = run(live, values, iter(noise).__next__, 30, window)
         for z, error in zip(order, noise, strict=True):
-            replayed.observe(z, float(values[z]) + error)
+            replayed.observe(*an_observation(z, float(values[z]) + error))
         assert live.bound() == replayed.bound()
         assert live.propose(None, [1]) == live.propose(None, [1]) == replayed.propose(None, [1])
 
@@ -416,7 +419,7 @@ class TestProposals:
         method = make()
         for index, y, error in ((0, math.nan, ValueError), (0, 1e200, ValueError), (99, 0.0, IndexError)):
             with pytest.raises(error):
-                method.observe(index, y)
+                method.observe(*an_observation(index, y))
         assert (method.n, method.bound().n) == (0, 0)
 
     @pytest.mark.parametrize(

@@ -12,11 +12,12 @@ import pytest
 import sqlalchemy as sa
 
 from orchestrator import dispatch, service
-from orchestrator.campaign import RolloutId
 from orchestrator.dispatch import HandOut, Limits, Reported, Start, Wanted, WorkerUp
 from orchestrator.ledger import Ledger
 from orchestrator.store import queries
 from orchestrator.store.journal import DATABASE, Journal
+from orchestrator.store.since import Since
+from schemas.ids import RolloutId
 from schemas.messages import Request
 from tests.benchmarks.fleet import a_config
 from tests.benchmarks.puppets import Stage
@@ -94,12 +95,13 @@ def test_a_turn_is_one_statement_a_table(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_disk")
 def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> None:
     """A reader holds the database open in the middle of its look while the writer goes on to the end."""
-    stage, seen, watch = Stage(tmp_path, a_config(256), 8), list[int](), queries.Watch(tmp_path)
+    stage, seen, watch = Stage(tmp_path, a_config(256), 8), list[int](), Since(tmp_path)
 
     def look() -> bool:
-        found = watch.look()
-        assert found == queries.progress(tmp_path), "what was added up is what is there"
-        seen.append(sum(problem.rollouts for problem in found.problems))
+        added = sum(watch.look().rollouts.values())
+        seen.append(seen[-1] + added if seen else added)
+        there = sum(problem.rollouts for problem in queries.progress(tmp_path).problems)
+        assert seen[-1] == there, "what was added up is what is there"
         return False
 
     with queries.reading(tmp_path) as held:

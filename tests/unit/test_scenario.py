@@ -9,17 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orchestrator.bounds.betting import (
-    BOLD_AND_CAREFUL,
-    CAREFUL,
-    GRID,
-    ROUND_OFF,
-    BettingSequence,
-    Past,
-    Strategy,
-)
+from orchestrator.bounds.betting import BOLD_AND_CAREFUL, CAREFUL, GRID, ROUND_OFF, BettingSequence, Past, Strategy
 from orchestrator.bounds.risk import bhatia_davis, linearised, linearised_range
 from orchestrator.bounds.scenario import MAX_SCENARIOS, ScenarioMethod
+from tests.fakes.observations import an_observation
 
 CLIP = (-0.05, 0.75)
 units = st.one_of(st.sampled_from([0.0, 0.25, 0.5, 1.0]), st.floats(0, 1))
@@ -229,7 +222,7 @@ class TestScenarioMethod:
         running = make()
         for index, values in tests:
             before = running.bound()
-            running.observe(index, values)
+            running.observe(*an_observation(index, values))
             bound = running.bound()
             assert before.ell <= bound.ell <= 0.75
             assert bound.upper <= before.upper <= 0.75
@@ -246,9 +239,9 @@ class TestScenarioMethod:
             one.propose(pending=(0,) * window)
             one.bound()
             one.stops()
-            one.observe(index, values)
+            one.observe(*an_observation(index, values))
         for index, values in tests:
-            other.observe(index, values)
+            other.observe(*an_observation(index, values))
         assert one.bound() == other.bound()
         for a, b in zip([*one._lower, one._upper], [*other._lower, other._upper], strict=True):
             assert a.wealth().tobytes() == b.wealth().tobytes()
@@ -259,7 +252,7 @@ class TestScenarioMethod:
         for make, value, target in ((method, 0.7, 0.7 - 0.1 * 0.09), (bhatia, 0.75, 0.75)):
             running = make(2)
             for _ in range(400):
-                running.observe(running.propose(), [value] * 10)
+                running.observe(*an_observation(running.propose().node, [value] * 10))
             bound = running.bound()
             assert target - 0.03 < bound.ell <= target <= bound.upper + 1e-9
             assert running.stops()
@@ -267,40 +260,37 @@ class TestScenarioMethod:
 
     def test_the_first_round_visits_every_scenario(self) -> None:
         running = method(4)
-        assert running.propose(2) == 2
-        assert running.propose(pending=(2,)) == 0
-        assert running.propose(pending=(2, 0, 1)) == 3
-        running.observe(2, [0.7])
-        assert running.propose(pending=(0, 1)) == 3
-        for wrong in ({"first": 0}, {"first": 0, "pending": (1,)}):
-            with pytest.raises(ValueError, match="first"):
-                running.propose(**wrong)
-        assert method(4).propose() == 0
+        assert running.propose(2).node == 0, "the starts come in their order, whatever was drawn"
+        assert running.propose(pending=(2,)).node == 0
+        assert running.propose(pending=(2, 0, 1)).node == 3
+        running.observe(*an_observation(2, [0.7]))
+        assert running.propose(pending=(0, 1)).node == 3
+        assert method(4).propose().node == 0
 
     def test_the_lowest_bound_is_next_and_ties_go_to_the_lowest_index(self) -> None:
         running = method(3)
         for index in (2, 1, 0):
-            running.observe(index, [0.7] * 20)
-        assert running.propose() == 0
-        running.observe(1, [0.2] * 5)
+            running.observe(*an_observation(index, [0.7] * 20))
+        assert running.propose().node == 0
+        running.observe(*an_observation(1, [0.2] * 5))
         for index in (0, 2):
-            running.observe(index, [0.7] * 50)
-        assert running.bound().worst == running.propose() == 1
+            running.observe(*an_observation(index, [0.7] * 50))
+        assert running.bound().worst == running.propose().node == 1
 
     def test_tests_in_flight_spread(self) -> None:
         running = method(3)
         for index in range(3):
-            running.observe(index, [0.7] * 20)
+            running.observe(*an_observation(index, [0.7] * 20))
         pending: list[int] = []
         for _ in range(9):
-            pending.append(running.propose(pending=pending))
+            pending.append(running.propose(pending=pending).node)
         assert sorted(pending) == [0, 0, 0, 1, 1, 1, 2, 2, 2]
         assert pending[:3] == [0, 1, 2]
 
     def test_a_drifting_system_is_refuted(self) -> None:
         running = method(1)
         for value in (0.74, 0.3):
-            running.observe(0, [value] * 2000)
+            running.observe(*an_observation(0, [value] * 2000))
         assert running.refuted
         assert not running.stops()
         assert running.bound().gap < 0
@@ -309,7 +299,7 @@ class TestScenarioMethod:
         """E[X] lies below what a law on the clip can have as its risk; neither bound follows it there."""
         running = method(2)
         for index in (0, 1) * 3:
-            running.observe(index, [-0.05] * 300)
+            running.observe(*an_observation(index, [-0.05] * 300))
         bound = running.bound()
         assert bound.ell == bound.upper == pytest.approx(0.35 - 0.4 * math.sqrt(1.04), abs=2e-9)
         assert running.stops()
@@ -321,7 +311,7 @@ class TestScenarioMethod:
         for delta in (0.01, 0.05, 0.2):
             running = method(2, delta=delta)
             for i, batch in enumerate(values):
-                running.observe(i % 2, batch.tolist())
+                running.observe(*an_observation(i % 2, batch.tolist()))
             ells.append(running.bound().ell)
             eaches.append(running.bound().scenarios[0].each)
         assert ells == sorted(set(ells))
@@ -330,10 +320,10 @@ class TestScenarioMethod:
     @pytest.mark.parametrize("values", [[], [0.76], [0.5, -0.06], [math.nan], [0.5, math.inf]])
     def test_values_outside_the_clip_change_nothing(self, values: list[float]) -> None:
         running = method()
-        running.observe(0, [0.5])
+        running.observe(*an_observation(0, [0.5]))
         before = running.bound()
         with pytest.raises(ValueError, match="clip"):
-            running.observe(0, values)
+            running.observe(*an_observation(0, values))
         assert running.bound() == before
         assert running.n == 1
 
@@ -341,8 +331,7 @@ class TestScenarioMethod:
     def test_an_unknown_scenario_is_refused(self, index: int) -> None:
         running = method(3)
         for call in (
-            lambda: running.observe(index, [0.5]),
-            lambda: running.propose(index),
+            lambda: running.observe(*an_observation(index, [0.5])),
             lambda: running.propose(pending=(index,)),
         ):
             with pytest.raises(IndexError, match="outside"):

@@ -2,8 +2,8 @@
 
 import itertools
 
-from orchestrator.campaign import RolloutId
 from orchestrator.seeds import first_node, rollout_seed
+from schemas.ids import RolloutId
 from tests.campaigns import config
 
 PAPER = config("segway-paper")

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
 
+from schemas.errors import SimulationError
 from schemas.system import OptionValue
 from schemas.trajectory import Floats, Trajectory, decode, encode
-from workers.systems.base import Cancelled, SimulationError
+from workers.systems.base import Cancelled
 from workers.systems.segway import SegwaySystem, bullet, controller
 from workers.systems.segway.bullet import Start, World
 from workers.systems.segway.controller import GAINS, GOAL, State, voltages

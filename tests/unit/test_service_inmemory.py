@@ -15,23 +15,34 @@ import pytest
 
 from orchestrator import service
 from orchestrator.certificate import files
-from orchestrator.errors import PerfboundError, Stopped
 from orchestrator.ledger import Ledger
-from orchestrator.service import Seen, Service
+from orchestrator.service import RunStatus, Service
 from orchestrator.store import evidence
 from orchestrator.store.journal import DATABASE, Journal
 from orchestrator.transport import Heartbeat, Result, Sink, Token
 from schemas import __version__
 from schemas.campaign import CampaignConfig
 from schemas.campaign_file import parse
+from schemas.errors import PerfboundError, SimulationError, Stopped
 from schemas.messages import MAX_RESULT, PROTOCOL, Assign, Request, ResultHeader, WorkerState
 from schemas.rollout import RolloutRequest
 from schemas.trajectory import Trajectory, encode, read
-from tests.inmemory import Faults, InMemoryUplink, Log, Network, Wrap, begin, campaign, hurry, run_of, serve, working
+from tests.fakes.inmemory import (
+    Faults,
+    InMemoryUplink,
+    Log,
+    Network,
+    Wrap,
+    begin,
+    campaign,
+    hurry,
+    run_of,
+    serve,
+    working,
+)
 from workers import worker as module
 from workers.simulate import run
 from workers.systems import load
-from workers.systems.base import SimulationError
 from workers.transport import Receiver
 from workers.worker import Worker
 
@@ -104,7 +115,7 @@ def test_a_bad_network_changes_nothing(tmp_path: Path, calm: Calm, seed: int) ->
     check_evidence(tmp_path / "run")
 
 
-def _has_recorded(limit: int, seen: Seen) -> bool:
+def _has_recorded(limit: int, seen: RunStatus) -> bool:
     return seen.recorded >= limit
 
 
@@ -128,11 +139,11 @@ def test_stops_and_resumes_change_nothing(
     check_evidence(directory)
 
 
-def _once(condition: Callable[[Seen], bool]) -> Callable[[Seen], bool]:
+def _once(condition: Callable[[RunStatus], bool]) -> Callable[[RunStatus], bool]:
     """True at the first moment of `condition` only: one signal."""
     told: list[bool] = []
 
-    def now(seen: Seen) -> bool:
+    def now(seen: RunStatus) -> bool:
         if told or not condition(seen):
             return False
         told.append(True)
@@ -161,10 +172,10 @@ def test_draining_finishes_what_is_under_way_and_begins_nothing(
 
 def test_only_a_second_signal_ends_the_wait_for_what_is_under_way(tmp_path: Path) -> None:
     directory = tmp_path / "run"
-    looks: list[Seen] = []
+    looks: list[RunStatus] = []
     begin(directory, a_config(hung_after=30.0))
 
-    def later(seen: Seen) -> bool:
+    def later(seen: RunStatus) -> bool:
         """One signal when a worker is at work, and one 20 looks later."""
         looks.extend([seen] if looks or {"sent", "busy"} & set(seen.workers.values()) else [])
         return len(looks) in (1, 21)
@@ -232,7 +243,7 @@ def test_a_file_that_comes_out_different_is_not_put_back(tmp_path: Path) -> None
     with (
         Network() as network,
         working(network, run_of(directory), [liar]),
-        pytest.raises(PerfboundError, match=r"computes other digits\. Restore it from a copy"),
+        pytest.raises(PerfboundError, match=r"computes different floating-point results\. Restore it from a copy"),
     ):
         serve(directory, network, Log(), resumed=True)
     assert "restored" not in outcomes(directory)
@@ -402,7 +413,7 @@ def raising(error: BaseException) -> Callable[[], bytes]:
     [
         (raising(RuntimeError("boom")), "RuntimeError: boom"),
         (raising(SimulationError("the Segway fell")), "the Segway fell"),
-        (raising(SimulationError()), "SimulationError"),
+        (raising(SimulationError()), "The rollout has no usable trajectory"),
         (raising(OSError("no file b\udce9ta")), "OSError: no file b\\udce9ta"),
         (lambda: b"x" * (MAX_RESULT + 1), f"{MAX_RESULT + 1} bytes, more than the {MAX_RESULT} of a result"),
     ],
@@ -469,7 +480,7 @@ class Puppets:
         else:
             self.finish(worker, message)
 
-    def tick(self, _: Seen) -> None:
+    def tick(self, _: RunStatus) -> None:
         """The clock has been looked at: the late one answers."""
         if self.late is not None and not self.answered:
             self.answered = True
@@ -516,7 +527,7 @@ def test_a_busy_orchestrator_takes_no_worker_for_hung(tmp_path: Path, monkeypatc
     monkeypatch.setattr(service, "time", clock)
     journal = Journal.open(directory)
     ledger = Ledger(directory, journal)
-    server = Service(ledger, journal, puppets, None, log, resumed=False)
+    server = Service(ledger, journal, puppets, None, [log], resumed=False)
     puppets.start(journal.header.run, server.inbox.put)
     server.run()
     journal.close()

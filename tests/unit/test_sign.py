@@ -21,12 +21,12 @@ from securesystemslib.exceptions import VerificationError
 from securesystemslib.signer import CryptoSigner, SSlibKey  # type: ignore[attr-defined]
 
 from orchestrator.certificate import files, sign
-from orchestrator.certificate.keys import SignatureError, key_id, load_private, load_public, new_pair
+from orchestrator.certificate.keys import key_id, load_private, load_public, new_pair
 from orchestrator.cli import signing
 from orchestrator.cli.group import cli
-from orchestrator.errors import EvidenceError, PerfboundError
 from schemas.certificate import CampaignId, Certificate, Claim, Evidence, Predicate, Subject
 from schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, Envelope, Signature
+from schemas.errors import EvidenceError, PerfboundError, SignatureError
 from tests.campaigns import FOLDER
 
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))

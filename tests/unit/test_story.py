@@ -12,20 +12,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator import service
-from orchestrator.errors import JournalError, PerfboundError
 from orchestrator.gp.lattice import Lattice
-from orchestrator.methods import Band, Bound
-from orchestrator.observation import Observation
-from orchestrator.proposer import Proposer
+from orchestrator.methods import methods
+from orchestrator.plan import plans
 from orchestrator.report import curves, scenes, surfaces
 from orchestrator.report.crew import Crew, Live
 from orchestrator.report.story import Problem, Story, Surface, to_json
 from orchestrator.report.teller import Teller
 from orchestrator.store import queries
-from orchestrator.store.journal import Header, ObservationFact, ProposalFact
 from orchestrator.store.lock import campaign_lock
 from orchestrator.store.rows import unit
 from orchestrator.store.since import Added, Outcome, Since
+from schemas.errors import JournalError, PerfboundError
+from schemas.facts import Header, ObservationFact, ProposalFact
+from schemas.values import Band, Proposal
 from tests.campaigns import config
 from tests.told import a_list, a_pair, contents, finish, insert, play
 from workers.systems import load
@@ -172,9 +172,9 @@ def test_the_numbers_have_the_sign_of_their_objective(finished: Path) -> None:
     for name, problem in by_name(told(finished)).items():
         sign = -1 if problem.sense == "min" else 1
         seen, tests = facts[name], problem.tests
-        assert numbers(tests.y) == [sign * each.y for each in seen]
-        outer = [None if each.upper is None else sign * each.upper for each in seen]
-        inner = [None if each.lower is None else sign * each.lower for each in seen]
+        assert numbers(tests.y) == [sign * each.observation.y for each in seen]
+        outer = [None if each.bound.upper is None else sign * each.bound.upper for each in seen]
+        inner = [None if each.bound.lower is None else sign * each.bound.lower for each in seen]
         assert (tests.lower, tests.upper) == (
             (tuple(outer), tuple(inner)) if sign < 0 else (tuple(inner), tuple(outer))
         )
@@ -191,17 +191,17 @@ def test_a_surface_is_what_the_method_says(tmp_path: Path, name: str) -> None:
     """The method is the campaign's own, which also proposed; the story's has only seen the facts."""
     stage = play(tmp_path, CONFIGS[name])
     for problem in told(tmp_path).problems:
-        method, surface = stage.ledger.proposer.methods[problem.name], problem.surface
+        method, surface = stage.ledger.methods[problem.name], problem.surface
         assert surface is not None
         last = stage.ledger.accounts[problem.name].last_bound
         assert last is not None
-        band = method.band(Bound(last.upper, last.lower, None))
+        band = method.band(replace(last.bound, verdict=None))
         sides = (surface.upper, surface.lower) if problem.sense == "min" else (surface.lower, surface.upper)
         sign = -1 if problem.sense == "min" else 1
         for found, wanted in zip((surface.mean, *sides), (band.mean, band.lower, band.upper), strict=True):
             values = [math.nan if each is None else each for each in found]
-            np.testing.assert_allclose(values, sign * wanted, rtol=0, atol=1e-9)
-        assert surface.worst == tuple(band.possible.tolist())
+            np.testing.assert_allclose(values, sign * np.array(wanted), rtol=0, atol=1e-9)
+        assert surface.worst == band.possible
     stage.journal.close()
 
 
@@ -217,20 +217,21 @@ def test_the_worst_start_is_where_the_band_is_worst(finished: Path) -> None:
 
 def test_the_band_of_method_paper_is_the_one_that_its_proposals_were_chosen_by(one: Path) -> None:
     added, bands = Since(one).look(), dict[str, Band]()
-    proposer, proposals, checked = Proposer(added.header.config, added.header.spec), dict[str, ProposalFact](), 0
+    proposals, checked = dict[str, Proposal](), 0
+    own = methods(plans(added.header.config, added.header.spec))
     for fact in added.decisions:
         match fact:
-            case ProposalFact(beta=float()):
-                band, node = bands[fact.problem], fact.node
-                assert band.mean[node] == pytest.approx(fact.mu)
-                assert band.upper[node] - band.lower[node] == pytest.approx(fact.F)
-                assert band.upper.max() == pytest.approx(band.upper[node])
+            case ProposalFact(proposal=Proposal(beta=float()) as chosen):
+                band, node = bands[fact.problem], chosen.node
+                assert band.mean[node] == pytest.approx(chosen.mu)
+                assert band.upper[node] - band.lower[node] == pytest.approx(chosen.F)
+                assert max(band.upper) == pytest.approx(band.upper[node])
                 checked += 1
             case ObservationFact():
-                proposer.observe(proposals[fact.problem], Observation(fact.y, fact.each), last=False)
-                bands[fact.problem] = proposer.methods[fact.problem].band(Bound(None, None, None))
+                bound = own[fact.problem].observe(proposals[fact.problem], fact.observation)
+                bands[fact.problem] = own[fact.problem].band(bound)
         if isinstance(fact, ProposalFact):
-            proposals[fact.problem] = fact
+            proposals[fact.problem] = fact.proposal
     assert checked == 14
 
 
@@ -277,7 +278,7 @@ def test_the_words_promise_no_more_than_the_numbers(finished: Path) -> None:
 def test_a_box_is_projected_on_the_worst_of_the_other_parameters() -> None:
     lattice = Lattice((0.0,) * 3, (1.0,) * 3, 4)
     values = np.arange(64.0)
-    band = Band(values, values - 1, values + 1, values == 63)
+    band = surfaces._Arrays(values, values - 1, values + 1, values == 63)
     flat = surfaces._projected(band, lattice)
     assert flat.mean.tolist() == values.reshape(4, 4, 4).max(axis=2).tolist()
     assert flat.possible.tolist() == [[False] * 4] * 3 + [[False, False, False, True]]
@@ -288,7 +289,7 @@ def test_a_fine_lattice_is_thinned_and_loses_no_possible_worst(resolution: int, 
     values = np.zeros((resolution, resolution))
     possible = np.zeros_like(values, dtype=np.bool_)
     possible[resolution - 2, 1] = True
-    thin, shape = surfaces._thinned(Band(values, values, values, possible))
+    thin, shape = surfaces._thinned(surfaces._Arrays(values, values, values, possible))
     assert shape == (count, count)
     assert thin.mean.size <= surfaces.MOST_NODES
     (at,) = np.argwhere(thin.possible)

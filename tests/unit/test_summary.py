@@ -5,8 +5,8 @@ import pytest
 from rich.console import Console
 
 from orchestrator import summary
+from orchestrator.progress import Plain
 from orchestrator.summary import outward
-from orchestrator.terminal import Plain
 from schemas.certificate import (
     Assumption,
     CampaignId,

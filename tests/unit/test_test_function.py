@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from schemas.errors import SimulationError, UnknownSystemError
 from schemas.rollout import RolloutRequest
 from schemas.system import OptionValue
 from schemas.trajectory import Trajectory, decode
 from workers import simulate, systems
-from workers.systems.base import Cancelled, SimulationError
+from workers.systems.base import Cancelled
 from workers.systems.test_function import TestFunctionSystem
 
 SYSTEM = TestFunctionSystem()
@@ -86,7 +87,7 @@ def test_the_registry_names_what_is_there() -> None:
     assert {"segway", "test-function"} <= set(systems.available())
     assert isinstance(systems.load("test-function"), TestFunctionSystem)
     assert systems.load("test-function") is systems.load("test-function")
-    with pytest.raises(systems.UnknownSystemError, match=r"'unicycle'.*segway, test-function"):
+    with pytest.raises(UnknownSystemError, match=r"'unicycle'.*segway, test-function"):
         systems.load("unicycle")
 
 

@@ -21,7 +21,8 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from schemas import trajectory as module
-from schemas.trajectory import Trajectory, TrajectoryError, Transform, Visual, decode, encode
+from schemas.errors import TrajectoryError
+from schemas.trajectory import Trajectory, Transform, Visual, decode, encode
 
 UNITS = {"t": "s", "x": "m", "phi": "rad"}
 REQUEST: dict[str, Any] = {"seed": 7, "x": [1.0, 2.0]}

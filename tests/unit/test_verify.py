@@ -19,12 +19,10 @@ import pytest
 from rich.console import Console
 
 from orchestrator import service
-from orchestrator.campaign import RolloutId
 from orchestrator.certificate import files, sign
 from orchestrator.certificate.issue import issue, manifest
-from orchestrator.errors import PerfboundError
 from orchestrator.store.evidence import relative_path
-from orchestrator.store.journal import DATABASE, Fact, RolloutFact, read_header
+from orchestrator.store.journal import DATABASE, read_header
 from orchestrator.store.queries import reading
 from orchestrator.store.stored import Stored, stored
 from orchestrator.verify import compare, resimulate, show
@@ -35,6 +33,9 @@ from orchestrator.verify.verify import verify
 from schemas.base import canonical_json
 from schemas.campaign import CampaignConfig
 from schemas.certificate import Certificate
+from schemas.errors import PerfboundError
+from schemas.facts import Fact, RolloutFact
+from schemas.ids import RolloutId
 from schemas.trajectory import Trajectory, encode, read
 from tests.benchmarks.puppets import Stage
 from tests.campaigns import table
@@ -58,7 +59,7 @@ def run(directory: Path, config: CampaignConfig) -> Path:
         stage = Stage(directory, config, 4)
         stage.play()
         found = manifest((sha256, path) for _, sha256, path in stage.journal.observed())
-        certificate = issue(stage.journal.header, stage.ledger.accounts, stage.ledger.proposer.methods, found)
+        certificate = issue(stage.ledger, found)
         files.write(directory, certificate, found.manifest)
         stage.journal.close()
     return directory
@@ -575,7 +576,7 @@ def test_a_rival_of_the_maximiser_is_followed(campaign: Path, monkeypatch: pytes
         header = read_header(connection, campaign)
     rerun = Rerun(campaign, header, parse(text))
     rerun.play(lambda _: None)
-    assert rerun.proposer.ties > 0
+    assert rerun.ties > 0
     assert rerun.ledger.done
 
 
@@ -594,7 +595,7 @@ def test_a_consistent_lie_is_caught_by_simulating_again(campaign: Path, monkeypa
     rerun = Rerun(campaign, header, entries)
     rerun.play(lambda _: None)
     ledger, found = rerun.ledger, manifest(rerun.observed())
-    files.write(campaign, issue(header, ledger.accounts, ledger.proposer.methods, found), found.manifest)
+    files.write(campaign, issue(ledger, found), found.manifest)
     assert check(campaign).good, "the forgery is complete"
 
     def simulated(_command: str, _flag: str, request: str, _out: str, out: str) -> str:

@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 
 from orchestrator.address import Address
-from orchestrator.errors import JournalError
 from orchestrator.report import looks as looks_module
 from orchestrator.report import web
 from orchestrator.report.crew import Live
@@ -24,8 +23,9 @@ from orchestrator.report.story import Scene, Story
 from orchestrator.report.teller import Teller
 from orchestrator.store.journal import DATABASE
 from schemas.campaign_file import parse
+from schemas.errors import JournalError
 from tests.campaigns import FOLDER
-from tests.inmemory import campaign
+from tests.fakes.inmemory import campaign
 
 RECORDED = "trajectories/maximum/0/maximum.0.true.0.mcap"
 pytestmark = pytest.mark.timeout(60)

@@ -4,13 +4,10 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
+from schemas.errors import UnknownSystemError
 from workers.systems.base import SystemUnderTest
 
 GROUP = "perfbound.systems"
-
-
-class UnknownSystemError(LookupError):
-    """No installed package offers this system; the message names those that are there."""
 
 
 def available() -> tuple[str, ...]:

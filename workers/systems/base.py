@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
+from schemas.errors import SimulationError
 from schemas.system import Option, OptionValue, SystemSpec, Variant
 from schemas.trajectory import Trajectory, Visual
 
@@ -13,10 +14,6 @@ Progress = Callable[[int], None]
 
 class Cancelled(Exception):  # noqa: N818  (not an error: the orchestrator no longer wants the rollout)
     """The rollout was cancelled while it ran."""
-
-
-class SimulationError(Exception):
-    """The rollout has no usable trajectory (bad start, non-finite state); the message says why."""
 
 
 class SystemUnderTest(Protocol):

@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from schemas.errors import SimulationError
 from schemas.trajectory import Floats
-from workers.systems.base import Progress, SimulationError
+from workers.systems.base import Progress
 from workers.systems.segway.controller import HEADING_RATE, PHI, Gains, State, voltages
 
 CONTROL_RATE = 120  # 1/s

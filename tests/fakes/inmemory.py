@@ -22,17 +22,18 @@ from orchestrator import dispatch, service
 from orchestrator.certificate import files
 from orchestrator.certificate.issue import issue, manifest
 from orchestrator.ledger import Ledger
-from orchestrator.service import Interrupted, Seen, Service
-from orchestrator.store.journal import Header, Journal
+from orchestrator.service import Interrupted, RunStatus, Service
+from orchestrator.store.journal import Journal
 from orchestrator.store.lock import campaign_lock
 from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
 from orchestrator.versions import software
 from schemas import keys
 from schemas.campaign import CampaignConfig
 from schemas.campaign_check import check_against
+from schemas.errors import MessageError, RefusedError
+from schemas.facts import Header
 from schemas.messages import (
     MAX_RESULT,
-    MessageError,
     Refuse,
     Request,
     ResultHeader,
@@ -45,7 +46,7 @@ from schemas.messages import (
 from workers import worker as worker_module
 from workers.systems import load
 from workers.transport import Receiver, Uplink
-from workers.worker import RefusedError, Worker
+from workers.worker import Worker
 
 # The network
 
@@ -254,7 +255,7 @@ Wrap = Callable[[InMemoryUplink], Uplink]
 class Log:
     """A view that keeps what it is told, and may do something at every look."""
 
-    def __init__(self, look: Callable[[Seen], None] = lambda _: None) -> None:
+    def __init__(self, look: Callable[[RunStatus], None] = lambda _: None) -> None:
         self.lines: list[str] = []
         self._look = look
 
@@ -262,9 +263,9 @@ class Log:
         """Keep a line."""
         self.lines.append(line)
 
-    def show(self, seen: Seen) -> None:
+    def show(self, status: RunStatus) -> None:
         """Look."""
-        self._look(seen)
+        self._look(status)
 
 
 @contextmanager
@@ -319,7 +320,7 @@ def serve(
     network: Network,
     log: Log,
     *,
-    stop: Callable[[Seen], bool] = lambda _: False,
+    stop: Callable[[RunStatus], bool] = lambda _: False,
     resumed: bool = False,
     drain: bool = False,
 ) -> str:
@@ -335,16 +336,16 @@ def serve(
         stack.callback(journal.close)
         ledger = Ledger(directory, journal)
         ledger.replay()
-        ledger.mend()
+        ledger.check_files()
         if not ledger.done:
             port = InMemoryTransport(network)
             stack.callback(port.stop)
-            server = Service(ledger, journal, port, None, log, resumed=resumed, drain=drain)
+            server = Service(ledger, journal, port, None, [log], resumed=resumed, drain=drain)
             log._look = lambda seen: server.inbox.put(Interrupted(2)) if stop(seen) else None
             port.start(journal.header.run, server.inbox.put)
             server.run()
         found = manifest((sha256, path) for _, sha256, path in journal.observed())
-        files.write(directory, issue(journal.header, ledger.accounts, ledger.proposer.methods, found), found.manifest)
+        files.write(directory, issue(ledger, found), found.manifest)
     return (directory / files.CERTIFICATE).read_text()
 
 

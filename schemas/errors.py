@@ -1,0 +1,71 @@
+"""The known errors: one family with one base, each one line of text with the thing, the place and the remedy."""
+
+
+class PerfboundError(Exception):
+    """perfbound cannot continue."""
+
+    def __init__(self, text: str | None = None) -> None:
+        # The docstring of the class is the default text, so that no error is ever empty.
+        super().__init__(text or str(type(self).__doc__).partition("\n")[0].removesuffix("."))
+
+
+class CampaignError(PerfboundError):
+    """The campaign file cannot be run."""
+
+
+class LinkError(PerfboundError):
+    """The endpoint cannot be used as asked."""
+
+
+class MessageError(PerfboundError):
+    """The message is not acceptable."""
+
+
+class TrajectoryError(PerfboundError):
+    """The bytes are not one whole trajectory file."""
+
+
+class EvidenceError(PerfboundError):
+    """A trajectory file is missing, or is not the one that was recorded."""
+
+
+class RequestError(EvidenceError):
+    """The trajectory was simulated for another request."""
+
+
+class JournalError(PerfboundError):
+    """The campaign database cannot be used as it is."""
+
+
+class SignatureError(PerfboundError):
+    """The key or the signature is not acceptable."""
+
+
+class SimulationError(PerfboundError):
+    """The rollout has no usable trajectory: a start outside the specification, or a state that is not finite."""
+
+
+class UnknownSystemError(PerfboundError):
+    """The system is not installed here."""
+
+
+class RefusedError(PerfboundError):
+    """The orchestrator has refused this worker."""
+
+
+class IllegalEvent(ValueError):  # noqa: N818  (h11's convention: what happened, not what failed)
+    """An event that the present state of a machine does not allow; the state is unchanged.
+
+    A fault of perfbound itself, so not in the family above: it ends with a traceback.
+    """
+
+
+class Stopped(BaseException):
+    """A signal asks the orchestrator to stop; everything that was recorded is durable.
+
+    Not an Exception: like KeyboardInterrupt, nothing may swallow it.
+    """
+
+    def __init__(self, signal: int) -> None:
+        super().__init__(f"stopped by signal {signal}")
+        self.signal = signal

@@ -1,0 +1,121 @@
+"""The facts of a campaign, and the hash chain over them.
+
+Facts are drawn in one order and never changed; everything else about a campaign follows from them.
+"""
+
+import hashlib
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from schemas.base import canonical_json, digest
+from schemas.campaign import CampaignConfig
+from schemas.ids import RolloutId
+from schemas.rollout import RequestTemplate
+from schemas.system import SystemSpec
+from schemas.values import Bound, Observation, Proposal, StoppedBy
+
+RECORDED, RESTORED = "recorded", "restored"
+"""Outcomes of attempts that brought a result: a new one, or the file of a recorded one once more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The first fact: the campaign, its system and its software.
+
+    The digests are those of the texts as they were written: a later perfbound may know more keys, with defaults.
+    """
+
+    run: str
+    config: CampaignConfig
+    spec: SystemSpec
+    software: dict[str, str]
+    config_sha256: str
+    system_sha256: str
+
+    @classmethod
+    def new(
+        cls, config: CampaignConfig, spec: SystemSpec, software: dict[str, str], *, run: str | None = None
+    ) -> "Header":
+        """Return the header of a new campaign, with a random run id if none is given."""
+        return cls(run or secrets.token_hex(8), config, spec, software, config.digest, spec.digest)
+
+    @property
+    def template(self) -> RequestTemplate:
+        """What the requests of all rollouts have in common."""
+        config = self.config
+        return RequestTemplate.of(
+            self.spec,
+            config.system.options,
+            horizon=config.horizon,
+            visual=config.visual == "all",
+            campaign=config.name,
+            config_sha256=self.config_sha256,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ProposalFact:
+    """z of a test, and the numbers that chose it."""
+
+    problem: str
+    test: int
+    proposal: Proposal
+
+
+@dataclass(frozen=True, slots=True)
+class RolloutFact:
+    """A trajectory that is durable."""
+
+    rollout: RolloutId
+    seed: int
+    sha256: str
+    size: int
+    path: str
+    robustness: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ObservationFact:
+    """The observation of a test; `chain` is the head of the problem's hash chain after it."""
+
+    problem: str
+    test: int
+    observation: Observation
+    chain: str
+
+
+@dataclass(frozen=True, slots=True)
+class BoundFact:
+    """The bound after a test; `budget` says that the budget, and not the method, ends the problem here."""
+
+    problem: str
+    test: int
+    bound: Bound
+    budget: bool = False
+
+    @property
+    def stopped_by(self) -> StoppedBy | None:
+        """The reason why the problem ends here, if it does."""
+        return self.bound.verdict or ("budget" if self.budget else None)
+
+
+Fact = ProposalFact | RolloutFact | ObservationFact | BoundFact
+
+
+def first_link(header: Header, problem: str) -> str:
+    """Return the start of a problem's hash chain."""
+    return digest({"config": header.config_sha256, "system": header.system_sha256, "problem": problem})
+
+
+def next_link(link: str, fact: ProposalFact, rollouts: Sequence[RolloutFact], observation: Observation) -> str:
+    """Return the head of a problem's hash chain after one more observed test."""
+    chosen = fact.proposal
+    value = {
+        "test": [fact.test, chosen.node, chosen.x, chosen.mu, chosen.sigma, chosen.beta, chosen.F],
+        # By id: the order of arrival depends on the speed of the workers, and the chain must not.
+        "rollouts": sorted([str(each.rollout), each.seed, each.sha256] for each in rollouts),
+        "y": observation.y,
+        "each": list(observation.each),
+    }
+    return hashlib.sha256((link + canonical_json(value)).encode()).hexdigest()

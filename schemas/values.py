@@ -1,0 +1,68 @@
+"""Values that campaign and mathematics exchange, in terms of the maximised objective J; the standard library only.
+
+These classes are all that the mathematics imports of perfbound; the facts of a campaign hold them.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Verdict = Literal["converged", "refuted"]
+StoppedBy = Literal["converged", "budget", "refuted"]
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """The next test: its candidate, and the numbers that chose it.
+
+    `x` (p,) has the parameters' units, `mu` and `F` the unit of J. The first test of a problem has no `beta` and no
+    `F`, and only method `paper` has an `F`. With refinement `x` need not be the node, but lies within one cell of it.
+    """
+
+    node: int
+    x: tuple[float, ...]
+    mu: float | None
+    sigma: float | None
+    beta: float | None
+    F: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """y of a test, and the contribution of each replicate to it, in the order of the replicates.
+
+    `each` holds values of J whose mean is y; for a risk (`true_risk` without linearisation) it holds the robustness.
+    """
+
+    y: float
+    each: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """lower <= max J <= upper; None where the method has no bound (yet)."""
+
+    upper: float | None
+    lower: float | None
+    verdict: Verdict | None
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """The values of J that a method allows at each of its m candidates, unit J; NaN where it has no bound."""
+
+    mean: tuple[float, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    possible: tuple[bool, ...]
+    """Whether the maximum may still be at this candidate."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemProgress:
+    """The state of one problem: its closed tests, their rollouts and the last bound; `F` is that of the last test."""
+
+    tests: int
+    rollouts: int
+    F: float | None
+    bound: Bound | None
+    stopped_by: StoppedBy | None
