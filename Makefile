@@ -50,7 +50,7 @@ build/node/.installed: Makefile
 	  @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 @foxglove/schemas@2.1.0; then touch $@; fi
 
 unit: $(VENV)/.installed-dev build/node/.installed ## Tests, with real workers, Zenoh and PyBullet
-	$(BIN)/python -m pytest --doctest-modules orchestrator workers schemas
+	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas
 	$(BIN)/python -m pytest
 
 explore: $(VENV)/.installed-dev ## Property tests with new random cases, many of them
@@ -79,7 +79,7 @@ bench-compare: $(VENV)/.installed-dev ## Two results side by side: OLD=... NEW=.
 	$(BIN)/python -m tests.benchmarks.compare $(OLD) $(NEW)
 
 schemas: $(VENV)/.installed-dev ## Write schemas/json/v1 anew from the models
-	$(BIN)/python -m schemas
+	$(BIN)/python -m perfbound.schemas
 
 diagrams: $(VENV)/.installed-dev ## Draw the diagrams of docs/architecture.md anew from the legality tables
 	$(BIN)/python -m tests.architecture

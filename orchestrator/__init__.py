@@ -1,1 +1,1 @@
-"""The orchestrator: owns the campaign, dispatches rollouts to workers and issues the certificate."""
+"""The orchestrator: it owns the campaign, dispatches rollouts to workers and issues the certificate."""

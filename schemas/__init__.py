@@ -1,4 +1,4 @@
-"""What crosses a border: campaign files, messages, the trajectory file, the certificate."""
+"""Every noun, and every border: campaign files, messages, facts, trajectory files, the certificate."""
 
 from importlib.metadata import version
 

@@ -1,19 +1,19 @@
-"""`python -m schemas` writes the JSON Schemas of the borders and the reference page anew; a test keeps them current."""
+"""`python -m perfbound.schemas`: the generator of the JSON Schemas of the borders and of the reference page."""
 
 import json
 from pathlib import Path
 
 from pydantic import BaseModel, TypeAdapter
 
-from schemas.campaign import CampaignConfig
-from schemas.certificate import Certificate
-from schemas.messages import Ack, Assign, Cancel, Refuse, ResultHeader, WorkerState
-from schemas.reference import page
-from schemas.rollout import RolloutRequest
-from schemas.system import SystemSpec
+from .campaign import CampaignConfig
+from .certificate import Certificate
+from .messages import Ack, Assign, Cancel, Refuse, ResultHeader, WorkerState
+from .reference import page
+from .rollout import RolloutRequest
+from .system import SystemSpec
 
-FOLDER = Path(__file__).parent / "json" / "v1"
-REFERENCE = Path(__file__).parents[1] / "docs" / "reference.md"
+FOLDER = Path(__file__).resolve().parent / "json" / "v1"
+REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "reference.md"
 MODELS: dict[str, type[BaseModel]] = {
     "campaign": CampaignConfig,
     "certificate": Certificate,

@@ -4,8 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from schemas.base import Model, digest
-from schemas.system import OptionValue, Variant
+from .base import Model, digest
+from .system import OptionValue, Variant
 
 ProblemName = Literal["nominal_robustness", "sim_gap", "true_risk", "maximum"]
 MethodName = Literal["paper", "rigorous", "scenario"]

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from schemas.campaign import ROLLED_OUT, CampaignConfig, Scenarios
-from schemas.errors import CampaignError
-from schemas.system import SystemSpec
+from .campaign import ROLLED_OUT, CampaignConfig, Scenarios
+from .errors import CampaignError
+from .system import SystemSpec
 
 
 def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None:

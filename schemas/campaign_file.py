@@ -12,8 +12,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import ValidationError
 
-from schemas.base import Model
-from schemas.campaign import (
+from .base import Model
+from .campaign import (
     PROBLEM_MODELS,
     SENSES,
     CampaignConfig,
@@ -25,7 +25,7 @@ from schemas.campaign import (
     SystemChoice,
     Weighted,
 )
-from schemas.errors import CampaignError
+from .errors import CampaignError
 
 Location = tuple[int | str, ...]
 """Where pydantic found a fault."""

@@ -5,9 +5,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from schemas.base import Model
-from schemas.campaign import ProblemName, Rule, Sense
-from schemas.values import StoppedBy
+from .base import Model
+from .campaign import ProblemName, Rule, Sense
+from .values import StoppedBy
 
 STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certificate:v1"

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from schemas.base import Model
+from .base import Model
 
 PAYLOAD_TYPE = "application/vnd.in-toto+json"
 MAX_SIGNATURES = 100

@@ -8,12 +8,12 @@ import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from schemas.base import canonical_json, digest
-from schemas.campaign import CampaignConfig
-from schemas.ids import RolloutId
-from schemas.rollout import RequestTemplate
-from schemas.system import SystemSpec
-from schemas.values import Bound, Observation, Proposal, StoppedBy
+from .base import canonical_json, digest
+from .campaign import CampaignConfig
+from .ids import RolloutId
+from .rollout import RequestTemplate
+from .system import SystemSpec
+from .values import Bound, Observation, Proposal, StoppedBy
 
 RECORDED, RESTORED = "recorded", "restored"
 """Outcomes of attempts that brought a result: a new one, or the file of a recorded one once more."""

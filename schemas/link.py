@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from schemas.base import Model
-from schemas.errors import LinkError
-from schemas.messages import MAX_RESULT
+from .base import Model
+from .errors import LinkError
+from .messages import MAX_RESULT
 
 LEASE_MS = 2000
 """A peer that is silent for so long has lost its liveliness token."""

@@ -4,9 +4,9 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from schemas.base import Model
-from schemas.errors import MessageError
-from schemas.rollout import RolloutRequest
+from .base import Model
+from .errors import MessageError
+from .rollout import RolloutRequest
 
 PROTOCOL = 1
 MAX_MESSAGE = 64 * 1024

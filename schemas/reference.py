@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from schemas.campaign import (
+from .campaign import (
     CampaignConfig,
     Gap,
     Linearised,

@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from schemas.base import Model
-from schemas.ids import RolloutId
-from schemas.system import OptionValue, SystemSpec, Variant
+from .base import Model
+from .ids import RolloutId
+from .system import OptionValue, SystemSpec, Variant
 
 MAX_SEED = 2**53
 """Seeds are below this, so that every JSON reader keeps them exact."""

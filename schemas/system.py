@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from schemas.base import Model, digest
+from .base import Model, digest
 
 Variant = Literal["nominal", "true"]
 OptionValue = str | float

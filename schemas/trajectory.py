@@ -30,9 +30,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from numpy.typing import NDArray
 
-from schemas.base import canonical_json
-from schemas.errors import TrajectoryError
-from schemas.visual import Floats, Transform, Visual, channels
+from .base import canonical_json
+from .errors import TrajectoryError
+from .visual import Floats, Transform, Visual, channels
 
 __all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read"]
 

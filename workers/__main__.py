@@ -1,5 +1,5 @@
-"""`python -m workers`: the worker, and the questions that the orchestrator asks a child process."""
+"""`python -m perfbound.workers`: the worker, and the questions that the orchestrator asks a child process."""
 
-from workers.cli import group
+from .cli import group
 
 group()

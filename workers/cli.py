@@ -13,9 +13,9 @@ from typing import NoReturn
 
 import click
 
-from schemas.base import canonical_json, one_blas_thread, one_line
-from schemas.errors import LinkError, PerfboundError, RefusedError
-from schemas.link import Tls
+from ..schemas.base import canonical_json, one_blas_thread, one_line
+from ..schemas.errors import LinkError, PerfboundError, RefusedError
+from ..schemas.link import Tls
 
 RUN_GONE = 5.0
 """Seconds without its orchestrator after which an idle worker may join another campaign."""
@@ -85,9 +85,9 @@ def _hold(descriptor: int) -> None:
 
 
 def _serve(endpoint: str, name: str, run: str | None, tls: Tls | None) -> None:
-    from schemas import keys  # noqa: PLC0415
-    from workers.transport import connect  # noqa: PLC0415
-    from workers.worker import Worker  # noqa: PLC0415
+    from ..schemas import keys  # noqa: PLC0415
+    from .transport import connect  # noqa: PLC0415
+    from .worker import Worker  # noqa: PLC0415
 
     started = keys.fresh_id(name)
     with connect(endpoint, tls, _waiting(endpoint)) as uplink:
@@ -148,7 +148,7 @@ def _abandoned(
 @group.command()
 def systems() -> None:
     """Print the SystemSpec of every installed system as one JSON object, name to spec."""
-    from workers.systems import available, load  # noqa: PLC0415
+    from .systems import available, load  # noqa: PLC0415
 
     specs = {}
     for system in available():
@@ -167,8 +167,8 @@ def simulate(request: str, out: Path) -> None:
     """Run one rollout without an orchestrator and write its trajectory."""
     from pydantic import ValidationError  # noqa: PLC0415
 
-    from schemas.rollout import RolloutRequest  # noqa: PLC0415
-    from workers.simulate import run  # noqa: PLC0415
+    from ..schemas.rollout import RolloutRequest  # noqa: PLC0415
+    from .simulate import run  # noqa: PLC0415
 
     try:
         data = run(RolloutRequest.model_validate_json(request), lambda _: None)
@@ -190,7 +190,7 @@ def simulate(request: str, out: Path) -> None:
 @click.option("--file", "path", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file.")
 def look(path: Path) -> None:
     """Print what a person sees of a trajectory, as JSON: the scene and the moving frames, or null."""
-    from workers import look as view  # noqa: PLC0415
+    from . import look as view  # noqa: PLC0415
 
     try:
         with contextlib.redirect_stdout(sys.stderr):  # what a plug-in prints is not our data

@@ -4,8 +4,8 @@ from typing import Any
 
 from google.protobuf.json_format import MessageToDict
 
-from schemas.trajectory import Transform, read
-from workers.systems import load
+from ..schemas.trajectory import Transform, read
+from .systems import load
 
 
 def look(data: bytes) -> dict[str, Any] | None:

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from schemas.errors import SimulationError
-from schemas.rollout import RolloutRequest
-from schemas.trajectory import encode
-from workers.systems import load
-from workers.systems.base import Progress, SystemUnderTest
+from ..schemas.errors import SimulationError
+from ..schemas.rollout import RolloutRequest
+from ..schemas.trajectory import encode
+from .systems import load
+from .systems.base import Progress, SystemUnderTest
 
 
 def run(request: RolloutRequest, progress: Progress) -> bytes:

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 
 import zenoh
 
-from schemas import keys
-from schemas.errors import MessageError
-from schemas.link import Tls, connect_config
-from schemas.messages import Request, ResultHeader, WorkerState, decode_request, encode
+from ..schemas import keys
+from ..schemas.errors import MessageError
+from ..schemas.link import Tls, connect_config
+from ..schemas.messages import Request, ResultHeader, WorkerState, decode_request, encode
 
 Receiver = Callable[[Request], None]
 OPEN_PERIOD = 0.3

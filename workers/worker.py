@@ -8,13 +8,23 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from schemas import __version__
-from schemas.errors import PerfboundError, RefusedError
-from schemas.messages import MAX_RESULT, PROTOCOL, Ack, Assign, Cancel, Refuse, Request, ResultHeader, WorkerState
-from workers.simulate import run
-from workers.systems import available, load
-from workers.systems.base import Cancelled
-from workers.transport import Uplink
+from ..schemas import __version__
+from ..schemas.errors import PerfboundError, RefusedError
+from ..schemas.messages import (
+    MAX_RESULT,
+    PROTOCOL,
+    Ack,
+    Assign,
+    Cancel,
+    Refuse,
+    Request,
+    ResultHeader,
+    WorkerState,
+)
+from .simulate import run
+from .systems import available, load
+from .systems.base import Cancelled
+from .transport import Uplink
 
 HEARTBEAT = 0.5
 RESEND = 1.0

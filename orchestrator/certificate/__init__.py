@@ -1,1 +1,1 @@
-"""The certificate: from what a finished campaign knows to the document."""
+"""The claims of a finished campaign: the certificate, its signature and its verification."""

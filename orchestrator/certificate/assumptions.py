@@ -4,14 +4,14 @@ import itertools
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
-from orchestrator.bounds import audit
-from orchestrator.bounds.audit import Assumption
-from orchestrator.bounds.rigorous import RigorousMethod
-from orchestrator.certificate.claims import PAIR
-from orchestrator.gp.lattice import Lattice
-from orchestrator.ledger import Account
-from orchestrator.methods import Methods, kernel
-from schemas.campaign import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
+from ...schemas.campaign import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
+from ..campaign.ledger import Account
+from ..campaign.methods import Methods, kernel
+from ..mathematics.bounds import audit
+from ..mathematics.bounds.audit import Assumption
+from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.gp.lattice import Lattice
+from .claims import PAIR
 
 ROUNDING = 1e-9
 

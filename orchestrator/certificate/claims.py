@@ -3,8 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from orchestrator.bounds.audit import Assumption
-from orchestrator.bounds.composition import (
+from ...schemas import certificate as document
+from ...schemas.campaign import CampaignConfig, Rule
+from ..campaign.methods import Methods
+from ..campaign.plan import Plans
+from ..mathematics.bounds.audit import Assumption
+from ..mathematics.bounds.composition import (
     compose,
     compose_mean,
     joint_probability,
@@ -13,12 +17,8 @@ from orchestrator.bounds.composition import (
     round_down,
     round_up,
 )
-from orchestrator.bounds.paper import PaperMethod
-from orchestrator.bounds.rigorous import RigorousMethod
-from orchestrator.methods import Methods
-from orchestrator.plan import Plans
-from schemas import certificate as document
-from schemas.campaign import CampaignConfig, Rule
+from ..mathematics.bounds.paper import PaperMethod
+from ..mathematics.bounds.rigorous import RigorousMethod
 
 Results = Mapping[str, document.ProblemResult]
 PAIR = ("nominal_robustness", "sim_gap")

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from orchestrator.store import evidence
-from schemas.certificate import Certificate
-from schemas.errors import EvidenceError
+from ...schemas.certificate import Certificate
+from ...schemas.errors import EvidenceError
+from ..store import files
 
 CERTIFICATE = "certificate.json"
 ENVELOPE = "certificate.dsse.json"
@@ -22,8 +22,8 @@ def write(directory: Path, certificate: Certificate, manifest: str) -> None:
         OSError: the disk is full or the directory cannot be written.
 
     """
-    evidence.write(directory / MANIFEST, manifest.encode())
-    evidence.write(directory / CERTIFICATE, certificate.to_json().encode())
+    files.write(directory / MANIFEST, manifest.encode())
+    files.write(directory / CERTIFICATE, certificate.to_json().encode())
 
 
 def read(directory: Path) -> Certificate | None:
@@ -37,6 +37,6 @@ def read(directory: Path) -> Certificate | None:
     if not path.exists():
         return None
     try:
-        return Certificate.model_validate_json(evidence.contents(path, MAX_CERTIFICATE))
+        return Certificate.model_validate_json(files.contents(path, MAX_CERTIFICATE))
     except ValueError as error:
         raise EvidenceError(f"{path}: not a certificate ({str(error).splitlines()[0]}); delete it and resume") from None

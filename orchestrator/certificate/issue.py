@@ -4,13 +4,13 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from orchestrator.certificate.assumptions import assumptions
-from orchestrator.certificate.claims import claims
-from orchestrator.certificate.results import result
-from orchestrator.ledger import Ledger
-from schemas import certificate as document
-from schemas.base import digest
-from schemas.facts import Header
+from ...schemas import certificate as document
+from ...schemas.base import digest
+from ...schemas.facts import Header
+from ..campaign.ledger import Ledger
+from .assumptions import assumptions
+from .claims import claims
+from .results import result
 
 
 @dataclass(frozen=True, slots=True)

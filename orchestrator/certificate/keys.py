@@ -19,9 +19,9 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
-from orchestrator.store.evidence import TEMPORARY
-from schemas.base import digest
-from schemas.errors import SignatureError
+from ...schemas.base import digest
+from ...schemas.errors import SignatureError
+from ..store.files import TEMPORARY
 
 MAX_FILE = 64 * 1024
 """Bytes of a key's file."""

@@ -2,12 +2,12 @@
 
 from typing import Literal
 
-from orchestrator.bounds.composition import round_down, round_up
-from orchestrator.bounds.paper import Tail, mills_probability
-from orchestrator.ledger import Account
-from orchestrator.plan import ProblemPlan
-from schemas import certificate as document
-from schemas.campaign import SENSES, PaperProblem, ProblemName, RigorousProblem
+from ...schemas import certificate as document
+from ...schemas.campaign import SENSES, PaperProblem, ProblemName, RigorousProblem
+from ..campaign.ledger import Account
+from ..campaign.plan import ProblemPlan
+from ..mathematics.bounds.composition import round_down, round_up
+from ..mathematics.bounds.paper import Tail, mills_probability
 
 TAILS: tuple[Tail, ...] = ("gaussian", "sub-gaussian")
 OBJECTIVES: dict[ProblemName, str] = {

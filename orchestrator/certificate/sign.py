@@ -19,11 +19,11 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from pydantic import ValidationError
 
-from orchestrator.certificate import files
-from orchestrator.certificate.keys import key_id, load_private, load_public, new_pair
-from orchestrator.store import evidence
-from schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, Envelope, Signature
-from schemas.errors import EvidenceError, SignatureError
+from ...schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, Envelope, Signature
+from ...schemas.errors import EvidenceError, SignatureError
+from ..store import files as evidence
+from . import files
+from .keys import key_id, load_private, load_public, new_pair
 
 __all__ = [
     "SignatureError",

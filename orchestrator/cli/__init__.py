@@ -1,6 +1,6 @@
-"""The command line: thin, and quick to start; what is heavy is imported inside the commands."""
+"""The command line: it parses, calls one function, prints and exits; heavy modules load inside the commands."""
 
-from orchestrator.cli import campaigns, evidence, pictures, systems  # each adds its commands
-from orchestrator.cli.entry import main
+from . import campaigns, certificate, report, systems  # each adds its commands
+from .main import main
 
-__all__ = ["campaigns", "evidence", "main", "pictures", "systems"]
+__all__ = ["campaigns", "certificate", "main", "report", "systems"]

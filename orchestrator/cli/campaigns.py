@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orchestrator.address import Address
-from orchestrator.cli import signing
-from orchestrator.cli.ending import resumable
-from orchestrator.cli.group import RUN_DIRECTORY, cli, data
-from orchestrator.cli.pictures import draw
-from orchestrator.cli.place import web_option
-from orchestrator.talk import TALK
+from ..run.address import Address
+from . import signing
+from .exits import resumable
+from .group import RUN_DIRECTORY, cli, data
+from .report import draw
+from .stderr import STDERR
+from .web_option import web_option
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-    from orchestrator.session import Link
+    from ..run.session import Link
 
 REFUTED = 3
 """Exit code with --strict."""
@@ -63,7 +63,7 @@ strict_option = click.option(
 
 def _log(_context: click.Context, _option: click.Parameter, form: str) -> None:
     if form == "json":
-        TALK.as_json()
+        STDERR.as_json()
 
 
 log_option = click.option(
@@ -124,12 +124,12 @@ def orchestrate(*, campaign: Path, out: Path | None, seed: int | None, **options
 @link_options
 def resume(*, directory: Path, workers: int, sign: Path | None, strict: bool, drain: bool, **link: Any) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
-    from orchestrator import session  # noqa: PLC0415
+    from ..run import session  # noqa: PLC0415
 
     key = signing.load(sign) if sign else None
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
-        went_on = session.resume(directory, options, TALK.console)
+        went_on = session.resume(directory, options, STDERR.console)
         _finish(directory, key, strict=strict, report=went_on)
 
 
@@ -144,7 +144,7 @@ def _start(
     drain: bool,
     **link: Any,
 ) -> None:
-    from orchestrator import session  # noqa: PLC0415
+    from ..run import session  # noqa: PLC0415
 
     key = signing.load(sign) if sign else None  # before hours of work, and this very key signs
     overrides = {} if seed is None else {"seed": seed}
@@ -152,20 +152,21 @@ def _start(
     directory = out or Path("runs") / config.name
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
-        session.start(config, campaign, directory, options, TALK.console)
+        session.start(config, campaign, directory, options, STDERR.console)
         _finish(directory, key, strict=strict, report=True)
 
 
 def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, report: bool) -> None:
-    from orchestrator import session, summary  # noqa: PLC0415
+    from ..certificate import text  # noqa: PLC0415
+    from ..run import session  # noqa: PLC0415
 
     console, found = data(), session.certificate(directory)
     if key is not None:
         signing.sign(directory, key)
-    summary.show(found, console)
+    text.show(found, console)
     if report:
         draw(directory)
-    summary.written(directory, console)
+    text.written(directory, console)
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
 
@@ -174,7 +175,7 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
 @click.argument("directory", type=RUN_DIRECTORY)
 def status(directory: Path) -> None:
     """Show how far the campaign in DIRECTORY is, while it runs and afterwards."""
-    from orchestrator import status as view  # noqa: PLC0415
+    from . import status as view  # noqa: PLC0415
 
     view.show(directory, data())
 
@@ -197,11 +198,12 @@ def paper(*, out: Path, campaigns: Path | None, workers: int, **extent: Any) -> 
 
     What is finished is not run again, and what was interrupted goes on where it stopped.
     """
-    from orchestrator.reproduce import paper, study  # noqa: PLC0415
+    from ..report.paper import reproduce as published  # noqa: PLC0415
+    from ..report.paper import study  # noqa: PLC0415
 
     with resumable(out, shlex.join(["perfbound", *sys.argv[1:]])):
-        for line in paper.reproduce(
-            study.Extent(**extent), campaigns or study.SHIPPED, out, workers=workers, console=TALK.console
+        for line in published.reproduce(
+            study.Extent(**extent), campaigns or study.SHIPPED, out, workers=workers, console=STDERR.console
         ):
             click.echo(line)
 
@@ -215,8 +217,8 @@ def _link(
     tls_key: str | None,
     web: Address | None,
 ) -> "Link":
-    from orchestrator.session import Link  # noqa: PLC0415
-    from schemas.link import LOCAL, Tls  # noqa: PLC0415
+    from ...schemas.link import LOCAL, Tls  # noqa: PLC0415
+    from ..run.session import Link  # noqa: PLC0415
 
     endpoint = endpoint or LOCAL
     files = (tls_ca, tls_certificate, tls_key)

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from schemas import __version__
+from ...schemas import __version__
 
 RUN_DIRECTORY = click.Path(path_type=Path, file_okay=False)
 

@@ -26,7 +26,7 @@ def load(path: Path) -> "Ed25519PrivateKey":
         SignatureError: it cannot be used.
 
     """
-    from orchestrator.certificate.keys import load_private  # noqa: PLC0415
+    from ..certificate.keys import load_private  # noqa: PLC0415
 
     return load_private(path, lambda: passphrase(f"Passphrase of {path}"))
 
@@ -38,8 +38,8 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
         SignatureError: nobody is there to ask.
 
     """
-    from orchestrator.certificate.keys import read_passphrase  # noqa: PLC0415
-    from schemas.errors import SignatureError  # noqa: PLC0415
+    from ...schemas.errors import SignatureError  # noqa: PLC0415
+    from ..certificate.keys import read_passphrase  # noqa: PLC0415
 
     path = os.environ.get(FROM_FILE)
     if path:
@@ -51,6 +51,6 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
 
 def sign(directory: Path, key: "Ed25519PrivateKey") -> str:
     """Sign the certificate in `directory`; return a line that says so."""
-    from orchestrator.certificate.sign import key_id, sign_certificate  # noqa: PLC0415
+    from ..certificate.sign import key_id, sign_certificate  # noqa: PLC0415
 
     return f"signed       {sign_certificate(directory, key)}, key {key_id(key.public_key())}"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.group import RUN_DIRECTORY, cli
+from .group import RUN_DIRECTORY, cli
 
 
 @cli.command()
@@ -19,7 +19,7 @@ def simulate(
     *, system: str, start: str, variant: str, seed: int, horizon: float, options: tuple[str, ...], out: Path
 ) -> None:
     """Run one rollout of SYSTEM without workers, and write its trajectory."""
-    from orchestrator import single  # noqa: PLC0415
+    from ..fleet import single  # noqa: PLC0415
 
     for line in single.simulate(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
         click.echo(line)
@@ -28,7 +28,7 @@ def simulate(
 @cli.command()
 def systems() -> None:
     """List the installed systems with their parameters, columns and options."""
-    from orchestrator import single  # noqa: PLC0415
+    from ..fleet import single  # noqa: PLC0415
 
     for line in single.describe():
         click.echo(line)
@@ -44,7 +44,7 @@ def replay(*, directory: Path, rollout: str, out: Path | None, mcap: Path | None
 
     ROLLOUT is problem.test.variant.replicate, as reports and file names say: sim_gap.3.true.0
     """
-    from orchestrator.replay import again  # noqa: PLC0415
+    from ..report.replay import replay  # noqa: PLC0415
 
-    for line in again.replay(directory, rollout, out=out, mcap=mcap):
+    for line in replay.replay(directory, rollout, out=out, mcap=mcap):
         click.echo(line)

@@ -1,1 +1,1 @@
-"""Pictures of a campaign: the report of a finished one and the live page of a running one, from one story."""
+"""The presentation of a campaign: its data, the page, figures, replay, and the tables of the paper."""

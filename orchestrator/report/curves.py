@@ -5,8 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.stl.formula import FormulaError, parse
-from orchestrator.stl.tree import (
+from ...schemas.campaign import Problem
+from ...schemas.facts import Header
+from ..mathematics.stl.formula import FormulaError, parse
+from ..mathematics.stl.tree import (
     Absolute,
     Column,
     Comparison,
@@ -17,8 +19,6 @@ from orchestrator.stl.tree import (
     columns,
     predicates,
 )
-from schemas.campaign import Problem
-from schemas.facts import Header
 
 Floats = NDArray[np.float64]
 

@@ -12,15 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from orchestrator.gp.kernels import Floats
-from orchestrator.report.story import Problem, Series, Story, Surface
-from orchestrator.reproduce.figures import BLUE, DPI, GREEN, GREYS, RED, STYLE, THICK, THIN, WIDTH, png
+from ..mathematics.gp.kernels import Floats
+from .data import Problem, ReportData, Series, Surface
+from .paper.figures import BLUE, DPI, GREEN, GREYS, RED, STYLE, THICK, THIN, WIDTH, png
 
 SVG = {"svg.hashsalt": "perfbound", "svg.fonttype": "path"}
 HATCH = {"hatch.color": RED, "hatch.linewidth": THIN}
 
 
-def figures(story: Story) -> Iterator[tuple[str, bytes]]:
+def figures(story: ReportData) -> Iterator[tuple[str, bytes]]:
     """Yield (name, bytes) of every figure, as SVG and PNG, for the problems that have tests."""
     for problem in story.problems:
         for kind, figure in _drawn(story, problem):
@@ -36,7 +36,7 @@ def svg(figure: Figure) -> bytes:
     return out.getvalue()
 
 
-def _drawn(story: Story, problem: Problem) -> Iterator[tuple[str, Figure]]:
+def _drawn(story: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:
     if problem.surface is not None:
         yield "map", _map(story, problem, problem.surface)
     if any(value is not None and value > 0 for value in problem.tests.distance):
@@ -50,7 +50,7 @@ def _figure(height: float) -> Iterator[tuple[Figure, Axes]]:
         yield figure, figure.subplots()
 
 
-def _map(story: Story, problem: Problem, surface: Surface) -> Figure:
+def _map(story: ReportData, problem: Problem, surface: Surface) -> Figure:
     with _figure(2.8) as (figure, axes):
         axes.set_title(_title(problem), fontsize=8)
         axes.set_xlabel(_label(story.axes[0].name, story.axes[0].unit))
@@ -63,7 +63,7 @@ def _map(story: Story, problem: Problem, surface: Surface) -> Figure:
     return figure
 
 
-def _line(story: Story, problem: Problem, surface: Surface, axes: Axes) -> None:
+def _line(story: ReportData, problem: Problem, surface: Surface, axes: Axes) -> None:
     """Draw a band over the only parameter."""
     at = _grid(story, surface)[0] if surface.shape else np.array(surface.points)[:, 0]
     order = np.argsort(at, kind="stable")
@@ -77,7 +77,7 @@ def _line(story: Story, problem: Problem, surface: Surface, axes: Axes) -> None:
     axes.set_ylabel(_label("value", problem.unit))
 
 
-def _plane(story: Story, problem: Problem, surface: Surface, figure: Figure, axes: Axes) -> None:
+def _plane(story: ReportData, problem: Problem, surface: Surface, figure: Figure, axes: Axes) -> None:
     """Draw the mean over the first two parameters, a line around the worst, and the tests as dots that grow."""
     assert surface.shape is not None, "a lattice"
     first, second = _grid(story, surface)
@@ -103,7 +103,7 @@ def _ruled_out(surface: Surface, first: Floats, second: Floats, figure: Figure, 
     figure.legend(handles=[key], loc="outside lower center", borderaxespad=0)
 
 
-def _listed(story: Story, problem: Problem, surface: Surface, figure: Figure, axes: Axes) -> None:
+def _listed(story: ReportData, problem: Problem, surface: Surface, figure: Figure, axes: Axes) -> None:
     """Draw the listed starts, dark where the mean is high, with a red edge where the worst one may be."""
     z1, z2 = np.array(surface.points)[:, :2].T
     edges = [RED if worst else "white" for worst in surface.worst]
@@ -113,7 +113,7 @@ def _listed(story: Story, problem: Problem, surface: Surface, figure: Figure, ax
     figure.legend(handles=[key], loc="outside lower center", borderaxespad=0)
 
 
-def _two_axes(story: Story, problem: Problem, figure: Figure, axes: Axes, drawn: object) -> None:
+def _two_axes(story: ReportData, problem: Problem, figure: Figure, axes: Axes, drawn: object) -> None:
     axes.set_ylabel(_label(story.axes[1].name, story.axes[1].unit))
     figure.colorbar(drawn, ax=axes, label=_label("mean", problem.unit))  # type: ignore[arg-type]
 
@@ -132,7 +132,7 @@ def _decay(problem: Problem) -> Figure:
     return figure
 
 
-def _grid(story: Story, surface: Surface) -> list[Floats]:
+def _grid(story: ReportData, surface: Surface) -> list[Floats]:
     assert surface.shape is not None, "a lattice"
     return [np.linspace(axis.low, axis.high, size) for axis, size in zip(story.axes, surface.shape, strict=False)]
 

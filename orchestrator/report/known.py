@@ -2,16 +2,16 @@
 
 from pathlib import Path
 
-from orchestrator.certificate import files
-from orchestrator.plan import plans
-from orchestrator.report import scenes
-from orchestrator.report.crew import Crew
-from orchestrator.report.problems import Told
-from orchestrator.report.story import Rollout
-from orchestrator.store.since import Added, Since
-from schemas.certificate import Certificate
-from schemas.errors import JournalError
-from schemas.facts import Header, RolloutFact
+from ...schemas.certificate import Certificate
+from ...schemas.errors import JournalError
+from ...schemas.facts import Header, RolloutFact
+from ..campaign.plan import plans
+from ..certificate import files
+from ..store.changes import ChangeReader, Changes
+from . import rollouts
+from .data import Rollout
+from .problem import ProblemCollector
+from .workers import WorkerStatistics
 
 MOST = 1000
 """Counterexamples that a story lists; the file beside a report has them all."""
@@ -26,16 +26,18 @@ class Known:
     """
 
     def __init__(self, directory: Path) -> None:
-        self.crew = Crew()
+        self.crew = WorkerStatistics()
         self.counterexamples: tuple[Rollout, ...] = ()
         self._directory = directory
-        self._since = Since(directory)
+        self._since = ChangeReader(directory)
         self._violations: list[RolloutFact] = []
         self.certificate = files.read(directory)  # before the facts: with a certificate, they are all there
         added = self._since.look()
         self.header: Header = added.header
         found = plans(self.header.config, self.header.spec)
-        self.told: dict[str, Told] = {name: Told(self.header, plan) for name, plan in found.items()}
+        self.told: dict[str, ProblemCollector] = {
+            name: ProblemCollector(self.header, plan) for name, plan in found.items()
+        }
         self._add(added)
         self._check(self.certificate)
 
@@ -51,7 +53,7 @@ class Known:
         """Number of rollouts with robustness below 0."""
         return len(self._violations)
 
-    def _add(self, added: Added) -> None:
+    def _add(self, added: Changes) -> None:
         """Add facts in the order in which they were written."""
         try:
             for fact in added.decisions:
@@ -70,7 +72,7 @@ class Known:
 
     def _rollout(self, fact: RolloutFact) -> Rollout:
         start = self.told[fact.rollout.problem].starts[fact.rollout.test]
-        return scenes.rollout(self._directory, fact, start)
+        return rollouts.rollout(self._directory, fact, start)
 
     def _check(self, certificate: Certificate | None) -> None:
         if certificate and certificate.predicate.campaign.config_sha256 != self.header.config_sha256:

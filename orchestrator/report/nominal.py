@@ -5,22 +5,22 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from orchestrator.report import curves
-from orchestrator.report.story import Rollout, Scene, Story, Trace
-from orchestrator.session import ask, system_specs
-from orchestrator.store.journal import read_header
-from orchestrator.store.queries import reading
-from schemas.errors import PerfboundError
-from schemas.facts import Header
-from schemas.ids import RolloutId
-from schemas.trajectory import Trajectory, decode
+from ...schemas.errors import PerfboundError
+from ...schemas.facts import Header
+from ...schemas.ids import RolloutId
+from ...schemas.trajectory import Trajectory, decode
+from ..fleet.child import ask, system_specs
+from ..store.journal import read_header
+from ..store.read import reading
+from . import curves
+from .data import Curve, ReportData, Rollout, RolloutsOfTest
 
 MOST = 8
 """Scenes that get one."""
 LABEL = "nominal, simulated for this report"
 
 
-def with_nominal(directory: Path, story: Story) -> Story:
+def with_nominal(directory: Path, story: ReportData) -> ReportData:
     """Return the story with nominal curves; where the system cannot be simulated here, a label says so.
 
     Raises:
@@ -62,18 +62,18 @@ def _simulated(header: Header, rollout: Rollout) -> Trajectory:
         return decode(file.read_bytes())
 
 
-def _joined(header: Header, scene: Scene, trajectory: Trajectory) -> Scene:
+def _joined(header: Header, scene: RolloutsOfTest, trajectory: Trajectory) -> RolloutsOfTest:
     added = []
     for column in dict.fromkeys(trace.column for trace in scene.traces):
         t, values = curves.thinned(trajectory.samples[:, 0], trajectory.column(column))
-        added.append(Trace(LABEL, "nominal", column, curves.column_unit(header, column), t, values))
+        added.append(Curve(LABEL, "nominal", column, curves.column_unit(header, column), t, values))
     return replace(scene, traces=(*added, *scene.traces))
 
 
-def _noted(scene: Scene, note: str) -> Scene:
+def _noted(scene: RolloutsOfTest, note: str) -> RolloutsOfTest:
     first, *others = scene.traces
     return replace(scene, traces=(replace(first, label=first.label + note), *others))
 
 
-def _changed(story: Story, scenes: Mapping[int, Scene]) -> Story:
+def _changed(story: ReportData, scenes: Mapping[int, RolloutsOfTest]) -> ReportData:
     return replace(story, scenes=tuple(scenes.get(id(scene), scene) for scene in story.scenes))

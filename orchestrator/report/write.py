@@ -4,26 +4,26 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
-from orchestrator.report import document
-from orchestrator.report.story import Rollout, Story, to_json
-from orchestrator.report.teller import Teller
-from orchestrator.session import resume_command
-from orchestrator.store import evidence, export
+from ..run.session import resume_command
+from ..store import export, files
+from . import html
+from .collect import Collector
+from .data import ReportData, Rollout, to_json
 
 REPORT, COUNTEREXAMPLES, FIGURES = "report.html", "counterexamples.csv", "figures"
 
 
-def tell(directory: Path) -> Story:
+def tell(directory: Path) -> ReportData:
     """Return the story of the campaign in `directory` now, whether it runs, has stopped or is finished.
 
     Raises:
         PerfboundError: there is no campaign, or it cannot be read.
 
     """
-    return Teller(directory).look()
+    return Collector(directory).look()
 
 
-def here(story: Story) -> Story:
+def here(story: ReportData) -> ReportData:
     """Return the story with commands for somebody who stands in the run directory: a report may have been moved."""
 
     def moved(rollout: Rollout) -> Rollout:
@@ -38,7 +38,7 @@ def here(story: Story) -> Story:
     )
 
 
-def write(directory: Path, story: Story) -> tuple[Path, ...]:
+def write(directory: Path, story: ReportData) -> tuple[Path, ...]:
     """Write the page and the counterexamples, each file whole or not at all, and return the files, the page first.
 
     Raises:
@@ -47,21 +47,21 @@ def write(directory: Path, story: Story) -> tuple[Path, ...]:
 
     """
     export.counterexamples(directory, directory / COUNTEREXAMPLES)
-    page = document.report(f"{story.name}: perfbound report", to_json(here(story)))
-    evidence.write(directory / REPORT, page.html.encode())
+    page = html.report(f"{story.name}: perfbound report", to_json(here(story)))
+    files.write(directory / REPORT, page.html.encode())
     return (directory / REPORT, directory / COUNTEREXAMPLES)
 
 
-def write_figures(directory: Path, story: Story) -> tuple[Path, ...]:
+def write_figures(directory: Path, story: ReportData) -> tuple[Path, ...]:
     """Write the figures as SVG and PNG, and return the files; it takes seconds.
 
     Raises:
         OSError: the directory cannot be written.
 
     """
-    from orchestrator.report.figures import figures  # noqa: PLC0415  (late: matplotlib takes a second to load)
+    from .figures import figures  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
     pictures = dict(figures(story))
     for name, picture in pictures.items():
-        evidence.write(directory / FIGURES / name, picture)
+        files.write(directory / FIGURES / name, picture)
     return tuple(directory / FIGURES / name for name in pictures)

@@ -1,1 +1,1 @@
-"""What outlives a crash: the journal of facts, the evidence files, the lock."""
+"""Everything that survives a crash: the database of facts, the trajectory files, the lock."""

@@ -11,13 +11,13 @@ from typing import IO, Literal
 
 from sqlalchemy import Connection
 
-from orchestrator.store import rows
-from orchestrator.store.evidence import FOLDER, TEMPORARY
-from orchestrator.store.journal import DATABASE, read_header
-from orchestrator.store.queries import reading
-from orchestrator.store.rows import TABLES, Column, Row, Table, Value
-from schemas.errors import PerfboundError
-from schemas.facts import Header
+from ...schemas.errors import PerfboundError
+from ...schemas.facts import Header
+from . import export_tables
+from .export_tables import TABLES, Column, Row, Table, Value
+from .files import FOLDER, TEMPORARY
+from .journal import DATABASE, read_header
+from .read import reading
 
 __all__ = ["TABLES", "counterexamples", "export", "stream"]
 
@@ -81,7 +81,7 @@ def _campaign(directory: Path, names: Sequence[str]) -> Iterator[tuple[Connectio
         raise PerfboundError(f"there is no table {unknown[0]!r}; allowed are {', '.join(TABLES)}")
     with reading(directory) as connection:
         header = read_header(connection, directory)
-        yield connection, header, [rows.table(name, header) for name in names]
+        yield connection, header, [export_tables.table(name, header) for name in names]
 
 
 def _counted(table: Table, connection: Connection, progress: Progress) -> Iterator[Row]:

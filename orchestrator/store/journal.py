@@ -14,14 +14,23 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
-from orchestrator.store import tables
-from schemas.base import canonical_json
-from schemas.campaign import CampaignConfig
-from schemas.errors import JournalError
-from schemas.facts import RECORDED, RESTORED, BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
-from schemas.ids import Attempt, RolloutId
-from schemas.system import SystemSpec
-from schemas.values import Bound, Observation, Proposal
+from ...schemas.base import canonical_json
+from ...schemas.campaign import CampaignConfig
+from ...schemas.errors import JournalError
+from ...schemas.facts import (
+    RECORDED,
+    RESTORED,
+    BoundFact,
+    Fact,
+    Header,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+)
+from ...schemas.ids import Attempt, RolloutId
+from ...schemas.system import SystemSpec
+from ...schemas.values import Bound, Observation, Proposal
+from . import tables
 
 DATABASE = "campaign.db"
 _INSERTS = {table: table.insert() for table in tables.FACTS} | {

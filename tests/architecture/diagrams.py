@@ -3,8 +3,9 @@
 from collections.abc import Set
 from pathlib import Path
 
+from perfbound.orchestrator.fleet.dispatch import KNOWN
 from tests.architecture.drawing import FRAME, Bend, Layout, Pair, svg
-from tests.architecture.transitions import BESIDE_CAMPAIGN, KNOWN, Transition, of_campaign, of_dispatch, of_legal
+from tests.architecture.transitions import BESIDE_CAMPAIGN, Transition, of_campaign, of_dispatch, of_legal
 
 FOLDER = Path(__file__).parents[2] / "docs" / "images"
 

@@ -4,8 +4,8 @@ import subprocess
 import sys
 import time
 
-from orchestrator.transport import Heartbeat, Inbound, listen
-from schemas.keys import fresh_id
+from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, listen
+from perfbound.schemas.keys import fresh_id
 from tests.benchmarks.report import Row
 from tests.benchmarks.runs import Cost, conduct
 
@@ -68,7 +68,9 @@ def worker_ready() -> float:
     with listen("tcp/127.0.0.1:0") as transport:
         transport.start(fresh_id("bench"), note)
         start = time.monotonic()
-        process = subprocess.Popen([sys.executable, "-m", "workers", "serve", "--connect", transport.endpoint])
+        process = subprocess.Popen(
+            [sys.executable, "-m", "perfbound.workers", "serve", "--connect", transport.endpoint]
+        )
         try:
             while not times and time.monotonic() - start < 60:
                 time.sleep(0.01)

@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign import CampaignConfig
 from tests.benchmarks import readers
-from tests.benchmarks.puppets import Stage, scratch
 from tests.benchmarks.report import Row
 from tests.campaigns import table
+from tests.fakes.puppets import Stage, scratch
 
 TESTS = {1: 40, 8: 100, 64: 150}
 """By reports that wait at a time, which are as many as there are puppets."""

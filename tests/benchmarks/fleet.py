@@ -10,14 +10,14 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from orchestrator.ledger import Ledger
-from orchestrator.store import queries
-from orchestrator.store.journal import DATABASE, Journal
-from schemas.campaign import CampaignConfig
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.schemas.campaign import CampaignConfig
 from tests.benchmarks import sessions
-from tests.benchmarks.puppets import Stage, scratch
 from tests.benchmarks.report import Row
 from tests.campaigns import table
+from tests.fakes.puppets import Stage, scratch
 
 ROLLOUTS = 5000
 BEATS = 10
@@ -109,9 +109,9 @@ def replay(directory: Path) -> float:
 
 def look(directory: Path) -> float:
     """Return the CPU seconds of one look of a reader."""
-    queries.progress(directory)
+    read.progress(directory)
     start = time.process_time()
-    queries.progress(directory)
+    read.progress(directory)
     return time.process_time() - start
 
 

@@ -22,15 +22,15 @@ INTERVAL = 0.004
 """CPU seconds between two looks; the kernel's clock is not finer."""
 IMPORTING = "<frozen importlib._bootstrap>"
 ROOMS = (
-    ("GP and bounds", ("/orchestrator/gp/", "/orchestrator/bounds/")),
-    ("STL, objectives", ("/orchestrator/stl/", "/orchestrator/objectives.py")),
-    ("evidence files, fsync", ("/orchestrator/store/evidence.py",)),
+    ("mathematics", ("/orchestrator/mathematics/",)),
+    ("objectives", ("/orchestrator/campaign/observation.py", "/orchestrator/campaign/objectives.py")),
+    ("evidence files, fsync", ("/orchestrator/store/files.py",)),
     ("SQLite", ("/orchestrator/store/", "/sqlalchemy/")),
     ("trajectories (MCAP)", ("/schemas/trajectory.py", "/mcap/")),
-    ("Zenoh, main thread", ("/orchestrator/transport.py", "/zenoh/")),
+    ("Zenoh, main thread", ("/orchestrator/fleet/transport.py", "/zenoh/")),
     ("pydantic, JSON", ("/pydantic/", "/json/", "/schemas/")),
     ("certificate", ("/orchestrator/certificate/",)),
-    ("terminal", ("/orchestrator/terminal.py", "/rich/")),
+    ("terminal", ("/orchestrator/run/progress.py", "/rich/")),
     ("loop, cores, ledger", ("/orchestrator/",)),
 )
 STARTING = "imports"
@@ -90,10 +90,11 @@ def main() -> None:
 
 def _perfbound(marks: list[float]) -> None:
     """Run the command line; `marks` gets the CPU times at both ends of the loop."""
-    from schemas.base import one_blas_thread
+    from perfbound.schemas.base import one_blas_thread
 
     one_blas_thread()  # before numpy comes along
-    from orchestrator import cli, service
+    from perfbound.orchestrator import cli
+    from perfbound.orchestrator.run import service
 
     run = service.Service.run
 

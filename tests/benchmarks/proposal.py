@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.bounds.paper import PaperMethod, Regulariser
-from orchestrator.gp.kernels import Matern
-from orchestrator.gp.lattice import Lattice
+from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod, Regulariser
+from perfbound.orchestrator.mathematics.gp.kernels import Matern
+from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.benchmarks import data
 from tests.benchmarks.report import Row
 from tests.fakes.observations import an_observation

@@ -15,10 +15,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from orchestrator.store.since import Since
-from schemas.campaign import CampaignConfig
-from tests.benchmarks.puppets import Stage, scratch
+from perfbound.orchestrator.store.changes import ChangeReader
+from perfbound.schemas.campaign import CampaignConfig
 from tests.benchmarks.report import Row
+from tests.fakes.puppets import Stage, scratch
 
 READERS = 20
 PUPPETS = 64
@@ -104,7 +104,7 @@ def _processes(directory: Path, looks: list[float]) -> Iterator[None]:
 
 def beside(kind: str, directory: Path) -> float:
     """Look, or burn as much CPU time, whenever the file named `kind` is there; return what a look took."""
-    watch = Since(directory)
+    watch = ChangeReader(directory)
     looks = [_look(watch) for _ in range(WARM)]
     while not (directory / OVER).exists():
         if (directory / kind).exists():
@@ -125,7 +125,7 @@ def _forked(directory: Path) -> None:
         print(json.dumps(found.get()))  # noqa: T201
 
 
-def _look(watch: Since) -> float:
+def _look(watch: ChangeReader) -> float:
     start = time.process_time()
     watch.look()
     return time.process_time() - start

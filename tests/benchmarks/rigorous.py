@@ -5,10 +5,10 @@ import time
 
 import numpy as np
 
-from orchestrator.bounds.confidence import mixture
-from orchestrator.bounds.rigorous import RigorousMethod
-from orchestrator.gp.kernels import Matern
-from orchestrator.gp.lattice import Lattice
+from perfbound.orchestrator.mathematics.bounds.confidence import mixture
+from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
+from perfbound.orchestrator.mathematics.gp.kernels import Matern
+from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.benchmarks import data
 from tests.benchmarks.proposal import Peers, best_beside
 from tests.benchmarks.report import Row

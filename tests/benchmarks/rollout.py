@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pybullet
 
-from schemas.rollout import RolloutRequest
-from schemas.trajectory import decode
+from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.trajectory import decode
+from perfbound.workers.simulate import run_on
+from perfbound.workers.systems import segway
+from perfbound.workers.systems.segway import SegwaySystem
 from tests.benchmarks.report import Row
-from workers.simulate import run_on
-from workers.systems import segway
-from workers.systems.segway import SegwaySystem
 
 CONTROL_RATE, SUB_STEPS, WHEEL_RADIUS = 120, 2, 0.195  # 1/s, physics steps per control step, m
 REPEATS = 15
@@ -39,8 +39,8 @@ def main() -> list[Row]:
 
 
 FRESH = {
-    "imports": "import workers.simulate, workers.systems.segway",
-    "imports and the simulator": "import workers.simulate, workers.systems.segway, pybullet",
+    "imports": "import perfbound.workers.simulate, perfbound.workers.systems.segway",
+    "imports and the simulator": "import perfbound.workers.simulate, perfbound.workers.systems.segway, pybullet",
 }
 
 
@@ -68,7 +68,7 @@ def cpu_seconds(call: Callable[[], object], repeats: int = REPEATS) -> float:
 def bare_steps() -> float:
     """Return the CPU seconds of stepSimulation alone, for as many steps as a rollout has.
 
-    The world is built as `workers.systems.segway.bullet` builds it, and stands upright at rest.
+    The world is built as `perfbound.workers.systems.segway.bullet` builds it, and stands upright at rest.
     """
     client = pybullet.connect(pybullet.DIRECT)
     steps = round(CONTROL_RATE * HORIZON)

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from orchestrator.bounds.scenario import Risk, ScenarioMethod
+from perfbound.orchestrator.mathematics.bounds.scenario import Risk, ScenarioMethod
 from tests.benchmarks.report import Row
 from tests.fakes.observations import an_observation
 

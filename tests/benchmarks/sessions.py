@@ -13,12 +13,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from orchestrator.transport import Heartbeat, Inbound, Token, ZenohTransport, listen
-from schemas import __version__
-from schemas.keys import fresh_id
-from schemas.messages import PROTOCOL, Request, WorkerState
+from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, Token, ZenohTransport, listen
+from perfbound.schemas import __version__
+from perfbound.schemas.keys import fresh_id
+from perfbound.schemas.messages import PROTOCOL, Request, WorkerState
+from perfbound.workers.transport import connect
 from tests.benchmarks.report import Row
-from workers.transport import connect
 
 SESSIONS = (10, 50, 200)
 PROCESSES = 2

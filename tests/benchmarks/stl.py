@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.stl.formula import parse
-from orchestrator.stl.horizon import check_horizon
-from orchestrator.stl.predicates import Floats, predicate_sup
-from orchestrator.stl.robustness import robustness
-from orchestrator.stl.text import text
-from orchestrator.stl.tree import (
+from perfbound.orchestrator.mathematics.stl.formula import parse
+from perfbound.orchestrator.mathematics.stl.horizon import check_horizon
+from perfbound.orchestrator.mathematics.stl.predicates import Floats, predicate_sup
+from perfbound.orchestrator.mathematics.stl.robustness import robustness
+from perfbound.orchestrator.mathematics.stl.text import text
+from perfbound.orchestrator.mathematics.stl.tree import (
     REST,
     Always,
     And,

@@ -11,14 +11,23 @@ from typing import TypeVar
 import pytest
 import zenoh
 
-from orchestrator import transport as port
-from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport, listen
-from schemas import keys
-from schemas.link import LOCAL, connect_config
-from schemas.messages import MAX_MESSAGE, PROTOCOL, Ack, Cancel, Request, ResultHeader, WorkerState, encode
+from perfbound.orchestrator.fleet import transport as port
+from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport, listen
+from perfbound.schemas import keys
+from perfbound.schemas.link import LOCAL, connect_config
+from perfbound.schemas.messages import (
+    MAX_MESSAGE,
+    PROTOCOL,
+    Ack,
+    Cancel,
+    Request,
+    ResultHeader,
+    WorkerState,
+    encode,
+)
+from perfbound.workers.transport import Uplink, connect
 from tests.fakes import inmemory
 from tests.fakes.inmemory import InMemoryTransport, InMemoryUplink, Network
-from workers.transport import Uplink, connect
 
 RUN = "0123456789abcdef"
 PATIENCE = 10.0

@@ -11,10 +11,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.bounds.composition import compose_mean, derived_noise_scale, least_risk, pointwise_mean
-from orchestrator.bounds.confidence import mixture
-from orchestrator.bounds.rigorous import ExhaustedError, RigorousMethod
-from orchestrator.gp.kernels import Matern
+from perfbound.orchestrator.mathematics.bounds.composition import (
+    compose_mean,
+    derived_noise_scale,
+    least_risk,
+    pointwise_mean,
+)
+from perfbound.orchestrator.mathematics.bounds.confidence import mixture
+from perfbound.orchestrator.mathematics.bounds.rigorous import ExhaustedError, RigorousMethod
+from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from tests.coverage.functions import Floats, fine_points, maximum, random_function
 from tests.coverage.laws import CLIP, RISK_WEIGHT, draw_extremes, extreme_risk
 from tests.coverage.oracle import ROUNDING

@@ -11,11 +11,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.bounds import audit
-from orchestrator.bounds.composition import compose
-from orchestrator.bounds.paper import PaperMethod, SigmaReading, mills_probability
-from orchestrator.gp.kernels import Matern
-from orchestrator.gp.lattice import Lattice
+from perfbound.orchestrator.mathematics.bounds import audit
+from perfbound.orchestrator.mathematics.bounds.composition import compose
+from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod, SigmaReading, mills_probability
+from perfbound.orchestrator.mathematics.gp.kernels import Matern
+from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.coverage.composition import GAP, GAP_NORM, NOMINAL, NOMINAL_NORM
 from tests.coverage.functions import SIDE, Floats, Known, fine_points, maximum, random_function
 from tests.coverage.laws import CLIP, RISK_WEIGHT, extreme_risk

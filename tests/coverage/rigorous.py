@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.bounds import audit
-from orchestrator.bounds.confidence import Premises, mixture, radius
-from orchestrator.bounds.rigorous import RigorousMethod
-from orchestrator.gp.kernels import Matern
-from orchestrator.gp.lattice import Lattice
-from orchestrator.gp.points import Points
+from perfbound.orchestrator.mathematics.bounds import audit
+from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture, radius
+from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
+from perfbound.orchestrator.mathematics.gp.kernels import Matern
+from perfbound.orchestrator.mathematics.gp.lattice import Lattice
+from perfbound.orchestrator.mathematics.gp.points import Points
 from tests.coverage.functions import SIDE, Floats, Known, fine_points, maximum, random_function
 from tests.coverage.noises import NOISES
 from tests.coverage.oracle import ROUNDING, outside

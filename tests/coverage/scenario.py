@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.bounds.scenario import Risk, ScenarioMethod
+from perfbound.orchestrator.mathematics.bounds.scenario import Risk, ScenarioMethod
 from tests.coverage.laws import CLIP, CONSTANTS, LAWS, RISK_WEIGHT, Law, extreme_risk
 from tests.coverage.oracle import ROUNDING
 from tests.fakes.observations import an_observation

@@ -3,19 +3,19 @@
 import math
 from dataclasses import replace
 
-from orchestrator.report.story import (
+from perfbound.orchestrator.report.data import (
     Assumption,
     Axis,
     Claim,
     Composition,
+    Curve,
     Problem,
+    ReportData,
     Rollout,
-    Scene,
-    Story,
+    RolloutsOfTest,
     Surface,
-    Tests,
+    TestSeries,
     Throughput,
-    Trace,
     Worker,
 )
 
@@ -24,10 +24,10 @@ NODES = tuple((float(i), float(j)) for i in range(5) for j in range(4))
 STARTED = 1_750_000_000.0
 
 
-def small(tests: int = 6) -> Story:
+def small(tests: int = 6) -> ReportData:
     """A finished campaign of the two problems, its first claim refuted."""
     problems = (_problem("nominal_robustness", "min", tests), _problem("sim_gap", "max", tests))
-    return Story(
+    return ReportData(
         name="small",
         seed=1,
         run="c0ffee",
@@ -67,7 +67,7 @@ def worst(problem: Problem) -> int:
     return min(seen)[1]
 
 
-def calm() -> Story:
+def calm() -> ReportData:
     """The same without anything refuted."""
     story = small()
     claims = tuple(replace(claim, refuted=()) for claim in story.claims)
@@ -75,24 +75,24 @@ def calm() -> Story:
     return replace(story, claims=claims, assumptions=kept)
 
 
-def running(tests: int, scenes: tuple[Scene, ...] = ()) -> Story:
+def running(tests: int, scenes: tuple[RolloutsOfTest, ...] = ()) -> ReportData:
     """A running campaign at one moment."""
     workers = (Worker("local-1", "vm", tests, 0, 9.0, 8.5, STARTED, "busy", "sim_gap.3.true.0", STARTED + 1),)
     story = replace(small(tests), state="running", updated=STARTED + tests, claims=(), composition=None)
     return replace(story, scenes=scenes, workers=workers)
 
 
-def begun() -> Story:
+def begun() -> ReportData:
     """A running campaign before its first test is observed."""
     story = running(1)
-    none = Tests((), (), (), (), (), ())
+    none = TestSeries((), (), (), (), (), ())
     problems = tuple(replace(each, tests=none, surface=None, bound=None, stopped_by=None) for each in story.problems)
     return replace(
         story, problems=problems, assumptions=(), workers=(), throughput=Throughput(0.0, None, (), (), 1, 0), rollouts=0
     )
 
 
-def starts() -> Story:
+def starts() -> ReportData:
     """Listed starts; no start has an upper bound of its own."""
     story = small()
     surface = _surface(shape=None)
@@ -101,7 +101,7 @@ def starts() -> Story:
     return replace(story, problems=(problem,))
 
 
-def profile() -> Story:
+def profile() -> ReportData:
     """A system with one parameter."""
     story = small()
     problem = story.problems[0]
@@ -109,7 +109,7 @@ def profile() -> Story:
     return replace(story, axes=AXES[:1], problems=(line,))
 
 
-def hostile() -> Story:
+def hostile() -> ReportData:
     """Every text that a stranger may have chosen tries to run, to lead away, or to break the layout."""
     script = '<script>window.pwned=1</script><img src=x onerror="window.pwned=1">'
     long, strange = "a" * 10_000, "evil\u0000\u001b[31m\u202etxt\u2066" + script
@@ -146,16 +146,16 @@ def hostile() -> Story:
     )
 
 
-def scene(problem: str, test: int) -> Scene:
+def scene(problem: str, test: int) -> RolloutsOfTest:
     """The rollouts of a test: one nominal, two true."""
     t = tuple(0.1 * k for k in range(21))
     variants = (("nominal", 0), ("true", 0), ("true", 1))
     rollouts = tuple(rollout(problem, test, variant, replicate) for variant, replicate in variants)
     traces = tuple(
-        Trace(f"{variant} {k}", variant, "phi", "rad", t, tuple(0.3 * math.sin(each + 0.2 * k) for each in t))
+        Curve(f"{variant} {k}", variant, "phi", "rad", t, tuple(0.3 * math.sin(each + 0.2 * k) for each in t))
         for variant, k in variants
     )
-    return Scene(problem, test, traces, (-0.95, 0.95), rollouts, limit_columns=("phi", "phi"))
+    return RolloutsOfTest(problem, test, traces, (-0.95, 0.95), rollouts, limit_columns=("phi", "phi"))
 
 
 def rollout(problem: str, test: int, variant: str, replicate: int, robustness: float = 0.4) -> Rollout:
@@ -193,7 +193,7 @@ def _problem(name: str, sense: str, tests: int) -> Problem:
         stopped_by="converged",
         left=None,
         surface=_surface(shape=(5, 4)),
-        tests=Tests(
+        tests=TestSeries(
             test=numbers,
             x=x,
             y=tuple(0.5 + 0.2 * math.cos(3.0 * k) for k in numbers),

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator import cli, session
-from orchestrator.store import tables
-from schemas.system import SystemSpec
+from perfbound.orchestrator import cli
+from perfbound.orchestrator.fleet import child
+from perfbound.orchestrator.store import tables
+from perfbound.schemas.system import SystemSpec
 from tests.campaigns import FOLDER
 from tests.end_to_end.processes import (
     ROLLOUTS,
@@ -79,13 +80,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureF
 @pytest.fixture(scope="module")
 def installed() -> dict[str, SystemSpec]:
     """Return what the `workers` child tells; asked once for all tests of this file."""
-    return session.system_specs()
+    return child.system_specs()
 
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch, installed: dict[str, SystemSpec]) -> None:
     """The child has been asked."""
-    monkeypatch.setattr(session, "system_specs", lambda: installed)
+    monkeypatch.setattr(child, "system_specs", lambda: installed)
 
 
 def changed(old: str, new: str) -> str:

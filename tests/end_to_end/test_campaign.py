@@ -13,8 +13,8 @@ import pytest
 import trustme
 from mcap.reader import make_reader
 
-from orchestrator.store import lock
-from schemas.trajectory import decode
+from perfbound.orchestrator.store import lock
+from perfbound.schemas.trajectory import decode
 from tests.end_to_end.processes import (
     ROLLOUTS,
     Process,
@@ -204,7 +204,7 @@ def test_an_impatient_person_presses_ctrl_c_again_and_again(started: Processes, 
 def test_a_signal_that_meets_a_destructor_is_not_lost(started: Processes) -> None:
     (started.folder / "dying.py").write_text(
         "import os, signal, time\n"
-        "from orchestrator.cli import entry\n"
+        "from perfbound.orchestrator.cli import entry\n"
         "class Dying:\n"
         "    def __del__(self):\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"

@@ -61,7 +61,7 @@ def url_of(process: Process) -> str:
 
 
 def child_of(process: Process) -> psutil.Process:
-    (found,) = [each for each in process.children() if "orchestrator.report.child" in each.cmdline()]
+    (found,) = [each for each in process.children() if "perfbound.orchestrator.report.web.process" in each.cmdline()]
     return found
 
 

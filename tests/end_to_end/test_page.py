@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Position
 
-from orchestrator.report import document
-from orchestrator.report.story import Story, to_json
+from perfbound.orchestrator.report import html
+from perfbound.orchestrator.report.data import ReportData, to_json
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import stories
 from tests.end_to_end.browser import Scheme, Watched
@@ -29,11 +29,11 @@ WORST = stories.worst(stories.small().problems[0])
 
 @contextmanager
 def opened(
-    browser: Browser, folder: Path, story: Story, *, width: int = 1280, scheme: Scheme = "light"
+    browser: Browser, folder: Path, story: ReportData, *, width: int = 1280, scheme: Scheme = "light"
 ) -> Iterator[Watched]:
     """Open the report of a story from disk; whatever the test does, the page logs no error and asks for nothing."""
     file = folder / "report.html"
-    file.write_text(document.report(story.name, to_json(story)).html, "utf-8")
+    file.write_text(html.report(story.name, to_json(story)).html, "utf-8")
     with chromium.watched(browser, width=width, scheme=scheme) as watch:
         watch.page.goto(file.as_uri())
         watch.shown()

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Route
 
-from orchestrator.report import document
-from orchestrator.report.story import to_json
+from perfbound.orchestrator.report import html
+from perfbound.orchestrator.report.data import to_json
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import stories
 from tests.end_to_end.browser import Watched
@@ -27,7 +27,7 @@ class Campaign:
     def _answer(self, route: Route) -> None:
         path = route.request.url.removeprefix(ORIGIN)
         if path == "/":
-            route.fulfill(content_type="text/html", body=document.live("live", to_json(stories.begun())).html)
+            route.fulfill(content_type="text/html", body=html.live("live", to_json(stories.begun())).html)
         elif path == "/events" and self.refusing:
             self.refusing -= 1
             route.fulfill(status=503)

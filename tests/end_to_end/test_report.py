@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from orchestrator import service
+from perfbound.orchestrator.run import service
 from tests.end_to_end.processes import Processes
-from tests.told import a_list, finish, play
+from tests.fakes.finished import a_list, finish, play
 
 
 def story(directory: Path) -> Any:

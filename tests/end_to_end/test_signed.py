@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.certificate import sign
+from perfbound.orchestrator.certificate import sign
 from tests.campaigns import FOLDER
 from tests.end_to_end.processes import Processes, processes, recorded, wait_for, write_campaign
 

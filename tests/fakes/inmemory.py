@@ -1,7 +1,7 @@
 """Both transport ports in memory, joined by a scripted network; and a whole campaign in one process.
 
 The network carries bytes under the keys of the protocol, as Zenoh does, and reads them with the same functions of
-`schemas.messages`. What it loses, delays and repeats follows from a seed; liveliness tokens are never lost.
+`perfbound.schemas.messages`. What it loses, delays and repeats follows from a seed; liveliness tokens are never lost.
 """
 
 import heapq
@@ -18,21 +18,22 @@ from types import TracebackType
 
 import pytest
 
-from orchestrator import dispatch, service
-from orchestrator.certificate import files
-from orchestrator.certificate.issue import issue, manifest
-from orchestrator.ledger import Ledger
-from orchestrator.service import Interrupted, RunStatus, Service
-from orchestrator.store.journal import Journal
-from orchestrator.store.lock import campaign_lock
-from orchestrator.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
-from orchestrator.versions import software
-from schemas import keys
-from schemas.campaign import CampaignConfig
-from schemas.campaign_check import check_against
-from schemas.errors import MessageError, RefusedError
-from schemas.facts import Header
-from schemas.messages import (
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.campaign.software import software
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.issue import issue, manifest
+from perfbound.orchestrator.fleet import dispatch
+from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.lock import campaign_lock
+from perfbound.schemas import keys
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_check import check_against
+from perfbound.schemas.errors import MessageError, RefusedError
+from perfbound.schemas.facts import Header
+from perfbound.schemas.messages import (
     MAX_RESULT,
     Refuse,
     Request,
@@ -43,10 +44,10 @@ from schemas.messages import (
     decode_state,
     encode,
 )
-from workers import worker as worker_module
-from workers.systems import load
-from workers.transport import Receiver, Uplink
-from workers.worker import Worker
+from perfbound.workers import worker as worker_module
+from perfbound.workers.systems import load
+from perfbound.workers.transport import Receiver, Uplink
+from perfbound.workers.worker import Worker
 
 # The network
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from schemas.values import Observation, Proposal
+from perfbound.schemas.values import Observation, Proposal
 
 
 def an_observation(

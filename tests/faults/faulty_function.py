@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.errors import SimulationError
-from schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
-from schemas.trajectory import Trajectory
-from workers.systems.base import Progress, SystemUnderTest, checked_options
+from perfbound.schemas.errors import SimulationError
+from perfbound.schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from perfbound.schemas.trajectory import Trajectory
+from perfbound.workers.systems.base import Progress, SystemUnderTest, checked_options
 
 STEP = 0.02
 """Seconds between two reports of progress."""

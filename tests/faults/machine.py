@@ -6,7 +6,7 @@ import subprocess
 import threading
 from pathlib import Path
 
-from orchestrator.store import lock
+from perfbound.orchestrator.store import lock
 from tests.end_to_end.processes import recorded
 from tests.faults.scene import Scene
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 import pytest
 
-from schemas.campaign_file import parse
-from schemas.errors import Stopped
+from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.errors import Stopped
 from tests.fakes.inmemory import Faults, Log, Network, begin, hurry, run_of, serve, working
 
 

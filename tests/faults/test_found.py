@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from orchestrator.store.journal import DATABASE, Journal
-from schemas.facts import Header
-from schemas.ids import Attempt, RolloutId
+from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.schemas.facts import Header
+from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.workers.systems import load
 from tests.campaigns import config
 from tests.end_to_end.processes import processes
-from workers.systems import load
 
 ROLLOUT = RolloutId("maximum", 1, "true", 0)
 
@@ -44,7 +44,7 @@ HANGS = {
 @pytest.mark.parametrize("how", HANGS)
 def test_a_worker_that_cannot_run_ends_with_its_parent(how: str) -> None:
     """It had to read the end of a pipe, which it never did: it stayed behind for ever."""
-    child = f"from workers import cli; cli._die_with_parent(); print('hangs', flush=True); {HANGS[how]}"
+    child = f"from perfbound.workers import cli; cli._die_with_parent(); print('hangs', flush=True); {HANGS[how]}"
     line = [sys.executable, "-c", child]
     parent = f"import subprocess as s; c = s.Popen({line!r}); print(c.pid, flush=True); c.wait()"
     with subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True) as process:

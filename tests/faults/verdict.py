@@ -5,8 +5,8 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from orchestrator.store import lock
-from orchestrator.store.evidence import TEMPORARY
+from perfbound.orchestrator.store import lock
+from perfbound.orchestrator.store.files import TEMPORARY
 from tests.end_to_end.processes import query
 from tests.faults.scene import Scene
 

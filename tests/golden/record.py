@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from schemas.trajectory import Trajectory, encode
-from workers.systems.base import SystemUnderTest
+from perfbound.schemas.trajectory import Trajectory, encode
+from perfbound.workers.systems.base import SystemUnderTest
 
 FILE = Path(__file__).with_name("segway.json")
 CPU_INFO = Path("/proc/cpuinfo")
@@ -90,7 +90,7 @@ def platform_key() -> dict[str, str]:
 
 def write() -> None:
     """Make the record anew."""
-    from workers.systems.segway import SegwaySystem
+    from perfbound.workers.systems.segway import SegwaySystem
 
     system = SegwaySystem()
     rollouts = {name: {"rollout": rollout} | record(system, rollout) for name, rollout in ROLLOUTS.items()}

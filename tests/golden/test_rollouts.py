@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perfbound.workers.systems.segway import SegwaySystem
 from tests.golden.record import FILE, ROLLOUTS, numbers, platform_key, record
-from workers.systems.segway import SegwaySystem
 
 GOLDEN = json.loads(FILE.read_text())
 DIGESTS = ("samples_sha256", "file_sha256", "visual_file_sha256")

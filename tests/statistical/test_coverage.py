@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-import orchestrator.bounds.rigorous
-from orchestrator.bounds.composition import compose_mean
-from orchestrator.bounds.confidence import scales_squared
+import perfbound.orchestrator.mathematics.bounds.rigorous
+from perfbound.orchestrator.mathematics.bounds.composition import compose_mean
+from perfbound.orchestrator.mathematics.bounds.confidence import scales_squared
 from tests.coverage import composition, rigorous, scenario
 from tests.coverage.composition import Composition
 from tests.coverage.oracle import allowed
@@ -62,7 +62,9 @@ def test_all_rows_of_one_claim_together(kind: str, claimed: float) -> None:
 
 @pytest.mark.parametrize("factor", [1.5, 2.0])
 def test_a_band_too_narrow_is_noticed(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(orchestrator.bounds.rigorous, "scales_squared", lambda *a: scales_squared(*a) / factor**2)
+    monkeypatch.setattr(
+        perfbound.orchestrator.mathematics.bounds.rigorous, "scales_squared", lambda *a: scales_squared(*a) / factor**2
+    )
     found = Found(row := Rigorous("list", 1, 2.5), one_chunk(row, 0))
     assert min(found.count("band"), found.count("bound")) > found.allowed
 

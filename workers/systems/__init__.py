@@ -4,8 +4,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
-from schemas.errors import UnknownSystemError
-from workers.systems.base import SystemUnderTest
+from ...schemas.errors import UnknownSystemError
+from .base import SystemUnderTest
 
 GROUP = "perfbound.systems"
 

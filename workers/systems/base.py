@@ -4,9 +4,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-from schemas.errors import SimulationError
-from schemas.system import Option, OptionValue, SystemSpec, Variant
-from schemas.trajectory import Trajectory, Visual
+from ...schemas.errors import SimulationError
+from ...schemas.system import Option, OptionValue, SystemSpec, Variant
+from ...schemas.trajectory import Trajectory, Visual
 
 Progress = Callable[[int], None]
 """Called with the number of control steps done so far; it may raise `Cancelled`."""

@@ -7,9 +7,9 @@ from importlib.metadata import version
 
 import numpy as np
 
-from schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
-from schemas.trajectory import Trajectory
-from workers.systems.base import Progress, SystemUnderTest, checked_options
+from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ...schemas.trajectory import Trajectory
+from .base import Progress, SystemUnderTest, checked_options
 
 
 class TestFunctionSystem(SystemUnderTest):

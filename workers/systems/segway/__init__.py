@@ -1,5 +1,5 @@
 """The default system under test: a Segway that balances and drives to a goal, in PyBullet."""
 
-from workers.systems.segway.system import SegwaySystem
+from .system import SegwaySystem
 
 __all__ = ["SegwaySystem"]

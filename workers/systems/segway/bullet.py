@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from schemas.errors import SimulationError
-from schemas.trajectory import Floats
-from workers.systems.base import Progress
-from workers.systems.segway.controller import HEADING_RATE, PHI, Gains, State, voltages
+from ....schemas.errors import SimulationError
+from ....schemas.trajectory import Floats
+from ..base import Progress
+from .controller import HEADING_RATE, PHI, Gains, State, voltages
 
 CONTROL_RATE = 120  # 1/s
 SUB_STEPS = 2  # physics steps per control step, under one torque

@@ -7,13 +7,13 @@ from importlib.metadata import version
 
 import numpy as np
 
-from schemas.errors import SimulationError
-from schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
-from schemas.trajectory import Trajectory, Visual
-from workers.systems.base import Progress, SystemUnderTest, checked_options
-from workers.systems.segway.bullet import CONTROL_RATE, Start, World
-from workers.systems.segway.controller import GAINS
-from workers.systems.segway.visual import visual
+from ....schemas.errors import SimulationError
+from ....schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ....schemas.trajectory import Trajectory, Visual
+from ..base import Progress, SystemUnderTest, checked_options
+from .bullet import CONTROL_RATE, Start, World
+from .controller import GAINS
+from .visual import visual
 
 UNITS = {
     "t": "s",

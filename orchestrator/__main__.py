@@ -1,0 +1,5 @@
+"""`python -m perfbound.orchestrator`: the command `perfbound`."""
+
+from .cli import main
+
+main()

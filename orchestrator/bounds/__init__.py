@@ -1,1 +1,0 @@
-"""From observations to bounds, from bounds to claims, and the audit of their assumptions."""

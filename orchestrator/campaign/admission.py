@@ -1,0 +1,53 @@
+"""Admission of a result: everything that is checked before a rollout becomes a fact."""
+
+import hashlib
+
+import numpy as np
+
+from ...schemas.base import canonical_json
+from ...schemas.errors import EvidenceError, RequestError, TrajectoryError
+from ...schemas.rollout import RolloutRequest
+from ...schemas.trajectory import Trajectory, read
+
+ROUND_OFF = 1e-9
+"""Of a time, in seconds."""
+SAMPLES = 50
+"""The last sample is before the horizon by a step, and by a part of it that is this small, at most."""
+
+
+def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Trajectory:
+    """Return the trajectory of the rollout that `request` asks for, from the bytes of its file.
+
+    `columns` are those of the system, `sha256` is the digest that whoever sent the file announces.
+
+    Raises:
+        RequestError: the file answers another request.
+        EvidenceError: the bytes have another digest, are no trajectory, or are not one from 0 to the horizon.
+
+    """
+    # First of all: nothing is decoded that was damaged on its way.
+    if hashlib.sha256(payload).hexdigest() != sha256:
+        raise EvidenceError("the result does not have the sha256 that its header names")
+    try:
+        file = read(payload)
+    except TrajectoryError as fault:
+        raise EvidenceError(f"the result is not a trajectory: {fault}") from None
+    wanted = request.model_dump(mode="json")
+    if canonical_json(file.request) != canonical_json(wanted):  # as text: 1, 1.0 and true are equal in Python
+        differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
+        raise RequestError(f"the trajectory was simulated for another request (other {', '.join(differing)[:200]})")
+    _check_whole(file.trajectory, columns, request.horizon)
+    if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
+        raise RequestError("the metadata of the trajectory name another rollout")
+    return file.trajectory
+
+
+def _check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float) -> None:
+    if trajectory.columns != columns:
+        raise EvidenceError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
+    # A trajectory that ends early would be scored on less than the specification speaks of.
+    t = trajectory.samples[:, 0]
+    step = min(float(np.max(np.diff(t), initial=0.0)), horizon / SAMPLES)
+    if t[0] > ROUND_OFF or not horizon - step - ROUND_OFF <= t[-1] <= horizon + ROUND_OFF:
+        span = f"{t[0]:g} to {t[-1]:g} s"
+        raise EvidenceError(f"the trajectory goes from {span}, the campaign asks for 0 to {horizon:g} s")

@@ -1,0 +1,43 @@
+"""Whether a campaign fits its system: everything that neither the file nor the system can say alone."""
+
+from ...schemas.campaign import CampaignConfig
+from ...schemas.campaign_check import check_against
+from ...schemas.errors import CampaignError
+from ...schemas.system import SystemSpec
+from ..mathematics.stl.formula import FormulaError, columns, parse
+from ..mathematics.stl.horizon import check_horizon
+
+
+def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
+    """Refuse a campaign, read from `source`, that its system cannot run or whose claim would not follow.
+
+    Raises:
+        CampaignError: one line with the source, the key and the remedy.
+
+    """
+    if config.system.name != spec.name:
+        raise CampaignError(f"{source}: system.name: the campaign is about {config.system.name!r}, not {spec.name!r}")
+    check_against(config, spec, source)
+    _check_specification(config, spec, source)
+
+
+def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
+    if config.specification is None:
+        return
+    try:
+        formula = parse(config.specification, [column.name for column in spec.columns])
+        check_horizon(formula, config.horizon)
+        _check_gap(config, columns(formula), source)
+    except FormulaError as error:
+        raise CampaignError(f"{source}: specification: {error}") from None
+
+
+def _check_gap(config: CampaignConfig, read: frozenset[str], source: str) -> None:
+    """Refuse a gap in one column where the robustness depends on others."""
+    for problem in config.problems:
+        gap = config.gap_of(problem) if problem.name == "sim_gap" else None
+        if gap is not None and gap.kind == "signal_sup" and read != {gap.column}:
+            raise CampaignError(
+                f"{source}: gap.column: {gap.column!r} cannot carry the claim over: the specification reads "
+                f'{", ".join(sorted(read)) or "no column"}; use kind = "predicate_sup", which fits every specification'
+            )

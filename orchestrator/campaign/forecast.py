@@ -1,0 +1,60 @@
+"""How much is left: guesses from the decay so far, and what a budget can never reach. Nothing here is certified."""
+
+import math
+from typing import TYPE_CHECKING
+
+from ...schemas.campaign import CampaignConfig, PaperProblem, Problem, RigorousProblem
+from ...schemas.values import Bound
+
+if TYPE_CHECKING:
+    from .plan import ProblemPlan
+
+FEWEST = 10
+"""Tests before the decay says anything."""
+
+
+def distance(problem: Problem, last_f: float | None, bound: Bound | None) -> float | None:
+    """Return what has to fall to alpha: F_i in method paper, upper - lower in the others; None before there is one."""
+    if isinstance(problem, PaperProblem):
+        return last_f
+    return None if bound is None or bound.upper is None or bound.lower is None else bound.upper - bound.lower
+
+
+def tests_left(config: CampaignConfig, problem: Problem, now: float | None, tests: int) -> int | None:
+    """Guess the tests until the distance is alpha or the budget ends; None where the decay cannot tell yet.
+
+    The distance falls roughly like a power of the number of tests; the power is taken from the start until now.
+    """
+    budget = config.max_tests_of(problem) - tests
+    start = _start(config, problem)
+    if now is None or tests < FEWEST or not 0 < now < start:
+        return None
+    power = math.log(start / now) / math.log(tests)
+    exponent = math.log(max(1.0, now / problem.alpha)) / power
+    needed = math.inf if exponent > 50 else tests * math.exp(exponent)
+    return max(0, min(math.ceil(min(needed, 1e12)) - tests, budget))
+
+
+def out_of_reach(plan: "ProblemPlan") -> str | None:
+    """Return a sentence if the budget of a `rigorous` problem cannot reach alpha, however the tests are placed.
+
+    n observations of one and the same z leave upper - lower >= 2 R sqrt(2 ln(1/delta)/n) in [FR]; elsewhere it is more.
+    """
+    problem, tests = plan.problem, plan.budget
+    if not isinstance(problem, RigorousProblem) or plan.noise == 0:
+        return None
+    least = 2 * plan.noise * math.sqrt(2 * math.log(1 / problem.delta) / tests)
+    least = min(least, 2 * (problem.rkhs_norm + problem.misspecification))  # what is known before the first test
+    if least <= problem.alpha:
+        return None
+    return (
+        f"{problem.name}: {tests} tests cannot be expected to reach alpha = {problem.alpha:g}: even with all tests "
+        f"at one point, upper and lower bound stay about {least:.3g} apart. The budget then ends the problem"
+    )
+
+
+def _start(config: CampaignConfig, problem: Problem) -> float:
+    """Return the distance before the first observation."""
+    if isinstance(problem, PaperProblem | RigorousProblem):
+        return 2 * problem.rkhs_norm
+    return config.clip[1] - config.clip[0] if config.clip else math.inf

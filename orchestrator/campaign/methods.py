@@ -1,0 +1,96 @@
+"""The method of each problem, as its plan says."""
+
+from collections.abc import Mapping
+
+from ...schemas.campaign import PaperProblem, RigorousProblem, ScenarioProblem
+from ...schemas.errors import CampaignError
+from ..mathematics.bounds.confidence import mixture
+from ..mathematics.bounds.paper import PaperMethod
+from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.scenario import ScenarioMethod
+from ..mathematics.gp.kernels import Matern
+from ..mathematics.gp.lattice import Lattice
+from .plan import Plans, ProblemPlan
+
+ProblemMethod = PaperMethod | RigorousMethod | ScenarioMethod
+Methods = Mapping[str, ProblemMethod]
+"""The method of each problem, by name."""
+
+
+def methods(plans: Plans) -> Methods:
+    """Return the method of every problem, before its first observation; raises as `method`."""
+    return {name: method(plan) for name, plan in plans.items()}
+
+
+def method(plan: ProblemPlan) -> ProblemMethod:
+    """Return the method of one problem, before its first observation.
+
+    Raises:
+        ValueError: a parameter is outside the range of the method.
+
+    """
+    problem = plan.problem
+    match problem:
+        case PaperProblem():
+            return PaperMethod(
+                _lattice(plan),
+                kernel(problem),
+                rkhs_norm=problem.rkhs_norm,
+                noise_scale=plan.noise,
+                delta=problem.delta,
+                alpha=problem.alpha,
+                c=problem.c,
+                prior_mean=problem.prior_mean,
+                regulariser=problem.regulariser,
+                sigma=problem.sigma,
+                tail=problem.tail,
+                refine=problem.refine,
+            )
+        case RigorousProblem():
+            return RigorousMethod(
+                plan.candidates,
+                kernel(problem),
+                rkhs_norm=problem.rkhs_norm,
+                noise_scale=plan.noise,
+                delta=problem.delta,
+                alpha=problem.alpha,
+                regularisers=_mixture(problem, plan.noise),
+                prior_mean=problem.prior_mean,
+                tau_misspecification=problem.misspecification,
+                round_off=problem.round_off,
+                slack=problem.slack,
+            )
+        case ScenarioProblem():
+            constants = problem.linearised
+            return ScenarioMethod(
+                plan.candidates.nodes,
+                clip=plan.clip,
+                risk_weight=plan.risk_weight,
+                delta=problem.delta,
+                alpha=problem.alpha,
+                risk="bhatia-davis" if constants is None else "linearised",
+                constants=None if constants is None else (constants.centre, constants.spread),
+            )
+
+
+def kernel(problem: PaperProblem | RigorousProblem) -> Matern:
+    """Return the kernel of a problem."""
+    return Matern(problem.kernel.nu, problem.kernel.length_scale)
+
+
+def _lattice(plan: ProblemPlan) -> Lattice:
+    if not isinstance(plan.candidates, Lattice):
+        raise CampaignError(
+            f"problems.{plan.name}.method: 'paper' needs a box under [space]: low and high per parameter"
+        )
+    return plan.candidates
+
+
+def _mixture(problem: RigorousProblem, noise: float) -> tuple[tuple[float, float], ...]:
+    if noise == 0:
+        return ()
+    if problem.regulariser is None:
+        return mixture(problem.rkhs_norm, noise)
+    if isinstance(problem.regulariser, tuple):
+        return tuple((each.value, each.weight) for each in problem.regulariser)
+    return ((problem.regulariser, 1.0),)

@@ -1,0 +1,119 @@
+"""From trajectories to the value y of a test.
+
+| symbol   | name      | meaning                                             | shape  | unit       |
+|----------|-----------|-----------------------------------------------------|--------|------------|
+| s, z     | `samples` | one trajectory; column 0 is the time                | (T, n) | per column |
+| rho      |           | robustness, clipped to `clip` = [-m, M]             | ()     | of the predicate |
+| r        | `risk_weight` | weight of the standard deviation                | ()     | -          |
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..mathematics.stl.predicates import check_grids
+from ..mathematics.stl.robustness import robustness
+from ..mathematics.stl.tree import Formula
+from .plan import ProblemPlan
+
+Floats = NDArray[np.float64]
+
+
+def clipped_robustness(formula: Formula, columns: Sequence[str], samples: Floats, clip: tuple[float, float]) -> float:
+    """Return the robustness of `samples` (T, n), clipped to [low, high]; every claim is about this number.
+
+    Raises:
+        ValueError: the clip is empty, the formula names an unknown column, or a predicate is not finite.
+
+    """
+    low, high = clip
+    if not low < high:
+        raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end")
+    return min(max(robustness(formula, columns, samples), low), high)
+
+
+def signal_sup(column: int, a: Floats, b: Floats) -> float:
+    """Return the gap of two trajectories in one column, in the unit of that column. It is not clipped.
+    Implements eq. (sim_gap) of [ARA].
+
+    Formula: ||s - z|| = max over the sample times of |s_column - z_column|; `a` and `b` have shape (T, n).
+
+    Raises:
+        ValueError: the time grids (column 0) differ, or the difference is not finite.
+
+    >>> signal_sup(1, np.array([[0.0, 1.0], [0.1, 2.0]]), np.array([[0.0, 1.5], [0.1, 1.75]]))
+    0.5
+
+    """
+    check_grids(a, b)
+    return _finite(float(np.max(np.abs(a[:, column] - b[:, column]))), "the gap")
+
+
+def column_maximum(column: int, samples: Floats) -> float:
+    """Return the largest value of one column of `samples` (T, n), in the unit of that column.
+
+    Raises:
+        ValueError: the maximum is not finite.
+
+    """
+    return _finite(float(np.max(samples[:, column])), f"the maximum of column {column}")
+
+
+def mean(values: Sequence[float]) -> float:
+    """Return the mean over replicates, correctly summed, so that their order does not matter.
+
+    Raises:
+        ValueError: no value, or one that is not finite.
+
+    >>> mean([0.25, 0.75])
+    0.5
+
+    """
+    if not values:
+        raise ValueError("a test needs at least one rollout")
+    for value in values:
+        _finite(value, "a rollout's value")
+    return math.fsum(values) / len(values)
+
+
+def risk(values: Sequence[float], risk_weight: float) -> float:
+    """Return mean - r * sample standard deviation (n - 1 in the denominator) over replicates.
+    Implements eq. (robust_real) of [ARA].
+
+    Formula: y = mean(v) - r sd(v). Not a centred sample of E - r sd: E[sd(v)] < sd, so y errs to the unsafe side.
+
+    Raises:
+        ValueError: fewer than two values, a value that is not finite, or r < 0.
+
+    >>> round(risk([0.6, 0.7, 0.8], 0.2), 6)
+    0.68
+
+    """
+    if len(values) < 2:
+        raise ValueError(f"a risk needs at least 2 replicates, not {len(values)}")
+    if not risk_weight >= 0:
+        raise ValueError(f"risk_weight must not be negative, not {risk_weight!r}")
+    centre = mean(values)
+    return centre - risk_weight * math.sqrt(math.fsum((v - centre) ** 2 for v in values) / (len(values) - 1))
+
+
+def excess(plan: ProblemPlan, robustness: Mapping[tuple[str, int], float], gaps: Sequence[float]) -> float:
+    """Return the most by which the robustness of a pair of rollouts differs beyond L times its gap.
+
+    `robustness` is that of the rollout of each (variant, replicate), `gaps` (replicates,) are those of one test. Above
+    0 the gap does not dominate the difference of the robustness, and the composition does not follow.
+    """
+    differences = []
+    for replicate, value in enumerate(gaps):
+        nominal, true = (robustness[plan.replicate(variant, replicate)] for variant in ("nominal", "true"))
+        signed = nominal - true if plan.gap.kind == "robustness" else abs(nominal - true)
+        differences.append(signed - plan.gap.lipschitz * value)
+    return max(differences)
+
+
+def _finite(value: float, what: str) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"{what} is {value!r}, not a finite number")
+    return value

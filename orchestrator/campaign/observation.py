@@ -1,0 +1,115 @@
+"""From the trajectories of a test to its observation: the value y of the maximised objective J, and its parts."""
+
+from collections.abc import Callable, Mapping
+from weakref import WeakKeyDictionary
+
+from ...schemas.campaign import CampaignConfig, ProblemName
+from ...schemas.errors import CampaignError
+from ...schemas.system import SystemSpec
+from ...schemas.trajectory import Trajectory
+from ...schemas.values import Observation
+from ..mathematics.bounds.risk import linearised
+from ..mathematics.stl.formula import Formula, parse
+from ..mathematics.stl.predicates import predicate_sup
+from . import objectives
+from .plan import ProblemPlan
+
+Trajectories = Mapping[tuple[str, int], Trajectory]
+"""(variant, replicate) -> trajectory of one test."""
+
+
+class Observer:
+    """The objectives of a campaign.
+
+    Raises:
+        FormulaError: the specification is not a formula over the columns of the system.
+
+    """
+
+    def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
+        self._columns = tuple(column.name for column in spec.columns)
+        self._clip = config.clip
+        self._parsed = None if config.specification is None else parse(config.specification, self._columns)
+        self._known: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
+        self._objectives: dict[ProblemName, Callable[[ProblemPlan, Trajectories], Observation]] = {
+            "nominal_robustness": self._nominal_robustness,
+            "sim_gap": self._sim_gap,
+            "true_risk": self._true_risk,
+            "maximum": self._maximum,
+        }
+
+    @property
+    def _formula(self) -> Formula:
+        if self._parsed is None:
+            raise CampaignError("specification: required by every problem but 'maximum'")
+        return self._parsed
+
+    def robustness(self, trajectory: Trajectory) -> float | None:
+        """Return the clipped robustness; None for a campaign without specification.
+
+        Raises:
+            ValueError: the formula cannot be evaluated on this trajectory.
+
+        """
+        if self._parsed is None or self._clip is None:
+            return None
+        found = self._known.get(trajectory)  # needed when it is recorded, and when its test is observed
+        if found is None:
+            found = objectives.clipped_robustness(self._parsed, trajectory.columns, trajectory.samples, self._clip)
+            self._known[trajectory] = found
+        return found
+
+    def observe(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
+        """Return the observation of a test, in the unit of the objective; J = -rho for a minimum.
+
+        Raises:
+            ValueError: a value is not finite, or two trajectories have different time grids.
+
+        """
+        return self._objectives[plan.problem.name](plan, trajectories)
+
+    def _nominal_robustness(self, _plan: ProblemPlan, trajectories: Trajectories) -> Observation:
+        return _mean([-value for value in self._scores(trajectories)])
+
+    def _true_risk(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
+        problem, values, weight = plan.problem, self._scores(trajectories), plan.risk_weight
+        if problem.method == "paper":
+            return Observation(-objectives.risk(values, weight), tuple(values))
+        if problem.linearised is not None and problem.method == "rigorous":
+            constants = problem.linearised
+            return _mean([-linearised(value, weight, constants.centre, constants.spread) for value in values])
+        return Observation(-objectives.mean(values), tuple(values))
+
+    def _sim_gap(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
+        gaps = []
+        for replicate in range(plan.replicates):
+            nominal, true = (trajectories[plan.replicate(variant, replicate)] for variant in ("nominal", "true"))
+            gaps.append(self._gap(plan, nominal, true))
+        return _mean(gaps)
+
+    def _gap(self, plan: ProblemPlan, nominal: Trajectory, true: Trajectory) -> float:
+        gap, (low, high) = plan.gap, plan.clip
+        if gap.kind == "robustness":
+            first, second = self._scores({("nominal", 0): nominal, ("true", 0): true})
+            return first - second
+        if gap.kind == "predicate_sup":
+            found = predicate_sup(self._formula, nominal.columns, true.samples, nominal.samples)
+        else:
+            found = objectives.signal_sup(self._column(gap.column), true.samples, nominal.samples)
+        # The paper does not clip. Elsewhere a gap above (M + m)/L says no more than that of the clipped robustness.
+        return found if plan.problem.method == "paper" else min(found, (high - low) / gap.lipschitz)
+
+    def _maximum(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
+        column = self._column(plan.problem.column)
+        return _mean([objectives.column_maximum(column, trajectory.samples) for trajectory in trajectories.values()])
+
+    def _column(self, name: str | None) -> int:
+        return self._columns.index(name or "")
+
+    def _scores(self, trajectories: Trajectories) -> list[float]:
+        values = [self.robustness(trajectory) for trajectory in trajectories.values()]
+        return [value for value in values if value is not None]
+
+
+def _mean(each: list[float]) -> Observation:
+    return Observation(objectives.mean(each), tuple(each))

@@ -1,0 +1,138 @@
+"""The plan of each problem: everything that is fixed before its first test, every default and option resolved."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ...schemas.campaign import (
+    ROLLED_OUT,
+    CampaignConfig,
+    Gap,
+    Problem,
+    RigorousProblem,
+    ScenarioProblem,
+    Scenarios,
+)
+from ...schemas.system import SystemSpec
+from ..mathematics.bounds.composition import derived_noise_scale
+from ..mathematics.bounds.risk import linearised_range
+from ..mathematics.gp.lattice import Lattice
+from ..mathematics.gp.points import Points
+
+UNBOUNDED = (-math.inf, math.inf)
+"""The clip of a campaign that has none."""
+NO_GAP = Gap(kind="robustness")
+"""The gap of a problem that compares no trajectories: of no meaning there."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemPlan:
+    """One problem before its first test."""
+
+    problem: Problem
+    candidates: Lattice | Points
+    """The starting conditions that tests are chosen from; parameters in the order of the system."""
+    window: int
+    replicates: int
+    budget: int
+    """Tests at most."""
+    noise: float
+    """R of one test, in the unit of the objective; 0 without noise."""
+    noise_per_rollout: float
+    """R of one rollout, as it is given or derived."""
+    hoeffding: float
+    """R of one rollout by Hoeffding's lemma, half the range of the clipped objective; infinite without a clip."""
+    clip: tuple[float, float]
+    risk_weight: float
+    gap: Gap
+    shared: frozenset[str]
+    """Variants of which the replicates of a test share one rollout, because it does not depend on the seed."""
+
+    @property
+    def name(self) -> str:
+        """Name of the problem."""
+        return self.problem.name
+
+    @property
+    def rollouts(self) -> tuple[tuple[str, int], ...]:
+        """(variant, replicate) of every rollout of a test."""
+        return tuple(
+            (variant, replicate)
+            for replicate in range(self.replicates)
+            for variant in ROLLED_OUT[self.problem.name]
+            if replicate == 0 or variant not in self.shared
+        )
+
+    def replicate(self, variant: str, replicate: int) -> tuple[str, int]:
+        """Return the rollout that serves a replicate of a variant."""
+        return variant, 0 if variant in self.shared else replicate
+
+
+Plans = Mapping[str, ProblemPlan]
+"""The plan of each problem by name, in the order of the campaign file."""
+
+
+def plans(config: CampaignConfig, spec: SystemSpec) -> Plans:
+    """Return the plans of a campaign."""
+    return {problem.name: plan(config, spec, problem) for problem in config.problems}
+
+
+def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemPlan:
+    """Return the plan of one problem of a campaign that was checked."""
+    clip, gap = config.clip or UNBOUNDED, config.gap_of(problem) or NO_GAP
+    replicates, tests = config.replicates_of(problem), config.max_tests_of(problem)
+    candidates = _candidates(config, spec, problem)
+    hoeffding = _hoeffding(config, spec, problem, clip, gap)
+    noise = _noise(problem, hoeffding)
+    if isinstance(problem, RigorousProblem) and noise == 0:
+        tests = min(tests, candidates.size)  # without noise a second test at a candidate adds nothing
+    common = problem.name == "sim_gap" and problem.method == "rigorous"
+    # R of the risk in method `paper` is that of the observation itself, mean - r sd, which is no mean.
+    mean = not (problem.method == "paper" and problem.name == "true_risk")
+    return ProblemPlan(
+        problem=problem,
+        candidates=candidates,
+        window=config.window_of(problem),
+        replicates=replicates,
+        budget=tests,
+        noise=noise / math.sqrt(replicates) if mean else noise,
+        noise_per_rollout=noise,
+        hoeffding=hoeffding,
+        clip=clip,
+        risk_weight=config.risk_weight,
+        gap=gap,
+        shared=frozenset(ROLLED_OUT[problem.name]) - set(spec.noisy) if common else frozenset(),
+    )
+
+
+def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> Lattice | Points:
+    if isinstance(config.space, Scenarios):
+        return Points(config.space.scenarios)
+    boxes = [config.space[parameter.name] for parameter in spec.parameters]
+    low, high = tuple(box.low for box in boxes), tuple(box.high for box in boxes)
+    return Lattice(low, high, config.resolution_of(problem))
+
+
+def _noise(problem: Problem, hoeffding: float) -> float:
+    if isinstance(problem, ScenarioProblem):
+        return hoeffding  # never used: the bound rests on the clip alone
+    return hoeffding if problem.noise_scale == "derived" else problem.noise_scale
+
+
+def _hoeffding(
+    config: CampaignConfig, spec: SystemSpec, problem: Problem, clip: tuple[float, float], gap: Gap
+) -> float:
+    if problem.name == "maximum":
+        return math.inf  # a column has no clip
+    if isinstance(problem, RigorousProblem) and problem.linearised is not None:
+        constants = problem.linearised
+        low, high = linearised_range(clip, config.risk_weight, constants.centre, constants.spread)
+        return (high - low) / 2
+    compared = problem.name == "sim_gap"
+    return derived_noise_scale(
+        gap.kind if compared else "nominal_robustness",
+        clip,
+        deterministic_nominal="nominal" not in spec.noisy,
+        common_seeds=False,
+        lipschitz=gap.lipschitz if compared else 1.0,
+    )

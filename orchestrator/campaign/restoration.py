@@ -1,0 +1,59 @@
+"""Restoration of trajectory files that a crash of the machine damaged: the same seed gives the same file."""
+
+from pathlib import Path
+
+from ...schemas.errors import PerfboundError
+from ...schemas.facts import RolloutFact
+from ...schemas.ids import RolloutId
+from ..store import files as evidence
+from .ports import FactStore, FileStore
+
+
+class Restoration:
+    """The recorded rollouts whose files are missing or damaged, until each is simulated again."""
+
+    def __init__(self, directory: Path, book: FactStore | None = None) -> None:
+        """Look at every recorded file of `book`, and remove what no fact knows; without a book nothing is damaged."""
+        self._directory = directory
+        self._damaged: dict[RolloutId, RolloutFact] = {}
+        self._starts: dict[tuple[str, int], tuple[float, ...]] = {}
+        if book is None:
+            return
+        facts = book.recorded()
+        evidence.sweep(directory, {fact.path for fact in facts})
+        paths = set(evidence.damaged(directory, ((fact.path, fact.size, fact.sha256) for fact in facts)))
+        self._damaged = {fact.rollout: fact for fact in facts if fact.path in paths}
+        tests = {rollout[:2] for rollout in self._damaged}
+        self._starts = {test: book.proposal(*test).proposal.x for test in tests}
+
+    def __len__(self) -> int:
+        return len(self._damaged)
+
+    def __contains__(self, rollout: RolloutId) -> bool:
+        return rollout in self._damaged
+
+    @property
+    def wanted(self) -> list[RolloutId]:
+        """Every rollout that is to be simulated again."""
+        return sorted(self._damaged)
+
+    def start(self, rollout: RolloutId) -> tuple[float, ...]:
+        """Return the start of a damaged rollout, whose test may be closed."""
+        return self._starts[rollout[:2]]
+
+    def restore(self, rollout: RolloutId, payload: bytes, sha256: str, files: FileStore) -> None:
+        """Write a file once more.
+
+        Raises:
+            PerfboundError: it is not the one that was recorded.
+
+        """
+        fact = self._damaged[rollout]
+        if sha256 != fact.sha256:
+            raise PerfboundError(
+                f"{self._directory / fact.path}: damaged, and simulated again it has the sha256 {sha256[:12]}..., not "
+                f"the recorded {fact.sha256[:12]}...: this machine computes different floating-point results. "
+                "Restore it from a copy"
+            )
+        files.write(self._directory / fact.path, payload)
+        del self._damaged[rollout]

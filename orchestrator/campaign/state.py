@@ -1,0 +1,278 @@
+"""The campaign core: which tests exist, which observation is next, when a problem stops.
+
+A pure machine: `step(state, event) -> (state, actions)`. It knows no time, no numbers and no files. Each problem owns a
+row of tests, numbered from 0; a test lives through four phases, and this table is the whole of the law:
+
+    phase      Proposed   Recorded                  Observed
+    absent     running    -                         -
+    running    -          running, or complete      -
+    complete   -          (ignored)                 closed
+    closed     -          (ignored)                 -
+
+`-` is illegal: `step` raises `IllegalEvent` and nothing has changed. Three rules go beyond the table. Tests are
+proposed and observed in their order. The window is kept full: test i is proposed right after test i-window is
+observed, before any other observation, so that its z depends on the observations 0 .. i-window and never on the speed
+of a worker. A problem that has stopped proposes and observes nothing more; what still runs is withdrawn and counts as
+closed.
+
+The state holds what is open; closed tests are a counter.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from ...schemas.errors import IllegalEvent
+from ...schemas.ids import RolloutId
+from ...schemas.values import StoppedBy, Verdict
+
+Phase = Literal["absent", "running", "complete", "closed"]
+
+LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
+    ("absent", "Proposed"): ("running",),
+    ("running", "Recorded"): ("running", "complete"),
+    ("complete", "Recorded"): ("complete",),
+    ("complete", "Observed"): ("closed",),
+    ("closed", "Recorded"): ("closed",),
+}
+"""(phase of the test, event) -> the phases that may follow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is fixed about a problem before its first test."""
+
+    problem: str
+    window: int
+    max_tests: int
+    rollouts: tuple[tuple[str, int], ...]
+    """(variant, replicate) of every rollout of a test."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenTest:
+    """A test that is proposed and not yet observed."""
+
+    test: int
+    missing: frozenset[RolloutId]
+
+    @property
+    def phase(self) -> Phase:
+        """Where the test stands in the table."""
+        return "running" if self.missing else "complete"
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemState:
+    """The open tests of a problem, and how many are closed."""
+
+    plan: Plan
+    observed: int = 0
+    open: tuple[OpenTest, ...] = ()
+    stopped_by: StoppedBy | None = None
+
+    @property
+    def proposed(self) -> int:
+        """Tests proposed so far, open ones included."""
+        return self.observed + len(self.open)
+
+    @property
+    def may_propose(self) -> bool:
+        """Whether the next test may be proposed from the observations there are."""
+        room = self.proposed < min(self.observed + self.plan.window, self.plan.max_tests)
+        return self.stopped_by is None and room
+
+    def phase(self, test: int) -> Phase:
+        """Return the phase of one test."""
+        if test < self.observed or (self.stopped_by is not None and test < self.proposed):
+            return "closed"
+        return self.open[test - self.observed].phase if test < self.proposed else "absent"
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The campaign."""
+
+    problems: tuple[ProblemState, ...]
+
+    @property
+    def done(self) -> bool:
+        """Whether every problem has stopped."""
+        return all(problem.stopped_by is not None for problem in self.problems)
+
+
+@dataclass(frozen=True, slots=True)
+class Proposed:
+    """The next test of a problem has its z."""
+
+    problem: str
+    test: int
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A rollout's trajectory is durable."""
+
+    rollout: RolloutId
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """A test has its y; `verdict` says why the method ends the problem here, if it does."""
+
+    problem: str
+    test: int
+    verdict: Verdict | None = None
+
+
+Event = Proposed | Recorded | Observed
+
+
+@dataclass(frozen=True, slots=True)
+class Propose:
+    """Choose z of this test from the observations so far."""
+
+    problem: str
+    test: int
+
+
+@dataclass(frozen=True, slots=True)
+class Simulate:
+    """Have these rollouts simulated."""
+
+    rollouts: tuple[RolloutId, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Observe:
+    """Turn the trajectories of this test into y."""
+
+    problem: str
+    test: int
+
+
+@dataclass(frozen=True, slots=True)
+class Withdraw:
+    """These rollouts are no longer needed."""
+
+    rollouts: tuple[RolloutId, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Certify:
+    """Every problem has stopped."""
+
+
+Action = Propose | Simulate | Observe | Withdraw | Certify
+
+
+def initial(plans: tuple[Plan, ...]) -> State:
+    """Return the campaign before its first event."""
+    return State(tuple(ProblemState(plan) for plan in plans))
+
+
+def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
+    """Apply one event.
+
+    Raises:
+        IllegalEvent: the table does not allow it; `state` is still the truth.
+
+    """
+    name, test = (event.rollout[:2]) if isinstance(event, Recorded) else (event.problem, event.test)
+    index = _index(state, name)
+    problem = state.problems[index]
+    phase = problem.phase(test)
+    if (phase, type(event).__name__) not in LEGAL:
+        raise IllegalEvent(f"{event} is not allowed: test {test} of {name} is {phase}")
+    if isinstance(event, Proposed):
+        after, actions = _propose(problem, event)
+    elif isinstance(event, Recorded):
+        after, actions = _record(problem, event)
+    else:
+        after, actions = _observe(problem, event)
+    problems = (*state.problems[:index], after, *state.problems[index + 1 :])
+    state = State(problems)
+    return state, (*actions, Certify()) if isinstance(event, Observed) and state.done else actions
+
+
+def outstanding(state: State) -> tuple[Action, ...]:
+    """Return everything that is to be done now: how a campaign starts, and how it goes on after a restart."""
+    if state.done:
+        return (Certify(),)
+    return tuple(action for problem in state.problems for action in _due(problem))
+
+
+def _due(problem: ProblemState) -> tuple[Action, ...]:
+    if problem.stopped_by is not None:
+        return ()
+    missing = tuple(rollout for test in problem.open for rollout in _ordered(problem.plan, test))
+    simulate = (Simulate(missing),) if missing else ()
+    return (*simulate, *_next(problem))
+
+
+def _propose(problem: ProblemState, event: Proposed) -> tuple[ProblemState, tuple[Action, ...]]:
+    if event.test != problem.proposed or not problem.may_propose:
+        raise IllegalEvent(f"{event} is not allowed: {problem.observed} tests observed, {problem.proposed} proposed")
+    opened = OpenTest(event.test, frozenset(_rollouts(problem.plan, event.test)))
+    problem = replace(problem, open=(*problem.open, opened))
+    return problem, (Simulate(_rollouts(problem.plan, event.test)), *_next(problem))
+
+
+def _record(problem: ProblemState, event: Recorded) -> tuple[ProblemState, tuple[Action, ...]]:
+    test = event.rollout.test
+    if (event.rollout.variant, event.rollout.replicate) not in problem.plan.rollouts:
+        raise IllegalEvent(f"{event} is not allowed: test {test} has no such rollout")
+    if problem.phase(test) != "running":
+        return problem, ()
+    position = test - problem.observed
+    before = problem.open[position]
+    after = OpenTest(test, before.missing - {event.rollout})
+    problem = replace(problem, open=(*problem.open[:position], after, *problem.open[position + 1 :]))
+    completed = position == 0 and before.missing and not after.missing
+    return problem, _next(problem) if completed and not problem.may_propose else ()
+
+
+def _observe(problem: ProblemState, event: Observed) -> tuple[ProblemState, tuple[Action, ...]]:
+    if event.test != problem.observed or problem.may_propose:
+        due = f"test {problem.observed} is to be observed" if event.test != problem.observed else "a proposal is due"
+        raise IllegalEvent(f"{event} is not allowed: {due} before it")
+    problem = replace(problem, observed=problem.observed + 1, open=problem.open[1:])
+    if event.verdict is not None or problem.observed >= problem.plan.max_tests:
+        stopped = replace(problem, stopped_by=event.verdict or "budget")
+        left = tuple(rollout for test in problem.open for rollout in _ordered(problem.plan, test))
+        return stopped, (Withdraw(left),) if left else ()
+    return problem, _next(problem)
+
+
+def _next(problem: ProblemState) -> tuple[Action, ...]:
+    """Return the one thing that a problem waits for: a proposal, else the observation of its oldest test."""
+    if problem.may_propose:
+        return (Propose(problem.plan.problem, problem.proposed),)
+    if problem.open and not problem.open[0].missing:
+        return (Observe(problem.plan.problem, problem.open[0].test),)
+    return ()
+
+
+def _rollouts(plan: Plan, test: int) -> tuple[RolloutId, ...]:
+    return tuple(RolloutId(plan.problem, test, variant, replicate) for variant, replicate in plan.rollouts)
+
+
+def _ordered(plan: Plan, test: OpenTest) -> tuple[RolloutId, ...]:
+    return tuple(rollout for rollout in _rollouts(plan, test.test) if rollout in test.missing)
+
+
+def _index(state: State, name: str) -> int:
+    for index, problem in enumerate(state.problems):
+        if problem.plan.problem == name:
+            return index
+    raise IllegalEvent(f"no problem {name!r} in this campaign")
+
+
+def check(state: State) -> None:
+    """Assert the invariants of the state; tests call it after every step."""
+    for problem in state.problems:
+        numbers = [test.test for test in problem.open]
+        assert numbers == list(range(problem.observed, problem.proposed)), "open tests are consecutive"
+        assert len(problem.open) <= problem.plan.window, "no more tests in flight than the window"
+        assert problem.proposed <= problem.plan.max_tests, "the budget holds"
+        for test in problem.open:
+            assert test.missing <= set(_rollouts(problem.plan, test.test)), "only planned rollouts are missing"

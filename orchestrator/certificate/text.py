@@ -1,0 +1,183 @@
+"""What a certificate says, for people: what is refuted first, then the claim, its problems and what it rests on.
+
+Numbers are rounded outward, so that no line promises more than the certificate does. Everything is printed as plain
+text with styles, never as markup: names, paths and formulas may hold brackets.
+"""
+
+import math
+import shlex
+import textwrap
+from collections.abc import Iterable, Iterator, Sized
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from ...schemas.certificate import Assumption, Certificate, Claim, Composition, ProblemResult
+
+WIDTH = 100
+DIGITS = 4
+COLOURS = {"refuted": "red", "derived": "green"}
+QUANTITIES = {
+    "rho_star": "rho* (robustness risk of the true system at its worst start)",
+    "J_star": "J* (maximum of the expectation)",
+}
+
+BUDGET = {
+    "paper": "the bound contains the difference",
+    "rigorous": "the bound holds all the same",
+    "scenario": "the bound holds all the same",
+}
+
+
+def outward(bound: float, sense: str) -> str:
+    """Return a bound with four digits that promises no more than `bound` does.
+
+    >>> outward(0.00019, ">="), outward(-0.00011, ">="), outward(0.00011, "<=")
+    ('0.0001', '-0.0002', '0.0002')
+    """
+    scaled = bound * 10**DIGITS
+    nearest = round(scaled)
+    if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):
+        nearest = math.floor(scaled) if sense == ">=" else math.ceil(scaled)
+    return f"{nearest / 10**DIGITS:.{DIGITS}f}"
+
+
+def show(certificate: Certificate, console: Console) -> None:
+    """Print what the certificate says."""
+    predicate = certificate.predicate
+    broken = [each for each in predicate.assumptions if each.status == "refuted"]
+    if broken:
+        _heading(console, f"REFUTED, by this campaign's own data or by derivation: {_count(broken)}", "bold red")
+        _assumptions(broken, console)
+    for number, claim in enumerate(predicate.claims):
+        _claim(
+            claim,
+            predicate.composition if number == 0 else None,
+            list(claim.refuted),
+            console,
+            first=number == 0,
+        )
+    if len(predicate.claims) > 1:
+        console.print()
+        _line(
+            console, "The first claim was chosen beforehand. Each holds with its own probability; to choose the best of"
+        )
+        _line(console, "them afterwards costs the sum of what their probabilities lack to 1.")
+    _heading(console, "Problems", "bold")
+    for problem in predicate.problems:
+        _problem(problem, console)
+    _heading(console, "Assumptions that the data do not refute", "bold")
+    _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
+
+
+def first_claim(certificate: Certificate, console: Console) -> None:
+    """Print the claim that was chosen beforehand."""
+    predicate = certificate.predicate
+    claim = predicate.claims[0]
+    _claim(claim, predicate.composition, list(claim.refuted), console, first=True)
+
+
+def written(directory: Path, console: Console) -> None:
+    """Print where everything is."""
+    _heading(console, "Written", "bold")
+    for name, what in (
+        ("certificate.json", "certificate"),
+        ("certificate.dsse.json", "signed"),
+        ("manifest.sha256", "manifest"),
+        ("trajectories", "evidence"),
+        ("campaign.db", "database"),
+        ("report.html", "report"),
+    ):
+        if (directory / name).exists():
+            _line(console, f"  {what:<12} {directory / name}")
+    _line(console, f"  check it:    perfbound verify {shlex.quote(str(directory))}")
+
+
+def _claim(claim: Claim, composition: Composition | None, broken: list[str], console: Console, *, first: bool) -> None:
+    what = f"{QUANTITIES[claim.quantity]} {claim.sense} {outward(claim.bound, claim.sense)}"
+    _heading(console, f"{'CLAIM' if first else 'also'}  {what}", "bold")
+    _line(
+        console,
+        f"       with probability at least {outward(claim.probability, '>=')} "
+        f"(method {claim.method}, {_rule(claim)}{_count(claim.assumptions)})",
+    )
+    if composition is not None:
+        _line(
+            console,
+            f"       = {composition.nominal_bound:.4f} (nominal) - {composition.gap_term:.4f} (gap) "
+            f"- {composition.risk_term:.4f} (risk)",
+        )
+    if broken:
+        _line(console, f"       It rests on {_count(broken)} REFUTED: do not rely on it.", "bold red")
+
+
+def _rule(claim: Claim) -> str:
+    return "" if claim.rule == "single" else f"{claim.rule} rule, "
+
+
+def _problem(problem: ProblemResult, console: Console) -> None:
+    sense = ">=" if problem.sense == "min" else "<="
+    alpha = problem.parameters.get("alpha")
+    left = _left(problem)
+    end = {
+        "converged": f"converged: {left} is at most alpha = {alpha}",
+        "budget": f"NOT converged: its budget ended at {left}, alpha is {alpha}; {BUDGET[problem.method]}",
+        "refuted": "REFUTED: the data contradict the assumptions, so its bound is worth nothing",
+    }[problem.stopped_by]
+    _line(console, f"  {problem.name}", "bold")
+    _line(
+        console,
+        f"    {problem.objective} {sense} {outward(problem.bound, sense)}, "
+        f"probability {outward(problem.probability, '>=')}",
+    )
+    rollouts = f"{problem.rollouts.nominal} nominal and {problem.rollouts.true} true rollouts"
+    _line(console, f"    {problem.tests} tests with {rollouts}")
+    _line(console, f"    {end}", "" if problem.stopped_by == "converged" else "yellow")
+
+
+def _left(problem: ProblemResult) -> str:
+    """Say how far the bound may be from what it bounds."""
+    if problem.last_F is not None:
+        return f"F = {problem.last_F:.4f}"
+    width = abs((problem.partner or 0.0) - problem.bound)
+    return f"{'what rollouts can still bring' if problem.method == 'scenario' else 'upper - lower'} = {width:.4f}"
+
+
+def _assumptions(assumptions: list[Assumption], console: Console) -> None:
+    """Print assumptions problem by problem, with hanging indents."""
+    for group, members in _grouped(assumptions):
+        _line(console, f"  {group}", "bold")
+        for name, each in members:
+            head = Text(f"    {name:<20}")
+            head.append(f"{each.status:<12}", COLOURS.get(each.status, "yellow"))
+            _hanging(console, head, each.detail)
+
+
+def _grouped(assumptions: Iterable[Assumption]) -> Iterator[tuple[str, list[tuple[str, Assumption]]]]:
+    groups: dict[str, list[tuple[str, Assumption]]] = {}
+    for each in assumptions:
+        name, _, problem = each.id.partition("/")
+        groups.setdefault(problem or "whole campaign", []).append((name, each))
+    yield from groups.items()
+
+
+def _hanging(console: Console, head: Text, body: str) -> None:
+    """Print `body` right of `head`, wrapped, its lines below each other."""
+    indent = len(head.plain)
+    width = min(console.width, WIDTH) if console.is_terminal else WIDTH
+    lines = textwrap.wrap(body, max(40, width - indent), break_long_words=False, break_on_hyphens=False)
+    console.print(head.append(("\n" + " " * indent).join(lines)), soft_wrap=True)
+
+
+def _heading(console: Console, text: str, style: str) -> None:
+    console.print()
+    _line(console, text, style)
+
+
+def _line(console: Console, text: str, style: str = "") -> None:
+    console.print(Text(text, style), soft_wrap=True)
+
+
+def _count(assumptions: Sized) -> str:
+    return f"{len(assumptions)} assumption{'s' if len(assumptions) > 1 else ''}"

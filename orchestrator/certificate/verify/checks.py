@@ -1,0 +1,116 @@
+"""The checks of a verification, and what became of each."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from ....schemas.base import one_line
+from ....schemas.errors import PerfboundError
+
+Status = Literal["passed", "failed", "skipped"]
+
+CHECKS = {
+    "signature": "the certificate was signed with this key",
+    "certificate": "the certificate is one of perfbound's, written as perfbound writes it",
+    "header": "the campaign file and the specification of the system are those of the certificate, and fit each other",
+    "manifest": "the manifest is the one that the certificate is about",
+    "files": "every file in the manifest is there and unchanged",
+    "requests": "every rollout is one that the campaign asks for: start, seed, options",
+    "trajectories": "every file is intact, and holds the columns of the system from 0 to the horizon",
+    "proposals": "the first test was drawn by the seed, every other is a maximiser of what was known before it",
+    "observations": "every y was computed again from its trajectories: robustness, gap, risk",
+    "stop": "every problem goes on until its rule stops it, and no longer",
+    "evidence": "the manifest lists the rollouts of the observed tests, all and no others",
+    "chain": "the hash chain over proposals, digests and observations ends where the certificate says",
+    "problems": "the bounds and parameters of the problems follow from the campaign file and the observations",
+    "probabilities": "the probabilities follow from the campaign file",
+    "composition": "the terms of the composition follow from the bounds",
+    "claims": "the claims follow, and name what they rest on",
+    "audit": "the assumptions and their status follow from the data",
+    "software": "this machine has the software of the campaign",
+    "database": "the tables of facts that are there say the same: tests, rollouts, observations, bounds",
+    "resimulation": "rollouts that are simulated again here give the same trajectory",
+}
+"""Every check in the order of the table, and what it means that it passes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the table."""
+
+    name: str
+    status: Status
+    detail: str
+
+    @property
+    def meaning(self) -> str:
+        """Return what it means that this check passes."""
+        return CHECKS[self.name]
+
+
+class FailedError(Exception):
+    """A check failed in a way that those behind it cannot be made; the text is the detail."""
+
+    def __init__(self, name: str, detail: str) -> None:
+        super().__init__(detail)
+        self.name = name
+
+
+@dataclass(slots=True)
+class Table:
+    """The checks so far."""
+
+    found: dict[str, Check] = field(default_factory=dict)
+
+    def passed(self, name: str, detail: str) -> None:
+        """Add a check that passed."""
+        self._add(Check(name, "passed", detail))
+
+    def failed(self, name: str, detail: str) -> None:
+        """Add a check that failed."""
+        self._add(Check(name, "failed", detail))
+
+    def skipped(self, name: str, detail: str) -> None:
+        """Add a check that could not be made, or was not asked for."""
+        self._add(Check(name, "skipped", detail))
+
+    def judge(self, name: str, fault: str | None, detail: str) -> None:
+        """Add a check that failed if there is a fault."""
+        if fault is None:
+            self.passed(name, detail)
+        else:
+            self.failed(name, fault)
+
+    @contextmanager
+    def making(self, name: str) -> Iterator[None]:
+        """Have this check fail if what it reads breaks what reads it: whoever forges may write anything anywhere.
+
+        Raises:
+            FailedError: it broke, or it failed.
+
+        """
+        try:
+            yield
+        except FailedError:
+            raise
+        except Exception as error:
+            text = str(error).partition("\n")[0][:200]
+            raise FailedError(
+                name, text if isinstance(error, PerfboundError) else f"{type(error).__name__}: {text}"
+            ) from error
+
+    def _add(self, check: Check) -> None:
+        assert check.name in CHECKS
+        self.found.setdefault(check.name, replace(check, detail=one_line(check.detail)))
+
+    def lines(self) -> tuple[Check, ...]:
+        """Return every check in the order of the table; those that were never reached are skipped."""
+        broken = next((name for name in CHECKS if name in self.found and self.found[name].status == "failed"), None)
+        reason = f"not reached: `{broken}` failed" if broken else "not reached"
+        return tuple(self.found.get(name) or Check(name, "skipped", reason) for name in CHECKS)
+
+    @property
+    def good(self) -> bool:
+        """Whether no check failed."""
+        return all(check.status != "failed" for check in self.found.values())

@@ -1,0 +1,70 @@
+"""The manifest: which files the certificate stands for."""
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ....schemas.errors import EvidenceError
+from ....schemas.ids import RolloutId
+from ...store import files
+from .checks import FailedError
+
+_ROLLOUT = r"[a-z_]{1,40}\.\d{1,9}\.[a-z]{1,10}\.\d{1,6}"
+_LINE = re.compile(rf"([0-9a-f]{{64}})  (trajectories/[a-z_]+/\d{{1,6}}/({_ROLLOUT})\.mcap)")
+SHOWN = 3
+"""Damaged files that are named."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One file of the manifest."""
+
+    sha256: str
+    path: str
+
+
+def parse(text: str) -> Mapping[RolloutId, Entry]:
+    """Return the files of a manifest, in its order.
+
+    Raises:
+        FailedError: a line is none of ours, or a rollout stands there twice.
+
+    """
+    found: dict[RolloutId, Entry] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        match = _LINE.fullmatch(line)
+        if match is None or not line.isascii():
+            raise FailedError("manifest", f"line {number} is not a digest and the path of a trajectory")
+        rollout = RolloutId.parse(match[3])
+        if files.relative_path(rollout) != match[2]:
+            raise FailedError("manifest", f"line {number}: {match[2]} is not where {rollout} stands")
+        if rollout in found:
+            raise FailedError("manifest", f"line {number}: {rollout} stands there twice")
+        found[rollout] = Entry(match[1], match[2])
+    return found
+
+
+def check_files(directory: Path, entries: Mapping[RolloutId, Entry], tell: Callable[[int], None]) -> None:
+    """Compare the digest of every file; `tell` hears how many were read.
+
+    Raises:
+        FailedError: some are missing or changed.
+
+    """
+    faults: list[str] = []
+    for number, entry in enumerate(entries.values(), start=1):
+        try:
+            files.read(directory, entry.path, entry.sha256)
+        except EvidenceError as error:
+            faults.append(f"{entry.path}: {str(error).partition(': ')[2].partition(';')[0]}")
+        tell(number)
+    if faults:
+        more = f"; and {len(faults) - SHOWN} more" if len(faults) > SHOWN else ""
+        raise FailedError("files", f"{len(faults)} of {len(entries)}: {'; '.join(faults[:SHOWN])}{more}")
+
+
+def sha256_of(data: bytes) -> str:
+    """Return the digest of bytes, as 64 hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()

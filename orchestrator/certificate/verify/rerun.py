@@ -1,0 +1,184 @@
+"""The campaign once more, with the trajectories of the manifest in place of workers.
+
+The same ledger that wrote the campaign decides again: which test is next, what is observed, when a problem stops. It
+writes nothing. Where the evidence does not fit what the ledger wants, the check that fails is named.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from ....schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError
+from ....schemas.facts import Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from ....schemas.ids import RolloutId
+from ....schemas.trajectory import read
+from ....schemas.values import Proposal
+from ...campaign.admission import admit
+from ...campaign.ledger import Ledger, Work
+from ...store import files
+from .checks import FailedError
+from .manifest import Entry
+
+
+class MemoryFactStore:
+    """A book in memory: facts in the order in which they were drawn."""
+
+    def __init__(self, header: Header) -> None:
+        self.header = header
+        self.written: list[Fact] = []
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Do nothing more."""
+        yield
+
+    def add(self, fact: Fact) -> None:
+        """Remember a fact."""
+        self.written.append(fact)
+
+    def facts(self) -> Iterator[Fact]:
+        """Yield all facts in their order."""
+        return iter(self.written)
+
+    def recorded(self) -> list[RolloutFact]:
+        """Return all recorded rollouts, the newest first."""
+        return [fact for fact in reversed(self.written) if isinstance(fact, RolloutFact)]
+
+    def proposal(self, problem: str, test: int) -> ProposalFact:
+        """Return the proposal of a test that has one."""
+        every = (fact for fact in self.written if isinstance(fact, ProposalFact))
+        return next(fact for fact in every if (fact.problem, fact.test) == (problem, test))
+
+
+class NullFileStore:
+    """A shelf that keeps nothing."""
+
+    def write(self, path: Path, data: bytes) -> None:
+        """Take a file, and forget it."""
+
+    def __enter__(self) -> None:
+        """Begin."""
+
+    def __exit__(self, *_: object) -> None:
+        """End."""
+
+
+class Rerun:
+    """One campaign, decided again; `facts` and `ledger` hold what follows from the evidence."""
+
+    def __init__(self, directory: Path, header: Header, entries: Mapping[RolloutId, Entry]) -> None:
+        self._directory, self._entries = directory, entries
+        self._first: dict[tuple[str, int], RolloutId] = {}
+        for rollout in entries:
+            self._first.setdefault(rollout[:2], rollout)
+        self._columns = tuple(column.name for column in header.spec.columns)
+        self._book = MemoryFactStore(header)
+        self.ties = 0
+        """Tests for which this machine would have chosen another one of equal value."""
+        self.ledger = Ledger(directory, self._book, files=NullFileStore(), follow=self._follow)
+
+    @property
+    def facts(self) -> list[Fact]:
+        """All facts that follow."""
+        return self._book.written
+
+    def observed(self) -> list[tuple[str, str]]:
+        """Return (sha256, path) of every rollout behind an observation, in the order of the manifest."""
+        tests = {(fact.problem, fact.test) for fact in self.facts if isinstance(fact, ObservationFact)}
+        order = list(self.ledger.accounts)
+        found = [f for f in self.facts if isinstance(f, RolloutFact) and f.rollout[:2] in tests]
+        found.sort(key=lambda fact: (order.index(fact.rollout.problem), *fact.rollout[1:]))
+        return [(fact.sha256, fact.path) for fact in found]
+
+    def play(self, tell: Callable[[int], None]) -> None:
+        """Decide the whole campaign; `tell` hears how many rollouts were taken in.
+
+        Raises:
+            FailedError: the evidence is not that of this campaign.
+
+        """
+        self._check_size()
+        used, missing = set[RolloutId](), list[RolloutId]()
+        waiting = deque(self._step(self.ledger.outstanding))
+        while waiting:
+            rollout = waiting.popleft()
+            if rollout not in self._entries:
+                missing.append(rollout)  # it may be one that nobody observed any more
+                continue
+            if rollout.problem in self._stopped():
+                raise FailedError("stop", f"{rollout} is in the manifest, but its problem had stopped before")
+            waiting.extend(self._take(rollout))
+            used.add(rollout)
+            tell(len(used))
+        self._check_end(used, missing)
+
+    def _check_size(self) -> None:
+        """Refuse a campaign whose first tests alone need more than there is, before they are laid out."""
+        for each in self.ledger.state.problems:
+            listed = sum(rollout.problem == each.plan.problem for rollout in self._entries)
+            if listed < len(each.plan.rollouts):
+                wanted = f"{len(each.plan.rollouts)} rollouts a test"
+                raise FailedError("evidence", f"{each.plan.problem} takes {wanted}, the manifest has {listed} of it")
+
+    def _stopped(self) -> set[str]:
+        bounds = {name: account.last_bound for name, account in self.ledger.accounts.items()}
+        return {name for name, bound in bounds.items() if bound is not None and bound.stopped_by is not None}
+
+    def _step(self, act: Callable[[], Work]) -> Sequence[RolloutId]:
+        try:
+            return act().wanted
+        except PerfboundError as error:
+            raise FailedError("observations", str(error)) from None
+
+    def _take(self, rollout: RolloutId) -> Sequence[RolloutId]:
+        entry = self._entries[rollout]
+        payload = self._read(entry)
+        try:
+            trajectory = admit(self.ledger.request(rollout), self._columns, payload, entry.sha256)
+        except RequestError as error:
+            raise FailedError("requests", f"{entry.path}: {error}") from None
+        except EvidenceError as error:
+            raise FailedError("trajectories", f"{entry.path}: {error}") from None
+        return self._step(lambda: self.ledger.record(rollout, payload, trajectory, entry.sha256))
+
+    def _read(self, entry: Entry) -> bytes:
+        try:
+            return files.read(self._directory, entry.path, entry.sha256)
+        except EvidenceError as error:
+            raise FailedError("files", str(error)) from None
+
+    def _follow(
+        self, problem: str, test: int, ours: Proposal, rival: Callable[[Sequence[float]], Proposal | None]
+    ) -> Proposal:
+        """Take the test that was made, if it was a maximiser up to what another CPU computes otherwise."""
+        x = self._start(problem, test)
+        if x is None or x == ours.x:
+            return ours
+        theirs = rival(x)
+        if theirs is None:
+            raise FailedError(
+                "proposals", f"{problem}, test {test}: {list(x)} was tested, the maximiser is {list(ours.x)}"
+            )
+        self.ties += 1
+        return theirs
+
+    def _start(self, problem: str, test: int) -> tuple[float, ...] | None:
+        """Return where the campaign tested, as the first file of that test says."""
+        rollout = self._first.get((problem, test))
+        if rollout is None:
+            return None
+        entry = self._entries[rollout]
+        try:
+            found = read(self._read(entry)).request["x"]
+            return tuple(float(value) for value in found)
+        except (TrajectoryError, KeyError, TypeError, ValueError, OverflowError) as error:
+            raise FailedError("trajectories", f"{entry.path}: {error}") from None
+
+    def _check_end(self, used: set[RolloutId], missing: Sequence[RolloutId]) -> None:
+        if not self.ledger.done:
+            gone = next(rollout for rollout in missing if rollout.problem not in self._stopped())
+            raise FailedError("stop", f"the campaign does not end there: {gone} is to come, and the manifest lacks it")
+        extra = [rollout for rollout in self._entries if rollout not in used]
+        if extra:
+            raise FailedError("evidence", f"{len(extra)} rollouts belong to no observed test: {extra[0]}")

@@ -1,0 +1,89 @@
+"""Random rollouts once more: is what the workers sent what the simulator computes?"""
+
+import math
+import random
+import secrets
+import tempfile
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ....schemas.base import canonical_json
+from ....schemas.ids import RolloutId
+from ....schemas.trajectory import Trajectory, read
+from ...fleet.child import ask
+from ...store import files
+from .checks import FailedError
+from .manifest import Entry
+
+AT_A_TIME = 2
+TOLERANCE = 1e-9
+"""By which numbers of another type of machine may differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Resimulation:
+    """What became of one rollout that was simulated again."""
+
+    rollout: RolloutId
+    bitwise: bool
+    difference: float
+    """The largest one of any number, in the unit of its column."""
+
+
+def resimulate(
+    directory: Path, entries: Mapping[RolloutId, Entry], count: int, tell: Callable[[int], None]
+) -> tuple[Resimulation, ...]:
+    """Simulate `count` rollouts again, chosen at random when it is too late to prepare for the choice.
+
+    Raises:
+        FailedError: one gives another trajectory.
+        PerfboundError: the system cannot be simulated here.
+
+    """
+    luck = random.Random(secrets.randbits(64))  # noqa: S311  (seeded by the operating system)
+    chosen = luck.sample(sorted(entries), min(count, len(entries)))
+    found: list[Resimulation] = []
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(AT_A_TIME) as pool:
+        for again in pool.map(lambda rollout: _once(directory, rollout, entries[rollout], Path(folder)), chosen):
+            found.append(again)
+            tell(len(found))
+    return tuple(found)
+
+
+def _once(directory: Path, rollout: RolloutId, entry: Entry, folder: Path) -> Resimulation:
+    before = files.read(directory, entry.path, entry.sha256)
+    recorded = read(before)
+    out = folder / f"{rollout}.mcap"
+    ask("simulate", "--request", canonical_json(recorded.request), "--out", str(out))
+    after = out.read_bytes()
+    out.unlink()
+    if after == before:
+        return Resimulation(rollout, bitwise=True, difference=0.0)
+    distance = _distance(recorded.trajectory, read(after).trajectory)
+    if not distance <= TOLERANCE:
+        raise FailedError("resimulation", f"{rollout}: simulated again it differs by up to {distance:.3g}")
+    return Resimulation(rollout, bitwise=False, difference=distance)
+
+
+def _distance(a: Trajectory, b: Trajectory) -> float:
+    if a.columns != b.columns or a.samples.shape != b.samples.shape:
+        return float("inf")
+    return float(np.max(np.abs(a.samples - b.samples)))
+
+
+def sentence(again: tuple[Resimulation, ...], total: int) -> str:
+    """Return what the spot check says about `workers_honest`."""
+    count = len(again)
+    same = sum(each.bitwise for each in again)
+    how = "bitwise the same" if same == count else f"{same} bitwise the same, the others within {TOLERANCE:g}"
+    if count == total:
+        return f"all {total} rollouts, {how}: workers_honest is checked"
+    percent = math.ceil(1000 * (1.0 - 0.05 ** (1.0 / count))) / 10
+    return (
+        f"{count} of {total} rollouts, {how}: workers_honest is spot-checked; if more than {percent:g} % were false, "
+        "this would have been noticed with probability .95"
+    )

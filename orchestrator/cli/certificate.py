@@ -1,0 +1,111 @@
+"""Commands about what a campaign leaves behind: verify it, sign it, export it."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from . import signing
+from .group import RUN_DIRECTORY, cli, data
+from .stderr import STDERR
+
+
+@cli.command()
+@click.argument("path", type=click.Path(path_type=Path, exists=True))
+@click.option("--key", type=click.Path(path_type=Path, dir_okay=False), default=None, help="The signer's public key.")
+@click.option(
+    "--resimulate", "again", type=click.IntRange(0), default=0, metavar="K", help="Simulate K random rollouts again."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON.")
+def verify(*, path: Path, key: Path | None, again: int, as_json: bool) -> None:
+    """Check the certificate in PATH, a run directory or a certificate, against its evidence.
+
+    The campaign is decided again from the trajectory files alone. Exits with 1 if any check fails.
+    """
+    from rich.progress import Progress  # noqa: PLC0415
+
+    from ..certificate.verify import table as show  # noqa: PLC0415
+    from ..certificate.verify.run import verify as check  # noqa: PLC0415
+
+    with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        table, certificate = check(path, key=key, again=again, tell=show.teller(progress))
+    if as_json:
+        click.echo(show.as_json(table))
+    else:
+        show.show(table, certificate, data())
+    if not table.good:
+        sys.exit(1)
+
+
+@cli.command()
+@click.argument("name")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    default=".",
+    help="Folder for the two files.  [default: here]",
+)
+@click.option("--passphrase", "encrypted", is_flag=True, help="Encrypt the private key with a passphrase.")
+def keygen(*, name: str, out: Path, encrypted: bool) -> None:
+    """Make a key that signs certificates: NAME.key, which is secret, and NAME.pub, for who checks them."""
+    from ..certificate.keys import new_pair  # noqa: PLC0415
+
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", name):
+        raise click.UsageError("NAME consists of letters, digits, '.', '_' and '-'; --out names the folder")
+    pair = new_pair(out, name, signing.passphrase(f"Passphrase of {name}", twice=True) if encrypted else b"")
+    click.echo(f"private key  {pair.private}   keep it secret: whoever has it signs in your name")
+    click.echo(f"public key   {pair.public}   give it to those who are to check your certificates")
+    click.echo(f"key id       {pair.id}")
+
+
+@cli.command()
+@click.argument("directory", type=RUN_DIRECTORY)
+@click.option("--key", type=signing.KEY, required=True, help="Private key, as `perfbound keygen` makes it.")
+def sign(*, directory: Path, key: Path) -> None:
+    """Sign the certificate in DIRECTORY, besides those who have signed it already."""
+    click.echo(signing.sign(directory, signing.load(key)))
+
+
+@cli.command()
+@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("tables", nargs=-1, metavar="[TABLES]...")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, allow_dash=True),
+    default=None,
+    help="Folder for the files, or - for one table to stdout.  [default: DIRECTORY/export]",
+)
+@click.option("--format", "form", type=click.Choice(["csv", "parquet"]), default="csv", show_default=True)
+def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: Literal["csv", "parquet"]) -> None:
+    """Write TABLES of the campaign in DIRECTORY as files, while it runs too.
+
+    \b
+    tests            a row a test: what was expected, its observation, the bounds after it
+    rollouts         a row a rollout: its start, robustness, file, worker and times
+    observations     a row a replicate: what it contributed to its test
+    counterexamples  those of the rollouts that violate the specification
+
+    Without TABLES all are written.
+    """
+    from ..store import export as store  # noqa: PLC0415
+
+    unknown = [name for name in tables if name not in store.TABLES]
+    if unknown:
+        raise click.UsageError(f"there is no table {unknown[0]!r}; allowed are {', '.join(store.TABLES)}")
+    if str(out) == "-":
+        if len(tables) != 1 or form != "csv":
+            raise click.UsageError("--out - writes one table, as CSV: name it")
+        store.stream(directory, tables[0], sys.stdout.buffer)
+        return
+    with STDERR.console.status("") as status:
+        found = store.export(
+            directory,
+            out or directory / store.DEFAULT,
+            tuple(dict.fromkeys(tables)) or store.TABLES,
+            form=form,
+            progress=lambda name, rows: status.update(f"{name}: {rows} rows"),
+        )
+    for path, rows in found:
+        click.echo(f"{path}  {rows} rows")

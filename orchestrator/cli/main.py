@@ -1,0 +1,47 @@
+"""The entry point: signals, and one line for a known error."""
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+
+from ...schemas.errors import PerfboundError, Stopped
+from .exits import end, take_signals
+from .group import cli
+
+
+def _stop(number: int, _frame: FrameType | None) -> None:
+    take_signals(signal.SIG_IGN)  # an impatient second Ctrl-C must not break off the cleaning up
+    raise Stopped(number)
+
+
+def _unraisable(lost: "sys.UnraisableHookArgs") -> None:
+    """Ask again for a stop that came while a destructor ran: nothing can be raised from there."""
+    if isinstance(lost.exc_value, Stopped):
+        take_signals(_stop)
+        threading.Timer(0.02, os.kill, (os.getpid(), lost.exc_value.signal)).start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def main() -> None:
+    """`perfbound`: a known error is one line on stderr and exit code 1."""
+    take_signals(_stop)
+    sys.unraisablehook = _unraisable
+    try:
+        _main()
+    except Stopped as request:
+        end("stopped; nothing was started", 128 + request.signal)
+
+
+def _main() -> None:
+    from ...schemas.base import one_blas_thread  # noqa: PLC0415
+
+    one_blas_thread()
+    try:
+        cli(prog_name="perfbound")
+    except PerfboundError as error:
+        end(str(error), 1)
+    except OSError as error:
+        end(f"{error.filename or 'file system'}: {error.strerror or error}", 1)

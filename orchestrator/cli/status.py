@@ -1,0 +1,58 @@
+"""`perfbound status`: how far a campaign is, from its database alone."""
+
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from ..certificate import files, text
+from ..run.format import duration
+from ..run.progress import table, tests_left
+from ..run.session import resume_command
+from ..store import lock, read
+
+
+def show(directory: Path, console: Console) -> None:
+    """Print problems, workers, rate and state.
+
+    Raises:
+        PerfboundError: there is no campaign here, or its database cannot be read.
+
+    """
+    found = read.progress(directory)
+    certificate = files.read(directory)
+    running = lock.is_held(directory)
+    config = found.header.config
+    state = "running" if running else "finished" if certificate else "stopped"
+    title = Text(config.name, "bold").append(f"  {state}, seed {config.seed}, run {found.header.run}", "not bold")
+    console.print(title, soft_wrap=True)
+    rows = []
+    for problem, each in zip(config.problems, found.problems, strict=True):
+        left = tests_left(config, problem, each)
+        rows.append((each, "-" if left is None else f"about {left} tests"))
+    console.print(table(config, rows))
+    for line in _work(found, running=running):
+        console.print(Text(line), soft_wrap=True)
+    if certificate is not None:
+        text.show(certificate, console)
+        text.written(directory, console)
+    elif not running:
+        console.print(Text(f"continue with: {resume_command(directory)}"), soft_wrap=True)
+
+
+def _work(progress: read.CampaignProgress, *, running: bool) -> list[str]:
+    now = time.time()
+    lines = []
+    for name, rollouts, last in progress.workers:
+        ago = f", the last {duration(max(0.0, now - last))} ago" if running else ""
+        lines.append(f"worker {name}: {_number(rollouts, 'rollout')}{ago}")
+    lines.append(
+        f"{progress.rate:.1f} rollouts/s in the last minute of work; {_number(progress.failures, 'attempt')} without a "
+        f"result; {_number(progress.sessions, 'start')} of the orchestrator"
+    )
+    return lines
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"

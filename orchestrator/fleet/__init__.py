@@ -1,0 +1,1 @@
+"""The simulation of rollouts: who has which attempt, the network, child processes."""

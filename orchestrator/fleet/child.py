@@ -1,0 +1,58 @@
+"""Questions to a child process of `workers`: the orchestrator itself imports no simulator."""
+
+import json
+import subprocess
+import sys
+
+from ...schemas.errors import CampaignError, PerfboundError
+from ...schemas.system import SystemSpec
+
+CHILD_TIMEOUT = 120
+"""Seconds that a child may take to answer."""
+
+
+def ask(command: str, *arguments: str) -> str:
+    """Return what a command of a `workers` child prints: no simulator is imported here.
+
+    Raises:
+        PerfboundError: the child fails; with the last thing that it said.
+
+    """
+    # -P: what stands in the present directory is not ours to import.
+    line = [sys.executable, "-P", "-m", "perfbound.workers", command, *arguments]
+    try:
+        child = subprocess.run(line, capture_output=True, text=True, timeout=CHILD_TIMEOUT, check=False)
+    except subprocess.TimeoutExpired:
+        raise PerfboundError(f"`workers {command}` did not answer within {CHILD_TIMEOUT} s") from None
+    said = [text.removeprefix("perfbound-worker: ") for text in child.stderr.splitlines() if text.strip()]
+    if child.returncode:
+        raise PerfboundError(said[-1] if said else f"`workers {command}` ended with code {child.returncode}")
+    return child.stdout
+
+
+def system_specs() -> dict[str, SystemSpec]:
+    """Return the installed systems.
+
+    Raises:
+        PerfboundError: they cannot be asked.
+
+    """
+    try:
+        specs = json.loads(ask("systems"))
+        return {name: SystemSpec.model_validate_json(json.dumps(spec)) for name, spec in specs.items()}
+    except (PerfboundError, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise PerfboundError(f"the installed systems cannot be listed: {reason}; reinstall perfbound") from None
+
+
+def system_spec(name: str, where: str) -> SystemSpec:
+    """Return one installed system.
+
+    Raises:
+        CampaignError: it is not installed; the text names those that are.
+
+    """
+    specs = system_specs()
+    if name not in specs:
+        raise CampaignError(f"{where}: {name!r} is not an installed system; allowed are {', '.join(sorted(specs))}")
+    return specs[name]

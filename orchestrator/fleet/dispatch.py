@@ -1,0 +1,388 @@
+"""The dispatch machine: the attempt of each worker, lost and hung workers, retries, poisoned rollouts.
+
+A pure machine: `step(state, event) -> (state, actions)`. Time comes inside the events, in seconds of any one clock.
+A worker is in one of these phases, and this table lists every legal transition of the worker that an event names:
+
+    phase      WorkerUp   WorkerDown  Reported         Delivered   Tick
+    unknown    new        (ignored)   (ignored)        unknown     -
+    new        new        gone        new, idle, busy  new         new
+    idle       idle       gone        idle             idle        idle
+    sent       sent       gone        sent, busy       sent, idle  sent, shunned
+    busy       busy       gone        busy             busy, idle  busy, shunned
+    shunned    shunned    gone        shunned, idle    shunned     shunned
+    gone       (back)     gone        (ignored)        gone        gone, unknown
+
+`-` cannot be. `(ignored)` changes nothing. `(back)` is the phase before it was gone. Beyond the table, `HandOut` makes
+an `idle` worker `sent` if a rollout waits, and a worker whose rollout is withdrawn, or recorded from another attempt,
+becomes `shunned`. `HandOut` is an event of its own because the clock of an attempt must start when it is sent: what an
+orchestrator does with a result may take longer than the patience that it has with a worker.
+
+`new` has not said yet what it does: it may be at work since before it was lost or we were restarted. `sent` has an
+assignment that no heartbeat has confirmed yet: it is sent again every `resend_after` s. `shunned` hung, missed its
+deadline or was cancelled. Both get nothing until they report idle, and are given up every `hung_after` s that they do
+not. `gone` has lost its liveliness token: after
+`lost_after` s its attempt is lost. Reports that are late, repeated or of unknown rollouts change nothing but are
+acknowledged. `LEGAL` is all of this as data.
+
+The first valid result of a rollout wins, whichever attempt it came from. A rollout whose attempts failed
+`max_attempts` times is poisoned: the campaign fails and reports every attempt. Closed rollouts leave the state.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from ...schemas.ids import Attempt, RolloutId
+from .events import (
+    Acknowledge,
+    Action,
+    Cancel,
+    Delivered,
+    Event,
+    Fail,
+    GiveUp,
+    HandOut,
+    Poison,
+    Record,
+    Reported,
+    Resend,
+    Start,
+    Tick,
+    Unwanted,
+    Wanted,
+    WorkerDown,
+    WorkerUp,
+)
+
+WorkerPhase = Literal["new", "idle", "sent", "busy", "shunned", "gone"]
+Phase = WorkerPhase | Literal["unknown"]
+NEVER = float("inf")
+KNOWN: tuple[WorkerPhase, ...] = ("new", "idle", "sent", "busy", "shunned")
+
+LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
+    ("unknown", "WorkerUp"): ("new",),
+    ("unknown", "WorkerDown"): ("unknown",),
+    ("unknown", "Reported"): ("unknown",),
+    ("unknown", "Delivered"): ("unknown",),
+    **{(phase, "WorkerUp"): (phase,) for phase in KNOWN},
+    **{(phase, "WorkerDown"): ("gone",) for phase in KNOWN},
+    ("new", "Reported"): ("new", "idle", "busy"),
+    ("new", "Delivered"): ("new",),
+    ("new", "Tick"): ("new",),
+    ("idle", "Reported"): ("idle",),
+    ("idle", "Delivered"): ("idle",),
+    ("idle", "Tick"): ("idle",),
+    ("idle", "HandOut"): ("idle", "sent"),
+    ("sent", "Reported"): ("sent", "busy"),
+    ("sent", "Delivered"): ("sent", "idle"),
+    ("sent", "Tick"): ("sent", "shunned"),
+    ("busy", "Reported"): ("busy",),
+    ("busy", "Delivered"): ("busy", "idle"),
+    ("busy", "Tick"): ("busy", "shunned"),
+    ("shunned", "Reported"): ("shunned", "idle"),
+    ("shunned", "Delivered"): ("shunned",),
+    ("shunned", "Tick"): ("shunned",),
+    ("gone", "WorkerUp"): KNOWN,
+    ("gone", "WorkerDown"): ("gone",),
+    ("gone", "Reported"): ("gone",),
+    ("gone", "Delivered"): ("gone",),
+    ("gone", "Tick"): ("gone", "unknown"),
+}
+"""(phase of the worker that an event names, or of any worker for HandOut and Tick; event) -> the phases after it."""
+SIDE_EFFECTS: dict[tuple[Phase, str], tuple[Phase, ...]] = {
+    (phase, event): ("shunned",) for phase in ("sent", "busy") for event in ("Unwanted", "Delivered")
+}
+"""Of any worker whose rollout is withdrawn, or recorded from another worker."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Patience, in seconds; and how often a rollout may fail."""
+
+    resend_after: float = 1.5
+    lost_after: float = 3.0
+    hung_after: float = 10.0
+    deadline: float = 600.0
+    max_attempts: int = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Worker:
+    """What the orchestrator knows of one worker process."""
+
+    phase: WorkerPhase = "new"
+    attempt: Attempt | None = None
+    resumes_as: WorkerPhase = "idle"
+    gone_at: float = NEVER
+    sent_at: float = NEVER
+    """Of the last assign message."""
+    started_at: float = NEVER
+    progress: int = -1
+    progress_at: float = NEVER
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """A rollout that has no result yet."""
+
+    attempts: int = 0
+    failures: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Workers, open rollouts in order of arrival, and those of them that wait for a worker."""
+
+    limits: Limits
+    hold_until: float
+    """Nothing is assigned before: after a restart busy workers report first."""
+    workers: Mapping[str, Worker] = field(default_factory=dict)
+    open: Mapping[RolloutId, Open] = field(default_factory=dict)
+    waiting: tuple[RolloutId, ...] = ()
+    recorded: int = 0
+
+
+Outcome = tuple[State, tuple[Action, ...]]
+
+
+def initial(limits: Limits, hold_until: float = 0.0) -> State:
+    """Return the state before the first event."""
+    return State(limits, hold_until)
+
+
+def step(state: State, event: Event) -> Outcome:
+    """Apply one event."""
+    match event:
+        case Wanted():
+            return _want(state, event)
+        case Unwanted():
+            return _forget(state, event)
+        case WorkerUp():
+            return _up(state, event), ()
+        case WorkerDown():
+            return _down(state, event), ()
+        case Reported():
+            return _report(state, event)
+        case Delivered():
+            return _deliver(state, event)
+        case Tick():
+            return _tick(state, event.at)
+        case HandOut():
+            return _assign(state, event.at)
+
+
+def under_way(state: State) -> int:
+    """Return the number of attempts that workers have been given and that have not ended."""
+    return sum(worker.attempt is not None for worker in state.workers.values())
+
+
+def _want(state: State, event: Wanted) -> Outcome:
+    new = {rollout: Open(attempts) for rollout, attempts in event.rollouts if rollout not in state.open}
+    return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
+
+
+def _forget(state: State, event: Unwanted) -> Outcome:
+    dropped = frozenset(event.rollouts)
+    cancels = []
+    for name, worker in state.workers.items():
+        if worker.attempt is not None and worker.attempt.rollout in dropped:
+            cancels.append(Cancel(name, worker.attempt))
+            state = _put(state, name, _shunned(worker, event.at))
+    return _close(state, dropped), tuple(cancels)
+
+
+def _up(state: State, event: WorkerUp) -> State:
+    worker = state.workers.get(event.worker)
+    if worker is None:
+        return _put(state, event.worker, Worker("new", progress_at=event.at))
+    if worker.phase != "gone":
+        return state
+    # A rollout that was under way goes on where it was; the silence is not held against it.
+    back = replace(worker, phase=worker.resumes_as, gone_at=NEVER, progress_at=event.at, sent_at=event.at)
+    return _put(state, event.worker, back)
+
+
+def _down(state: State, event: WorkerDown) -> State:
+    worker = state.workers.get(event.worker)
+    if worker is None or worker.phase == "gone":
+        return state
+    return _put(state, event.worker, replace(worker, phase="gone", resumes_as=worker.phase, gone_at=event.at))
+
+
+def _report(state: State, event: Reported) -> Outcome:
+    worker = state.workers.get(event.worker)
+    if worker is None or worker.phase == "gone":
+        return state, ()
+    if event.attempt is None:
+        return _report_idle(state, event.worker, worker), ()
+    if event.attempt == worker.attempt:
+        return _put(state, event.worker, _advanced(worker, event)), ()
+    if worker.phase == "new" and event.attempt.rollout in state.waiting:
+        return _adopt(state, event), ()
+    if event.attempt.rollout not in state.open or worker.phase in ("new", "shunned"):
+        return state, (Cancel(event.worker, event.attempt),)
+    return state, ()
+
+
+def _report_idle(state: State, name: str, worker: Worker) -> State:
+    # A worker that is `sent` may say idle because the assignment is still on its way, a `busy` one because its
+    # result is: the first is sent again, the second is watched by the clock of progress.
+    return _put(state, name, Worker("idle")) if worker.phase in ("new", "shunned") else state
+
+
+def _advanced(worker: Worker, event: Reported) -> Worker:
+    if event.progress <= worker.progress:
+        return replace(worker, phase="busy")
+    return replace(worker, phase="busy", progress=event.progress, progress_at=event.at)
+
+
+def _adopt(state: State, event: Reported) -> State:
+    assert event.attempt is not None
+    rollout = event.attempt.rollout
+    worker = Worker("busy", event.attempt, started_at=event.at, progress=event.progress, progress_at=event.at)
+    known = state.open[rollout]
+    known = replace(known, attempts=max(known.attempts, event.attempt.number))
+    state = _put(state, event.worker, worker)
+    waiting = tuple(other for other in state.waiting if other != rollout)
+    return replace(state, open={**state.open, rollout: known}, waiting=waiting)
+
+
+def _deliver(state: State, event: Delivered) -> Outcome:
+    acknowledge = Acknowledge(event.worker, event.attempt)
+    state = _release(state, event.worker, event.attempt)
+    if event.attempt.rollout not in state.open:
+        return state, (acknowledge,)
+    if event.error is not None:
+        state, actions = _fail(state, event.worker, event.attempt, event.error)
+        return state, (*actions, acknowledge)
+    state, cancels = _cancel_others(state, event.attempt.rollout, event.at)
+    state = _close(state, frozenset({event.attempt.rollout}))
+    state = replace(state, recorded=state.recorded + 1)
+    return state, (Record(event.worker, event.attempt), acknowledge, *cancels)
+
+
+def _release(state: State, name: str, attempt: Attempt) -> State:
+    worker = state.workers.get(name)
+    if worker is None or worker.attempt != attempt:
+        return state
+    if worker.phase == "gone":
+        return _put(state, name, replace(worker, attempt=None, resumes_as="idle"))
+    return _put(state, name, Worker("idle"))
+
+
+def _cancel_others(state: State, rollout: RolloutId, at: float) -> Outcome:
+    cancels = []
+    for name, worker in state.workers.items():
+        if worker.attempt is not None and worker.attempt.rollout == rollout:
+            cancels.append(Cancel(name, worker.attempt))
+            state = _put(state, name, _shunned(worker, at))
+    return state, tuple(cancels)
+
+
+def _tick(state: State, at: float) -> Outcome:
+    actions: list[Action] = []
+    for name, worker in state.workers.items():
+        state, more = _watch(state, name, worker, at)
+        actions += more
+    return state, tuple(actions)
+
+
+def _watch(state: State, name: str, worker: Worker, at: float) -> Outcome:
+    limits = state.limits
+    if worker.phase == "gone":
+        if at - worker.gone_at < limits.lost_after:
+            return state, ()
+        state = replace(state, workers={key: value for key, value in state.workers.items() if key != name})
+        lost = f"worker lost for {limits.lost_after:g} s"
+        return _fail(state, name, worker.attempt, lost) if worker.attempt else (state, ())
+    if worker.phase in ("new", "shunned") and at - worker.progress_at >= limits.hung_after:
+        return _put(state, name, replace(worker, progress_at=at)), (GiveUp(name),)
+    if worker.attempt is None:
+        return state, ()
+    if at - worker.progress_at >= limits.hung_after:
+        return _shun(state, name, worker, f"no progress for {limits.hung_after:g} s", at)
+    if at - worker.started_at >= limits.deadline:
+        return _shun(state, name, worker, f"not done after {limits.deadline:g} s", at)
+    if worker.phase == "sent" and at - worker.sent_at >= limits.resend_after:
+        return _put(state, name, replace(worker, sent_at=at)), (Resend(name, worker.attempt),)
+    return state, ()
+
+
+def _shun(state: State, name: str, worker: Worker, reason: str, at: float) -> Outcome:
+    assert worker.attempt is not None
+    state = _put(state, name, _shunned(worker, at))
+    state, actions = _fail(state, name, worker.attempt, reason)
+    return state, (Cancel(name, worker.attempt), *actions, GiveUp(name))
+
+
+def _fail(state: State, name: str, attempt: Attempt, reason: str) -> Outcome:
+    """Count the failure against the rollout, and queue it again or give it up."""
+    known = state.open.get(attempt.rollout)
+    if known is None or not _is_current(state, attempt.rollout):
+        return state, (Fail(name, attempt, reason),)  # told again, or another attempt is on its way
+    failures = (*known.failures, f"attempt {attempt.number} on {name}: {reason}")
+    state = replace(state, open={**state.open, attempt.rollout: replace(known, failures=failures)})
+    if len(failures) >= state.limits.max_attempts:
+        return state, (Fail(name, attempt, reason), Poison(attempt.rollout, failures))
+    return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, reason),)
+
+
+def _is_current(state: State, rollout: RolloutId) -> bool:
+    """Whether nothing has been decided on the rollout since the attempt that failed now."""
+    poison = len(state.open[rollout].failures) >= state.limits.max_attempts
+    held = any(worker.attempt is not None and worker.attempt.rollout == rollout for worker in state.workers.values())
+    return not (poison or held or rollout in state.waiting)
+
+
+def _assign(state: State, at: float) -> Outcome:
+    if at < state.hold_until or not state.waiting:
+        return state, ()
+    idle = sorted(name for name, worker in state.workers.items() if worker.phase == "idle")
+    starts = tuple(_start(state, *pair) for pair in zip(idle, state.waiting, strict=False))
+    sent = {
+        start.worker: Worker("sent", start.attempt, sent_at=at, started_at=at, progress=-1, progress_at=at)
+        for start in starts
+    }
+    tried = {
+        start.attempt.rollout: replace(state.open[start.attempt.rollout], attempts=start.attempt.number)
+        for start in starts
+    }
+    workers, opened = {**state.workers, **sent}, {**state.open, **tried}
+    return replace(state, workers=workers, open=opened, waiting=state.waiting[len(starts) :]), starts
+
+
+def _start(state: State, name: str, rollout: RolloutId) -> Start:
+    return Start(name, Attempt(rollout, state.open[rollout].attempts + 1))
+
+
+def _shunned(worker: Worker, at: float) -> Worker:
+    """Return the worker without its assignment, at which it may still work."""
+    if worker.phase == "gone":
+        return replace(worker, attempt=None, resumes_as="shunned")
+    return Worker("shunned", progress_at=at)
+
+
+def _close(state: State, rollouts: frozenset[RolloutId]) -> State:
+    left = dict(state.open)  # a copy costs a tenth of a comprehension
+    for rollout in rollouts:
+        left.pop(rollout, None)
+    return replace(state, open=left, waiting=tuple(each for each in state.waiting if each in left))
+
+
+def _put(state: State, name: str, worker: Worker) -> State:
+    return replace(state, workers={**state.workers, name: worker})
+
+
+def check(state: State) -> None:
+    """Assert the invariants of the state; tests call it after every step."""
+    held = [worker.attempt.rollout for worker in state.workers.values() if worker.attempt is not None]
+    assert len(set(held)) == len(held), "a rollout is on one worker at a time"
+    assert set(held) <= set(state.open), "what a worker works on is open"
+    assert not set(held) & set(state.waiting), "what waits is on no worker"
+    assert len(set(state.waiting)) == len(state.waiting), "nothing waits twice"
+    assert set(state.waiting) <= set(state.open), "what waits is open"
+    poisoned = {key for key, known in state.open.items() if len(known.failures) >= state.limits.max_attempts}
+    assert set(state.open) == set(held) | set(state.waiting) | poisoned, "what is open is held, waits, or is poison"
+    for worker in state.workers.values():
+        phase = worker.resumes_as if worker.phase == "gone" else worker.phase
+        assert (worker.attempt is not None) == (phase in ("sent", "busy")), "busy with something"

@@ -1,0 +1,141 @@
+"""Events and actions of the dispatch machine; `at` is in seconds of any one clock."""
+
+from dataclasses import dataclass
+
+from ...schemas.ids import Attempt, RolloutId
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """These rollouts are to be simulated; with the attempts made before a restart, if any."""
+
+    at: float
+    rollouts: tuple[tuple[RolloutId, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Unwanted:
+    """These rollouts are no longer needed."""
+
+    at: float
+    rollouts: tuple[RolloutId, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerUp:
+    """A worker that may serve this campaign is alive."""
+
+    at: float
+    worker: str
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerDown:
+    """The liveliness token of a worker is gone."""
+
+    at: float
+    worker: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """A heartbeat: `attempt` is what the worker is busy with."""
+
+    at: float
+    worker: str
+    attempt: Attempt | None
+    progress: int
+
+
+@dataclass(frozen=True, slots=True)
+class Delivered:
+    """The end of an attempt: a valid result, or the reason (`error`) why there is none."""
+
+    at: float
+    worker: str
+    attempt: Attempt
+    error: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time has passed, and everything received before has been handled."""
+
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
+class HandOut:
+    """Everything else is done: hand waiting rollouts to idle workers."""
+
+    at: float
+
+
+Event = Wanted | Unwanted | WorkerUp | WorkerDown | Reported | Delivered | Tick | HandOut
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Write down a new attempt, then assign it."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Resend:
+    """Assign the same attempt again."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """Tell a worker to stop an attempt."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Keep the result of this attempt."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Acknowledge:
+    """Tell a worker that its result is durable, or not needed."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Fail:
+    """Write down that an attempt ended without a result."""
+
+    worker: str
+    attempt: Attempt
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class GiveUp:
+    """A worker hangs: replace it if it is ours."""
+
+    worker: str
+
+
+@dataclass(frozen=True, slots=True)
+class Poison:
+    """A rollout has failed too often: the campaign cannot go on."""
+
+    rollout: RolloutId
+    story: tuple[str, ...]
+
+
+Action = Start | Resend | Cancel | Record | Acknowledge | Fail | GiveUp | Poison

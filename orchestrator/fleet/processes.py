@@ -1,0 +1,105 @@
+"""Local workers: child processes that end with us, and are replaced when they die or hang."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ...schemas.errors import PerfboundError
+
+GRACE = 1.0
+"""Seconds between asking a worker to end and killing it."""
+FAST_DEATHS = 5
+"""So many workers in a row that die within `FAST` seconds mean that no worker can live here."""
+FAST = 3.0
+
+
+@dataclass
+class _Child:
+    process: subprocess.Popen[bytes]
+    started: float
+
+
+class Fleet:
+    """`size` local workers of one run."""
+
+    def __init__(self, size: int, endpoint: str, run: str, options: Sequence[str] = ()) -> None:
+        self._arguments = ["serve", "--connect", endpoint, "--run", run, *options]
+        self._size = size
+        self._next = 0
+        self._fast_deaths = 0
+        self._children: list[_Child] = []
+        self._lifeline, self._our_end = os.pipe()
+        os.set_inheritable(self._our_end, False)
+
+    def start(self) -> None:
+        """Start all workers."""
+        while len(self._children) < self._size:
+            self._spawn()
+
+    def tend(self) -> list[str]:
+        """Replace workers that have ended; return a line for each.
+
+        Raises:
+            PerfboundError: they die as fast as they are started.
+
+        """
+        news = []
+        for child in [child for child in self._children if child.process.poll() is not None]:
+            self._children.remove(child)
+            fast = time.monotonic() - child.started < FAST
+            self._fast_deaths = self._fast_deaths + 1 if fast else 0
+            code = child.process.returncode
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            if self._fast_deaths >= FAST_DEATHS:
+                raise PerfboundError(
+                    f"{FAST_DEATHS} local workers in a row ended within {FAST:g} s (last: {how}); "
+                    "run `perfbound systems` and `perfbound simulate` to see why"
+                )
+            self._spawn()
+            news.append(f"local worker {child.process.pid} ended ({how}); started {self.pids[-1]}")
+        return news
+
+    def kill(self, pid: int) -> None:
+        """Kill one of our workers, if `pid` is one; `tend` replaces it."""
+        for child in self._children:
+            if child.process.pid == pid:
+                child.process.kill()
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the workers."""
+        return [child.process.pid for child in self._children]
+
+    def stop(self) -> None:
+        """End all workers and wait for them."""
+        for child in self._children:
+            child.process.terminate()
+        deadline = time.monotonic() + GRACE
+        for child in self._children:
+            try:
+                child.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()
+        self._children.clear()
+        for descriptor in (self._our_end, self._lifeline):
+            os.close(descriptor)
+
+    def _spawn(self) -> None:
+        self._next += 1
+        process = subprocess.Popen(
+            [
+                # -P: what stands in the present directory is not ours to import.
+                *(sys.executable, "-P", "-m", "perfbound.workers", *self._arguments),
+                *("--name", f"local-{self._next}", "--lifeline", str(self._lifeline)),
+            ],
+            pass_fds=[self._lifeline],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            # A session of its own: Ctrl-C in the terminal is for the orchestrator, which then ends its workers.
+            start_new_session=True,
+        )
+        self._children.append(_Child(process, time.monotonic()))

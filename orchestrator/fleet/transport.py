@@ -1,0 +1,198 @@
+"""The orchestrator's side of the protocol; the only importer of zenoh in this package."""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import zenoh
+
+from ...schemas import keys
+from ...schemas.errors import LinkError, MessageError, PerfboundError
+from ...schemas.link import Tls, listen_config
+from ...schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState, decode_header, decode_state, encode
+
+CHANNEL = 4096
+"""Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """A worker's liveliness token appeared or disappeared."""
+
+    at: float
+    worker: str
+    alive: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """A worker says what it is doing."""
+
+    at: float
+    worker: str
+    state: WorkerState
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A worker hands in an attempt."""
+
+    at: float
+    worker: str
+    header: ResultHeader
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Garbage:
+    """A message that was not understood, and why."""
+
+    at: float
+    worker: str
+    reason: str
+
+
+Inbound = Token | Heartbeat | Result | Garbage
+Sink = Callable[[Inbound], None]
+
+
+class Transport(Protocol):
+    """What the service needs of a network; `at` of what it delivers is `time.monotonic()` at receipt."""
+
+    @property
+    def endpoint(self) -> str:
+        """Where workers connect."""
+        ...
+
+    def start(self, run: str, sink: Sink) -> None:
+        """Begin to deliver messages of the campaign `run` to `sink`, from any thread."""
+        ...
+
+    def send(self, worker: str, message: Request) -> None:
+        """Send without waiting; delivery is not guaranteed."""
+        ...
+
+
+class ZenohTransport:
+    """A Zenoh session that listens for workers."""
+
+    def __init__(self, session: zenoh.Session, endpoint: str) -> None:
+        self._session = session
+        self._endpoint = endpoint
+        self._run = ""
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def endpoint(self) -> str:
+        """Where workers connect."""
+        return self._endpoint
+
+    def start(self, run: str, sink: Sink) -> None:
+        """Subscribe to the workers of `run`, then show ourselves to them."""
+        self._run = run
+        handler = zenoh.handlers.FifoChannel
+        session, liveliness = self._session, self._session.liveliness()
+        states = session.declare_subscriber(keys.state(run, "*"), handler(CHANNEL))
+        results = session.declare_subscriber(keys.result(run, "*", "*", "*"), handler(CHANNEL))
+        tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
+        for subscriber, read in ((states, _heartbeat), (results, _result), (tokens, _token)):
+            thread = threading.Thread(target=_pump, args=(subscriber, read, sink), daemon=True)
+            thread.start()
+            self._threads.append(thread)
+        # The oldest orchestrator is the one whose id sorts first: workers without a --run join it.
+        name = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}")
+        self._token = liveliness.declare_token(keys.live_orchestrator(run, name))
+
+    def send(self, worker: str, message: Request) -> None:
+        """Put a request; with BLOCK, because DROP, the default, loses messages under load."""
+        self._session.put(
+            keys.request(self._run, worker),
+            encode(message),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            express=True,
+        )
+
+    def join(self) -> None:
+        """Wait for the reader threads; after the session is closed (a reader inside recv() at exit aborts)."""
+        for thread in self._threads:
+            thread.join(timeout=2)
+
+
+@contextmanager
+def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> Iterator[ZenohTransport]:
+    """Open a Zenoh session that workers can connect to.
+
+    Raises:
+        PerfboundError: the endpoint is in use, malformed, or open to others without TLS.
+
+    """
+    try:
+        config = zenoh.Config.from_json5(listen_config(endpoint, tls, insecure=insecure))
+        session = zenoh.open(config)
+    except LinkError as error:
+        raise PerfboundError(str(error)) from None
+    except zenoh.ZError as error:
+        raise PerfboundError(_explain(endpoint, str(error))) from None
+    transport = None
+    try:
+        transport = ZenohTransport(session, _chosen(session, endpoint))
+        yield transport
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
+        if transport is not None:
+            transport.join()
+
+
+def _explain(endpoint: str, error: str) -> str:
+    if "Address already in use" in error:
+        return f"--listen {endpoint}: this endpoint is in use; choose another port, or 0 for a free one"
+    reason = error.split(" at /", maxsplit=1)[0][:300]
+    return f"--listen {endpoint}: cannot listen there ({reason}); check the address and the TLS files"
+
+
+def _chosen(session: zenoh.Session, endpoint: str) -> str:
+    for reply in session.get(f"@/{session.zid()}/*"):
+        if reply.ok is not None:
+            locators = json.loads(reply.ok.payload.to_bytes())["locators"]
+            if locators:
+                return str(locators[0])
+    return endpoint
+
+
+def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None], sink: Sink) -> None:
+    try:
+        for sample in subscriber:
+            at = time.monotonic()
+            try:
+                message = read(sample, at)
+            except (MessageError, UnicodeDecodeError) as error:
+                message = Garbage(at, keys.worker_of(str(sample.key_expr)), str(error))
+            if message is not None:
+                sink(message)
+    except zenoh.ZError:
+        return  # the session is closed
+
+
+def _token(sample: zenoh.Sample, at: float) -> Inbound:
+    return Token(at, keys.last(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
+
+
+def _heartbeat(sample: zenoh.Sample, at: float) -> Inbound | None:
+    if sample.kind != zenoh.SampleKind.PUT:
+        return None
+    return Heartbeat(at, keys.worker_of(str(sample.key_expr)), decode_state(sample.payload.to_bytes()))
+
+
+def _result(sample: zenoh.Sample, at: float) -> Inbound | None:
+    if sample.kind != zenoh.SampleKind.PUT:
+        return None
+    if sample.attachment is None:
+        raise MessageError("a result without its header")
+    header = decode_header(sample.attachment.to_bytes())
+    if len(sample.payload) > MAX_RESULT:
+        raise MessageError(f"{len(sample.payload)} bytes are more than the {MAX_RESULT} of a trajectory")
+    return Result(at, keys.worker_of(str(sample.key_expr)), header, sample.payload.to_bytes())

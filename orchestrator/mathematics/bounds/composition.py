@@ -1,0 +1,293 @@
+"""Composition of the bounds of two problems to a bound of the true system, and outward rounding.
+
+| symbol    | name            | meaning                                                         | unit |
+|-----------|-----------------|-----------------------------------------------------------------|------|
+| rho~      | `robustness`    | lower bound of the minimum expected nominal robustness          | unit of robustness |
+| e~        | `gap`           | upper bound of the maximum expected gap                         | unit of the signal |
+| L         | `lipschitz`     | Lipschitz constant of the robustness in the gap                 | ratio of the two |
+| r         | `risk_weight`   | weight of the standard deviation in the risk                    | -    |
+| [-m, M]   | `clip`          | range of the clipped robustness                                 | unit of robustness |
+| ell       | `ell`           | lower bound of min_d E[rho] - r sd(rho) of the true system      | unit of robustness |
+| Delta_j   | `probabilities` | probability of each bound                                       | -    |
+| b, mu     | `mean`          | (lower bound of) the least expected robustness of the true system | unit of robustness |
+| c0, h     |                 | (M - m)/2, (M + m)/2: centre and half width of the clip         | unit of robustness |
+| phi(mu)   | `bhatia_davis`  | least E - r sd of a variable in [-m, M] with mean mu            | unit of robustness |
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Literal
+
+from ..gp.lattice import Lattice
+from ..gp.points import Points
+from .cover import certified_maximum
+from .envelope import Envelope
+from .risk import bhatia_davis
+
+Rule = Literal["product", "sum"]
+GapKind = Literal["signal_sup", "predicate_sup", "robustness"]
+NoiseKind = Literal["nominal_robustness", "signal_sup", "predicate_sup", "robustness"]
+VarianceBound = Literal["popoviciu", "bhatia-davis"]
+
+STEP = 10**9
+"""Bounds are whole multiples of 1/STEP."""
+
+
+@dataclass(frozen=True, slots=True)
+class Composition:
+    """A composed lower bound with its terms: ell = robustness - gap - spread, and the probability that it holds.
+
+    `robustness` is rho~, `gap` is L e~, `spread` is r (M + m)/2, all in the unit of robustness.
+    """
+
+    robustness: float
+    gap: float
+    spread: float
+    ell: float
+    probability: float
+
+
+def compose(
+    robustness: float,
+    gap: float,
+    *,
+    lipschitz: float,
+    risk_weight: float,
+    clip: tuple[float, float],
+    probabilities: Sequence[float],
+    rule: Rule,
+) -> Composition:
+    """Return the lower bound of the true system's risk and its terms.
+    Implements eq. (calculated_bound) of [ARA].
+
+    Formula: ell = rho~ - L e~ - r (M + m)/2, computed exactly on the printed decimals, then rounded down to 1e-9;
+    the probability is that of `joint_probability`, rounded down too.
+    Assumes both bounds, a robustness clipped to [-m, M], and |rho(s) - rho(z)| <= L ||s - z||.
+    Deviation: the proof's last line drops L and writes eps~ for e~; its own inequality needs L e~.
+
+    Raises:
+        ValueError: a number is not finite, L or r is negative, the clip is empty, or a probability is outside [0, 1].
+
+    >>> compose(0.46, 0.38, lipschitz=1.0, risk_weight=0.2, clip=(-0.05, 0.75),
+    ...         probabilities=(0.924354, 0.924354), rule="product").ell
+    0.0
+
+    """
+    low, high = clip
+    rho, e, lip, r, m, top = (_decimal(v) for v in (robustness, gap, lipschitz, risk_weight, -low, high))
+    if lip < 0 or r < 0:
+        raise ValueError(f"lipschitz and risk_weight must not be negative, not {lipschitz!r} and {risk_weight!r}")
+    if m + top <= 0:
+        raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end")
+    gap_term, spread = lip * e, r * (top + m) / 2
+    ell = _down(rho - gap_term - spread)
+    chance = round_down(joint_probability(probabilities, rule))
+    return Composition(float(robustness), float(gap_term), float(spread), ell, chance)
+
+
+def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
+    """Return a lower bound of the probability that all bounds hold at once.
+    Implements eq. (calculated_bound) of [ARA].
+    Implements eq. (accounting) of [PB].
+
+    Formula: product: prod Delta_j. sum: max(0, 1 - sum (1 - Delta_j)).
+    Assumes for the product that no problem's proposals or stopping saw the other's data; the sum assumes nothing.
+
+    Raises:
+        ValueError: a probability is outside [0, 1], none is given, or the rule is unknown.
+
+    >>> round(joint_probability((0.924354, 0.924354), "product"), 6)
+    0.85443
+    >>> round(joint_probability((0.9, 0.95), "sum"), 6)
+    0.85
+
+    """
+    if not probabilities:
+        raise ValueError("a composition needs at least one probability")
+    for p in probabilities:
+        if not 0.0 <= p <= 1.0:
+            raise ValueError(f"a probability must lie in [0, 1], not {p!r}")
+    if rule == "product":
+        return math.prod(probabilities)
+    if rule == "sum":
+        return max(0.0, 1.0 - math.fsum(1.0 - p for p in probabilities))
+    raise ValueError(f"rule is 'product' or 'sum', not {rule!r}")
+
+
+def compose_mean(
+    robustness: float, gap: float, *, kind: GapKind, clip: tuple[float, float], lipschitz: float = 1.0
+) -> float:
+    """Return the lower bound of the least expected true robustness that follows from two extremes, rounded down.
+    Implements eq. (gap) of [PB].
+
+    Formula: b = rho~ - L e~ for `signal_sup`; rho~ - e~ for `predicate_sup`, since min/max robustness is 1-Lipschitz in
+    it, and for `robustness`, the signed gap E[rho(nominal) - rho(true)]; never below -m, where the clip ends.
+    Assumes for `signal_sup` |rho(s) - rho(z)| <= L ||s - z||, otherwise nothing.
+
+    Raises:
+        ValueError: a number is not finite, L is negative or given for another kind, or the clip is empty.
+
+    >>> compose_mean(0.688, 0.13, kind="robustness", clip=(-0.05, 0.75))
+    0.558
+
+    """
+    low, _ = _checked_clip(clip)
+    lip = _decimal(lipschitz)
+    if lip < 0 or (kind != "signal_sup" and lip != 1):
+        raise ValueError(f"lipschitz is {lipschitz!r}; it must not be negative, and only signal_sup has one")
+    exact = _decimal(robustness) - lip * _decimal(gap)
+    return max(round_down(low), _down(exact))
+
+
+def least_risk(mean: float, *, risk_weight: float, clip: tuple[float, float], variance: VarianceBound) -> float:
+    """Return the bound of the risk that follows from the bound `mean` of the least expected robustness, rounded down.
+    Implements eq. (risk) of [PB].
+
+    Formula: ell = phi(b) (`bhatia_davis`), or b - r (M + m)/2 (`popoviciu`, as in Theorem 2 of [ARA]); the unit is
+    that of robustness.
+
+    Raises:
+        ValueError: a number is outside its range.
+
+    >>> least_risk(0.558, risk_weight=0.2, clip=(-0.05, 0.75), variance="popoviciu")
+    0.478
+
+    """
+    low, high = _checked_clip(clip)
+    _check_weight(risk_weight)
+    if variance == "bhatia-davis":
+        return round_down(bhatia_davis(mean, clip, risk_weight) - STEP**-1 / 1000.0)  # round-off of the square root
+    if variance == "popoviciu":
+        spread = _decimal(risk_weight) * (_decimal(high) - _decimal(low)) / 2
+        return _down(_decimal(mean) - spread)
+    raise ValueError(f"variance is 'popoviciu' or 'bhatia-davis', not {variance!r}")
+
+
+def pointwise_mean(
+    robustness: Envelope,
+    gap: Envelope,
+    candidates: Lattice | Points,
+    *,
+    clip: tuple[float, float],
+    lipschitz: float = 1.0,
+    slack: float,
+    extremes: float,
+    max_cells: int = 20_000,
+) -> float:
+    """Return the lower bound of the least expected true robustness from two bands over one Z, rounded down.
+    Implements eq. (pointwise) of [PB].
+
+    Formula: min_d [LCB_rho(d) - L UCB_gap(d)] = -max_d [U_1(d) + L U_2(d)], U_1 being the upper band of J = -rho; over
+    a box the maximum is certified to within `slack`. `extremes` (`compose_mean`) holds on the same event, so the larger
+    one counts.
+    Assumes that both bands hold: their deltas add up as in `confidence`.
+
+    Raises:
+        ValueError: slack or L is not positive, or the clip is empty.
+
+    """
+    if not (slack > 0 and lipschitz > 0):
+        raise ValueError(f"slack and lipschitz must be positive, not {slack!r} and {lipschitz!r}")
+    low, _ = _checked_clip(clip)
+    bands = (robustness, gap.scaled(lipschitz))
+    top = float((bands[0].at(candidates.nodes)[0] + bands[1].at(candidates.nodes)[0]).max())
+    if isinstance(candidates, Lattice):
+        top = certified_maximum(bands, candidates, nodes=top, slack=slack, max_cells=max_cells).upper
+    return max(extremes, round_down(max(low, -top)))
+
+
+def derived_noise_scale(
+    kind: NoiseKind,
+    clip: tuple[float, float],
+    *,
+    deterministic_nominal: bool,
+    common_seeds: bool,
+    lipschitz: float = 1.0,
+) -> float:
+    """Return the R of one rollout (or pair) that boundedness alone proves, in the unit of the observation.
+    Implements eq. (Hoeffding) of [PB].
+
+    Formula: half the range of y. (M + m)/2 for a robustness and for a sup gap clipped at (M + m)/L (divided by L: the
+    unit of the signal); for the signed gap (M + m)/2 with a deterministic nominal system, (M + m)/sqrt(2) for
+    independent draws, M + m with common seeds. 0 for the robustness of a deterministic nominal system.
+
+    Raises:
+        ValueError: the clip is empty, the kind is unknown, or L is not positive.
+
+    >>> derived_noise_scale("robustness", (-0.05, 0.75), deterministic_nominal=True, common_seeds=False)
+    0.4
+
+    """
+    low, high = _checked_clip(clip)
+    if not (math.isfinite(lipschitz) and lipschitz > 0):
+        raise ValueError(f"lipschitz must be a positive finite number, not {lipschitz!r}")
+    width = float(_decimal(high) - _decimal(low))
+    if kind == "nominal_robustness":
+        return 0.0 if deterministic_nominal else width / 2.0
+    if kind == "signal_sup":
+        return width / (2.0 * lipschitz)
+    if kind == "predicate_sup":
+        return width / 2.0
+    if kind == "robustness":
+        return width / 2.0 if deterministic_nominal else width if common_seeds else width / math.sqrt(2.0)
+    raise ValueError(f"no noise scale can be derived for {kind!r}")
+
+
+def _checked_clip(clip: tuple[float, float]) -> tuple[float, float]:
+    low, high = clip
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end, both finite")
+    return low, high
+
+
+def _check_weight(risk_weight: float) -> None:
+    if not (math.isfinite(risk_weight) and risk_weight >= 0):
+        raise ValueError(f"risk_weight must be a finite number >= 0, not {risk_weight!r}")
+
+
+def round_down(x: float) -> float:
+    """Return the largest multiple of 1e-9 that is not above `x`; a multiple stays where it is.
+
+    Raises:
+        ValueError: `x` is not finite.
+
+    >>> round_down(0.1234567899), round_down(0.3)
+    (0.123456789, 0.3)
+
+    """
+    return _down(_decimal(x))
+
+
+def round_up(x: float) -> float:
+    """Return the smallest multiple of 1e-9 that is not below `x`; a multiple stays where it is.
+
+    Raises:
+        ValueError: `x` is not finite.
+
+    >>> round_up(0.1234567891), round_up(-0.3)
+    (0.12345679, -0.3)
+
+    """
+    return -_down(-_decimal(x))
+
+
+def _decimal(x: float) -> Fraction:
+    """Return the shortest decimal that names the double `x`, exactly.
+
+    That is the number a reader of the certificate sees, so 0.46 - 0.38 - 0.08 is 0 here and not -4e-17. The nearest
+    double of a multiple of 1e-9 prints as that multiple, hence rounding leaves it alone.
+    """
+    if not math.isfinite(x):
+        raise ValueError(f"a bound needs finite numbers, not {x!r}")
+    return Fraction(repr(float(x)))
+
+
+def _down(exact: Fraction) -> float:
+    """Return the largest multiple of 1/STEP below or at `exact` as a double that, as printed, is not above it.
+
+    Above 2^23 doubles are further apart than 1/STEP, and the nearest one may be too large.
+    """
+    found = math.floor(exact * STEP) / STEP
+    return found if _decimal(found) <= exact else math.nextafter(found, -math.inf)

@@ -1,0 +1,90 @@
+"""A finite list of candidate points, on which maxima are exact, and kernel rows over it.
+
+| symbol   | name       | meaning                              | shape  | unit      |
+|----------|------------|--------------------------------------|--------|-----------|
+| p        |            | number of parameters                 | ()     | -         |
+| m        | `size`     | number of points                     | ()     | -         |
+| z_j      | `nodes`    | point j, in the order given          | (m, p) | parameter |
+| k(z_i)   | `row(i)`   | kernel between point i and every one | (m,)   | -         |
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .kernels import Floats
+
+MAX_POINTS = 5_000
+"""The table of kernel rows is quadratic: 200 MB at this many points."""
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """The points of a finite D; the same interface as `Lattice` where the methods need one.
+
+    Raises:
+        ValueError: no point, too many, differing lengths, a coordinate that is not finite, or a point listed twice.
+
+    >>> Points(((0.5, 0.5), (1.5, 0.5))).nodes.tolist()
+    [[0.5, 0.5], [1.5, 0.5]]
+
+    """
+
+    points: tuple[tuple[float, ...], ...]
+    nodes: Floats = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Validate the list and lay it out as an array."""
+        points = tuple(tuple(float(v) for v in point) for point in self.points)
+        _validate(points)
+        object.__setattr__(self, "points", points)
+        nodes = np.array(points)  # (m, p)
+        nodes.flags.writeable = False
+        object.__setattr__(self, "nodes", nodes)
+
+    @property
+    def size(self) -> int:
+        """Number of points m."""
+        return len(self.points)
+
+    def kernel_rows(self, kernel: Callable[[Floats], Floats]) -> "PointRows":
+        """Return k(z_i, all points) by index; the kernel is evaluated here."""
+        return PointRows(self, kernel)
+
+
+class PointRows:
+    """Kernel rows of a list of points; k(z_i, z_j) = k(z_j, z_i) bit by bit."""
+
+    def __init__(self, points: Points, kernel: Callable[[Floats], Floats]) -> None:
+        self.size = points.size
+        difference = points.nodes[:, None, :] - points.nodes[None, :, :]  # (m, m, p)
+        self._table = kernel(np.sqrt(np.sum(difference * difference, axis=2)))
+
+    def row(self, index: int) -> Floats:
+        """Return k(z_index, all points), shape (m,).
+
+        Raises:
+            IndexError: no point has this index.
+
+        """
+        if not 0 <= index < self.size:
+            raise IndexError(f"point {index} is outside the list of {self.size} points")
+        return np.asarray(self._table[index], dtype=np.float64)
+
+
+def _validate(points: tuple[tuple[float, ...], ...]) -> None:
+    if not points:
+        raise ValueError("a list of points needs at least one point")
+    if len(points) > MAX_POINTS:
+        raise ValueError(f"{len(points)} points exceed {MAX_POINTS}: shorten the list, or take a box with a lattice")
+    seen: dict[tuple[float, ...], int] = {}
+    for number, point in enumerate(points):
+        if not point or len(point) != len(points[0]):
+            raise ValueError(f"point {number} has {len(point)} coordinates and point 0 has {len(points[0])}")
+        if not all(math.isfinite(v) for v in point):
+            raise ValueError(f"point {number} is {point}; coordinates must be finite")
+        if point in seen:
+            raise ValueError(f"points {seen[point]} and {number} are the same, {point}: list each one once")
+        seen[point] = number

@@ -1,0 +1,127 @@
+"""Which samples belong to an interval.
+
+| symbol | name        | meaning                                                                     | shape | unit |
+|--------|-------------|-----------------------------------------------------------------------------|-------|------|
+| t_k    | `times`     | sample times, increasing                                                    | (T,)  | s    |
+| [a, b] | `interval`  | seconds from now, of a temporal operator; b may be inf                      |       | s    |
+| tau    | `TOLERANCE` | round-off allowed at both ends                                              |       | s    |
+| W_k    | `Windows`   | samples i with t_k + a - tau <= t_i <= t_k + b + tau: first[k] to stop[k]-1 | (T,)  |      |
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import FormulaError
+from .horizon import TOLERANCE, check_horizon
+from .text import shown
+from .tree import REST, Always, Eventually, Formula, Interval, Temporal, Until, operands, walk
+
+__all__ = ["Grid", "Windows"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """One run of samples for each sample k: from `first[k]` up to, but without, `stop[k]`; empty if they are equal."""
+
+    first: Indices  # (T,)
+    stop: Indices  # (T,)
+
+    def since_now(self) -> "Windows":
+        """Return the windows that begin at their own sample and end where these end."""
+        return Windows(np.arange(len(self.first)), self.stop)
+
+    def up_to_first(self) -> "Windows":
+        """Return the windows from their own sample to the first sample of these, included."""
+        return Windows(np.arange(len(self.first)), np.minimum(self.first + 1, len(self.first)))
+
+    @property
+    def to_end(self) -> bool:
+        """Whether every window ends with the trajectory: then the first one does."""
+        return bool(self.stop[0] == len(self.stop))
+
+    def cover(self, read: Flags) -> Flags:
+        """Return which samples lie in the window of some sample that is `read`."""
+        size = len(read) + 1
+        edges = np.bincount(self.first[read], minlength=size) - np.bincount(self.stop[read], minlength=size)
+        return np.cumsum(edges[:-1]) > 0
+
+
+class Grid:
+    """The sample times of a trajectory; they are looked at only if a formula has an interval."""
+
+    def __init__(self, times: Floats) -> None:
+        self._given = times
+        self._windows: dict[Interval, Windows] = {}
+
+    def __len__(self) -> int:
+        return len(self._given)
+
+    @cached_property
+    def _times(self) -> Floats:
+        times = self._given
+        if not (np.isfinite(times).all() and (np.diff(times) > TOLERANCE).all()):
+            raise ValueError(f"the sample times must be finite and increase by more than {TOLERANCE:g} s")
+        return times
+
+    def windows(self, interval: Interval) -> Windows:
+        """Return the samples that belong to `interval` at each sample.
+
+        Raises:
+            ValueError: the sample times do not increase.
+
+        """
+        if interval not in self._windows:
+            self._windows[interval] = self._search(interval)
+        return self._windows[interval]
+
+    def _search(self, interval: Interval) -> Windows:
+        if interval == REST:
+            return Windows(np.arange(len(self)), np.full(len(self), len(self)))
+        first = self._times.searchsorted(self._times + (interval.low - TOLERANCE), "left")
+        stop = self._times.searchsorted(self._times + (interval.high + TOLERANCE), "right")
+        return Windows(first, stop)
+
+    def check(self, tree: Formula) -> None:
+        """Refuse a formula that cannot be read at the first sample.
+
+        Raises:
+            FormulaError: it looks beyond the last sample, or an interval holds no sample where it is read.
+            ValueError: it has intervals, and the sample times do not increase.
+
+        """
+        if all(node.interval == REST for node in walk(tree) if isinstance(node, Temporal)):
+            return
+        check_horizon(tree, float(self._times[-1] - self._times[0]))
+        self._check(tree, np.arange(len(self)) == 0)
+
+    def _check(self, tree: Formula, read: Flags) -> None:
+        """Check `tree` where it is `read`."""
+        if isinstance(tree, Temporal):
+            windows = self.windows(tree.interval)
+            empty = np.flatnonzero(read & (windows.first >= windows.stop))
+            if empty.size:
+                raise FormulaError(
+                    f"the interval of `{shown(tree)}` holds no sample at t = {self._times[empty[0]]:.9g} s: "
+                    "make it at least as long as the time between two samples"
+                )
+        for operand, there in zip(operands(tree), self._read(tree, read), strict=True):
+            self._check(operand, there)
+
+    def _read(self, tree: Formula, read: Flags) -> tuple[Flags, ...]:
+        """Return where each operand of `tree` is read."""
+        match tree:
+            case Always(_, interval) | Eventually(_, interval):
+                return (self.windows(interval).cover(read),)
+            case Until(_, _, interval, reading):
+                windows = self.windows(interval)
+                left = windows.since_now() if reading == "standard" else windows
+                return left.cover(read), windows.cover(read)
+            case _:
+                return (read,) * len(operands(tree))

@@ -1,0 +1,80 @@
+"""How far into the future a formula looks, and whether a trajectory is long enough for it.
+
+| symbol | name       | meaning                                                              | unit |
+|--------|------------|----------------------------------------------------------------------|------|
+| T      | `duration` | time from the first sample of a trajectory to its last                | s    |
+| h      | `horizon`  | a formula's value at t depends on [t, t + h] at most                  | s    |
+|        | `latest`   | latest time at which a part is read, when the whole is read at time 0 | s    |
+"""
+
+import math
+
+from .errors import FormulaError
+from .text import number, operator, shown
+from .tree import Comparison, Formula, Interval, Temporal, operands
+
+__all__ = ["TOLERANCE", "check_horizon", "horizon"]
+
+TOLERANCE = 1e-9
+"""Seconds by which a sample may miss the end of an interval and still belong to it: round-off of the sample times."""
+
+
+def horizon(tree: Formula) -> float:
+    """Return how far from now `tree` looks, in s; inf if it looks to the end of the trajectory.
+
+    Formula: 0 for a predicate; the largest of its operands' for not, and, or, implies; b + that for an interval [a, b].
+
+    >>> from perfbound.orchestrator.mathematics.stl.formula import parse
+    >>> horizon(parse("always[0,10] (x <= 1 or eventually[2,5] y <= 1)"))
+    15.0
+    >>> horizon(parse("always x <= 1"))
+    inf
+
+    """
+    below = max((horizon(operand) for operand in operands(tree)), default=0.0)
+    return tree.interval.high + below if isinstance(tree, Temporal) else below
+
+
+def check_horizon(tree: Formula, duration: float) -> None:
+    """Refuse a formula that, read at time 0, looks beyond the end of a trajectory that lasts `duration` seconds.
+
+    An operator without an end of its own is read to the end of the trajectory, so its operands may look no further
+    than their own time, or to the end.
+
+    Raises:
+        FormulaError: an interval ends after `duration`; with the remedy. Its position is None.
+        ValueError: `duration` is negative or not finite.
+
+    """
+    if not (math.isfinite(duration) and duration >= 0):
+        raise ValueError(f"a trajectory lasts 0 s or longer, not {duration!r}")
+    _check(tree, 0.0, duration, None)
+
+
+def _check(tree: Formula, latest: float, duration: float, unbounded: Temporal | None) -> None:
+    """Check `tree`, read until `latest`, under the operator `unbounded` if that is why it is read so late."""
+    if isinstance(tree, Comparison):
+        return
+    if isinstance(tree, Temporal):
+        reach = latest + _last(tree.interval)
+        if reach > duration + TOLERANCE:
+            raise FormulaError(_reason(tree, reach, duration, unbounded))
+        latest, unbounded = (reach, unbounded) if tree.interval.bounded else (duration, tree)
+    for operand in operands(tree):
+        _check(operand, latest, duration, unbounded)
+
+
+def _last(interval: Interval) -> float:
+    """Return the time from now at which there must still be a sample."""
+    return interval.high if interval.bounded else interval.low
+
+
+def _reason(tree: Temporal, reach: float, duration: float, unbounded: Temporal | None) -> str:
+    looks = f"`{shown(tree)}` looks to {reach:.9g} s, but the trajectory ends at {duration:.9g} s"
+    if unbounded is None:
+        return f"{looks}: shorten the interval, or lengthen the horizon of the campaign"
+    end = number(round(max(0.0, duration - _last(tree.interval)), 9))
+    return (
+        f"{looks}, to which the operator around it is read (`{shown(unbounded)}`): "
+        f"give that one an interval that ends by {end}, e.g. {operator(unbounded)}[0,{end}]"
+    )

@@ -1,0 +1,83 @@
+"""The quantitative semantics of STL on a sampled trajectory, vectorised over the samples.
+
+| symbol      | name      | meaning                                                             | shape  | unit        |
+|-------------|-----------|---------------------------------------------------------------------|--------|-------------|
+| s           | `samples` | trajectory, one row per sample; column 0 is the time t              | (T, n) | per column  |
+|             | `columns` | names of the columns of `samples`                                   | (n,)   |             |
+| W_k         | `windows` | samples i with t_k + a <= t_i <= t_k + b, or to the end; see `grid` | (T,)   |             |
+| rho(s, t_k) | `margins` | robustness at every sample k                                        | (T,)   | predicate's |
+
+a <= b and a < b give b - a; a >= b and a > b give a - b; not -rho; and min; or max; implies max(-left, right);
+always the minimum, eventually the maximum over W_k; until, in both readings, the maximum over i in W_k of
+min(rho_right(i), min of rho_left(j) over k <= j <= i); in the reading of [ARA] j begins with W_k instead of k.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from . import sliding
+from .grid import Grid
+from .predicates import Floats, Signals
+from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Until
+
+__all__ = ["robustness"]
+
+
+def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
+    """Return the robustness of the trajectory at its first sample, in the unit of the predicates.
+    Implements eq. (robMeasure) of [ARA].
+
+    Formula: the lines at the head of this module. rho > 0: the trajectory satisfies the formula; rho < 0: it does not.
+    `samples` has shape (T, n), T >= 1, its columns named by `columns`, the first one the time in s.
+    Deviation: [ARA] has "satisfied if and only if rho >= 0"; at 0 no min/max robustness decides (x < 0 and
+    not x > 0 have the same one).
+
+    Raises:
+        FormulaError: `tree` looks beyond the last sample, or an interval holds no sample where it is read.
+        ValueError: `tree` names a column that is not in `columns`, the shape does not fit, a predicate is not
+            finite at some sample (division by zero, root of a negative number, a non-finite trajectory), or the
+            formula has intervals and the sample times do not increase.
+
+    >>> from perfbound.orchestrator.mathematics.stl.formula import parse
+    >>> trajectory = np.array([[0.0, 0.0], [0.5, -0.5], [1.0, 0.75]])
+    >>> robustness(parse("always (abs(phi) <= 1)"), ("t", "phi"), trajectory)
+    0.25
+    >>> robustness(parse("always[0,0.5] abs(phi) <= 1"), ("t", "phi"), trajectory)
+    0.5
+
+    """
+    signals, grid = Signals(columns, samples), Grid(samples[:, 0])
+    grid.check(tree)
+    return float(_margins(tree, signals, grid)[0])
+
+
+def _margins(tree: Formula, signals: Signals, grid: Grid) -> Floats:
+    """Return the robustness of `tree` at every sample, shape (T,); it means nothing where `tree` is not read."""
+    match tree:
+        case Comparison():
+            return signals.margins(tree)
+        case Not(operand):
+            return -_margins(operand, signals, grid)
+        case And(left, right):
+            return np.minimum(_margins(left, signals, grid), _margins(right, signals, grid))
+        case Or(left, right):
+            return np.maximum(_margins(left, signals, grid), _margins(right, signals, grid))
+        case Implies(left, right):
+            return np.maximum(-_margins(left, signals, grid), _margins(right, signals, grid))
+        case Always(operand, interval):
+            return sliding.minimum(_margins(operand, signals, grid), grid.windows(interval))
+        case Eventually(operand, interval):
+            return sliding.maximum(_margins(operand, signals, grid), grid.windows(interval))
+        case Until():
+            return _until(tree, signals, grid)
+
+
+def _until(tree: Until, signals: Signals, grid: Grid) -> Floats:
+    left, right = _margins(tree.left, signals, grid), _margins(tree.right, signals, grid)
+    windows = grid.windows(tree.interval)
+    from_start = sliding.until(left, right, windows)
+    if tree.reading == "paper":
+        return from_start
+    # min(left from now to i) = min(left from now to the window's first sample, left from there to i).
+    return np.minimum(sliding.minimum(left, windows.up_to_first()), from_start)

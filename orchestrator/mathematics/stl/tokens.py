@@ -1,0 +1,60 @@
+"""The words and signs of a formula's text."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal, cast
+
+from .errors import FormulaError
+
+__all__ = ["MAX_TOKENS", "Token", "tokens"]
+
+MAX_TOKENS = 1000
+"""Longer text would exhaust Python's stack; no specification written by a person comes near."""
+
+Kind = Literal["number", "word", "sign", "end"]
+
+_TOKEN = re.compile(
+    r"""\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
+          |(?P<word>[A-Za-z_]\w*)
+          |(?P<sign><=|>=|[-+*/^()<>,]|\[|\]))""",
+    re.ASCII | re.VERBOSE,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """A word, number or sign, or the end of the text, and how many characters stand before it."""
+
+    kind: Kind
+    text: str
+    position: int
+
+
+def tokens(text: str) -> list[Token]:
+    """Return the tokens of `text`; the last one is its end.
+
+    Raises:
+        FormulaError: a character that no formula has, or more than `MAX_TOKENS` tokens.
+
+    """
+    found: list[Token] = []
+    position, end = 0, len(text.rstrip())
+    while position < end:
+        match = _TOKEN.match(text, position)
+        if match is None or match.lastgroup is None:
+            start = position + len(text[position:]) - len(text[position:].lstrip())
+            raise FormulaError(_refusal(text[start]), text, start)
+        kind = cast(Kind, match.lastgroup)
+        found.append(Token(kind, match[kind], match.start(kind)))
+        position = match.end()
+        if len(found) > MAX_TOKENS:
+            raise FormulaError(f"more than {MAX_TOKENS} words and signs", text, match.start(kind))
+    return [*found, Token("end", "", end)]
+
+
+def _refusal(character: str) -> str:
+    if character in "=!":
+        return "equality has no robustness: use <=, >=, < or >"
+    if character in "&|":
+        return "write `and`, `or`, `implies`"
+    return f"unexpected character {character!r}"

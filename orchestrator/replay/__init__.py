@@ -1,1 +1,0 @@
-"""One recorded rollout, simulated again: compared with its file, and drawn."""

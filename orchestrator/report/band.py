@@ -1,0 +1,112 @@
+"""What a method knows over D, as a picture needs it: few nodes, two axes, the sign of the objective."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...schemas.campaign import SENSES, PaperProblem, Problem, RigorousProblem, ScenarioProblem
+from ...schemas.values import Band, Bound
+from ..campaign.methods import ProblemMethod
+from ..campaign.plan import ProblemPlan
+from ..mathematics.gp.lattice import Lattice
+from .data import Series, Surface
+
+Floats = NDArray[np.float64]
+
+MOST_NODES = 3000
+"""Of one surface; a finer lattice is thinned to about this."""
+
+
+def surface(plan: ProblemPlan, method: ProblemMethod, bound: Bound) -> Surface:
+    """Return what `method` knows of a problem after at least one observation; `bound` is what followed from the last.
+
+    Raises:
+        ValueError: the method has no observation, or its kernel matrix is singular.
+
+    """
+    problem, space, band = plan.problem, plan.candidates, _Arrays.of(method.band(bound))
+    kept, shape = _thinned(_projected(band, space)) if isinstance(space, Lattice) else (band, None)
+    minimum = SENSES[problem.name] == "min"
+    lower, upper = _series(kept.lower, minimum=minimum), _series(kept.upper, minimum=minimum)
+    return Surface(
+        shape=shape,
+        points=() if isinstance(space, Lattice) else space.points,
+        mean=_series(kept.mean, minimum=minimum),
+        lower=upper if minimum else lower,
+        upper=lower if minimum else upper,
+        worst=tuple(kept.possible.ravel().tolist()),
+        band=meaning(problem, method),
+    )
+
+
+def meaning(problem: Problem, method: ProblemMethod) -> str:
+    """Say what the lower and upper values of a surface are."""
+    match problem:
+        case PaperProblem():
+            sigma = "variance" if problem.sigma == "variance" else "standard deviation"
+            return (
+                f"mu -+ beta sigma of Algorithm 1 at the nodes, sigma read as the {sigma}; by its lemma J lies within "
+                f"with probability at least {1 - problem.delta:g}"
+            )
+        case RigorousProblem():
+            return f"at all candidates at once with probability at least {method.probability:g}"
+        case ScenarioProblem():
+            mean = "robustness" if problem.linearised is None else "linearised risk"
+            return (
+                f"each start's lower bound by itself with probability at least {1 - problem.delta:g}; the mean is that "
+                f"of its {mean}; no start has an upper bound of its own"
+            )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Arrays:
+    """A band as arrays of one shape."""
+
+    mean: Floats
+    lower: Floats
+    upper: Floats
+    possible: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, band: Band) -> "_Arrays":
+        return cls(np.array(band.mean), np.array(band.lower), np.array(band.upper), np.array(band.possible))
+
+
+def _projected(band: _Arrays, lattice: Lattice) -> _Arrays:
+    """Return the worst over all axes but the first two, each array of shape (resolution,) or (resolution,) * 2."""
+    shape = (lattice.resolution,) * lattice.dimension
+    others = tuple(range(2, lattice.dimension))
+    fields = (band.mean, band.lower, band.upper)
+    mean, lower, upper = (np.max(each.reshape(shape), axis=others) for each in fields)
+    return _Arrays(mean, lower, upper, np.any(band.possible.reshape(shape), axis=others))
+
+
+def _thinned(band: _Arrays) -> tuple[_Arrays, tuple[int, ...]]:
+    """Take nodes along each axis; a node that stands for possible ones is possible."""
+    size, axes = band.mean.shape[0], band.mean.ndim
+    count = _count(size, int(MOST_NODES ** (1 / axes) + 1e-9))
+    taken = np.rint(np.linspace(0, size - 1, count)).astype(np.intp)
+    nearest = np.rint(np.arange(size) * (count - 1) / (size - 1)).astype(np.intp)
+    possible = np.zeros((count,) * axes, dtype=np.bool_)
+    where = np.ix_(*(nearest,) * axes)
+    np.logical_or.at(possible, where, band.possible)
+    take = np.ix_(*(taken,) * axes)
+    return _Arrays(band.mean[take], band.lower[take], band.upper[take], possible), possible.shape
+
+
+def _count(size: int, most: int) -> int:
+    """Return how many of `size` nodes are taken: all, or as many as lie equally far apart, if not much fewer fit.
+
+    >>> _count(51, 54), _count(101, 54), _count(98, 54)
+    (51, 51, 54)
+    """
+    if size <= most:
+        return size
+    return next((count for count in range(most, most // 2, -1) if (size - 1) % (count - 1) == 0), most)
+
+
+def _series(values: Floats, *, minimum: bool) -> Series:
+    signed = 0.0 - values if minimum else values
+    return tuple(None if math.isnan(value) else value for value in signed.ravel().tolist())

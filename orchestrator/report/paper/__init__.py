@@ -1,0 +1,1 @@
+"""The published results: their campaigns, table and figures, regenerated."""

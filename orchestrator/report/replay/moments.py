@@ -1,0 +1,92 @@
+"""How close a trajectory is to breaking its specification over time, and the moments worth a picture.
+
+| symbol | meaning | shape, unit |
+|---|---|---|
+| T | samples of the trajectory | |
+| margin | robustness of what must hold at each moment | (T,), unit of the predicates |
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....schemas.trajectory import Floats, Trajectory
+from ...mathematics.stl.robustness import robustness
+from ...mathematics.stl.tree import REST, Always, And, Formula, Node, walk
+
+
+def at_each_moment(tree: Formula) -> Formula | None:
+    """Return f of a specification `always f`, or of a conjunction of such; None if it is of another form.
+
+    >>> from perfbound.orchestrator.mathematics.stl.formula import parse
+    >>> from perfbound.orchestrator.mathematics.stl.text import text
+    >>> text(at_each_moment(parse("always x <= 1 and always y <= 2")))
+    'x <= 1 and y <= 2'
+    >>> at_each_moment(parse("eventually x <= 1")) is None
+    True
+
+    """
+    match tree:
+        case And(left, right):
+            one, other = at_each_moment(left), at_each_moment(right)
+            return And(one, other) if one is not None and other is not None else None
+        case Always(operand, interval) if interval == REST and not any(map(_looks_ahead, walk(operand))):
+            return operand
+        case _:
+            return None
+
+
+def _looks_ahead(node: Node) -> bool:
+    return hasattr(node, "interval")
+
+
+def margins(tree: Formula | None, trajectory: Trajectory) -> Floats | None:
+    """Return the margin at every sample, shape (T,), whose least value is the robustness; None if there is none."""
+    momentary = None if tree is None else at_each_moment(tree)
+    if momentary is None:
+        return None
+    rows = trajectory.samples[:, None, :]  # (T, 1, n): each sample alone
+    return np.array([robustness(momentary, trajectory.columns, row) for row in rows])
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One picture: the frame of the film, the time in s, the margin, and whether it is the least of all."""
+
+    frame: int
+    t: float
+    margin: float | None
+    worst: bool = False
+
+
+def moments(trajectory: Trajectory, margin: Floats | None, number: int) -> tuple[Moment, ...]:
+    """Return at most `number` moments in their order: first, last, and closer together where much happens.
+
+    The one nearest to the least margin takes its place.
+    """
+    rows = trajectory.frames  # (F,)
+    t = trajectory.samples[rows, 0]
+    wanted = np.searchsorted(_progress(t, margin, rows), np.linspace(0, 1, number) - 1e-9)
+    chosen = sorted(set(np.minimum(wanted, len(rows) - 1).tolist()))
+    if margin is None:
+        return tuple(Moment(frame, float(t[frame]), None) for frame in chosen)
+    least = int(margin.argmin())
+    worst = int(np.abs(t - trajectory.samples[least, 0]).argmin())
+    chosen[int(np.argmin([abs(frame - worst) for frame in chosen]))] = worst
+    # What is said of the worst moment is exact; what is shown of it is the frame nearest to it.
+    samples = {frame: least if frame == worst else int(rows[frame]) for frame in chosen}
+    return tuple(
+        Moment(frame, float(trajectory.samples[row, 0]), float(margin[row]), row == least)
+        for frame, row in samples.items()
+    )
+
+
+def _progress(t: Floats, margin: Floats | None, rows: NDArray[np.intp]) -> Floats:
+    """Return 0 to 1, half by the time that has passed and half by how much has changed, shape (F,)."""
+    parts = [t - t[0]]
+    if margin is not None:
+        parts.append(np.concatenate([[0.0], np.cumsum(np.abs(np.diff(margin[rows])))]))
+    shares = [part / part[-1] for part in parts if part[-1] > 0]
+    mean: Floats = np.mean(shares, axis=0) if shares else np.zeros(len(t))
+    return mean

@@ -1,0 +1,1 @@
+"""The live page: a read-only server in a process of its own."""

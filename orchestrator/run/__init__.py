@@ -1,0 +1,1 @@
+"""One run of an orchestrator: its loop, its clock, its signals, and everything opened around them."""

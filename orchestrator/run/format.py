@@ -1,0 +1,25 @@
+"""Numbers and time spans as people read them."""
+
+from ...schemas.campaign import SENSES
+
+MINIMA = tuple(name for name, sense in SENSES.items() if sense == "min")
+"""Problems whose bound is the negative of the method's."""
+
+
+def figure(value: float | None, digits: int = 4) -> str:
+    """Return a number for people, or a dash."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def duration(seconds: float) -> str:
+    """Return a time span for people.
+
+    >>> duration(75), duration(7200), duration(3)
+    ('1 min 15 s', '2 h 0 min', '3 s')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"

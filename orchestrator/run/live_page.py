@@ -1,0 +1,170 @@
+"""The live page of a run: a child process serves it, and is told what the database does not know.
+
+The page may hurt nothing: its child has a session and a priority of its own, what it does not read is dropped, and what
+breaks it is said in one line. It ends when its feed does, so also after a kill -9 of the orchestrator.
+"""
+
+import contextlib
+import json
+import os
+import shlex
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.text import Text
+
+from ...schemas.errors import PerfboundError
+from .address import Address, bind
+
+if TYPE_CHECKING:
+    from .service import RunStatus
+
+PERIOD = 1.0
+"""Seconds between two messages to the child."""
+GRACE = 7.0
+"""Seconds in which the child may show the end of the campaign; then it is killed."""
+MOST_WORKERS = 500
+"""Workers in a message: it is sent whole or not at all, and the kernel takes 200 kB."""
+MOST_SAID = 4096
+"""Bytes of what the child says that are read in one turn."""
+
+
+def message(status: "RunStatus") -> bytes:
+    """Return what the child is told: of each worker its state, its rollout, and the Unix time of its last heartbeat."""
+    to_unix, workers = time.time() - time.monotonic(), {}
+    for name, phase in islice(status.workers.items(), MOST_WORKERS):
+        known = status.known.get(name)
+        state = "busy" if phase == "sent" else phase
+        rollout = known.state.rollout if known and known.state and state == "busy" else None
+        workers[name] = (state, rollout, known.heard + to_unix if known else None)
+    return json.dumps(workers).encode()
+
+
+def again(directory: Path) -> str:
+    """Return what a person types to see the page without the run."""
+    return f"`perfbound web {shlex.quote(str(directory))}`"
+
+
+@contextmanager
+def live_page(address: Address | None, directory: Path, console: Console, *, insecure: bool) -> Iterator["LivePage"]:
+    """Take the port of the page at once, so that a run without its page does not begin; without an address, no page.
+
+    Raises:
+        PerfboundError: the port is taken, or `address` cannot be served.
+
+    """
+    page = LivePage(directory, console)
+    if address is None:
+        yield page
+        return
+    page.place = bind(address, insecure=insecure)
+    try:
+        yield page
+    finally:
+        page.stop()
+
+
+class LivePage:
+    """The page of one run."""
+
+    def __init__(self, directory: Path, console: Console) -> None:
+        self.place: tuple[socket.socket, Address] | None = None
+        self._directory, self._console = directory, console
+        self._child: _Child | None = None
+        self._next = 0.0
+
+    def start(self) -> None:
+        """Begin to serve, if there is a place; the campaign has its database by now."""
+        if self.place is None:
+            return
+        listening, address = self.place
+        with listening:  # from here on the port is the child's alone
+            self._child = _Child(listening, address, self._directory)
+        self._say(f"live page: {address.url}")
+
+    def say(self, line: str) -> None:
+        """Nothing: the page shows the campaign, not its log."""
+
+    def show(self, status: "RunStatus") -> None:
+        """Send the state of the workers to the child, at most once in `PERIOD` and without waiting."""
+        now = time.monotonic()
+        if self._child is None or now < self._next:
+            return
+        self._next = now + PERIOD
+        try:
+            for line in self._child.turn(message(status)):
+                self._say(line)
+        except Exception as error:  # noqa: BLE001  (whatever it is: no page stops a campaign)
+            self._child.stop(grace=0.0)
+            self._child = None
+            self._say(f"the live page has ended: {error}. The campaign continues; {again(self._directory)} shows it")
+
+    def stop(self) -> None:
+        """Give the port back; a child that serves shows the end of the campaign first."""
+        if self.place is not None:
+            self.place[0].close()
+        if self._child is not None:
+            self._child.stop(GRACE)
+            self._say(f"the live page has ended with the run; {again(self._directory)} shows it again")
+
+    def _say(self, line: str) -> None:
+        self._console.print(Text(line), soft_wrap=True)
+
+
+class _Child:
+    """The process, and a socket to its stdin that keeps messages apart."""
+
+    def __init__(self, listening: socket.socket, address: Address, directory: Path) -> None:
+        self._feed, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._feed.setblocking(False)
+        with theirs:
+            self._process = subprocess.Popen(
+                [
+                    # -P: what stands in the present directory is not ours to import.
+                    *(sys.executable, "-P", "-m", "perfbound.orchestrator.report.web.process"),
+                    *(str(listening.fileno()), str(address), str(directory)),
+                ],
+                bufsize=0,
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                pass_fds=[listening.fileno()],
+                start_new_session=True,  # Ctrl-C in the terminal is for the orchestrator
+            )
+        assert self._process.stderr is not None, "a pipe was asked for"
+        self._stderr = self._process.stderr
+        os.set_blocking(self._stderr.fileno(), False)
+
+    def turn(self, message: bytes) -> list[str]:
+        """Send a message if there is room, and return the lines that the child said.
+
+        Raises:
+            PerfboundError: it has ended.
+
+        """
+        said = (self._stderr.read(MOST_SAID) or b"").decode(errors="replace").split("\n")
+        lines = [f"live page: {line.strip()}" for line in said if line.strip()]
+        if (code := self._process.poll()) is not None:
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            raise PerfboundError("; ".join([how, *lines[-1:]]))
+        with contextlib.suppress(BlockingIOError, ConnectionError):  # full: dropped; closed: it has ended, see above
+            self._feed.send(message)
+        return lines
+
+    def stop(self, grace: float) -> None:
+        """Close the feed, which is what the child lives on."""
+        self._feed.close()
+        try:
+            self._process.wait(grace)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._stderr.close()

@@ -1,0 +1,189 @@
+"""Progress of a campaign as a table, as lines and as JSON; a listener for each form."""
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.values import ProblemProgress
+from ..campaign import forecast
+from .format import MINIMA, duration, figure
+from .json_log import JsonLines
+from .service import Listener, RunStatus
+from .systemd import Systemd
+
+PLAIN_PERIOD = 10.0
+"""Seconds between two progress lines where there is no terminal."""
+RATE_SPAN = 15.0
+"""Seconds over which the rate is taken."""
+
+
+def bound_in_sense(problem: Problem, progress: ProblemProgress) -> float | None:
+    """Return the bound so far in the unit and sense of the problem: -eps for a minimum."""
+    upper = progress.bound.upper if progress.bound else None
+    return -upper if upper is not None and problem.name in MINIMA else upper
+
+
+def distance(problem: Problem, progress: ProblemProgress) -> float | None:
+    """Return what has to fall to alpha: F_i, or upper - lower."""
+    return forecast.distance(problem, progress.F, progress.bound)
+
+
+def tests_left(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> int | None:
+    """Guess the tests until a problem ends; None where its decay cannot tell yet."""
+    return forecast.tests_left(config, problem, distance(problem, progress), progress.tests)
+
+
+def table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress, str]]) -> Table:
+    """Return one row per problem, in the order of the campaign file: its progress, and what is left in words."""
+    found = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
+        found.add_column(name, justify="left" if name == "problem" else "right")
+    for problem, (progress, left) in zip(config.problems, rows, strict=True):
+        found.add_row(
+            problem.name,
+            f"{progress.tests} of {config.max_tests_of(problem)}",
+            figure(distance(problem, progress)),
+            f"{problem.alpha:g}",
+            figure(bound_in_sense(problem, progress)),
+            str(progress.rollouts),
+            f"ended: {progress.stopped_by}" if progress.stopped_by else left,
+            style="green" if progress.stopped_by == "converged" else "",
+        )
+    return found
+
+
+class Terminal:
+    """A live table on a terminal."""
+
+    def __init__(self, console: Console, live: Live) -> None:
+        self._console, self._live = console, live
+        self._rate = Rate()
+
+    def say(self, line: str) -> None:
+        """Print a line above the table."""
+        self._console.print(Text(line, "yellow"), soft_wrap=True)
+
+    def show(self, status: RunStatus) -> None:
+        """Redraw the table."""
+        rate, config = self._rate.of(status), status.config
+        running = sum(each.stopped_by is None for each in status.problems.values())
+        rows = [
+            (each, _time_left(config, problem, each, rate / max(1, running)))
+            for problem, each in zip(config.problems, status.problems.values(), strict=True)
+        ]
+        self._live.update(Group(table(config, rows), Text(worker_line(status, rate), style="dim")))
+
+
+class Plain:
+    """Log lines, or JSON lines with the numbers as fields: one per problem that ended, and all now and then."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._json = console.file if isinstance(console.file, JsonLines) else None
+        self._rate = Rate()
+        self._last = time.monotonic()
+        self._ended: set[str] = set()
+
+    def say(self, line: str) -> None:
+        """Print a line."""
+        self._console.print(Text(line), soft_wrap=True)
+
+    def show(self, status: RunStatus) -> None:
+        """Print what is due."""
+        rate, now = self._rate.of(status), time.monotonic()
+        due = now - self._last >= PLAIN_PERIOD
+        for problem, progress in zip(status.config.problems, status.problems.values(), strict=True):
+            ended = progress.stopped_by is not None
+            if (ended and problem.name not in self._ended) or (due and not ended):
+                self._problem(problem, progress)
+            if ended:
+                self._ended.add(problem.name)
+        if due:
+            self._last = now
+            self._workers(status, rate)
+
+    def _problem(self, problem: Problem, progress: ProblemProgress) -> None:
+        away, bound = distance(problem, progress), bound_in_sense(problem, progress)
+        if self._json is None:
+            name = "F" if problem.method == "paper" else "upper - lower"
+            end = f"; stopped by {progress.stopped_by}" if progress.stopped_by else ""
+            numbers = f"{name} {figure(away)} (alpha {problem.alpha:g}), bound so far {figure(bound, 3)}"
+            self.say(f"{problem.name}: test {progress.tests}, {numbers}{end}")
+            return
+        self._json.line(
+            "problem ended" if progress.stopped_by else "progress",
+            problem=problem.name,
+            tests=progress.tests,
+            rollouts=progress.rollouts,
+            distance=away,
+            alpha=problem.alpha,
+            bound=bound,
+            stopped_by=progress.stopped_by,
+        )
+
+    def _workers(self, status: RunStatus, rate: float) -> None:
+        if self._json is None:
+            self.say(worker_line(status, rate))
+        else:
+            phases = dict(sorted(status.workers.items()))
+            self._json.line("workers", workers=phases, rollouts=status.recorded, rollouts_per_second=round(rate, 2))
+
+
+class SystemdStatus:
+    """Progress for the service manager."""
+
+    def __init__(self, systemd: Systemd) -> None:
+        self._systemd = systemd
+
+    def say(self, line: str) -> None:
+        """Nothing: the journal of systemd has the line from stderr."""
+
+    def show(self, status: RunStatus) -> None:
+        """Send a sign of life, and the counts if they have changed."""
+        tests = ", ".join(f"{name} {each.tests} tests" for name, each in status.problems.items())
+        self._systemd.alive(f"{tests}; {len(status.workers)} workers")
+
+
+class Rate:
+    """Rollouts per second over the last `RATE_SPAN` seconds."""
+
+    def __init__(self) -> None:
+        self._points: list[tuple[float, int]] = []
+
+    def of(self, status: RunStatus) -> float:
+        """Return the rate now."""
+        self._points.append((status.seconds, status.recorded))
+        self._points = [point for point in self._points if status.seconds - point[0] <= RATE_SPAN]
+        (first, count), (last, total) = self._points[0], self._points[-1]
+        return (total - count) / (last - first) if last > first else 0.0
+
+
+def _time_left(config: CampaignConfig, problem: Problem, progress: ProblemProgress, rate: float) -> str:
+    left = tests_left(config, problem, progress)
+    if left is None or rate <= 0:
+        return "-"
+    return f"about {duration(left * progress.rollouts / progress.tests / rate)}"
+
+
+def worker_line(status: RunStatus, rate: float) -> str:
+    """Return the workers and the throughput."""
+    busy = sum(1 for phase in status.workers.values() if phase in ("sent", "busy"))
+    trouble = [name for name, phase in status.workers.items() if phase in ("shunned", "gone")]
+    text = f"workers {len(status.workers)} ({busy} busy), {rate:.1f} rollouts/s, {duration(status.seconds)} so far"
+    return text + (f", in trouble: {', '.join(trouble)}" if trouble else "")
+
+
+@contextmanager
+def listener(console: Console) -> Iterator[Listener]:
+    """Yield the form that fits: a live table on a terminal, lines elsewhere."""
+    if not console.is_terminal:
+        yield Plain(console)
+        return
+    with Live(console=console, refresh_per_second=4, transient=True) as live:
+        yield Terminal(console, live)

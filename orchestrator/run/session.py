@@ -1,0 +1,291 @@
+"""One run of an orchestrator: everything that is opened, in the order in which faults cost least.
+
+Nothing is created before the campaign file, the system and the endpoint are known to be good.
+"""
+
+import shlex
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.text import Text
+
+from ...schemas.campaign import CampaignConfig
+from ...schemas.campaign_file import differences, parse
+from ...schemas.certificate import Certificate
+from ...schemas.errors import CampaignError, JournalError, PerfboundError
+from ...schemas.facts import Header
+from ...schemas.link import Tls
+from ..campaign.checks import check
+from ..campaign.software import software
+from ..certificate import files
+from ..fleet import child
+from ..fleet.processes import Fleet
+from ..fleet.transport import ZenohTransport, listen
+from ..store import read
+from ..store.journal import DATABASE, Journal, existing, read_header
+from ..store.lock import campaign_lock
+from .address import Address
+from .live_page import LivePage, live_page
+from .systemd import Systemd
+
+if TYPE_CHECKING:
+    from ..campaign.ledger import Ledger
+
+MAX_CAMPAIGN_FILE = 1024 * 1024
+"""Bytes of a campaign file."""
+
+
+def resume_command(directory: Path) -> str:
+    """Return what a person types to continue a campaign."""
+    return f"perfbound resume {shlex.quote(str(directory))}"
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """Where to listen for workers, and how guarded; and where to serve the live page, if anywhere."""
+
+    endpoint: str
+    tls: Tls | None = None
+    insecure: bool = False
+    web: Address | None = None
+
+    def worker_options(self) -> list[str]:
+        """Return what our own workers need to connect."""
+        if self.tls is None:
+            return []
+        return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a campaign is run; none of it changes the certificate.
+
+    With `drain`, the first signal lets the rollouts under way end; the second one stops at once.
+    """
+
+    workers: int
+    """Local worker processes."""
+    link: Link
+    drain: bool = False
+
+
+def start(config: CampaignConfig, source: Path, directory: Path, options: RunOptions, console: Console) -> None:
+    """Run a new campaign, read from the file `source`, to its certificate.
+
+    Raises:
+        PerfboundError, CampaignError: what is wrong, in one line.
+        Stopped: a signal arrived.
+
+    """
+    _check_vacant(directory, config)
+    spec = child.system_spec(config.system.name, f"{source}: system.name")
+    check(config, spec, str(source))
+    header, link = Header.new(config, spec, software(spec)), options.link
+    with (
+        live_page(link.web, directory, console, insecure=link.insecure) as page,
+        listen(link.endpoint, link.tls, insecure=link.insecure) as transport,
+        _claimed(directory, config),
+        ExitStack() as stack,
+    ):
+        journal = Journal.create(directory, header)
+        stack.callback(journal.close)
+        page.start()
+        _conduct(directory, journal, transport, page, options=options, console=console, resumed=False)
+
+
+def resume(directory: Path, options: RunOptions, console: Console) -> bool:
+    """Continue a campaign from its database; one that is finished is left as it is: False.
+
+    Raises:
+        PerfboundError: what is wrong, in one line.
+        Stopped: a signal arrived.
+
+    """
+    existing(directory)
+    if files.read(directory) is not None:
+        console.print(Text(f"{directory}: finished already"), soft_wrap=True)
+        return False
+    link = options.link
+    with (
+        live_page(link.web, directory, console, insecure=link.insecure) as page,
+        campaign_lock(directory),
+        ExitStack() as stack,
+    ):
+        journal = Journal.open(directory)
+        stack.callback(journal.close)
+        _check_software(journal.header)
+        transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
+        page.start()
+        _conduct(directory, journal, transport, page, options=options, console=console, resumed=True)
+    return True
+
+
+def load(path: Path, **overrides: int) -> CampaignConfig:
+    """Read a campaign file.
+
+    Raises:
+        CampaignError: it cannot be read, or is not a campaign.
+
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_CAMPAIGN_FILE + 1)
+    except OSError as error:
+        raise CampaignError(f"{path}: {error.strerror}; name a campaign file, e.g. one of deploy/campaigns") from None
+    if len(data) > MAX_CAMPAIGN_FILE:
+        raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; name a campaign file")
+    return parse(data, str(path), lambda name: (path.parent / name).read_bytes(), **overrides)
+
+
+def _check_vacant(directory: Path, config: CampaignConfig) -> None:
+    if (directory / DATABASE).exists():
+        found = stored_differently(directory, config)
+        if found:
+            raise PerfboundError(
+                f"{directory}: another campaign is here than the file says: {found}. A campaign is never "
+                "changed on the way; choose another --out"
+            )
+        raise PerfboundError(
+            f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
+            "or choose another --out"
+        )
+    if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - set(_unfinished(directory))):
+        raise PerfboundError(f"{directory}: exists and is not empty; choose another --out")
+
+
+def stored_differently(directory: Path, config: CampaignConfig) -> str:
+    """Return where the campaign in `directory` differs from `config`; nothing if it does not, or cannot be read."""
+    try:
+        with read.reading(directory) as connection:
+            stored = read_header(connection, directory).config
+    except JournalError:
+        return ""
+    found = differences(stored, config)
+    more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
+    return f"{'; '.join(found[:3])}{more}, respectively" if found else ""
+
+
+def _unfinished(directory: Path) -> list[Path]:
+    """Return what is left of a database that was never finished: its orchestrator failed, or was killed."""
+    return list(directory.glob(f"{DATABASE}.partial*"))
+
+
+def _check_software(header: Header) -> None:
+    now = software(header.spec)
+    for name, then in header.software.items():
+        if now.get(name) != then:
+            raise JournalError(
+                f"this campaign was started with {name} {then}, here is {now.get(name, 'none')}; resume it with the "
+                "versions it was started with, or start a new campaign"
+            )
+
+
+@contextmanager
+def _claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
+    """Make the run directory and hold its lock; take it back if no campaign was started in it."""
+    try:
+        there = directory.is_dir()
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
+    with campaign_lock(directory):
+        _check_vacant(directory, config)  # again: another orchestrator may have been quicker
+        _remove(_unfinished(directory))
+        try:
+            yield
+        finally:
+            _remove(_unfinished(directory))
+            if not there and not any(directory.iterdir()):
+                directory.rmdir()
+
+
+def _remove(files: list[Path]) -> None:
+    for each in files:
+        each.unlink()
+
+
+def _conduct(
+    directory: Path,
+    journal: Journal,
+    transport: ZenohTransport,
+    page: LivePage,
+    *,
+    options: RunOptions,
+    console: Console,
+    resumed: bool,
+) -> None:
+    run, systemd = journal.header.run, Systemd()
+    with ExitStack() as stack:
+        fleet = None
+        if options.workers:
+            fleet = Fleet(options.workers, transport.endpoint, run, options.link.worker_options())
+            stack.callback(fleet.stop)
+            fleet.start()
+        else:
+            text = f"waiting for workers: perfbound-worker --connect {transport.endpoint}"
+            console.print(Text(text), soft_wrap=True)
+        # The numerics take seconds to load: only now, while the workers start.
+        from ..campaign.ledger import Ledger  # noqa: PLC0415
+        from .progress import SystemdStatus, listener  # noqa: PLC0415
+        from .service import Interrupted, Service  # noqa: PLC0415
+
+        ledger = Ledger(directory, journal)
+        ledger.replay()
+        damaged = ledger.check_files() if resumed else 0
+        if not ledger.done:
+            terminal = stack.enter_context(listener(console))
+            if damaged:
+                terminal.say(f"{damaged} trajectory files are missing or damaged: simulating them again")
+            for line in ledger.warnings():
+                terminal.say(line)
+            listeners = (terminal, SystemdStatus(systemd), page)
+            service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)
+            stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))
+            transport.start(run, service.inbox.put)
+            systemd.ready(f"workers connect to {transport.endpoint}")
+            stack.callback(systemd.stopping)
+            service.run()
+    _certify(directory, journal, ledger)
+
+
+def _certify(directory: Path, journal: Journal, ledger: "Ledger") -> None:
+    from ..certificate.issue import issue, manifest  # noqa: PLC0415
+
+    found = manifest((sha256, path) for _, sha256, path in journal.observed())
+    files.write(directory, issue(ledger, found), found.manifest)
+
+
+@contextmanager
+def _signals(put: Callable[[int], None]) -> Iterator[None]:
+    """Hand signals to `put`; after the first one, those that follow do not disturb the cleaning up."""
+    taken = []
+
+    def take(number: int, _frame: FrameType | None) -> None:
+        taken.append(number)
+        put(number)
+
+    before = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, signal.SIG_IGN if taken else old)
+
+
+def certificate(directory: Path) -> Certificate:
+    """Return the certificate of a finished campaign.
+
+    Raises:
+        PerfboundError: there is none, or it is damaged.
+
+    """
+    found = files.read(directory)
+    if found is None:
+        raise PerfboundError(f"{directory}: no certificate yet; `{resume_command(directory)}` continues the campaign")
+    return found

@@ -1,0 +1,145 @@
+"""What was added to a campaign database since the last look; nothing stays open between two looks."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import Connection
+
+from ...schemas.errors import JournalError
+from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
+from . import tables
+from .journal import DATABASE, READERS, read_header
+from .read import reading
+
+_SINCE: sa.BindParameter[int] = sa.bindparam("since")
+_rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.attempts.c
+_ENDED = sa.literal_column("outcomes.rowid", sa.Integer)
+_STARTED = sa.literal_column("attempts.rowid", sa.Integer)
+_DECISIONS = {
+    table: sa.select(table).where(table.c.seq > _SINCE) for table in (tables.tests, tables.observations, tables.bounds)
+}
+_COUNTS = (
+    sa.select(_rollouts.problem, sa.func.count().label("number"), sa.func.max(_rollouts.seq).label("seq"))
+    .where(_rollouts.seq > _SINCE)
+    .group_by(_rollouts.problem)
+)
+_VIOLATING = _rollouts.robustness < 0
+_VIOLATIONS = sa.select(tables.rollouts).where(_rollouts.seq > _SINCE, _VIOLATING).order_by(_rollouts.seq)
+_OUTCOMES = sa.select(tables.outcomes, _ENDED.label("rowid")).where(_ENDED > _SINCE).order_by(_ENDED)
+_HOSTS = (
+    sa.select(_attempts.worker, _attempts.host, sa.func.max(_STARTED).label("rowid"))
+    .where(_STARTED > _SINCE)
+    .group_by(_attempts.worker, _attempts.host)
+    .order_by(sa.literal_column("rowid"))
+)
+_RUN = sa.select(tables.campaign.c.run)
+_SESSIONS = sa.select(sa.func.count()).select_from(tables.sessions)
+
+Decision = ProposalFact | ObservationFact | BoundFact
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How one attempt ended: `ended` is Unix time, the others are s."""
+
+    worker: str
+    outcome: str
+    ended: float
+    cpu_seconds: float
+    wall_seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What one look found that the one before had not; `header` and `sessions` are as they are now.
+
+    `rollouts` counts by problem, `violations` are those with robustness below 0, `hosts` the last host by worker.
+    """
+
+    header: Header
+    decisions: tuple[Decision, ...]
+    rollouts: dict[str, int]
+    violations: tuple[RolloutFact, ...]
+    outcomes: tuple[Outcome, ...]
+    hosts: dict[str, str]
+    sessions: int
+
+
+class ChangeReader:
+    """Somebody who looks at a campaign again and again."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._header: Header | None = None
+        self._seq = self._ended = self._started = 0
+
+    def look(self) -> Changes:
+        """Return what was added, at one moment in time.
+
+        Raises:
+            JournalError: there is no campaign, it cannot be read, or it is another one than before.
+
+        """
+        seq = {"since": self._seq}
+        with reading(self._directory) as connection:
+            header = self._checked(connection)
+            decisions = [
+                (row.seq, _fact(table, row, self._directory))
+                for table, query in _DECISIONS.items()
+                for row in connection.execute(query, seq)
+            ]
+            counts = connection.execute(_COUNTS, seq).all()
+            violations = connection.execute(_VIOLATIONS, seq).all()
+            outcomes = connection.execute(_OUTCOMES, {"since": self._ended}).all()
+            hosts = connection.execute(_HOSTS, {"since": self._started}).all()
+            sessions = connection.execute(_SESSIONS).scalar_one()
+        decisions.sort(key=lambda pair: pair[0])
+        found = Changes(
+            header,
+            tuple(fact for _, fact in decisions),
+            {row.problem: row.number for row in counts},
+            tuple(_rollout(row, self._directory) for row in violations),
+            tuple(Outcome(row.worker, row.outcome, row.ended, row.cpu_seconds, row.wall_seconds) for row in outcomes),
+            {row.worker: row.host for row in hosts},
+            sessions,
+        )
+        self._header = header
+        self._seq = max([self._seq, *(number for number, _ in decisions), *(row.seq for row in counts)])
+        self._ended = max([self._ended, *(row.rowid for row in outcomes)])
+        self._started = max([self._started, *(row.rowid for row in hosts)])
+        return found
+
+    def _checked(self, connection: Connection) -> Header:
+        if self._header is None:
+            return read_header(connection, self._directory)
+        if connection.execute(_RUN).scalar() != self._header.run:
+            raise JournalError(f"{self._directory}: another campaign has taken the place of this one; look again")
+        return self._header
+
+
+def rollouts_of(directory: Path, problem: str, test: int) -> tuple[RolloutFact, ...]:
+    """Return the recorded rollouts of one test, by variant and replicate.
+
+    Raises:
+        JournalError: there is no campaign, or it cannot be read.
+
+    """
+    this = sa.select(tables.rollouts).where(_rollouts.problem == problem, _rollouts.test == test)
+    with reading(directory) as connection:
+        rows = connection.execute(this.order_by(_rollouts.variant, _rollouts.replicate)).all()
+    return tuple(_rollout(row, directory) for row in rows)
+
+
+def _rollout(row: Any, directory: Path) -> RolloutFact:
+    fact = _fact(tables.rollouts, row, directory)
+    assert isinstance(fact, RolloutFact)
+    return fact
+
+
+def _fact(table: sa.Table, row: Any, directory: Path) -> Any:
+    try:
+        return READERS[table](row)
+    except (ValueError, TypeError) as error:
+        raise JournalError(f"{directory / DATABASE}: table {table.name}: a row cannot be read ({error})") from None

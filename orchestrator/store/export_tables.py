@@ -1,0 +1,209 @@
+"""The facts of a campaign as rows with named columns and units, for people who go on with pandas or a spreadsheet.
+
+| table             | a row is                                                                       |
+|-------------------|--------------------------------------------------------------------------------|
+| `tests`           | a proposed test: what was expected there, its observation, the bounds after it |
+| `rollouts`        | a recorded rollout, its file, and the attempt that brought it                  |
+| `observations`    | what one replicate contributed to an observed test                             |
+| `counterexamples` | a rollout with robustness below 0                                              |
+
+Rows stand in the order of the facts. Numbers are in the unit of their objective: for sense min they are robustness,
+where the database holds J = -robustness. So `lower` is a bound from below and `upper` one from above, in both senses.
+"""
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import sqlalchemy as sa
+from sqlalchemy import Connection
+
+from ...schemas.campaign import SENSES, CampaignConfig, Problem
+from ...schemas.facts import RECORDED, Header
+from ...schemas.system import SystemSpec
+from . import tables
+
+TABLES = ("tests", "rollouts", "observations", "counterexamples")
+BATCH = 1000
+"""Rows that are fetched at a time."""
+
+Kind = Literal["text", "integer", "number"]
+Value = str | int | float | None
+Row = tuple[Value, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column; `unit` is empty where there is none, or where it differs from row to row."""
+
+    name: str
+    kind: Kind = "number"
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One table: its columns, and how they follow from the database."""
+
+    name: str
+    columns: tuple[Column, ...]
+    query: sa.Select[Any]
+    expand: Callable[[Any], Iterator[Row]]
+    """Makes one or several rows of a row of the database."""
+
+    def rows(self, connection: Connection) -> Iterator[Row]:
+        """Yield all rows, a batch of them in memory."""
+        for row in connection.execute(self.query, execution_options={"yield_per": BATCH}):
+            yield from self.expand(row)
+
+
+def table(name: str, header: Header) -> Table:
+    """Return one of `TABLES` of a campaign.
+
+    Raises:
+        KeyError: there is no such table.
+
+    """
+    match name:
+        case "tests":
+            return _tests(header)
+        case "rollouts":
+            return _rollouts(name, header, _ROLLOUTS)
+        case "observations":
+            return _observations(header)
+        case "counterexamples":
+            return _rollouts(name, header, _ROLLOUTS.where(_r.robustness < 0))
+    raise KeyError(name)
+
+
+def robustness_unit(config: CampaignConfig, spec: SystemSpec) -> str:
+    """Return the unit of the predicates; nothing if their columns have several, or are multiplied."""
+    text = config.specification or ""
+    words = set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", text))
+    units = {column.unit for column in spec.columns if column.name in words}
+    return units.pop() if len(units) == 1 and not re.search(r"[*/^]", text) else ""
+
+
+def unit(problem: Problem, config: CampaignConfig, spec: SystemSpec) -> str:
+    """Return the unit of a problem's objective, or nothing if it is not known."""
+    gap = config.gap_of(problem) if problem.name == "sim_gap" else None
+    column = gap.column if gap else problem.column
+    units = {each.name: each.unit for each in spec.columns}
+    return units.get(column, "") if column else robustness_unit(config, spec)
+
+
+# tests
+
+_t, _o, _b, _r = tables.tests.c, tables.observations.c, tables.bounds.c, tables.rollouts.c
+_TESTS = (
+    sa.select(tables.tests, _o.y, _b.upper, _b.lower, _b.stopped_by)
+    .outerjoin(tables.observations, (_o.problem == _t.problem) & (_o.test == _t.test))
+    .outerjoin(tables.bounds, (_b.problem == _t.problem) & (_b.test == _t.test))
+    .order_by(_t.seq)
+)
+_TEST = (Column("problem", "text"), Column("test", "integer"))
+_OBJECTIVE = (Column("sense", "text"), Column("unit", "text"), Column("observation"))
+_EXPECTED = (Column("mu"), Column("sigma"), Column("beta"), Column("F"))
+_BOUNDS = (Column("lower"), Column("upper"), Column("stopped_by", "text"))
+
+
+def _tests(header: Header) -> Table:
+    objectives = _objectives(header)
+
+    def expand(row: Any) -> Iterator[Row]:
+        sense, unit = objectives[row.problem]
+        y, mu, lower, upper = row.y, row.mu, row.lower, row.upper
+        if sense == "min":
+            y, mu, lower, upper = (_minus(value) for value in (y, mu, upper, lower))
+        objective, expected = (sense, unit, y), (mu, row.sigma, row.beta, row.F)
+        which = (row.problem, row.test, row.node, *json.loads(row.x))
+        yield *which, *objective, *expected, lower, upper, row.stopped_by
+
+    columns = (*_TEST, Column("node", "integer"), *_starts(header), *_OBJECTIVE, *_EXPECTED, *_BOUNDS)
+    return Table("tests", columns, _TESTS, expand)
+
+
+# rollouts, counterexamples
+
+_outcome, _tried = tables.outcomes.c, tables.attempts.c
+_ID = _r.problem + "." + sa.cast(_r.test, sa.Text) + "." + _r.variant + "." + sa.cast(_r.replicate, sa.Text)
+_ATTEMPTS = sa.select(sa.func.count()).where(_tried.rollout == _ID).correlate(tables.rollouts).scalar_subquery()
+_ROLLOUTS = (
+    sa.select(
+        *(_ID.label("id"), tables.rollouts, _t.x),
+        *(_outcome.worker, _ATTEMPTS.label("attempts"), _outcome.wall_seconds, _outcome.cpu_seconds),
+    )
+    .join(tables.tests, (_t.problem == _r.problem) & (_t.test == _r.test))
+    .outerjoin(tables.outcomes, (_outcome.rollout == _ID) & (_outcome.outcome == RECORDED))
+    .order_by(_r.seq)
+)
+_ROLLOUT = (
+    Column("rollout", "text"),
+    *_TEST,
+    Column("variant", "text"),
+    Column("replicate", "integer"),
+    Column("seed", "integer"),
+)
+_FILE = (Column("path", "text"), Column("size", "integer", "B"), Column("sha256", "text"))
+_ATTEMPT = (Column("worker", "text"), Column("attempts", "integer"), Column("wall", unit="s"), Column("cpu", unit="s"))
+
+
+def _rollouts(name: str, header: Header, query: sa.Select[Any]) -> Table:
+    robustness = Column("robustness", unit=robustness_unit(header.config, header.spec))
+    return Table(name, (*_ROLLOUT, *_starts(header), robustness, *_FILE, *_ATTEMPT), query, _rollout)
+
+
+def _rollout(row: Any) -> Iterator[Row]:
+    which = (row.id, row.problem, row.test, row.variant, row.replicate, row.seed)
+    attempt = (row.worker, row.attempts, row.wall_seconds, row.cpu_seconds)
+    yield *which, *json.loads(row.x), row.robustness, row.path, row.size, row.sha256, *attempt
+
+
+# observations
+
+_OBSERVATIONS = sa.select(tables.observations).order_by(_o.seq)
+_REPLICATE = (Column("replicate", "integer"), Column("contribution"), Column("chain", "text"))
+
+
+def _observations(header: Header) -> Table:
+    objectives = _objectives(header)
+    robust = {each.name for each in header.config.problems if _contributes_robustness(each)}
+
+    def expand(row: Any) -> Iterator[Row]:
+        sense, unit = objectives[row.problem]
+        y = _minus(row.y) if sense == "min" else row.y
+        turned = sense == "min" and row.problem not in robust
+        for replicate, value in enumerate(json.loads(row.each)):
+            part = _minus(value) if turned else value
+            yield row.problem, row.test, sense, unit, y, replicate, part, row.chain
+
+    return Table("observations", (*_TEST, *_OBJECTIVE, *_REPLICATE), _OBSERVATIONS, expand)
+
+
+def _contributes_robustness(problem: Problem) -> bool:
+    """Whether `each` of an observation holds robustness and not J: `perfbound.schemas.values.Observation`."""
+    return problem.name == "true_risk" and problem.method != "rigorous"
+
+
+def _objectives(header: Header) -> dict[str, tuple[str, str]]:
+    """Return sense and unit of every problem's objective."""
+    return {
+        problem.name: (SENSES[problem.name], unit(problem, header.config, header.spec))
+        for problem in header.config.problems
+    }
+
+
+def _starts(header: Header) -> tuple[Column, ...]:
+    """Return the parameters; one that is called like a column of ours gets a name that is free."""
+    names = ((each.name, each.unit) for each in header.spec.parameters)
+    return tuple(Column(f"start_{name}" if name in _TAKEN else name, unit=unit) for name, unit in names)
+
+
+_OURS = (*_ROLLOUT, *_FILE, *_ATTEMPT, *_OBJECTIVE, *_EXPECTED, *_BOUNDS, *_REPLICATE)
+_TAKEN = {"node", "robustness", *(column.name for column in _OURS)}
+
+
+def _minus(value: float | None) -> float | None:
+    return None if value is None else 0.0 - value  # and not -value: nobody wants to read -0.0

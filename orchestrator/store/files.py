@@ -1,0 +1,168 @@
+"""Trajectory files: written whole or not at all, and checked against their digest before anything reads them."""
+
+import hashlib
+import os
+import stat
+from collections.abc import Iterable, Set
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from pathlib import Path
+
+from ...schemas.errors import EvidenceError
+from ...schemas.ids import RolloutId
+from ...schemas.trajectory import MAX_FILE_BYTES
+
+FOLDER = "trajectories"
+TEMPORARY = ".partial"
+NEWEST = 256
+"""Files whose digests a resume compares."""
+SYNCING = 8
+"""Files that wait for the disk at a time."""
+
+
+def relative_path(rollout: RolloutId) -> str:
+    """Return where a rollout's file stands in the run directory, a thousand tests a folder."""
+    return f"{FOLDER}/{rollout.problem}/{rollout.test // 1000}/{rollout}.mcap"
+
+
+class Batch:
+    """Files that become durable together: written inside a `with` block, in place at its end, or not at all.
+
+    Waiting for the disk is what a record costs: a file begins to once it is written, while the next one is looked at.
+    """
+
+    def __init__(self) -> None:
+        self._written: dict[Path, None] = {}
+        self._syncing: list[Future[None]] = []
+        self._pool = ThreadPoolExecutor(SYNCING, thread_name_prefix="fsync")
+
+    def write(self, path: Path, data: bytes) -> None:
+        """Write a file beside its place; on an error nothing is left of it.
+
+        Raises:
+            OSError: the disk is full or the folder cannot be written.
+
+        """
+        _make_folder(path.parent)
+        self._written[path] = None
+        _temporary(path).write_bytes(data)
+        self._syncing.append(self._pool.submit(_sync, _temporary(path)))
+
+    def __enter__(self) -> None:
+        """Begin with nothing."""
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Make everything durable and move it into place; after an error remove it.
+
+        Raises:
+            OSError: the disk is full. What was moved already stays: a file without its fact is written again or swept.
+
+        """
+        try:
+            if kind is None:
+                self._settle(list(self._written))
+        finally:
+            wait(self._syncing)
+            for path in self._written:
+                _temporary(path).unlink(missing_ok=True)
+            self._written.clear()
+            self._syncing.clear()
+
+    def _settle(self, paths: list[Path]) -> None:
+        for each in self._syncing:
+            each.result()
+        for path in paths:
+            _temporary(path).replace(path)
+        list(self._pool.map(_sync, {path.parent for path in paths}))
+
+
+def write(path: Path, data: bytes) -> None:
+    """Write one file durably: temporary file, fsync, rename, fsync of the folder.
+
+    Raises:
+        OSError: the disk is full or the folder cannot be written; no half-written file is left.
+
+    """
+    batch = Batch()
+    with batch:
+        batch.write(path, data)
+
+
+def _make_folder(folder: Path) -> None:
+    """Make a folder and its parents so that they, too, outlive a power cut."""
+    if not folder.is_dir():
+        _make_folder(folder.parent)
+        folder.mkdir(exist_ok=True)
+        _sync(folder.parent)
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(path.name + TEMPORARY)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file or folder is on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def read(directory: Path, relative: str, sha256: str) -> bytes:
+    """Return the bytes of a recorded file.
+
+    Raises:
+        EvidenceError: it is missing, unreadable, or not the file that was recorded.
+
+    """
+    data = contents(directory / relative, MAX_FILE_BYTES)
+    found = hashlib.sha256(data).hexdigest()
+    if found != sha256:
+        raise EvidenceError(
+            f"{directory / relative}: sha256 {found[:12]}... is not the recorded {sha256[:12]}...; "
+            "restore it from a copy"
+        )
+    return data
+
+
+def contents(path: Path, most: int) -> bytes:
+    """Return the bytes of a file that may be anything: a pipe is not waited for, and no more than `most` is read.
+
+    Raises:
+        EvidenceError: it is missing, unreadable, too large, or no file.
+
+    """
+    try:
+        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
+            regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
+            data = file.read(most + 1) if regular else b""
+    except OSError as error:
+        raise EvidenceError(f"{path}: {error.strerror}; restore it from a copy") from None
+    if not regular or len(data) > most:
+        raise EvidenceError(f"{path}: not a file of at most {most} bytes; restore it from a copy")
+    return data
+
+
+def damaged(directory: Path, newest_first: Iterable[tuple[str, int, str]]) -> list[str]:
+    """Return those of the recorded files (path, size, sha256) that are missing or not what was recorded.
+
+    Sizes are compared for all, digests for the newest: what a power cut spoils is what was written last.
+    """
+    found = []
+    for number, (path, size, sha256) in enumerate(newest_first):
+        file = directory / path
+        good = file.is_file() and file.stat().st_size == size
+        if good and number < NEWEST:
+            good = hashlib.sha256(file.read_bytes()).hexdigest() == sha256
+        if not good:
+            found.append(path)
+    return found
+
+
+def sweep(directory: Path, recorded: Set[str]) -> None:
+    """Remove what a crash left: half-written files, and trajectories that no fact in `recorded` (paths) knows."""
+    for leftover in directory.rglob(f"*{TEMPORARY}"):
+        leftover.unlink(missing_ok=True)
+    for file in (directory / FOLDER).rglob("*.mcap"):
+        if str(file.relative_to(directory)) not in recorded:
+            file.unlink()

@@ -1,0 +1,72 @@
+"""What a campaign database holds, table by table, for somebody who does not trust it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import sqlalchemy as sa
+
+from ...schemas.errors import JournalError
+from ...schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from . import tables
+from .journal import DATABASE, READERS, read_header
+from .read import reading
+
+
+@dataclass(frozen=True, slots=True)
+class UntrustedFacts:
+    """The facts of a database; a table that is gone or empty is an empty tuple."""
+
+    header: Header
+    proposals: tuple[ProposalFact, ...]
+    rollouts: tuple[RolloutFact, ...]
+    observations: tuple[ObservationFact, ...]
+    bounds: tuple[BoundFact, ...]
+
+
+def read_untrusted(directory: Path) -> UntrustedFacts:
+    """Read what is there, and nothing into it.
+
+    Raises:
+        JournalError: there is no database, or its header or a row cannot be read.
+
+    """
+    with reading(directory) as connection:
+        there = _shape(connection, directory)
+        header = read_header(connection, directory)
+        return UntrustedFacts(header, *(_rows(connection, directory, table, there) for table in READERS))  # type: ignore[arg-type]
+
+
+def read_untrusted_header(directory: Path) -> Header:
+    """Return the first fact.
+
+    Raises:
+        JournalError: there is no database, or its header cannot be read.
+
+    """
+    with reading(directory) as connection:
+        _shape(connection, directory)
+        return read_header(connection, directory)
+
+
+def _shape(connection: sa.Connection, directory: Path) -> set[str]:
+    """Return the tables that are there, if they are ours and hold nothing but rows: a view may compute for ever."""
+    master = connection.exec_driver_sql("SELECT name, type FROM sqlite_master WHERE type IN ('table', 'view')").all()
+    for name, kind in master:
+        table = tables.metadata.tables.get(name)
+        if kind != "table" or (table is None and not name.startswith("sqlite_")):
+            raise JournalError(f"{directory / DATABASE}: the {kind} {str(name)[:80]} is not perfbound's")
+        if table is not None:
+            quoted = name.replace('"', '""')
+            columns = connection.exec_driver_sql(f'PRAGMA table_xinfo("{quoted}")').all()
+            if [row.name for row in columns] != list(table.c.keys()) or any(row.hidden for row in columns):
+                raise JournalError(f"{directory / DATABASE}: the table {name} has other columns than perfbound's")
+    return {name for name, _ in master}
+
+
+def _rows(connection: sa.Connection, directory: Path, table: sa.Table, there: set[str]) -> tuple[Fact, ...]:
+    if table.name not in there:
+        return ()
+    try:
+        return tuple(READERS[table](row) for row in connection.execute(sa.select(table).order_by(table.c.seq)))
+    except (ValueError, TypeError, RecursionError, OverflowError) as error:
+        raise JournalError(f"{directory / DATABASE}: table {table.name}: a row cannot be read ({error})") from None

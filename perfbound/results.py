@@ -1,0 +1,30 @@
+"""The public API for results: a trajectory and a certificate as values."""
+
+from pathlib import Path
+
+from .schemas.certificate import Certificate
+from .schemas.trajectory import Trajectory, decode
+
+__all__ = ["Certificate", "Trajectory", "read_certificate", "read_trajectory"]
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Return the trajectory of one rollout from its MCAP file; units are those of the system's columns.
+
+    Raises:
+        TrajectoryError: the file is not one whole trajectory.
+        OSError: it cannot be read.
+
+    """
+    return decode(Path(path).read_bytes())
+
+
+def read_certificate(path: str | Path) -> Certificate:
+    """Return the certificate in a file `certificate.json`; it is not verified, which `perfbound verify` does.
+
+    Raises:
+        ValueError: the file holds no certificate.
+        OSError: it cannot be read.
+
+    """
+    return Certificate.model_validate_json(Path(path).read_bytes())

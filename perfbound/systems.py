@@ -1,0 +1,23 @@
+"""The public API for systems under test: everything that a simulator of one's own imports."""
+
+from .schemas.errors import SimulationError
+from .schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from .schemas.trajectory import Trajectory, Transform, Visual
+from .workers.systems.base import Cancelled, Progress, SystemUnderTest, checked_options
+
+__all__ = [
+    "Cancelled",
+    "Column",
+    "Option",
+    "OptionValue",
+    "Parameter",
+    "Progress",
+    "SimulationError",
+    "SystemSpec",
+    "SystemUnderTest",
+    "Trajectory",
+    "Transform",
+    "Variant",
+    "Visual",
+    "checked_options",
+]

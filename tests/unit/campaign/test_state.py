@@ -1,0 +1,304 @@
+"""The campaign core: its table, and the one order of proposals and observations whatever arrives when."""
+
+import random
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perfbound.orchestrator.campaign import state as campaign
+from perfbound.orchestrator.campaign.state import (
+    LEGAL,
+    Action,
+    Certify,
+    Event,
+    Observe,
+    Observed,
+    OpenTest,
+    Phase,
+    Plan,
+    ProblemState,
+    Propose,
+    Proposed,
+    Recorded,
+    Simulate,
+    State,
+    Withdraw,
+    check,
+    initial,
+    outstanding,
+    step,
+)
+from perfbound.schemas.errors import IllegalEvent
+from perfbound.schemas.ids import RolloutId
+
+PAIR = (("nominal", 0), ("true", 0))
+
+
+def a_plan(problem: str = "p", window: int = 1, max_tests: int = 9) -> Plan:
+    return Plan(problem, window, max_tests, PAIR)
+
+
+def rollout(test: int, variant: str = "nominal", replicate: int = 0, problem: str = "p") -> RolloutId:
+    return RolloutId(problem, test, variant, replicate)
+
+
+def replay(plans: tuple[Plan, ...], events: list[Event]) -> State:
+    state = initial(plans)
+    for event in events:
+        state, _ = step(state, event)
+        check(state)
+    return state
+
+
+# The table
+
+HISTORY: dict[Phase, list[Event]] = {
+    "absent": [],
+    "running": [Proposed("p", 0)],
+    "complete": [Proposed("p", 0), Recorded(rollout(0)), Recorded(rollout(0, "true"))],
+    "closed": [Proposed("p", 0), Recorded(rollout(0)), Recorded(rollout(0, "true")), Observed("p", 0)],
+}
+EVENTS: dict[str, Event] = {
+    "Proposed": Proposed("p", 0),
+    "Recorded": Recorded(rollout(0)),
+    "Observed": Observed("p", 0),
+}
+
+
+def printed_table() -> dict[tuple[str, str], str]:
+    """The table at the head of the module."""
+    assert campaign.__doc__ is not None
+    lines = [line.split("  ") for line in campaign.__doc__.splitlines() if line.startswith("    ")]
+    rows = [[cell.strip() for cell in line if cell.strip()] for line in lines]
+    return {(row[0], name): cell for row in rows[1:] for name, cell in zip(rows[0][1:], row[1:], strict=True)}
+
+
+def test_the_printed_table_is_the_law() -> None:
+    printed = printed_table()
+    assert {key for key, cell in printed.items() if cell != "-"} == set(LEGAL)
+    for key, phases in LEGAL.items():
+        assert printed[key] in (", or ".join(phases), "(ignored)")
+    assert {key for key, cell in printed.items() if cell == "(ignored)"} == {
+        ("complete", "Recorded"),
+        ("closed", "Recorded"),
+    }
+
+
+@pytest.mark.parametrize("phase", HISTORY)
+@pytest.mark.parametrize("name", EVENTS)
+def test_every_cell_of_the_table(phase: Phase, name: str) -> None:
+    state = replay((a_plan(),), HISTORY[phase])
+    assert state.problems[0].phase(0) == phase
+    if (phase, name) in LEGAL:
+        after, actions = step(state, EVENTS[name])
+        check(after)
+        assert after.problems[0].phase(0) in LEGAL[phase, name]
+        if printed_table()[phase, name] == "(ignored)":
+            assert (after, actions) == (state, ())
+    else:
+        with pytest.raises(IllegalEvent, match=rf"not allowed: test 0 of p is {phase}"):
+            step(state, EVENTS[name])
+        assert state == replay((a_plan(),), HISTORY[phase])
+
+
+@pytest.mark.parametrize("name", EVENTS)
+def test_a_stopped_problem_proposes_and_observes_nothing_more(name: str) -> None:
+    history = [*HISTORY["complete"], Proposed("p", 1), Observed("p", 0, "converged")]
+    state = replay((a_plan(window=2),), history)
+    assert state.done
+    assert state.problems[0].phase(1) == "closed"
+    if name == "Recorded":
+        assert step(state, Recorded(rollout(1))) == (state, ())
+        return
+    for test in range(3):
+        event = Proposed("p", test) if name == "Proposed" else Observed("p", test)
+        with pytest.raises(IllegalEvent):
+            step(state, event)
+
+
+@pytest.mark.parametrize(
+    ("window", "history", "event", "reason"),
+    [
+        (3, [Proposed("p", 0)], Proposed("p", 2), "1 proposed"),
+        (1, [Proposed("p", 0)], Proposed("p", 1), "0 tests observed"),
+        (
+            2,
+            [Proposed("p", 0), Proposed("p", 1), Recorded(rollout(1)), Recorded(rollout(1, "true"))],
+            Observed("p", 1),
+            "test 0 is to be observed",
+        ),
+        (2, HISTORY["complete"], Observed("p", 0), "a proposal is due"),
+        (1, HISTORY["running"], Recorded(rollout(0, "true", 1)), "no such rollout"),
+        (1, [], Proposed("q", 0), "no problem 'q'"),
+    ],
+)
+def test_the_rules_beyond_the_table(window: int, history: list[Event], event: Event, reason: str) -> None:
+    state = replay((a_plan(window=window),), history)
+    with pytest.raises(IllegalEvent, match=reason):
+        step(state, event)
+    assert state == replay((a_plan(window=window),), history)
+
+
+def test_the_budget_ends_a_problem() -> None:
+    state = replay((a_plan(max_tests=1),), HISTORY["complete"])
+    state, actions = step(state, Observed("p", 0))
+    assert (state.problems[0].stopped_by, actions) == ("budget", (Certify(),))
+    with pytest.raises(IllegalEvent):
+        step(state, Proposed("p", 1))
+
+
+def test_what_still_runs_at_the_stop_is_withdrawn() -> None:
+    history = [*HISTORY["complete"], Proposed("p", 1), Proposed("p", 2), Recorded(rollout(1))]
+    state, actions = step(replay((a_plan(window=3),), history), Observed("p", 0, "converged"))
+    check(state)
+    assert actions == (Withdraw((rollout(1, "true"), rollout(2), rollout(2, "true"))), Certify())
+
+
+def test_check_finds_a_broken_state() -> None:
+    good = ProblemState(a_plan(window=2, max_tests=2), 0, (OpenTest(0, frozenset()), OpenTest(1, frozenset())))
+    check(State((good,)))
+    for broken in (
+        replace(good, observed=1),
+        replace(good, plan=a_plan(window=1)),
+        replace(good, plan=a_plan(window=2, max_tests=1)),
+        replace(good, open=(OpenTest(0, frozenset({rollout(1)})),)),
+    ):
+        with pytest.raises(AssertionError):
+            check(State((broken,)))
+
+
+def test_a_rollout_has_one_text_form() -> None:
+    assert RolloutId.parse(str(rollout(12, "true", 3))) == rollout(12, "true", 3)
+
+
+# Any order of arrival
+
+
+@dataclass(frozen=True)
+class Course:
+    """A problem, and the test whose observation satisfies the stop rule (None: the budget ends it)."""
+
+    plan: Plan
+    stop: int | None
+
+    def expected(self) -> list[tuple[str, int, int]]:
+        """(what, test, observations known at that moment), by the definition of the window."""
+        last = self.plan.max_tests - 1 if self.stop is None else min(self.stop, self.plan.max_tests - 1)
+        order = [("propose", test, 0) for test in range(min(self.plan.window, self.plan.max_tests))]
+        for test in range(last + 1):
+            order.append(("observe", test, test))
+            if test < last and test + self.plan.window < self.plan.max_tests:
+                order.append(("propose", test + self.plan.window, test + 1))
+        return order
+
+
+@dataclass
+class Driver:
+    """What the ledger and the workers do, in an order that luck decides."""
+
+    courses: dict[str, Course]
+    luck: random.Random
+    events: list[Event] = field(default_factory=list)
+    order: dict[str, list[tuple[str, int, int]]] = field(default_factory=dict)
+    wanted: set[RolloutId] = field(default_factory=set)
+    asked: set[RolloutId] = field(default_factory=set)
+    recorded: set[RolloutId] = field(default_factory=set)
+    certified: int = 0
+
+    def run(self) -> None:
+        plans = tuple(course.plan for course in self.courses.values())
+        state, pending = initial(plans), deque(outstanding(initial(plans)))
+        while not state.done:
+            if self.luck.random() < 0.1:
+                assert replay(plans, self.events) == state
+                self.wanted.clear()
+                pending = deque(self._due(outstanding(state)))
+            state = self._one_step(state, pending)
+        while pending:
+            assert self._act(pending.popleft()) is None
+        assert outstanding(state) == (Certify(),)
+        for late in [*self.asked]:
+            assert step(state, Recorded(late)) == (state, ())
+
+    def _one_step(self, state: State, pending: deque[Action]) -> State:
+        event = self._act(pending.popleft()) if pending and self.luck.random() < 0.7 else self._arrival()
+        if event is None:
+            return state
+        if isinstance(event, Recorded) and event.rollout in self.recorded:
+            assert step(state, event) == (state, ()), "a duplicate changes nothing"
+            return state
+        if isinstance(event, Recorded):
+            self.recorded.add(event.rollout)
+        self.events.append(event)
+        state, actions = step(state, event)
+        check(state)
+        pending.extend(self._due(actions))
+        return state
+
+    def _due(self, actions: tuple[Action, ...]) -> tuple[Action, ...]:
+        for action in actions:
+            if isinstance(action, Simulate):
+                assert not set(action.rollouts) & self.wanted, "asked for once"
+                assert not set(action.rollouts) & self.recorded, "nothing is asked for that is there already"
+        return actions
+
+    def _arrival(self) -> Event | None:
+        candidates = sorted(self.asked if self.luck.random() < 0.2 else self.wanted)
+        if not candidates:
+            return None
+        arrived = self.luck.choice(candidates)
+        self.wanted.discard(arrived)
+        return Recorded(arrived)
+
+    def _act(self, action: Action) -> Event | None:
+        match action:
+            case Propose(problem, test):
+                self._note("propose", problem, test)
+                return Proposed(problem, test)
+            case Observe(problem, test):
+                self._note("observe", problem, test)
+                return Observed(problem, test, "converged" if test == self.courses[problem].stop else None)
+            case Simulate(rollouts):
+                self.wanted |= set(rollouts) - self.recorded
+                self.asked |= set(rollouts)
+            case Withdraw(rollouts):
+                assert set(rollouts) & self.asked
+                self.wanted -= set(rollouts)
+            case Certify():
+                self.certified += 1
+        return None
+
+    def _note(self, what: str, problem: str, test: int) -> None:
+        known = sum(isinstance(event, Observed) and event.problem == problem for event in self.events)
+        self.order.setdefault(problem, []).append((what, test, known))
+
+
+@st.composite
+def courses(draw: st.DrawFn) -> dict[str, Course]:
+    found = {}
+    for name in ("a", "b")[: draw(st.integers(1, 2))]:
+        budget = draw(st.integers(1, 10))
+        rollouts = draw(st.sampled_from([(("true", 0),), PAIR, (*PAIR, ("true", 1))]))
+        stop = draw(st.none() | st.integers(0, budget - 1))
+        found[name] = Course(Plan(name, draw(st.integers(1, 8)), budget, rollouts), stop)
+    return found
+
+
+@settings(max_examples=300, deadline=None)
+@given(courses(), st.integers(0, 2**32))
+def test_proposals_and_observations_have_one_order(found: dict[str, Course], seed: int) -> None:
+    driver = Driver(found, random.Random(seed))
+    driver.run()
+    for name, course in found.items():
+        assert driver.order[name] == course.expected()
+    assert driver.certified <= 1
+
+
+def test_the_window_decides_what_a_proposal_sees() -> None:
+    course = Course(a_plan(window=3, max_tests=5), stop=3)
+    proposals = [(test, known) for what, test, known in course.expected() if what == "propose"]
+    assert proposals == [(0, 0), (1, 0), (2, 0), (3, 1), (4, 2)]
+    assert course.expected()[-1] == ("observe", 3, 3)

@@ -1,0 +1,154 @@
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from perfbound.orchestrator.certificate import text as summary
+from perfbound.orchestrator.certificate.text import outward
+from perfbound.orchestrator.run.progress import Plain
+from perfbound.schemas.certificate import (
+    Assumption,
+    CampaignId,
+    Certificate,
+    Claim,
+    Composition,
+    Evidence,
+    Predicate,
+    ProblemResult,
+    Rollouts,
+)
+
+
+def a_certificate(*assumptions: Assumption) -> Certificate:
+    problem = ProblemResult(
+        name="maximum",
+        objective="max over d of E[column]",
+        method="paper",
+        sense="max",
+        bound=0.50001,
+        partner=None,
+        probability=0.92435,
+        probabilities={"gaussian": 0.92435},
+        tests=3,
+        rollouts=Rollouts(nominal=0, true=3),
+        stopped_by="budget",
+        parameters={"alpha": 0.05},
+        last_F=0.1,
+    )
+    claim = Claim(
+        quantity="J_star",
+        sense="<=",
+        bound=0.50001,
+        probability=0.92435,
+        rule="single",
+        method="paper",
+        assumptions=tuple(each.id for each in assumptions),
+        refuted=tuple(each.id for each in assumptions if each.status == "refuted"),
+    )
+    predicate = Predicate(
+        question={},
+        campaign=CampaignId(name="c", seed=1, config_sha256="0"),
+        claims=(claim,),
+        problems=(problem,),
+        composition=None,
+        assumptions=assumptions,
+        evidence=Evidence(manifest_sha256="0", chain_head="0", rollouts=3),
+        software={},
+    )
+    return Certificate(subject=(), predicate=predicate)
+
+
+def printed(certificate: Certificate, width: int = 100) -> list[str]:
+    console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
+    summary.show(certificate, console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue().splitlines()
+
+
+def test_text_in_brackets_is_printed_as_it_is() -> None:
+    lines = printed(a_certificate(Assumption(id="clip/maximum", status="derived", detail="in [bold] :warning: [/]")))
+    assert "    max over d of E[column] <= 0.5001, probability 0.9243" in lines
+    assert "    clip                derived     in [bold] :warning: [/]" in lines
+
+
+def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a [red] :x: b").mkdir()
+    (tmp_path / "a [red] :x: b" / "certificate.json").touch()
+    console = Console(file=io.StringIO(), width=40)
+    summary.written(Path("a [red] :x: b"), console)
+    Plain(console).say("worker [bold]x[/] :x: ended")
+    assert isinstance(console.file, io.StringIO)
+    text = console.file.getvalue()
+    assert "  certificate  a [red] :x: b/certificate.json\n" in text
+    assert "perfbound verify 'a [red] :x: b'" in text
+    assert "signed" not in text, "nobody did"
+    assert "worker [bold]x[/] :x: ended\n" in text
+
+
+def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
+    lines = printed(
+        a_certificate(
+            Assumption(id="tail/maximum", status="assumed", detail="Gaussian."),
+            Assumption(id="rkhs_norm/maximum", status="refuted", detail="B is wrong."),
+            Assumption(id="workers_honest", status="assumed", detail="believed."),
+        )
+    )
+    order = [
+        "REFUTED, by this campaign's own data or by derivation: 1 assumption",
+        "    rkhs_norm           refuted     B is wrong.",
+        "CLAIM  J* (maximum of the expectation) <= 0.5001",
+        "       It rests on 1 assumption REFUTED: do not rely on it.",
+        "    NOT converged: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
+        "Assumptions that the data do not refute",
+        "    tail                assumed     Gaussian.",
+        "  whole campaign",
+        "    workers_honest      assumed     believed.",
+    ]
+    assert [line for line in lines if line in order] == order
+
+
+def test_a_claim_without_a_refuted_assumption_is_not_marked() -> None:
+    text = "\n".join(printed(a_certificate(Assumption(id="tail/maximum", status="assumed", detail="Gaussian."))))
+    assert "REFUTED" not in text
+
+
+@pytest.mark.parametrize("width", [80, 100, 200])
+def test_long_details_hang_below_each_other(width: int) -> None:
+    lines = printed(a_certificate(Assumption(id="tail/maximum", status="assumed", detail="word " * 60)), width)
+    body = [line for line in lines if "word" in line]
+    assert len(body) > 3
+    assert {len(line) - len(line.lstrip()) for line in body[1:]} == {body[0].index("word")}
+    assert max(map(len, body)) <= min(width, 100)
+
+
+@pytest.mark.parametrize(
+    ("bound", "sense", "text"),
+    [
+        (-0.00672, ">=", "-0.0068"),
+        (0.85437, ">=", "0.8543"),
+        (0.42291, "<=", "0.4230"),
+        (0.3, ">=", "0.3000"),
+        (0.3, "<=", "0.3000"),
+        (-0.1 - 0.2, ">=", "-0.3000"),
+    ],
+)
+def test_what_is_printed_promises_no_more_than_the_certificate(bound: float, sense: str, text: str) -> None:
+    assert outward(bound, sense) == text
+
+
+def test_the_terms_of_a_composed_claim_are_shown() -> None:
+    certificate = a_certificate(Assumption(id="independence", status="derived", detail="apart."))
+    claim = certificate.predicate.claims[0].model_copy(
+        update={"quantity": "rho_star", "sense": ">=", "rule": "product"}
+    )
+    composition = Composition(
+        rule="product", nominal_bound=0.45, gap_bound=0.3, lipschitz=1.0, gap_term=0.3, risk_term=0.08, bound=0.07
+    )
+    predicate = certificate.predicate.model_copy(update={"claims": (claim,), "composition": composition})
+    lines = printed(certificate.model_copy(update={"predicate": predicate}))
+    assert "       = 0.4500 (nominal) - 0.3000 (gap) - 0.0800 (risk)" in lines
+    assert "       with probability at least 0.9243 (method paper, product rule, 1 assumption)" in lines

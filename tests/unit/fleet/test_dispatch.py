@@ -1,0 +1,653 @@
+"""The dispatch core: its table, its rules one by one, and a simulated world that loses, delays and repeats all."""
+
+import heapq
+import itertools
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perfbound.orchestrator.fleet import dispatch
+from perfbound.orchestrator.fleet.dispatch import KNOWN, LEGAL, SIDE_EFFECTS, Limits, State, check, initial
+from perfbound.orchestrator.fleet.events import (
+    Acknowledge,
+    Action,
+    Cancel,
+    Delivered,
+    Event,
+    Fail,
+    GiveUp,
+    HandOut,
+    Poison,
+    Record,
+    Reported,
+    Resend,
+    Start,
+    Tick,
+    Unwanted,
+    Wanted,
+    WorkerDown,
+    WorkerUp,
+)
+from perfbound.schemas.ids import Attempt, RolloutId
+
+LIMITS = Limits(resend_after=1.5, lost_after=3.0, hung_after=10.0, deadline=60.0, max_attempts=3)
+R = [RolloutId("p", test, "true", 0) for test in range(6)]
+
+
+def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
+    """A turn of the service with one message."""
+    before = state
+    state, actions = dispatch.step(state, event)
+    check(state)
+    keeps_the_table(before, event, state)
+    before = state
+    state, starts = dispatch.step(state, HandOut(event.at))
+    check(state)
+    assert all(isinstance(start, Start) and before.workers[start.worker].phase == "idle" for start in starts)
+    return state, (*actions, *starts)
+
+
+def after(*events: Event, limits: Limits = LIMITS, hold_until: float = 0.0) -> tuple[State, list[Action]]:
+    """The state after some events, and the actions of the last one."""
+    state, actions = initial(limits, hold_until), tuple[Action, ...]()
+    for event in events:
+        state, actions = step(state, event)
+    return state, list(actions)
+
+
+def want(*rollouts: RolloutId, at: float = 0.0, attempts: int = 0) -> Wanted:
+    return Wanted(at, tuple((rollout, attempts) for rollout in rollouts))
+
+
+def idle(worker: str = "w", at: float = 0.0) -> Reported:
+    return Reported(at, worker, None, 0)
+
+
+def busy(rollout: RolloutId, number: int = 1, *, worker: str = "w", at: float = 0.0, progress: int = 0) -> Reported:
+    return Reported(at, worker, Attempt(rollout, number), progress)
+
+
+def done(
+    rollout: RolloutId, number: int = 1, *, worker: str = "w", at: float = 0.0, error: str | None = None
+) -> Delivered:
+    return Delivered(at, worker, Attempt(rollout, number), error)
+
+
+def up(worker: str = "w", at: float = 0.0) -> tuple[Event, Event]:
+    return WorkerUp(at, worker), idle(worker, at)
+
+
+def first(rollout: RolloutId, number: int = 1) -> Attempt:
+    return Attempt(rollout, number)
+
+
+# The table
+
+WORKER = ("WorkerUp", "WorkerDown", "Reported", "Delivered", "Tick")
+
+
+def printed_table() -> dict[tuple[str, str], str]:
+    assert dispatch.__doc__ is not None
+    lines = [line.split("  ") for line in dispatch.__doc__.splitlines() if line.startswith("    ")]
+    rows = [[cell.strip() for cell in line if cell.strip()] for line in lines]
+    assert tuple(rows[0][1:]) == WORKER
+    return {(row[0], name): cell for row in rows[1:] for name, cell in zip(WORKER, row[1:], strict=True)}
+
+
+TABLE = printed_table()
+TRANSITIONS: dict[tuple[str, str], tuple[str, ...]] = {(phase, event): after for (phase, event), after in LEGAL.items()}
+OTHERS: dict[tuple[str, str], tuple[str, ...]] = {
+    (phase, event): after for (phase, event), after in SIDE_EFFECTS.items()
+}
+
+
+def test_the_printed_table_is_the_data() -> None:
+    for (phase, event), cell in TABLE.items():
+        after = {"-": None, "(ignored)": (phase,), "(back)": KNOWN}.get(cell, tuple(cell.split(", ")))
+        assert TRANSITIONS.get((phase, event)) == after, (phase, event)
+    assert {key for key in TRANSITIONS if key[1] != "HandOut"} <= set(TABLE)
+
+
+def keeps_the_table(before: State, event: Event, state: State) -> None:
+    """Assert that every worker went where the table allows."""
+    for name in {*before.workers, *state.workers}:
+        worker, now = before.workers.get(name), state.workers.get(name)
+        old, new = worker.phase if worker else "unknown", now.phase if now else "unknown"
+        kind = type(event).__name__
+        named = isinstance(event, Tick) or getattr(event, "worker", None) == name
+        allowed = set(TRANSITIONS.get((old, kind), (old,))) if named else {old, *OTHERS.get((old, kind), ())}
+        if (old, kind) == ("gone", "WorkerUp"):
+            assert worker is not None
+            allowed &= {str(worker.resumes_as), "gone"}
+        if named and kind == "Delivered":
+            allowed |= set(OTHERS.get((old, kind), ()))  # its own result came from an earlier attempt
+        assert new in allowed, f"{name}: {old} -> {new} at {event}"
+        if TABLE.get((old, kind)) == "(ignored)" and named:
+            assert now == worker
+
+
+BEFORE: dict[str, list[Event]] = {
+    "unknown": [],
+    "new": [WorkerUp(0, "w")],
+    "idle": [*up()],
+    "sent": [*up(), want(R[0])],
+    "busy": [*up(), want(R[0]), busy(R[0])],
+    "shunned": [*up(), want(R[0]), Unwanted(0, (R[0],))],
+    "gone": [*up(), WorkerDown(0, "w")],
+}
+VARIANTS: dict[str, list[Event]] = {
+    "WorkerUp": [WorkerUp(1, "w")],
+    "WorkerDown": [WorkerDown(1, "w")],
+    "Reported": [idle(at=1), busy(R[0], at=1, progress=1), busy(R[5], at=1), busy(R[0], 2, at=1)],
+    "Delivered": [done(R[0], at=1), done(R[5], at=1), done(R[0], at=1, error="broken")],
+    "Tick": [Tick(1), Tick(5), Tick(10), Tick(70)],
+}
+
+
+@pytest.mark.parametrize("phase", BEFORE)
+@pytest.mark.parametrize("name", WORKER)
+def test_every_cell_of_the_table(phase: str, name: str) -> None:
+    reached = set()
+    waiting: list[list[Event]] = [[], [want(R[0])]] if phase == "new" else [[]]  # only what waits can be adopted
+    for event, more in itertools.product(VARIANTS[name], waiting):
+        state, _ = after(*BEFORE[phase], *more)
+        assert (state.workers["w"].phase if "w" in state.workers else "unknown") == phase
+        now, actions = dispatch.step(state, event)
+        check(now)
+        keeps_the_table(state, event, now)
+        reached.add(now.workers["w"].phase if "w" in now.workers else "unknown")
+        if TABLE[phase, name] == "(ignored)":
+            assert now == state
+            assert actions == () or name == "Delivered"
+    cell = TABLE[phase, name]
+    if cell in ("-", "(ignored)"):
+        assert reached == {phase}
+    elif cell == "(back)":
+        assert reached == {"idle"}
+    else:
+        assert reached == set(cell.split(", ")), "every phase is reached"
+
+
+# The rules
+
+
+def test_a_waiting_rollout_goes_to_an_idle_worker_in_order() -> None:
+    state, actions = after(*up("b"), *up("a"), want(R[1], R[0], R[2]))
+    assert actions == [Start("a", first(R[1])), Start("b", first(R[0]))]
+    assert state.waiting == (R[2],)
+
+
+def test_nothing_is_wanted_twice() -> None:
+    state, _ = after(want(R[0]), want(R[0]), *up(), want(R[0]))
+    assert (state.waiting, len(state.open)) == ((), 1)
+
+
+def test_a_new_worker_gets_nothing_before_it_says_what_it_does() -> None:
+    _, actions = after(want(R[0]), WorkerUp(0, "w"))
+    assert actions == []
+    _, actions = after(want(R[0]), WorkerUp(0, "w"), busy(R[5]))
+    assert actions == [Cancel("w", first(R[5]))]
+    _, actions = after(want(R[0]), WorkerUp(0, "w"), idle())
+    assert actions == [Start("w", first(R[0]))]
+
+
+def test_a_worker_that_was_lost_goes_on_with_what_it_has() -> None:
+    lost = [*up(), want(R[0], R[1]), busy(R[0]), WorkerDown(1, "w"), Tick(4)]
+    state, actions = after(*lost, WorkerUp(5, "w"), busy(R[0], at=5, progress=9))
+    assert actions == []
+    assert state.workers["w"].attempt == first(R[0])
+    assert state.waiting == (R[1],)
+
+
+def test_after_a_restart_busy_workers_are_adopted_and_numbers_go_on() -> None:
+    restart: list[Event] = [want(R[0], attempts=2), WorkerUp(0, "w"), busy(R[0], 2)]
+    state, actions = after(*restart, *up("v"), hold_until=2.5)
+    assert (actions, state.workers["w"].phase, state.workers["v"].phase) == ([], "busy", "idle")
+    state, actions = after(*restart, done(R[0], 2, error="bad"), Tick(2.5), hold_until=2.5)
+    assert actions == [Start("w", first(R[0], 3))]
+
+
+def test_an_adopted_attempt_that_nobody_wrote_down_counts_all_the_same() -> None:
+    _, actions = after(want(R[0]), WorkerUp(0, "w"), busy(R[0], 4), done(R[0], 4, error="bad"))
+    assert actions[-1] == Start("w", first(R[0], 5))
+
+
+def test_nothing_is_assigned_during_the_hold() -> None:
+    state, actions = after(want(R[0]), *up(), Tick(2.4), hold_until=2.5)
+    assert actions == []
+    assert step(state, Tick(2.5))[1] == (Start("w", first(R[0])),)
+
+
+def test_a_lost_assignment_is_sent_again() -> None:
+    sent: list[Event] = [*up(), want(R[0])]
+    assert after(*sent, Tick(1.4))[1] == []
+    assert after(*sent, Tick(1.5))[1] == [Resend("w", first(R[0]))]
+    assert after(*sent, Tick(1.5), Tick(2.9))[1] == []
+    assert after(*sent, Tick(1.5), Tick(3.0))[1] == [Resend("w", first(R[0]))]
+    assert after(*sent, busy(R[0], at=1), Tick(5))[1] == []
+
+
+def test_a_valid_result_is_recorded_once_and_acknowledged_always() -> None:
+    taken: list[Event] = [*up(), want(R[0]), done(R[0])]
+    state, actions = after(*taken)
+    assert actions == [Record("w", first(R[0])), Acknowledge("w", first(R[0]))]
+    assert (state.recorded, state.open, state.workers["w"].phase) == (1, {}, "idle")
+    assert after(*taken, done(R[0]))[1] == [Acknowledge("w", first(R[0]))]
+    assert after(done(R[0], worker="stranger"))[1] == [Acknowledge("stranger", first(R[0]))]
+
+
+def test_the_first_valid_result_wins_and_the_other_worker_is_cancelled() -> None:
+    history = [*up("a"), want(R[0]), busy(R[0], worker="a"), WorkerDown(1, "a"), Tick(4), *up("b", 4)]
+    state, actions = after(*history, done(R[0], worker="a", at=5))
+    assert actions == [Record("a", first(R[0])), Acknowledge("a", first(R[0])), Cancel("b", first(R[0], 2))]
+    assert state.workers["b"].phase == "shunned"
+    assert step(state, idle("b", 6))[0].workers["b"].phase == "idle"
+
+
+def test_a_failed_attempt_is_tried_again_first() -> None:
+    _, actions = after(*up(), want(R[0], R[1]), done(R[0], error="bad"))
+    assert actions == [Fail("w", first(R[0]), "bad"), Acknowledge("w", first(R[0])), Start("w", first(R[0], 2))]
+
+
+def test_a_repeated_failure_counts_once() -> None:
+    """The acknowledgement was lost, so the worker told its failure again, and had the next attempt already."""
+    failed: list[Event] = [*up(), want(R[0]), done(R[0], error="bad")]
+    state, actions = after(*failed, done(R[0], error="bad"))
+    assert actions == [Fail("w", first(R[0]), "bad"), Acknowledge("w", first(R[0]))]
+    assert len(state.open[R[0]].failures) == 1
+    assert state.waiting == ()
+
+
+def test_poison_is_given_up_with_its_story() -> None:
+    failures: list[Event] = [done(R[0], number, error="bad") for number in (1, 2, 3)]
+    _, actions = after(*up(), want(R[0]), *failures)
+    story = tuple(f"attempt {number} on w: bad" for number in (1, 2, 3))
+    assert actions == [Fail("w", first(R[0], 3), "bad"), Poison(R[0], story), Acknowledge("w", first(R[0], 3))]
+    assert after(*up(), want(R[0]), *failures, done(R[0], 3, error="bad"))[1] == [
+        Fail("w", first(R[0], 3), "bad"),
+        Acknowledge("w", first(R[0], 3)),
+    ]
+    _, actions = after(*up(), want(R[0]), *failures, done(R[0], 2))
+    assert Record("w", first(R[0], 2)) in actions, "a late valid result is better than none"
+
+
+@pytest.mark.parametrize(("at", "reason"), [(10.0, "no progress for 10 s"), (60.0, "not done after 60 s")])
+def test_a_hung_worker_is_shunned(at: float, reason: str) -> None:
+    history: list[Event] = [*up(), want(R[0]), busy(R[0])]
+    if at == 60.0:
+        history += [busy(R[0], at=second, progress=second) for second in range(1, 60)]
+    state, actions = after(*history, Tick(at))
+    assert actions == [Cancel("w", first(R[0])), Fail("w", first(R[0]), reason), GiveUp("w")]
+    assert after(*history, Tick(at - 0.1))[1] == []
+    # A heartbeat without progress is no sign of life, and a lost cancel is sent again.
+    assert step(state, busy(R[0], at=at, progress=99))[1] == (Cancel("w", first(R[0])),)
+    assert step(state, idle(at=at))[1] == (Start("w", first(R[0], 2)),)
+
+
+@pytest.mark.parametrize(
+    "history",
+    [
+        [*up(), want(R[0]), busy(R[0]), Unwanted(0, (R[0],))],
+        [WorkerUp(0, "w"), busy(R[0])],
+        [want(R[0]), *up("v"), WorkerUp(0, "w"), busy(R[0], 9)],
+    ],
+)
+def test_a_worker_that_does_not_heed_a_cancel_is_given_up(history: list[Event]) -> None:
+    state, actions = after(*history, busy(R[0], 9, at=9.9))
+    assert actions == [Cancel("w", first(R[0], 9))]
+    assert GiveUp("w") not in step(state, Tick(9.9))[1]
+    state, actions = after(*history, Tick(10))
+    assert GiveUp("w") in actions
+    assert GiveUp("w") not in step(state, Tick(19.9))[1]
+    assert GiveUp("w") in step(state, Tick(20))[1]
+    assert GiveUp("w") not in step(step(state, idle(at=11))[0], Tick(20))[1]
+
+
+def test_progress_keeps_a_worker() -> None:
+    history: list[Event] = [*up(), want(R[0]), busy(R[0]), busy(R[0], at=9, progress=1)]
+    assert after(*history, Tick(18.9))[1] == []
+    assert after(*history, busy(R[0], at=15, progress=1), Tick(19))[1] != []
+
+
+def test_a_lost_worker_loses_its_attempt_after_a_while() -> None:
+    history: list[Event] = [*up(), want(R[0]), busy(R[0]), WorkerDown(1, "w")]
+    assert after(*history, Tick(3.9))[1] == []
+    state, actions = after(*history, Tick(4))
+    assert actions == [Fail("w", first(R[0]), "worker lost for 3 s")]
+    assert (state.workers, state.waiting) == ({}, (R[0],))
+
+
+def test_a_short_silence_costs_nothing() -> None:
+    history: list[Event] = [*up(), want(R[0]), busy(R[0]), WorkerDown(9, "w"), WorkerUp(11, "w")]
+    state, actions = after(*history, Tick(12))
+    assert (actions, state.workers["w"].phase) == ([], "busy")
+
+
+def test_what_is_withdrawn_is_cancelled_and_forgotten() -> None:
+    history: list[Event] = [*up(), want(R[0], R[1]), busy(R[0])]
+    state, actions = after(*history, Unwanted(1, (R[0], R[1])))
+    assert actions == [Cancel("w", first(R[0]))]
+    assert (state.open, state.waiting, state.workers["w"].phase) == ({}, (), "shunned")
+    assert step(state, done(R[0]))[1] == (Acknowledge("w", first(R[0])),)
+    back, _ = after(*history, WorkerDown(1, "w"), Unwanted(1, (R[0],)), WorkerUp(1, "w"))
+    assert back.workers["w"].phase == "shunned"
+
+
+def test_check_finds_a_broken_state() -> None:
+    good, _ = after(*up(), want(R[0], R[1]))
+    held, free = good.workers["w"], replace(good.workers["w"], attempt=None)
+    for broken in (
+        replace(good, workers={"w": held, "v": held}),
+        replace(good, open={R[1]: good.open[R[1]]}),
+        replace(good, waiting=(R[0], R[1])),
+        replace(good, waiting=(R[1], R[1])),
+        replace(good, waiting=(R[1], R[2])),
+        replace(good, waiting=()),
+        replace(good, workers={"w": free}, waiting=(R[0], R[1])),
+    ):
+        with pytest.raises(AssertionError):
+            check(broken)
+
+
+# A world
+
+
+@dataclass(frozen=True)
+class Chaos:
+    """How bad the first `until` seconds are; after them everything is fair."""
+
+    seed: int
+    loss: float
+    duplication: float
+    delay: float
+    deaths: int
+    hangs: int
+    partitions: int
+    restarts: int
+    failing: float
+    until: float = 30.0
+
+
+@dataclass
+class Process:
+    """A worker process, as `perfbound.workers.worker` behaves."""
+
+    name: str
+    alive: bool = True
+    linked: bool = True
+    hung: bool = False
+    accepted: Attempt | None = None
+    queue: list[Attempt] = field(default_factory=list)
+    running: Attempt | None = None
+    progress: int = 0
+    cancelled: set[Attempt] = field(default_factory=set)
+    outbox: dict[Attempt, str | None] = field(default_factory=dict)
+
+
+class World:
+    """Workers, a network and an orchestrator that mirrors `Service`, on one simulated clock."""
+
+    def __init__(
+        self, chaos: Chaos, rollouts: int, workers: int, limits: Limits, always_fails: frozenset[RolloutId]
+    ) -> None:
+        self.chaos, self.limits, self.luck = chaos, limits, random.Random(chaos.seed)
+        self.rollouts = [RolloutId("p", test, "true", 0) for test in range(rollouts)]
+        self.always_fails = always_fails
+        self.now, self._order = 0.0, itertools.count()
+        self._agenda: list[tuple[float, int, Callable[[], None]]] = []
+        self.processes: dict[str, Process] = {}
+        self._names = itertools.count()
+        # What is durable.
+        self.recorded: list[RolloutId] = []
+        self.started: set[Attempt] = set()
+        self.failures: dict[RolloutId, int] = {}
+        self.poison: dict[RolloutId, tuple[str, ...]] = {}
+        self.generation = 0
+        self._restart()
+        for _ in range(workers):
+            self._spawn()
+        self._trouble()
+        self._every(0.25, lambda: self._take(Tick(self.now)))
+
+    def run(self, until: float) -> None:
+        while self._agenda and self.now < until and len(self.recorded) + len(self.poison) < len(self.rollouts):
+            self.now, _, act = heapq.heappop(self._agenda)
+            act()
+
+    # Time
+
+    def _at(self, when: float, act: Callable[[], None]) -> None:
+        heapq.heappush(self._agenda, (when, next(self._order), act))
+
+    def _every(self, period: float, act: Callable[[], None]) -> None:
+        def again() -> None:
+            act()
+            self._at(self.now + period, again)
+
+        self._at(self.now + period, again)
+
+    def _trouble(self) -> None:
+        def random_time() -> float:
+            return self.luck.uniform(0.0, self.chaos.until)
+
+        for count, act in (
+            (self.chaos.deaths, self._kill_one),
+            (self.chaos.hangs, self._hang_one),
+            (self.chaos.partitions, self._part_one),
+            (self.chaos.restarts, self._restart),
+        ):
+            for _ in range(count):
+                self._at(random_time(), act)
+
+    def _some_process(self) -> Process:
+        return self.luck.choice([process for process in self.processes.values() if process.alive])
+
+    # The network
+
+    def _carry(self, process: Process, act: Callable[[], None]) -> None:
+        bad = self.now < self.chaos.until
+        if bad and (not process.linked or self.luck.random() < self.chaos.loss):
+            return
+        copies = 1 + (bad and self.luck.random() < self.chaos.duplication)
+        for _ in range(copies):
+            self._at(self.now + (self.luck.uniform(0, self.chaos.delay) if bad else 0.001), act)
+
+    def _to_orchestrator(self, process: Process, event: Callable[[], Event], *, always: bool = False) -> None:
+        if always:
+            self._at(self.now, lambda: self._take(event()))
+            return
+        generation = self.generation
+        self._carry(process, lambda: self._take(event()) if generation == self.generation else None)
+
+    # The orchestrator
+
+    def _restart(self) -> None:
+        self.generation += 1
+        attempts: dict[RolloutId, int] = {}
+        for attempt in self.started:
+            attempts[attempt.rollout] = max(attempts.get(attempt.rollout, 0), attempt.number)
+        self.state = initial(self.limits, self.now + 2.5 if self.generation > 1 else 0.0)
+        self.tokens = {process.name for process in self.processes.values() if process.alive and process.linked}
+        self.known: set[str] = set()
+        missing = [each for each in self.rollouts if each not in self.recorded and each not in self.poison]
+        self._take(Wanted(self.now, tuple((each, attempts.get(each, 0)) for each in missing)))
+
+    def _take(self, event: Event) -> None:
+        """Do what `Service` does with a message."""
+        if isinstance(event, WorkerUp | WorkerDown):
+            (self.tokens.add if isinstance(event, WorkerUp) else self.tokens.discard)(event.worker)
+            if event.worker not in self.known:
+                return
+        if isinstance(event, Reported):
+            if event.worker not in self.tokens:
+                return
+            if event.worker not in self.known:
+                self.known.add(event.worker)
+                self._step(WorkerUp(self.now, event.worker))
+        if isinstance(event, Delivered) and event.worker not in self.known:
+            return
+        self._step(event)
+
+    def _step(self, event: Event) -> None:
+        before = self.state
+        self.state, actions = step(before, event)
+        for action in actions:
+            self._act(action, before, event)
+
+    def _act(self, action: Action, before: State, event: Event) -> None:
+        match action:
+            case Start(worker, attempt):
+                assert attempt not in self.started, "attempt numbers never repeat"
+                assert worker in self.tokens, "nothing is assigned to a worker that is gone"
+                phase = before.workers[worker].phase
+                if phase in ("new", "shunned"):
+                    assert isinstance(event, Reported), "a worker says idle before it gets anything"
+                    assert (event.worker, event.attempt) == (worker, None)
+                self.started.add(attempt)
+                self._send(worker, self._assigned, attempt)
+            case Resend(worker, attempt):
+                self._send(worker, self._assigned, attempt)
+            case Cancel(worker, attempt):
+                self._send(worker, self._cancel, attempt)
+            case Acknowledge(worker, attempt):
+                self._send(worker, lambda process, acked: process.outbox.pop(acked, None), attempt)
+            case Record(worker, attempt):
+                assert attempt.rollout not in self.recorded, "recorded once"
+                assert attempt.rollout not in self.always_fails
+                self.recorded.append(attempt.rollout)
+            case GiveUp(worker):
+                self._at(self.now, lambda: self._kill(self.processes[worker]))
+            case Poison(rollout, story):
+                assert rollout not in self.poison, "poison is told once"
+                assert len(story) == self.limits.max_attempts
+                assert len(set(story)) == len(story), "no failure counts twice"
+                self.poison[rollout] = story
+            case Fail():
+                pass
+
+    def _send(self, worker: str, act: Callable[[Process, Attempt], Any], attempt: Attempt) -> None:
+        process = self.processes[worker]
+        self._carry(process, lambda: act(process, attempt) if process.alive else None)
+
+    # The workers
+
+    def _spawn(self) -> None:
+        process = Process(f"w{next(self._names)}")
+        self.processes[process.name] = process
+        self._to_orchestrator(process, lambda: WorkerUp(self.now, process.name), always=True)
+        self._every(0.5, lambda: self._beat(process))
+        self._every(1.0, lambda: self._deliver(process))
+        self._every(0.3, lambda: self._work(process))
+
+    def _beat(self, process: Process) -> None:
+        if process.alive:
+            current = process.accepted
+            progress = process.progress if current == process.running else 0
+            self._to_orchestrator(process, lambda: Reported(self.now, process.name, current, progress))
+
+    def _deliver(self, process: Process) -> None:
+        for attempt, error in process.outbox.items() if process.alive else ():
+            self._hand_in(process, attempt, error)
+
+    def _hand_in(self, process: Process, attempt: Attempt, error: str | None) -> None:
+        self._to_orchestrator(process, lambda: Delivered(self.now, process.name, attempt, error))
+
+    def _assigned(self, process: Process, attempt: Attempt) -> None:
+        current = process.accepted
+        repeat = current and current.rollout == attempt.rollout and current.number >= attempt.number
+        if attempt not in process.outbox and not repeat:
+            process.accepted = attempt
+            process.queue.append(attempt)
+
+    def _cancel(self, process: Process, attempt: Attempt) -> None:
+        process.cancelled.add(attempt)
+
+    def _work(self, process: Process) -> None:
+        if not process.alive or process.hung:
+            return
+        if process.running is None:
+            process.running, process.progress = (process.queue.pop(0) if process.queue else None), 0
+            return
+        attempt = process.running
+        process.progress += 1
+        if attempt in process.cancelled:
+            self._finish(process)
+        elif self.luck.random() < 0.08:  # four seconds a rollout
+            failing = self.chaos.failing if self.now < self.chaos.until else 0.0
+            error = "bad" if attempt.rollout in self.always_fails or self.luck.random() < failing else None
+            process.outbox[attempt] = error
+            self._finish(process)
+            self._hand_in(process, attempt, error)
+
+    def _finish(self, process: Process) -> None:
+        if process.accepted == process.running:
+            process.accepted = None
+        process.running = None
+
+    def _kill_one(self) -> None:
+        self._kill(self._some_process())
+
+    def _kill(self, process: Process) -> None:
+        """Kill a process; another one takes its place."""
+        if process.alive:
+            process.alive = False
+            self._to_orchestrator(process, lambda: WorkerDown(self.now, process.name), always=True)
+            self._spawn()
+
+    def _hang_one(self) -> None:
+        self._some_process().hung = True
+
+    def _part_one(self) -> None:
+        process = self._some_process()
+        if not process.linked:
+            return
+        process.linked = False
+        self._to_orchestrator(process, lambda: WorkerDown(self.now, process.name), always=True)
+
+        def heal() -> None:
+            process.linked = True
+            if process.alive:
+                self._to_orchestrator(process, lambda: WorkerUp(self.now, process.name), always=True)
+
+        self._at(self.now + self.luck.uniform(0.1, 8.0), heal)
+
+
+PATIENT = Limits(hung_after=5.0, deadline=30.0, max_attempts=1000)
+chaos = st.builds(
+    Chaos,
+    seed=st.integers(0, 2**32),
+    loss=st.sampled_from([0.0, 0.1, 0.5]),
+    duplication=st.sampled_from([0.0, 0.3]),
+    delay=st.sampled_from([0.001, 0.7, 4.0]),
+    deaths=st.integers(0, 4),
+    hangs=st.integers(0, 2),
+    partitions=st.integers(0, 4),
+    restarts=st.integers(0, 3),
+    failing=st.sampled_from([0.0, 0.3]),
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(chaos, st.integers(1, 25), st.integers(1, 4))
+def test_every_rollout_is_recorded_exactly_once_whatever_happens(found: Chaos, rollouts: int, workers: int) -> None:
+    world = World(found, rollouts, workers, PATIENT, frozenset())
+    world.run(until=400.0)
+    assert sorted(world.recorded) == world.rollouts, f"not done at {world.now:g} s"
+    assert world.state.recorded <= rollouts
+    assert (world.state.open, world.state.waiting) == ({}, ())
+
+
+@settings(max_examples=30, deadline=None)
+@given(chaos, st.integers(1, 3))
+def test_a_rollout_that_always_fails_is_poison_and_no_other_is(found: Chaos, workers: int) -> None:
+    calm = replace(found, failing=0.0, deaths=0, hangs=0, partitions=0, loss=0.0, delay=min(found.delay, 0.7))
+    bad = frozenset({RolloutId("p", 1, "true", 0)})
+    world = World(calm, 5, workers, replace(PATIENT, max_attempts=4, hung_after=20.0), bad)
+    world.run(until=400.0)
+    assert set(world.poison) == bad
+    assert len(world.recorded) == 4

@@ -1,0 +1,96 @@
+"""The diagrams of the two cores are current, and show what the cores do: no more and no less."""
+
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from perfbound.orchestrator.campaign import state as campaign
+from perfbound.orchestrator.campaign.state import Plan
+from perfbound.orchestrator.fleet import dispatch, events
+from perfbound.schemas.errors import IllegalEvent
+from perfbound.schemas.ids import Attempt, RolloutId
+from tests.architecture.diagrams import FOLDER, texts
+from tests.architecture.transitions import Transition, of_campaign, of_dispatch
+
+DOCS = Path(__file__).parents[3] / "docs"
+STEPS = 30_000
+
+
+@pytest.mark.parametrize("name", sorted(texts()))
+def test_a_diagram_is_current(name: str) -> None:
+    assert (FOLDER / name).read_text() == texts()[name], "run `python -m tests.architecture`"
+    assert f"(images/{name})" in (DOCS / "architecture.md").read_text()
+
+
+def test_every_label_is_in_its_diagram() -> None:
+    events = {each.event for each in of_dispatch()} - {"Unwanted"}
+    assert events <= set(re.findall(r">(\w+)</text>", texts()["dispatch.svg"]))
+    phases = {phase for each in of_campaign() for phase in (each.before, each.after)}
+    assert phases <= set(re.findall(r">(\w+)</text>", texts()["campaign.svg"]))
+
+
+# What the cores do
+
+ROLLOUTS = [RolloutId("p", number, "true", 0) for number in range(4)]
+WORKERS = ["a", "b", "c"]
+
+
+def an_event(luck: random.Random, at: float) -> events.Event:
+    """Return any event: workers that lie, results that come twice, rollouts that are withdrawn."""
+    worker, rollout = luck.choice(WORKERS), luck.choice(ROLLOUTS)
+    attempt = Attempt(rollout, luck.randint(1, 3))
+    makers: list[Callable[[], events.Event]] = [
+        lambda: events.Wanted(at, ((rollout, 0),)),
+        lambda: events.WorkerUp(at, worker),
+        lambda: events.WorkerUp(at, worker),
+        lambda: events.WorkerDown(at, worker),
+        lambda: events.Reported(at, worker, luck.choice([None, attempt]), luck.randint(0, 9)),
+        lambda: events.Reported(at, worker, luck.choice([None, attempt]), luck.randint(0, 9)),
+        lambda: events.Delivered(at, worker, attempt, luck.choice([None, None, "it broke"])),
+        lambda: events.Tick(at),
+        lambda: events.HandOut(at),
+        lambda: events.Unwanted(at, (rollout,)),
+    ]
+    return luck.choice(makers)()
+
+
+def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
+    luck, at, seen = random.Random(0), 0.0, set()
+    state = dispatch.initial(dispatch.Limits(max_attempts=10**9))
+    for _ in range(STEPS):
+        at += luck.choice([0.1, 0.5, 5.0])
+        event = an_event(luck, at)
+        after, _ = dispatch.step(state, event)
+        for name in WORKERS:
+            one, other = (each.workers[name].phase if name in each.workers else "unknown" for each in (state, after))
+            if one != other:
+                seen.add(Transition(one, type(event).__name__, other))
+        state = after
+    assert seen == of_dispatch()
+
+
+def test_the_diagram_of_a_test_is_what_the_core_does() -> None:
+    luck, seen = random.Random(0), set()
+    plan = Plan("p", window=3, max_tests=6, rollouts=(("true", 0), ("true", 1)))
+    state = campaign.initial((plan,))
+    for _ in range(STEPS):
+        test = luck.randint(0, 5)
+        events: list[campaign.Event] = [
+            campaign.Proposed("p", test),
+            campaign.Recorded(RolloutId("p", test, "true", luck.randint(0, 1))),
+            campaign.Observed("p", test, luck.choice([None, None, "converged"])),
+        ]
+        event = luck.choice(events)
+        try:
+            after, _ = campaign.step(state, event)
+        except IllegalEvent:
+            continue
+        for number in range(6):
+            one, other = (each.problems[0].phase(number) for each in (state, after))
+            if one != other:
+                seen.add(Transition(one, type(event).__name__, other))
+        state = campaign.initial((plan,)) if after.done else after
+    assert seen == of_campaign()

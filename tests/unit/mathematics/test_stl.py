@@ -1,0 +1,167 @@
+"""Robustness and gap of formulas whose numbers a person can check."""
+
+import time
+import timeit
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perfbound.orchestrator.mathematics.stl.formula import FormulaError, parse
+from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
+from perfbound.orchestrator.mathematics.stl.robustness import robustness
+
+NAMES = ("t", "x", "y")
+
+
+def column(*x: float, step: float = 1.0) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.array([[k * step, v, 0.0] for k, v in enumerate(x)])
+
+
+def of(text: str, samples: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    return robustness(parse(text, NAMES), NAMES, samples)
+
+
+class TestIntervals:
+    def test_both_ends_belong(self) -> None:
+        samples = column(0, 1, 2, 3, 4)
+        assert of("always[1,3] x >= 0", samples) == 1
+        assert of("eventually[1,3] x >= 0", samples) == 3
+        assert of("eventually[1.1,2.9] x >= 0", samples) == 2
+        assert of("always[2,inf) x >= 0", samples) == 2
+        assert of("always[4,4] x >= 0", samples) == 4
+
+    def test_round_off_of_the_sample_times_does_not_matter(self) -> None:
+        samples = column(*range(1801), step=1 / 120)  # 15.0 s up to round-off
+        samples[:, 0] = np.cumsum(np.full(1801, 1 / 120)) - 1 / 120
+        assert samples[-1, 0] != 15.0
+        assert of("eventually[0,15] x >= 0", samples) == 1800
+        assert of("always[0.3,0.3] x >= 0", samples) == 36
+        assert of("always[0,0.1] eventually[0.2,0.7] x >= 0", samples) == 84
+
+    def test_more_than_round_off_matters(self) -> None:
+        samples = column(0, 1, 2)
+        samples[2, 0] = 2 + 1e-8
+        assert of("eventually[0,2] x >= 0", samples) == 1
+
+    def test_times_count_from_the_first_sample(self) -> None:
+        samples = column(0, 1, 2, 3)
+        samples[:, 0] += 100
+        assert of("eventually[0,2] x >= 0", samples) == 2
+
+    def test_an_operator_without_end_reads_to_the_end(self) -> None:
+        samples = column(3, 2, 1)
+        assert of("always x >= 0", samples) == of("always[0,inf) x >= 0", samples) == of("always[0,2] x >= 0", samples)
+        assert of("always[0,1] eventually x <= 0", samples) == -1
+
+    @pytest.mark.parametrize("text", ["eventually[0.2,0.8] x >= 0", "x <= 1 until[1.5,1.75] x >= 0"])
+    def test_an_interval_without_sample_is_refused(self, text: str) -> None:
+        with pytest.raises(FormulaError, match=r"holds no sample at t = 0 s: make it at least") as caught:
+            of(text, column(0, 1, 2))
+        assert caught.value.position is None
+
+    def test_only_samples_that_are_read_count(self) -> None:
+        samples = column(0, 1, 2, 3, 4)
+        samples[3:, 0] = 10, 20  # from sample 2 on nothing lies within 1 s
+        assert of("eventually[0.5,1] x >= 0", samples) == 1
+        with pytest.raises(FormulaError, match="holds no sample at t = 2 s"):
+            of("always[0,2] eventually[0.5,1] x >= 0", samples)
+
+    @pytest.mark.parametrize("times", [(0.0, 0.0, 1.0), (0.0, 2.0, 1.0), (0.0, np.nan, 1.0), (0.0, 1e-10, 1.0)])
+    def test_times_must_increase(self, times: Sequence[float]) -> None:
+        samples = column(0, 1, 2)
+        samples[:, 0] = times
+        assert of("eventually x >= 0", samples) == 2
+        with pytest.raises(ValueError, match="sample times must be finite and increase"):
+            of("eventually[0,1] x >= 0", samples)
+
+
+class TestUntil:
+    def test_the_two_readings(self) -> None:
+        samples = np.array([[0, -5, -1], [1, 2, -1], [2, 3, 1], [3, 1, 4]], dtype=float)
+        assert of("x >= 0 until[1,3] y >= 0", samples) == -5  # x is read from now on
+        assert of("x >= 0 until_from[1,3] y >= 0", samples) == 1  # x is read from 1 s on
+        assert of("x >= 0 until[0,3] y >= 0", samples) == of("x >= 0 until_from[0,3] y >= 0", samples) == -5
+
+    def test_the_left_side_holds_at_the_last_moment_too(self) -> None:
+        samples = np.array([[0, 1, -1], [1, -2, 3]], dtype=float)
+        assert of("x >= 0 until y >= 0", samples) == -1
+
+    def test_the_paper_writes_always_with_until(self) -> None:
+        samples = column(0.1, -0.24, 0.2)
+        rho = of("not (0 <= 9 until[0,inf) not abs(x) <= 0.95)", samples)
+        assert rho == of("always abs(x) <= 0.95", samples) == pytest.approx(0.71)
+
+
+class TestRobustness:
+    def test_the_segway(self) -> None:
+        assert of("always (abs(x) <= 0.95)", column(0.1, -0.24, 0.2)) == pytest.approx(0.71)
+
+    def test_a_constant_formula(self) -> None:
+        assert of("always 1 <= 3", np.zeros((2, 3))) == 2.0
+
+    def test_strict_and_not_strict_are_the_same_number(self) -> None:
+        assert of("x < 1", column(0.25)) == of("x <= 1", column(0.25)) == of("1 > x", column(0.25)) == 0.75
+
+    def test_unknown_column(self) -> None:
+        with pytest.raises(ValueError, match="unknown column 'phi'; known are t, x, y"):
+            robustness(parse("phi <= 1"), NAMES, np.zeros((2, 3)))
+
+    @pytest.mark.parametrize("text", ["1 / x <= 1", "(0 - 1 - x)^0.5 <= 1", "eventually (x / x <= 1 or y <= 5)"])
+    def test_a_predicate_that_is_not_finite_is_refused(self, text: str) -> None:
+        with pytest.raises(ValueError, match="at sample 0, not a finite number"):
+            of(text, np.zeros((2, 3)))
+
+    def test_a_nan_sample_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="`x <= 1` is nan at sample 1"):
+            of("eventually x <= 1", column(0.0, np.nan, 0.0))
+
+    @pytest.mark.parametrize("shape", [(0, 3), (2, 2), (3,)])
+    def test_shapes(self, shape: tuple[int, ...]) -> None:
+        with pytest.raises(ValueError, match="do not fit"):
+            robustness(parse("x <= 1"), NAMES, np.zeros(shape))
+
+    @pytest.mark.parametrize(
+        ("text", "limit"),
+        [
+            ("always (abs(x) <= 0.95)", 50e-6),
+            ("(x <= 2 until[0,3] y >= 1) until[2,8] (y <= 2 until_from[1,4] x <= 0.5)", 5e-3),
+        ],
+    )
+    def test_is_fast(self, text: str, limit: float) -> None:
+        tree, samples = parse(text), np.random.default_rng(0).random((1801, 3))
+        samples[:, 0] = np.arange(1801) / 120
+
+        def evaluate() -> float:
+            return robustness(tree, NAMES, samples)
+
+        seconds = min(timeit.repeat(evaluate, timer=time.process_time, number=20, repeat=30)) / 20
+        assert seconds <= limit
+
+
+class TestPredicateSup:
+    def test_is_the_largest_over_predicates_and_samples(self) -> None:
+        a, b = column(0.0, 1.0), column(0.5, 3.0)
+        assert predicate_sup(parse("x <= 1"), NAMES, a, b) == 2.0
+        assert predicate_sup(parse("eventually (x <= 1 and x^2 >= 4)"), NAMES, a, b) == 8.0
+        assert predicate_sup(parse("x <= 1 until[0,9] x / 8 <= 1"), NAMES, a, b) == 2.0  # needs no horizon
+        assert predicate_sup(parse("1 <= 2"), NAMES, a, b) == 0.0
+
+    def test_is_the_paper_s_gap_for_its_specification(self) -> None:
+        a, b = column(0.3, -0.2), column(0.1, -0.6)
+        gap = predicate_sup(parse("always abs(x) <= 0.95"), NAMES, a, b)
+        assert gap == pytest.approx(0.4) == np.max(np.abs(a[:, 1] - b[:, 1]))
+
+    def test_one_grid(self) -> None:
+        tree, a = parse("x <= 1"), column(0.0, 1.0)
+        with pytest.raises(ValueError, match="2 and 3 samples; a gap needs one time grid"):
+            predicate_sup(tree, NAMES, a, column(0.0, 1.0, 2.0))
+        with pytest.raises(ValueError, match="differ at sample 1: t = 1 and 2"):
+            predicate_sup(tree, NAMES, a, column(0.0, 1.0, step=2.0))
+
+    def test_what_is_not_finite_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="nan at sample 1"):
+            predicate_sup(parse("x <= 1"), NAMES, column(0.0, 1.0), column(0.0, np.nan))
+        with pytest.raises(ValueError, match="the gap is inf"):
+            predicate_sup(parse("x <= 1"), NAMES, column(1e308), column(-1e308))

@@ -1,0 +1,262 @@
+"""Formulas as text: what is read, what is refused and where, and back to text."""
+
+import contextlib
+import math
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perfbound.orchestrator.mathematics.stl.formula import FormulaError, columns, parse
+from perfbound.orchestrator.mathematics.stl.horizon import check_horizon, horizon
+from perfbound.orchestrator.mathematics.stl.robustness import robustness
+from perfbound.orchestrator.mathematics.stl.text import text as text_of
+from perfbound.orchestrator.mathematics.stl.tree import (
+    Absolute,
+    Always,
+    And,
+    Arithmetic,
+    Column,
+    Comparison,
+    Eventually,
+    Expression,
+    Formula,
+    Implies,
+    Interval,
+    Negative,
+    Not,
+    Number,
+    Or,
+    Until,
+    predicates,
+)
+
+NAMES = ("t", "x", "y")
+X, Y = Column("x"), Column("y")
+A, B, C = (Comparison("<", X, Number(1.0)), Comparison("<", Y, Number(1.0)), Comparison("<", X, Number(2.0)))
+
+
+class TestParser:
+    @pytest.mark.parametrize(
+        ("text", "tree"),
+        [
+            ("x<=1", Comparison("<=", X, Number(1.0))),
+            ("  (x) >= .5e-1 ", Comparison(">=", X, Number(0.05))),
+            ("-x^2 < 1", Comparison("<", Negative(Arithmetic("^", X, Number(2.0))), Number(1.0))),
+            ("x^-1 > 0", Comparison(">", Arithmetic("^", X, Negative(Number(1.0))), Number(0.0))),
+            ("x - 1 - y < 0", Comparison("<", Arithmetic("-", Arithmetic("-", X, Number(1.0)), Y), Number(0.0))),
+            ("x + y * x < 0", Comparison("<", Arithmetic("+", X, Arithmetic("*", Y, X)), Number(0.0))),
+            ("x / y / x < 0", Comparison("<", Arithmetic("/", Arithmetic("/", X, Y), X), Number(0.0))),
+            ("x^y^x < 0", Comparison("<", Arithmetic("^", X, Arithmetic("^", Y, X)), Number(0.0))),
+            ("abs(x - 1) < 0", Comparison("<", Absolute(Arithmetic("-", X, Number(1.0))), Number(0.0))),
+        ],
+    )
+    def test_arithmetic(self, text: str, tree: Comparison) -> None:
+        assert parse(text) == tree
+
+    @pytest.mark.parametrize(
+        ("text", "tree"),
+        [
+            ("x<1 and y<1 or x<2", Or(And(A, B), C)),
+            ("x<1 or y<1 and x<2", Or(A, And(B, C))),
+            ("x<1 or y<1 or x<2", Or(Or(A, B), C)),
+            ("x<1 implies y<1 implies x<2", Implies(A, Implies(B, C))),
+            ("x<1 and y<1 implies x<2 or y<1", Implies(And(A, B), Or(C, B))),
+            ("not x<1 and always y<1", And(Not(A), Always(B))),
+            ("always (x<1 and y<1)", Always(And(A, B))),
+            ("((x) < (1))", A),
+            ("x<1 until y<1 and x<2", And(Until(A, B), C)),
+            ("x<1 and y<1 until x<2", And(A, Until(B, C))),
+            ("not x<1 until always[0,2] y<1", Until(Not(A), Always(B, Interval(0, 2)))),
+            ("(x<1 until y<1) until x<2", Until(Until(A, B), C)),
+            ("always[1,2] not eventually x<1", Always(Not(Eventually(A)), Interval(1, 2))),
+        ],
+    )
+    def test_precedence_of_words(self, text: str, tree: Formula) -> None:
+        assert parse(text) == tree
+
+    @pytest.mark.parametrize(
+        ("text", "tree"),
+        [
+            ("always[0,15] x<1", Always(A, Interval(0, 15))),
+            ("eventually [ .5 , 1e1 ] x<1", Eventually(A, Interval(0.5, 10))),
+            ("always[2,inf) x<1", Always(A, Interval(2))),
+            ("always[0,inf) x<1", Always(A)),
+            ("x<1 until[0,0] y<1", Until(A, B, Interval(0, 0))),
+            ("x<1 until_from[1,2] y<1", Until(A, B, Interval(1, 2), "paper")),
+            ("x<1 until_from y<1", Until(A, B, reading="paper")),
+        ],
+    )
+    def test_intervals(self, text: str, tree: Formula) -> None:
+        assert parse(text) == tree
+
+    def test_the_example_of_the_issue(self) -> None:
+        tree = parse("always[0,15] (abs(phi) <= 0.95 and (x - 2.5)^2 + (y - 2.5)^2 <= 9)", ("t", "x", "y", "phi"))
+        assert columns(tree) == {"phi", "x", "y"}
+        assert len(predicates(tree)) == 2
+
+    @pytest.mark.parametrize(
+        ("text", "position", "reason"),
+        [
+            ("", 0, "not complete"),
+            ("x <= ", 4, "not complete"),
+            ("always (x <= 1", 14, r"'\)' expected"),
+            ("x <= 1)", 6, "unexpected"),
+            ("always x", 7, "compare it with"),
+            ("x <= 1 and y", 11, "compare it with"),
+            ("x until y <= 1", 0, "compare it with"),
+            ("1 + (x <= 1) <= 2", 4, "number is needed"),
+            ("(x <= 1) + 2 <= 2", 0, "number is needed"),
+            ("0 <= x <= 1", 7, "comparisons do not chain"),
+            ("x <= 1 until y <= 1 until x <= 1", 20, "`until` does not chain"),
+            ("x == 1", 2, "equality"),
+            ("x <= 1 & y <= 1", 7, "write `and`"),
+            ("x <= 1 # y", 7, "unexpected character '#'"),
+            ("always[0 5] x <= 1", 9, "',' expected"),
+            ("always[-1,5] x <= 1", 7, "a number of 0 or more"),
+            ("always[0,x] x <= 1", 9, "a number of 0 or more"),
+            ("always[inf,inf) x <= 1", 7, "a number of 0 or more"),
+            ("always[5,2] x <= 1", 9, "needs a <= b"),
+            ("always[0,5) x <= 1", 10, "includes both ends"),
+            ("always[0,inf] x <= 1", 12, "without end is written"),
+            ("always(0,5) x <= 1", 8, "stands right after always"),
+            ("x <= 1 and[0,5] y <= 1", 10, "stands right after always"),
+            ("x <= inf", 5, "stands right after always"),
+            ("until", 0, "unexpected 'until'"),
+            ("sin(x) <= 1", 0, "unknown function 'sin'"),
+            ("abs x <= 1", 4, r"'\(' expected"),
+            ("x <= 1 and zz <= 1", 11, "unknown column 'zz'; known are t, x, y"),
+            ("x <= 1e999", 5, "too large"),
+            ("x <= 2y", 6, "unexpected 'y'"),
+            ("x <= 1 and\n  (y <= 2", 20, r"'\)' expected"),
+            ("(" * 60 + "x", 41, "levels of nesting"),
+            ("not " * 60 + "x <= 1", 164, "levels of nesting"),
+            ("+".join("x" * 600), 1000, "more than 1000"),
+        ],
+    )
+    def test_errors_point_at_the_place(self, text: str, position: int, reason: str) -> None:
+        with pytest.raises(FormulaError, match=reason) as caught:
+            parse(text, NAMES)
+        assert caught.value.position == position
+        assert caught.value.reason in str(caught.value)
+        assert len(str(caught.value).splitlines()) == 1
+
+    @pytest.mark.parametrize(
+        ("text", "line"),
+        [
+            (
+                "always (abs(zz) <= 0.95)",
+                "character 13: unknown column 'zz'; known are t, x, y : always (abs(>>>zz<<<) <= 0.95)",
+            ),
+            ("x <= 1 and ", "character 11: the formula is not complete : x <= 1 and>>>end<<<"),
+            (
+                "always (\n\tx <= 1 and\n\ty ? 2)",
+                "line 3, character 4: unexpected character '?' : always (  x <= 1 and  y >>>?<<< 2)",
+            ),
+            (
+                f"{'x + ' * 40}zz{' + x' * 40} <= 1",
+                f"character 161: unknown column 'zz'; known are t, x, y : ...{'x + ' * 15}>>>zz<<<{' + x' * 15}...",
+            ),
+        ],
+    )
+    def test_the_place_is_marked_in_one_line(self, text: str, line: str) -> None:
+        with pytest.raises(FormulaError) as caught:
+            parse(text, NAMES)
+        assert str(caught.value) == line
+
+    @given(st.text(alphabet="xy01.,<=>()[]+-*/^ andortuilwsmebf_", max_size=40))
+    @settings(deadline=None)
+    def test_any_text_is_read_or_refused(self, text: str) -> None:
+        samples = np.column_stack([np.arange(3.0), np.ones((3, 2))])
+        with contextlib.suppress(FormulaError):  # any other exception fails the test
+            tree = parse(text, NAMES)
+            robustness(tree, NAMES, samples)
+            assert parse(text_of(tree)) == tree
+
+    def test_the_longest_allowed_text_can_be_evaluated(self) -> None:
+        tree = parse("+".join("x" * 499) + "<1")
+        assert robustness(tree, NAMES, np.ones((1, 3))) == -498.0
+        assert columns(tree) == {"x"}
+        assert text_of(parse(text_of(tree))) == text_of(tree)
+        with pytest.raises(ValueError, match=r"`x \+ x .*\.\.\.` is nan"):
+            robustness(tree, NAMES, np.full((1, 3), np.nan))
+        many = parse(" and ".join(["x<1"] * 250))
+        check_horizon(many, 0.0)
+        assert robustness(many, NAMES, np.ones((1, 3))) == 0.0
+
+    def test_the_deepest_allowed_text_can_be_read(self) -> None:
+        tree = parse("(" * 39 + "always[0,0] x<1" + ")" * 39)
+        assert tree == Always(A, Interval(0, 0))
+        assert horizon(parse("always[0,1] " * 39 + "x<1")) == 39
+
+
+class TestTree:
+    @pytest.mark.parametrize(
+        "bounds", [(-1.0, 2.0), (2.0, 1.0), (math.nan, 1.0), (0.0, math.nan), (math.inf, math.inf)]
+    )
+    def test_intervals_are_checked(self, bounds: tuple[float, float]) -> None:
+        with pytest.raises(ValueError, match="needs 0 <= low <= high"):
+            Interval(*bounds)
+
+    @pytest.mark.parametrize("value", [-1.0, -0.0, math.inf, math.nan])
+    def test_numbers_are_checked(self, value: float) -> None:
+        with pytest.raises(ValueError, match="finite and not negative"):
+            Number(value)
+
+
+def draw_expression(rng: random.Random, depth: int) -> Expression:
+    if depth == 0 or rng.random() < 0.3:
+        leaves: list[Expression] = [
+            X,
+            Y,
+            Number(float(rng.randint(0, 9))),
+            Number(rng.random() * 10.0 ** rng.randint(-9, 20)),
+        ]
+        return rng.choice(leaves)
+    left, right = draw_expression(rng, depth - 1), draw_expression(rng, depth - 1)
+    operators: list[Any] = ["+", "-", "*", "/", "^"]
+    options: list[Expression] = [Negative(left), Absolute(left)]
+    options += [Arithmetic(sign, left, right) for sign in operators]
+    return rng.choice(options)
+
+
+def draw_formula(rng: random.Random, depth: int) -> Formula:
+    if depth == 0:
+        return Comparison(rng.choice(["<=", ">=", "<", ">"]), draw_expression(rng, 4), draw_expression(rng, 2))
+    left, right = draw_formula(rng, rng.randrange(depth)), draw_formula(rng, rng.randrange(depth))
+    low = rng.choice([0.0, 1.0, rng.random()])
+    interval = rng.choice([Interval(), Interval(low), Interval(low, low + rng.random() * 1e-6), Interval(low, 1e6)])
+    options: list[Formula] = [
+        Not(left),
+        Always(left, interval),
+        Eventually(left, interval),
+        And(left, right),
+        Or(left, right),
+        Implies(left, right),
+        Until(left, right, interval),
+        Until(left, right, interval, "paper"),
+    ]
+    return rng.choice(options)
+
+
+class TestText:
+    def test_round_trip(self) -> None:
+        rng = random.Random(1)
+        for _ in range(1000):
+            tree = draw_formula(rng, rng.randint(0, 6))
+            assert parse(text_of(tree), NAMES) == tree, text_of(tree)
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "always[0,15] (abs(phi) <= 0.95 and (x - 2.5)^2 + (y - 2.5)^2 <= 9)",
+            "x <= 1 implies eventually[0.5,inf) not y > 1e-09",
+            "(x <= 1 until[0,3] y > 2) until_from -x^-2 / (y * 3) >= x - (y - 1)",
+            "((x <= 1 implies y <= 1) implies (x <= 1 or y <= 2) and x < 3) or (x <= 1 or y <= 1)",
+        ],
+    )
+    def test_no_more_parentheses_than_needed(self, text: str) -> None:
+        assert text_of(parse(text)) == text

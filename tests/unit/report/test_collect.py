@@ -1,0 +1,509 @@
+"""The story of a campaign, told while it is made and afterwards."""
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from perfbound.orchestrator.campaign.methods import methods
+from perfbound.orchestrator.campaign.plan import plans
+from perfbound.orchestrator.mathematics.gp.lattice import Lattice
+from perfbound.orchestrator.report import band as surfaces
+from perfbound.orchestrator.report import curves, rollouts
+from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.data import Problem, ReportData, Surface, to_json
+from perfbound.orchestrator.report.workers import LiveState, WorkerStatistics
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.changes import ChangeReader, Changes, Outcome
+from perfbound.orchestrator.store.export_tables import unit
+from perfbound.orchestrator.store.lock import campaign_lock
+from perfbound.schemas.errors import JournalError, PerfboundError
+from perfbound.schemas.facts import Header, ObservationFact, ProposalFact
+from perfbound.schemas.values import Band, Proposal
+from perfbound.workers.systems import load
+from tests.campaigns import config
+from tests.fakes.finished import a_list, a_pair, contents, finish, insert, play
+
+CONFIGS = {"paper": a_pair("paper"), "rigorous": a_pair("rigorous"), "scenario": a_list()}
+HOSTILE = "</script ><!--<script></script><script>alert(1)</script>\x00\x1b[2J\u2028\n../../" + "x" * 10_000
+
+
+@pytest.fixture(scope="module")
+def no_disk() -> Iterator[None]:
+    """Have nothing wait for the disk; what is durable is not the question here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("os.fsync", lambda _: None)
+        patch.setattr(service, "TICK", 0.01)
+        yield
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, no_disk: None) -> Path:
+    """Return the directory of a finished campaign; tests leave it as it is."""
+    directory = tmp_path_factory.mktemp(request.param)
+    finish(play(directory, CONFIGS[request.param]), directory)
+    return directory
+
+
+@pytest.fixture
+def one(tmp_path: Path, no_disk: None) -> Path:
+    """Return a finished campaign that a test may spoil."""
+    finish(play(tmp_path, a_pair("paper")), tmp_path)
+    return tmp_path
+
+
+def told(directory: Path) -> ReportData:
+    return Collector(directory).look()
+
+
+def numbers(values: tuple[float | None, ...]) -> list[float]:
+    found = [value for value in values if value is not None]
+    assert len(found) == len(values)
+    return found
+
+
+# Looks
+
+
+@pytest.mark.usefixtures("no_disk")
+@pytest.mark.parametrize("name", CONFIGS)
+def test_what_was_added_up_is_what_a_fresh_look_finds(tmp_path: Path, name: str) -> None:
+    teller, tests = Collector(tmp_path), list[int]()
+
+    def look() -> bool:
+        story = teller.look()
+        assert story == told(tmp_path)
+        json.loads(to_json(story))
+        tests.append(sum(len(problem.tests.test) for problem in story.problems))
+        return False
+
+    with campaign_lock(tmp_path):
+        stage = play(tmp_path, CONFIGS[name], look)
+        assert teller.look().state == "running"
+    assert len(set(tests)) > 2, "some looks saw it in the middle"
+    assert tests == sorted(tests)
+    story = teller.look()
+    assert (story.state, story.claims, story.composition) == ("stopped", (), None)
+    assert story.violations == len(story.counterexamples) > 0
+    finish(stage, tmp_path)
+    story = teller.look()
+    assert story == told(tmp_path)
+    assert story.state == "finished"
+    assert story.now == story.claims[0].sentence
+
+
+def test_a_look_changes_no_file_and_leaves_none(finished: Path) -> None:
+    before = contents(finished)
+    teller = Collector(finished)
+    story = teller.look()
+    for problem in story.problems:
+        teller.scene(problem.name, 0)
+    assert contents(finished) == before
+
+
+def test_an_empty_log_that_somebody_left_is_left_alone(one: Path) -> None:
+    (one / "campaign.db-wal").touch()
+    before = contents(one)
+    Collector(one).look()
+    assert contents(one) == before, "no -shm beside it"
+
+
+def test_a_surface_is_worked_out_again_only_after_a_new_test(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    teller = Collector(finished)
+    first = teller.look()
+    monkeypatch.setattr(surfaces, "surface", lambda *_: pytest.fail("nothing is new"))
+    monkeypatch.setattr(rollouts, "scene", lambda *_: pytest.fail("nothing is new"))
+    assert teller.look() == first
+
+
+def test_after_an_error_the_next_look_starts_over(one: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    teller = Collector(one)
+    first = teller.look()
+
+    def spoiled(_: ChangeReader) -> Changes:
+        raise JournalError("just now")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ChangeReader, "look", spoiled)
+        with pytest.raises(JournalError, match="just now"):
+            teller.look()
+    assert teller.look() == first
+
+
+def test_another_campaign_in_its_place_is_not_mixed_in(one: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    teller, other = Collector(one), tmp_path_factory.mktemp("other")
+    first = teller.look()
+    finish(play(other, a_pair("paper", seed=2)), other)
+    for name in ("campaign.db", "certificate.json"):
+        (other / name).replace(one / name)
+    with pytest.raises(JournalError, match="another campaign"):
+        teller.look()
+    assert teller.look().run != first.run
+
+
+def test_the_certificate_of_another_campaign_is_refused(one: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    other = tmp_path_factory.mktemp("other")
+    finish(play(other, a_pair("paper", seed=2)), other)
+    (other / "certificate.json").replace(one / "certificate.json")
+    with pytest.raises(JournalError, match="certificate is that of another campaign"):
+        told(one)
+
+
+def test_no_campaign_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(JournalError, match="no campaign here"):
+        told(tmp_path)
+
+
+# Numbers
+
+
+def by_name(story: ReportData) -> dict[str, Problem]:
+    return {problem.name: problem for problem in story.problems}
+
+
+def test_the_numbers_have_the_sign_of_their_objective(finished: Path) -> None:
+    facts = read.history(finished)
+    for name, problem in by_name(told(finished)).items():
+        sign = -1 if problem.sense == "min" else 1
+        seen, tests = facts[name], problem.tests
+        assert numbers(tests.y) == [sign * each.observation.y for each in seen]
+        outer = [None if each.bound.upper is None else sign * each.bound.upper for each in seen]
+        inner = [None if each.bound.lower is None else sign * each.bound.lower for each in seen]
+        assert (tests.lower, tests.upper) == (
+            (tuple(outer), tuple(inner)) if sign < 0 else (tuple(inner), tuple(outer))
+        )
+        last = outer[-1]
+        assert last is not None
+        assert problem.bound == pytest.approx(last, abs=2e-9)
+        for lower, upper in zip(tests.lower, tests.upper, strict=True):
+            assert lower is None or upper is None or lower <= upper
+
+
+@pytest.mark.usefixtures("no_disk")
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_surface_is_what_the_method_says(tmp_path: Path, name: str) -> None:
+    """The method is the campaign's own, which also proposed; the story's has only seen the facts."""
+    stage = play(tmp_path, CONFIGS[name])
+    for problem in told(tmp_path).problems:
+        method, surface = stage.ledger.methods[problem.name], problem.surface
+        assert surface is not None
+        last = stage.ledger.accounts[problem.name].last_bound
+        assert last is not None
+        band = method.band(replace(last.bound, verdict=None))
+        sides = (surface.upper, surface.lower) if problem.sense == "min" else (surface.lower, surface.upper)
+        sign = -1 if problem.sense == "min" else 1
+        for found, wanted in zip((surface.mean, *sides), (band.mean, band.lower, band.upper), strict=True):
+            values = [math.nan if each is None else each for each in found]
+            np.testing.assert_allclose(values, sign * np.array(wanted), rtol=0, atol=1e-9)
+        assert surface.worst == band.possible
+    stage.journal.close()
+
+
+def test_the_worst_start_is_where_the_band_is_worst(finished: Path) -> None:
+    for problem in told(finished).problems:
+        surface = problem.surface
+        assert surface is not None
+        outer = numbers(surface.lower if problem.sense == "min" else surface.upper)
+        worst = int(np.argmin(outer) if problem.sense == "min" else np.argmax(outer))
+        assert surface.worst[worst]
+        assert len(surface.mean) == len(surface.worst) == (math.prod(surface.shape) if surface.shape else 5)
+
+
+def test_the_band_of_method_paper_is_the_one_that_its_proposals_were_chosen_by(one: Path) -> None:
+    added, bands = ChangeReader(one).look(), dict[str, Band]()
+    proposals, checked = dict[str, Proposal](), 0
+    own = methods(plans(added.header.config, added.header.spec))
+    for fact in added.decisions:
+        match fact:
+            case ProposalFact(proposal=Proposal(beta=float()) as chosen):
+                band, node = bands[fact.problem], chosen.node
+                assert band.mean[node] == pytest.approx(chosen.mu)
+                assert band.upper[node] - band.lower[node] == pytest.approx(chosen.F)
+                assert max(band.upper) == pytest.approx(band.upper[node])
+                checked += 1
+            case ObservationFact():
+                bound = own[fact.problem].observe(proposals[fact.problem], fact.observation)
+                bands[fact.problem] = own[fact.problem].band(bound)
+        if isinstance(fact, ProposalFact):
+            proposals[fact.problem] = fact.proposal
+    assert checked == 14
+
+
+def test_a_running_problem_of_the_paper_has_no_bound_yet(tmp_path: Path, no_disk: None) -> None:
+    seen = list[ReportData]()
+
+    def look() -> bool:
+        seen.append(told(tmp_path))
+        return len(seen[-1].problems[0].tests.test) > 3
+
+    stage = play(tmp_path, a_pair("paper"), look)
+    story = seen[-1]
+    assert story.problems[0].probability is None
+    assert "not yet a bound" in story.now
+    assert story.now.endswith("The composed claim comes at the end.")
+    stage.journal.close()
+
+
+def test_a_running_problem_of_the_others_has_a_bound_at_any_time(tmp_path: Path, no_disk: None) -> None:
+    seen = list[ReportData]()
+
+    def look() -> bool:
+        seen.append(told(tmp_path))
+        return len(seen[-1].problems[0].tests.test) > 3
+
+    stage = play(tmp_path, a_list(), look)
+    (problem,) = seen[-1].problems
+    assert problem.probability == pytest.approx(0.9)
+    assert "with probability at least 0.9000" in seen[-1].now
+    assert seen[0].now == "true_risk: no bound yet."
+    stage.journal.close()
+
+
+def test_the_words_promise_no_more_than_the_numbers(finished: Path) -> None:
+    for claim in told(finished).claims:
+        number = float(claim.sentence.split(f" {claim.sense} ")[1].split()[0])
+        assert number <= claim.bound if claim.sense == ">=" else number >= claim.bound
+        assert float(claim.sentence.split("at least ")[1].split(".  ")[0].split()[0].rstrip(".")) <= claim.probability
+
+
+# More than two parameters, fine lattices
+
+
+def test_a_box_is_projected_on_the_worst_of_the_other_parameters() -> None:
+    lattice = Lattice((0.0,) * 3, (1.0,) * 3, 4)
+    values = np.arange(64.0)
+    band = surfaces._Arrays(values, values - 1, values + 1, values == 63)
+    flat = surfaces._projected(band, lattice)
+    assert flat.mean.tolist() == values.reshape(4, 4, 4).max(axis=2).tolist()
+    assert flat.possible.tolist() == [[False] * 4] * 3 + [[False, False, False, True]]
+
+
+@pytest.mark.parametrize(("resolution", "count"), [(51, 51), (101, 51), (98, 54), (400, 54), (2, 2)])
+def test_a_fine_lattice_is_thinned_and_loses_no_possible_worst(resolution: int, count: int) -> None:
+    values = np.zeros((resolution, resolution))
+    possible = np.zeros_like(values, dtype=np.bool_)
+    possible[resolution - 2, 1] = True
+    thin, shape = surfaces._thinned(surfaces._Arrays(values, values, values, possible))
+    assert shape == (count, count)
+    assert thin.mean.size <= surfaces.MOST_NODES
+    (at,) = np.argwhere(thin.possible)
+    assert (
+        np.abs(at / (count - 1) - np.array([resolution - 2, 1]) / (resolution - 1)).max() <= 0.5 / (count - 1) + 1e-12
+    )
+
+
+@given(st.integers(1, 3000), st.integers(0, 2**32))
+def test_a_thinned_curve_keeps_ends_and_extremes(size: int, seed: int) -> None:
+    values = np.random.default_rng(seed).standard_normal(size)
+    t, thin = curves.thinned(np.arange(len(values)) / 100, values)
+    assert len(t) == len(thin) <= curves.MOST_POINTS
+    assert list(t) == sorted(set(t))
+    assert (thin[0], thin[-1]) == (values[0], values[-1])
+    assert (min(thin), max(thin)) == (values.min(), values.max())
+
+
+# Columns and limits
+
+
+def header(specification: str, name: str = "segway-paper") -> Header:
+    return Header.new(config(name, specification=specification), load("segway").spec, {})
+
+
+@pytest.mark.parametrize(
+    ("specification", "limits"),
+    [
+        ("always (abs(phi) <= 0.95)", (("phi", -0.95), ("phi", 0.95))),
+        ("always (phi < 0.5 and -0.25 <= phi)", (("phi", -0.25), ("phi", 0.5))),
+        ("always (-phi <= 0.5)", (("phi", -0.5),)),
+        ("eventually (0.5 >= phi)", (("phi", 0.5),)),
+        ("always (phi + 1 <= 0.5)", ()),
+    ],
+)
+def test_limits_are_read_from_simple_predicates(specification: str, limits: tuple[tuple[str, float], ...]) -> None:
+    assert curves.limits(header(specification), ("phi",)) == limits
+
+
+def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
+    about = header("always (abs(phi) <= 0.95)")
+    assert [unit(problem, about.config, about.spec) for problem in about.config.problems] == ["rad", "rad"]
+    assert unit(about.config.problems[0], header("always (phi^2 <= 0.95)").config, about.spec) == ""
+
+
+# Scenes
+
+
+def test_a_scene_shows_the_worst_tests_nominal_against_true(finished: Path) -> None:
+    story = told(finished)
+    for problem in story.problems:
+        shown = [scene for scene in story.scenes if scene.problem == problem.name]
+        y, x = numbers(problem.tests.y), problem.tests.x
+        order = sorted(problem.tests.test, key=lambda test: (y[test] if problem.sense == "min" else -y[test], test))
+        worst = [test for place, test in enumerate(order) if x[test] not in [x[each] for each in order[:place]]]
+        assert [scene.test for scene in shown] == worst[:8]
+        assert len(worst) < len(order) or problem.method != "scenario"
+        for scene in shown:
+            assert scene.error is None
+            assert {trace.column for trace in scene.traces} == {"value"}
+            assert (scene.limits, scene.limit_columns) == ((0.002,), ("value",))
+            if problem.name == "sim_gap":
+                assert {trace.variant for trace in scene.traces} == {"nominal", "true"}
+            robustness = [each.robustness for each in scene.rollouts]
+            assert robustness == sorted(robustness, key=lambda value: value or 0.0)
+
+
+def test_a_damaged_or_missing_file_leaves_its_curve_out(one: Path) -> None:
+    scene = next(scene for scene in told(one).scenes if scene.problem == "sim_gap")
+    first, second = (one / rollout.path for rollout in scene.rollouts)
+    first.write_bytes(b"x" + first.read_bytes()[1:])
+    found = Collector(one).scene("sim_gap", scene.test)
+    assert len(found.traces) == len(scene.traces) - 1
+    assert found.error is not None
+    assert first.name in found.error
+    second.unlink()
+    story = told(one)
+    again = next(each for each in story.scenes if (each.problem, each.test) == ("sim_gap", scene.test))
+    assert again.traces == ()
+    assert again.rollouts == scene.rollouts
+    assert again.error is not None
+    assert second.name in again.error
+
+
+def test_a_file_that_was_mended_is_shown_at_the_next_look(one: Path) -> None:
+    teller = Collector(one)
+    scene = next(scene for scene in told(one).scenes if scene.problem == "sim_gap")
+    path = one / scene.rollouts[0].path
+    data = path.read_bytes()
+    path.unlink()
+    assert teller.scene("sim_gap", scene.test) != scene
+    path.write_bytes(data)
+    assert teller.scene("sim_gap", scene.test) == scene
+
+
+@pytest.mark.parametrize("problem", ["", "no", "../sim_gap", HOSTILE])
+def test_a_scene_of_no_problem_is_refused(one: Path, problem: str) -> None:
+    with pytest.raises(PerfboundError, match="allowed are nominal_robustness, sim_gap") as error:
+        Collector(one).scene(problem, 0)
+    assert len(str(error.value)) < 1000
+
+
+@pytest.mark.parametrize("test", [-1, 8, 10**9])
+def test_a_scene_of_no_test_is_refused(one: Path, test: int) -> None:
+    with pytest.raises(PerfboundError, match="no test"):
+        Collector(one).scene("sim_gap", test)
+
+
+# Counterexamples
+
+
+def test_counterexamples_come_worst_first_with_what_reproduces_them(finished: Path) -> None:
+    story = told(finished)
+    found = [rollout.robustness for rollout in story.counterexamples]
+    assert found == sorted(value for value in found if value is not None)
+    assert story.violations == len(found) > 0
+    for rollout in story.counterexamples:
+        assert rollout.robustness is not None
+        assert rollout.robustness < 0
+        assert rollout.command == f"perfbound replay {finished} {rollout.id}"
+        assert (finished / rollout.path).is_file()
+
+
+def test_a_directory_with_a_blank_is_quoted(tmp_path: Path, no_disk: None) -> None:
+    directory = tmp_path / "a b;rm"
+    directory.mkdir()
+    finish(play(directory, a_list()), directory)
+    story = told(directory)
+    assert story.counterexamples[0].command.startswith(f"perfbound replay '{directory}' true_risk.")
+    assert story.resume == f"perfbound resume '{directory}'"
+
+
+# What strangers write
+
+
+def test_hostile_names_are_text(one: Path) -> None:
+    attempt = {"rollout": "sim_gap.0.true.0", "attempt": 7, "worker": HOSTILE}
+    insert(one, "attempts", **attempt, host=HOSTILE, pid=1, session=1, started=0.0)
+    insert(one, "outcomes", **attempt, ended=1.0, outcome="lost", cpu_seconds=0.5, wall_seconds=1.5)
+    story = Collector(one).look({HOSTILE: LiveState(HOSTILE, HOSTILE, 1.0)})
+    text = to_json(story)
+    assert "<" not in text
+    assert "\u2028" not in text
+    (worker,) = (each for each in json.loads(text)["workers"] if each["name"] == HOSTILE)
+    assert (worker["host"], worker["state"], worker["rollout"], worker["failures"]) == (HOSTILE, HOSTILE, HOSTILE, 1)
+
+
+@pytest.mark.parametrize("path", ["../../etc/passwd", "/etc/passwd", "trajectories/../../x", "javascript:alert(1)"])
+def test_a_path_that_leaves_the_run_directory_is_no_link_and_is_not_read(one: Path, path: str) -> None:
+    row = {"problem": "sim_gap", "test": 0, "variant": "true", "replicate": 9, "seed": 1}
+    insert(one, "rollouts", seq=10**6, **row, sha256="0" * 64, size=1, path=path, robustness=-0.04)
+    scene = Collector(one).scene("sim_gap", 0)
+    assert scene.error is not None
+    assert "is not a path in the run directory" in scene.error
+    assert [each.path for each in scene.rollouts if each.replicate == 9] == [""]
+
+
+def test_a_number_that_is_not_finite_is_refused(one: Path) -> None:
+    story = told(one)
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        to_json(replace(story, risk_weight=math.nan))
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        to_json(replace(story, clip=(0.0, math.inf)))
+
+
+def test_json_keeps_unix_times_to_the_millisecond(one: Path) -> None:
+    text = to_json(replace(told(one), updated=1795266057.8321, risk_weight=0.123456789))
+    found = json.loads(text)
+    assert found["updated"] == 1795266057.8321
+    assert found["risk_weight"] == 0.1234568
+
+
+# Workers
+
+
+def test_work_adds_up(finished: Path) -> None:
+    story = told(finished)
+    assert sum(worker.rollouts for worker in story.workers) == story.rollouts
+    assert {worker.state for worker in story.workers} == {"unknown"}
+    assert {worker.host for worker in story.workers} == {"memory"}
+    assert story.throughput.recorded[-1] == story.rollouts
+    assert list(story.throughput.seconds) == sorted(story.throughput.seconds)
+    assert story.throughput.sessions == 1
+
+
+def test_what_an_orchestrator_tells_is_laid_over(finished: Path) -> None:
+    story = Collector(finished).look(
+        {"puppet-00001": LiveState("busy", "sim_gap.3.true.0", 5.0), "new": LiveState("idle")}, 7.0
+    )
+    states = {worker.name: (worker.state, worker.rollout, worker.heartbeat) for worker in story.workers}
+    assert states["puppet-00001"] == ("busy", "sim_gap.3.true.0", 5.0)
+    assert states["puppet-00000"] == ("unknown", None, None)
+    assert states["new"] == ("idle", None, None)
+    assert story.updated == 7.0
+
+
+def test_a_long_campaign_has_few_points(one: Path) -> None:
+    crew, about = WorkerStatistics(), ChangeReader(one).look().header
+    outcomes = tuple(Outcome("w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
+    lost = Outcome("w", "hung", 5000.0, 0.0, 10.0)
+    crew.take(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2))
+    found = crew.throughput()
+    assert len(found.seconds) == len(found.recorded) == 200
+    assert (found.recorded[0], found.recorded[-1], found.seconds[-1]) == (1, 5000, 4999.0)
+    assert found.rate == pytest.approx(1.0)
+    (worker,) = crew.workers({})
+    assert (worker.rollouts, worker.failures, worker.busy_seconds, worker.last) == (5000, 1, 5010.0, 5000.0)
+
+
+def test_listed_starts_have_points_and_no_shape(tmp_path: Path, no_disk: None) -> None:
+    finish(play(tmp_path, a_list()), tmp_path)
+    story = told(tmp_path)
+    surface = story.problems[0].surface
+    assert isinstance(surface, Surface)
+    assert (surface.shape, surface.points[3], set(surface.upper)) == (None, (4.5, 2.0), {None})
+    assert [(axis.low, axis.high) for axis in story.axes] == [(0.0, 4.5), (0.0, 3.0)]

@@ -1,0 +1,547 @@
+"""The live page as a web application, asked directly: who may ask, for what, and when the page is told."""
+
+import asyncio
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.data import ReportData, RolloutsOfTest
+from perfbound.orchestrator.report.web import app
+from perfbound.orchestrator.report.web import snapshots as looks_module
+from perfbound.orchestrator.report.web.hosts import Hosts
+from perfbound.orchestrator.report.web.snapshots import SnapshotCache
+from perfbound.orchestrator.report.workers import LiveState
+from perfbound.orchestrator.run.address import Address
+from perfbound.orchestrator.store.journal import DATABASE
+from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.errors import JournalError
+from tests.campaigns import FOLDER
+from tests.fakes.inmemory import campaign
+
+RECORDED = "trajectories/maximum/0/maximum.0.true.0.mcap"
+pytestmark = pytest.mark.timeout(60)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run directory of a finished campaign."""
+    directory = tmp_path_factory.mktemp("web") / "run"
+    text = (FOLDER / "test-function.toml").read_bytes()
+    campaign(directory, parse(text, "test", resolution=5, max_tests=3, replicates=2))
+    return directory
+
+
+@pytest.fixture
+def directory(finished: Path, tmp_path: Path) -> Path:
+    """A copy that a test may spoil."""
+    return Path(shutil.copytree(finished, tmp_path / "run"))
+
+
+@pytest.fixture(autouse=True)
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(looks_module, "PERIOD", 0.01)
+    monkeypatch.setattr(looks_module, "LONGEST", 0.02)
+
+
+@dataclass
+class Answer:
+    status: int = 0
+    headers: dict[str, str] = field(default_factory=dict)
+    chunks: list[bytes] = field(default_factory=list)
+
+    @property
+    def body(self) -> bytes:
+        return b"".join(self.chunks)
+
+    @property
+    def text(self) -> str:
+        return self.body.decode()
+
+    @property
+    def stories(self) -> list[Any]:
+        """What the events of a stream tell."""
+        events = [event for event in self.text.split("\n\n") if event.startswith("event: story\n")]
+        return [json.loads(event.partition("\ndata: ")[2]) for event in events]
+
+    async def take(self, message: Mapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            self.headers = {name.decode(): value.decode() for name, value in message["headers"]}
+        else:
+            self.chunks.append(message["body"])
+
+
+Send = Callable[[Mapping[str, Any]], Awaitable[None]]
+HOST = (("host", "127.0.0.1:8000"),)
+
+
+def scope(path: str, method: str = "GET", query: str = "", headers: tuple[tuple[str, str], ...] = HOST) -> Any:
+    return {
+        "type": "http",
+        "asgi": {"version": "3.0", "spec_version": "2.3"},
+        "http_version": "1.1",
+        "method": method,
+        "scheme": "http",
+        "path": path,
+        "raw_path": path.encode(),
+        "query_string": query.encode(),
+        "headers": [(name.encode(), value.encode()) for name, value in headers],
+        "root_path": "",
+        "client": None,
+        "server": None,
+    }
+
+
+class Client:
+    """One that asks an application in the event loop of the test."""
+
+    def __init__(self, application: Any) -> None:
+        self._application = application
+
+    async def ask(self, path: str, **asked: Any) -> Answer:
+        answer = Answer()
+        await self._application(scope(path, **asked), self._silent, answer.take)
+        return answer
+
+    def open(self, send: Send) -> "asyncio.Task[None]":
+        """Ask for the events; cancelled when the client goes."""
+        return asyncio.get_running_loop().create_task(self._application(scope("/events"), self._silent, send))
+
+    @staticmethod
+    async def _silent() -> Any:
+        await asyncio.Event().wait()
+
+
+class Stub:
+    """A teller whose story the test writes."""
+
+    def __init__(self, story: ReportData) -> None:
+        self.story = story
+        self.looks = 0
+        self.live: Mapping[str, LiveState] | None = None
+        self.trouble: Exception | None = None
+
+    def look(self, live: Mapping[str, LiveState] | None = None, at: float | None = None) -> ReportData:
+        self.looks += 1
+        self.live = live
+        if self.trouble is not None:
+            raise self.trouble
+        return replace(self.story, updated=at)
+
+    def scene(self, problem: str, test: int) -> RolloutsOfTest:
+        raise ZeroDivisionError("a fault of ours")
+
+
+@pytest.fixture
+def stub(finished: Path) -> Stub:
+    return Stub(Collector(finished).look())
+
+
+def client(directory: Path, address: Address = Address("127.0.0.1", 8000)) -> Client:  # noqa: B008  (frozen)
+    return Client(app.application(directory, SnapshotCache(Collector(directory), pytest.fail), Hosts.of(address)))
+
+
+def get(directory: Path, path: str, **asked: Any) -> Answer:
+    return asyncio.run(client(directory).ask(path, **asked))
+
+
+def watching(
+    stub: Stub, test: Callable[[Client, SnapshotCache], Coroutine[Any, Any, None]], said: list[str] | None = None
+) -> None:
+    """Run a test with an application that tells what the stub tells."""
+
+    async def whole() -> None:
+        looks = SnapshotCache(stub, pytest.fail if said is None else said.append)
+        application = app.application(Path("nowhere"), looks, Hosts.of(Address()))
+        await test(Client(application), looks)
+
+    asyncio.run(whole())
+
+
+async def until(condition: Callable[[], object]) -> None:
+    while not condition():
+        await asyncio.sleep(0.005)
+
+
+async def gone(*streams: "asyncio.Task[None]") -> None:
+    for stream in streams:
+        stream.cancel()
+        with suppress(asyncio.CancelledError):
+            await stream
+
+
+# Who may ask
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8000", "localhost", "LOCALHOST:1", "[::1]:8000"])
+def test_the_page_answers_to_its_own_names(finished: Path, host: str) -> None:
+    assert get(finished, "/story.json", headers=(("host", host),)).status == 200
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        *("evil.example", "evil.example:8000", "127.0.0.1.evil.example", "localhost.evil.example:80", "192.168.1.7"),
+        *("", ":8000", "127.0.0.1@evil.example", "localhost/", "localhost\n", "127.0.0.1:8000:1", "127.1", "[::2]"),
+    ],
+)
+@pytest.mark.parametrize("path", ["/", "/events", "/story.json", f"/{RECORDED}", "/nowhere"])
+def test_and_to_no_other(finished: Path, host: str, path: str) -> None:
+    """A web site whose name is made to lead here (DNS rebinding) reads nothing."""
+    answer = get(finished, path, headers=(("host", host),))
+    assert answer.status == 421
+    assert b"segway" not in answer.body
+    assert b"test-function" not in answer.body
+
+
+@pytest.mark.parametrize("headers", [(), (("host", "localhost"), ("host", "evil.example"))])
+def test_a_request_names_one_host(finished: Path, headers: tuple[tuple[str, str], ...]) -> None:
+    assert get(finished, "/", headers=headers).status == 400
+
+
+def test_a_page_for_others_answers_to_numbers_and_the_name_of_the_machine(finished: Path) -> None:
+    everywhere = client(finished, Address("0.0.0.0", 80))
+    statuses = {
+        host: asyncio.run(everywhere.ask("/nowhere", headers=(("host", host),))).status
+        for host in ("192.168.1.7", os.uname().nodename, "evil.example")
+    }
+    assert statuses == {"192.168.1.7": 404, os.uname().nodename: 404, "evil.example": 421}
+    named = client(finished, Address("lab.example", 80))
+    assert asyncio.run(named.ask("/story.json", headers=(("host", "Lab.Example:80"),))).status == 200
+    assert asyncio.run(named.ask("/story.json", headers=(("host", "192.168.1.7"),))).status == 421
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE"])
+@pytest.mark.parametrize("path", ["/", "/events", "/scene", f"/{RECORDED}", "/certificate.json"])
+def test_nothing_can_be_changed(finished: Path, method: str, path: str) -> None:
+    assert get(finished, path, method=method).status == 405
+
+
+def test_an_address_has_an_end(finished: Path) -> None:
+    assert get(finished, "/scene", query=f"problem={'a' * 1000}&test=0").status == 414
+    assert get(finished, "/" + "a" * 1000).status == 414
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [("/", HOST), ("/story.json", HOST), ("/nowhere", HOST), (f"/{RECORDED}", HOST), ("/", (("host", "evil"),))],
+)
+def test_what_browsers_are_told_with_every_answer(
+    finished: Path, path: str, headers: tuple[tuple[str, str], ...]
+) -> None:
+    told = get(finished, path, headers=headers).headers
+    assert "default-src 'none'" in told["content-security-policy"]
+    assert "frame-ancestors 'none'" in told["content-security-policy"]
+    assert "unsafe" not in told["content-security-policy"]
+    assert told["x-content-type-options"] == "nosniff"
+    assert told["referrer-policy"] == "no-referrer"
+    assert told["cross-origin-resource-policy"] == "same-origin"
+    assert told["cache-control"] == "no-store"
+    assert not [name for name in told if name.startswith("access-control")]
+
+
+# For what
+
+
+def test_the_page_has_the_story_and_asks_for_events(finished: Path) -> None:
+    answer = get(finished, "/")
+    assert answer.status == 200
+    assert '<body data-live="events">' in answer.text
+    assert '"name":"test-function"' in answer.text
+    assert "connect-src 'self'" in answer.headers["content-security-policy"]
+    assert "{{STORY}}" not in answer.text
+
+
+def test_the_story(finished: Path) -> None:
+    answer = get(finished, "/story.json")
+    story = json.loads(answer.body)
+    assert answer.headers["content-type"] == "application/json"
+    assert (story["name"], story["state"], story["rollouts"]) == ("test-function", "finished", 6)
+    assert story["updated"] is not None
+
+
+def test_a_scene(finished: Path) -> None:
+    answer = get(finished, "/scene", query="problem=maximum&test=2")
+    assert (answer.status, json.loads(answer.body)["test"]) == (200, 2)
+
+
+@pytest.mark.parametrize(
+    ("query", "status", "text"),
+    [
+        ("problem=nothing&test=0", 404, "no problem 'nothing'; allowed are maximum"),
+        ("problem=maximum&test=3", 404, "maximum has no test 3; there are 3"),
+        ("problem=%00%0a&test=0", 404, "no problem"),
+        ("problem=maximum&test=-1", 400, "ask for /scene?problem=NAME&test=NUMBER"),
+        ("problem=maximum&test=٣", 400, "ask for"),
+        ("problem=maximum&test=9999999999999999999", 400, "ask for"),
+        ("problem=maximum", 400, "ask for"),
+        ("", 400, "ask for"),
+    ],
+)
+def test_a_scene_that_there_is_not(finished: Path, query: str, status: int, text: str) -> None:
+    answer = get(finished, "/scene", query=query)
+    assert answer.status == status
+    assert text in answer.text
+    assert answer.text.count("\n") == 1
+    assert answer.headers["content-type"].startswith("text/plain")
+
+
+def test_a_recorded_file(finished: Path) -> None:
+    answer = get(finished, f"/{RECORDED}")
+    assert (answer.status, answer.body) == (200, (finished / RECORDED).read_bytes())
+    assert answer.headers["content-disposition"] == "attachment"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/trajectories/../campaign.db",
+        "/trajectories/../../run/campaign.db",
+        "/trajectories/maximum/0/../../../campaign.db",
+        "/trajectories//etc/passwd",
+        "/trajectories/maximum/0/../0/maximum.0.true.0.mcap",
+        "/trajectories/maximum/../maximum/0/maximum.0.true.0.mcap",
+        "/trajectories/./maximum/0/maximum.0.true.0.mcap",
+        "/trajectories/maximum/00/maximum.0.true.0.mcap",
+        "/trajectories/maximum/1/maximum.0.true.0.mcap",
+        "/trajectories/maximum/0/maximum.0.true.00.mcap",
+        "/trajectories/maximum/0/maximum.0.true.0.mcap/",
+        "/trajectories/maximum/0/maximum.0.true.0.mcap\0",
+        "/trajectories/maximum/0/maximum.99999999999999999999.true.0.mcap",
+        "/trajectories/maximum/0/maximum.0.true.9.mcap",
+        "/trajectories/maximum/0/",
+        "/trajectories/",
+        "/campaign.db",
+        "/manifest.sha256",
+        "/../run/certificate.json",
+        "//certificate.json",
+    ],
+)
+def test_nothing_else_is_a_file(directory: Path, path: str) -> None:
+    """Nor is one that lies among the others, unrecorded."""
+    shutil.copy(directory / RECORDED, directory / "trajectories/maximum/0/maximum.0.true.9.mcap")
+    assert get(directory, path).status == 404
+
+
+def test_a_link_is_not_followed(directory: Path, tmp_path: Path) -> None:
+    """Not even to a file with the right bytes."""
+    shutil.move(directory / RECORDED, tmp_path / "file")
+    (directory / RECORDED).symlink_to(tmp_path / "file")
+    assert get(directory, f"/{RECORDED}").status == 404
+    shutil.move(directory / "trajectories/maximum", tmp_path / "folder")
+    (directory / "trajectories/maximum").symlink_to(tmp_path / "folder")
+    assert get(directory, "/trajectories/maximum/0/maximum.1.true.0.mcap").status == 404
+    (tmp_path / "secret").write_text("{}")
+    (directory / "certificate.json").unlink()
+    (directory / "certificate.json").symlink_to(tmp_path / "secret")
+    assert get(directory, "/certificate.json").status == 404
+
+
+def test_a_file_that_was_changed_is_not_served(directory: Path) -> None:
+    data = bytearray((directory / RECORDED).read_bytes())
+    data[-20] ^= 1
+    (directory / RECORDED).write_bytes(data)
+    answer = get(directory, f"/{RECORDED}")
+    assert answer.status == 404
+    assert "sha256" in answer.text
+    (directory / RECORDED).write_bytes(bytes(data) + b"more")
+    assert get(directory, f"/{RECORDED}").status == 404
+    (directory / RECORDED).unlink()
+    assert get(directory, f"/{RECORDED}").status == 404
+    os.mkfifo(directory / RECORDED)  # who reads it waits for ever
+    assert get(directory, f"/{RECORDED}").status == 404
+
+
+@pytest.mark.parametrize("path", ["../secret", "trajectories/../../secret", "/etc/passwd"])
+def test_a_foreign_database_names_no_other_file(directory: Path, tmp_path: Path, path: str) -> None:
+    (tmp_path / "secret").write_text("secret")
+    with closing(sqlite3.connect(directory / DATABASE, isolation_level=None)) as connection:
+        connection.execute("DROP TRIGGER rollouts_no_update")
+        connection.execute("UPDATE rollouts SET path = ? WHERE test = 0", (path,))
+    assert get(directory, f"/{path}").status == 404
+    assert get(directory, f"/{RECORDED}").status == 404
+
+
+def test_the_certificate(directory: Path) -> None:
+    assert get(directory, "/certificate.json").body == (directory / "certificate.json").read_bytes()
+    (directory / "certificate.json").unlink()
+    assert get(directory, "/certificate.json").status == 404
+
+
+def test_the_counterexamples(finished: Path) -> None:
+    answer = get(finished, "/counterexamples.csv")
+    assert answer.text.startswith("rollout,problem,test,")
+    assert answer.headers["content-type"].startswith("text/csv")
+
+
+def test_a_fault_of_ours_is_said_and_is_no_end(stub: Stub) -> None:
+    said: list[str] = []
+
+    async def test(client: Client, _: SnapshotCache) -> None:
+        answer = Answer()
+        with pytest.raises(ZeroDivisionError):  # for the server's log
+            await client._application(scope("/scene", query="problem=a&test=0"), client._silent, answer.take)
+        assert answer.status == 500
+        assert (await client.ask("/story.json")).status == 200
+
+    watching(stub, test, said)
+    assert said == ["/scene: ZeroDivisionError('a fault of ours')"]
+
+
+# When the page is told
+
+
+def test_an_event_when_something_changes_and_not_otherwise(stub: Stub) -> None:
+    async def test(client: Client, _: SnapshotCache) -> None:
+        answer = Answer()
+        stream = client.open(answer.take)
+        await until(lambda: stub.looks >= 10)  # each with another time of the look
+        assert answer.body.startswith(b"retry: 1000\n\n")
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        assert [story["rollouts"] for story in answer.stories] == [6]
+        stub.story = replace(stub.story, rollouts=7)
+        await until(lambda: len(answer.stories) == 2)
+        looks = stub.looks
+        await until(lambda: stub.looks >= looks + 10)
+        assert [story["rollouts"] for story in answer.stories] == [6, 7]
+        await gone(stream)
+
+    watching(stub, test)
+
+
+def test_silence_is_told(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app, "KEEP_ALIVE", 0.02)
+
+    async def test(client: Client, _: SnapshotCache) -> None:
+        answer = Answer()
+        stream = client.open(answer.take)
+        await until(lambda: answer.body.endswith(b": still here\n\n: still here\n\n"))
+        await gone(stream)
+
+    watching(stub, test)
+
+
+def test_nobody_looks_while_nobody_watches(stub: Stub) -> None:
+    async def test(client: Client, _: SnapshotCache) -> None:
+        await asyncio.sleep(0.1)
+        assert stub.looks == 0
+        answers = Answer(), Answer(), Answer()
+        streams = [client.open(answer.take) for answer in answers]
+        await until(lambda: all(answer.stories for answer in answers))
+        await gone(*streams)
+        looks = stub.looks
+        await asyncio.sleep(0.1)
+        assert stub.looks == looks
+
+    watching(stub, test)
+
+
+def test_many_who_watch_share_one_look(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(looks_module, "PERIOD", 60.0)
+    monkeypatch.setattr(looks_module, "LONGEST", 60.0)
+
+    async def test(client: Client, _: SnapshotCache) -> None:
+        answers = [Answer() for _ in range(10)]
+        streams = [client.open(answer.take) for answer in answers]
+        await until(lambda: all(answer.stories for answer in answers))
+        await client.ask("/story.json")
+        assert stub.looks == 1
+        await gone(*streams)
+
+    watching(stub, test)
+
+
+def test_so_many_may_watch_and_no_more(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app, "MOST_STREAMS", 2)
+
+    async def test(client: Client, _: SnapshotCache) -> None:
+        first, second = Answer(), Answer()
+        streams = [client.open(first.take), client.open(second.take)]
+        await until(lambda: first.stories and second.stories)
+        refused = await client.ask("/events")
+        assert (refused.status, "2 pages of this campaign are open" in refused.text) == (503, True)
+        assert (await client.ask("/story.json")).status == 200
+        await gone(streams[0])
+        third = Answer()
+        streams.append(client.open(third.take))
+        await until(lambda: third.stories)
+        await gone(*streams[1:])
+
+    watching(stub, test)
+
+
+def test_a_client_that_takes_nothing_holds_nobody_up(stub: Stub) -> None:
+    async def never(_: Mapping[str, Any]) -> None:
+        await asyncio.Event().wait()
+
+    async def test(client: Client, _: SnapshotCache) -> None:
+        stuck, answer = client.open(never), Answer()
+        stream = client.open(answer.take)
+        await until(lambda: answer.stories)
+        stub.story = replace(stub.story, rollouts=7)
+        await until(lambda: len(answer.stories) == 2)
+        await gone(stuck, stream)
+
+    watching(stub, test)
+
+
+def test_a_look_that_fails_is_said_once_and_the_page_keeps_what_it_has(stub: Stub) -> None:
+    said: list[str] = []
+
+    async def test(client: Client, _: SnapshotCache) -> None:
+        stub.trouble = JournalError("the disk is gone")
+        answer = Answer()
+        stream = client.open(answer.take)
+        await until(lambda: stub.looks >= 3)
+        refused = await client.ask("/story.json")
+        assert (refused.status, refused.text) == (503, "the disk is gone\n")
+        stub.trouble = None
+        await until(lambda: answer.stories)
+        stub.trouble = ZeroDivisionError("a fault of ours")
+        await asyncio.sleep(0.05)
+        assert (await client.ask("/story.json")).status == 200
+        stub.trouble, stub.story = None, replace(stub.story, rollouts=7)
+        await until(lambda: len(answer.stories) == 2)
+        await gone(stream)
+
+    watching(stub, test, said)
+    assert said == ["the disk is gone", "a look failed: ZeroDivisionError('a fault of ours')"]
+
+
+def test_at_the_end_everybody_is_told_how_it_ended(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(looks_module, "PERIOD", 60.0)
+    monkeypatch.setattr(looks_module, "LONGEST", 60.0)
+
+    async def test(client: Client, looks: SnapshotCache) -> None:
+        answers = Answer(), Answer()
+        streams = [client.open(answer.take) for answer in answers]
+        await until(lambda: all(answer.stories for answer in answers))
+        stub.story = replace(stub.story, rollouts=9)
+        looks.close()
+        await asyncio.gather(*streams)
+        assert [[story["rollouts"] for story in answer.stories] for answer in answers] == [[6, 9], [6, 9]]
+
+    watching(stub, test)
+
+
+def test_what_the_workers_do_is_told(finished: Path) -> None:
+    async def whole() -> dict[str, Any]:
+        looks = SnapshotCache(Collector(finished), pytest.fail)
+        looks.live = {"<b>new</b>": LiveState("busy", "maximum.0.true.0", 1.5e9)}
+        answer = await Client(app.application(finished, looks, Hosts.of(Address()))).ask("/story.json")
+        assert "<" not in answer.text
+        return {worker["name"]: worker for worker in json.loads(answer.body)["workers"]}
+
+    workers = asyncio.run(whole())
+    new = workers.pop("<b>new</b>")
+    assert (new["state"], new["rollout"], new["heartbeat"]) == ("busy", "maximum.0.true.0", 1.5e9)
+    assert {worker["state"] for worker in workers.values()} == {"unknown"}

@@ -1,0 +1,177 @@
+"""The page of a run, as its orchestrator sees it: where it is served, what it is told, and what it cannot break."""
+
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from perfbound.orchestrator.run import live_page as live
+from perfbound.orchestrator.run.address import Address, bind
+from perfbound.orchestrator.run.live_page import LivePage, live_page, message
+from perfbound.orchestrator.run.service import RunStatus
+from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.errors import PerfboundError
+from tests.campaigns import FOLDER, config
+from tests.fakes.inmemory import Log, campaign
+
+pytestmark = pytest.mark.timeout(60)
+
+
+@pytest.mark.parametrize(
+    ("text", "address", "url"),
+    [
+        ("127.0.0.1:80", Address("127.0.0.1", 80), "http://127.0.0.1:80/"),
+        ("8000", Address("127.0.0.1", 8000), "http://127.0.0.1:8000/"),
+        ("[::1]:0", Address("::1", 0), "http://[::1]:0/"),
+        ("lab-1.example:65535", Address("lab-1.example", 65535), "http://lab-1.example:65535/"),
+        ("0.0.0.0:80", Address("0.0.0.0", 80), f"http://{os.uname().nodename}:80/"),
+    ],
+)
+def test_an_address(text: str, address: Address, url: str) -> None:
+    assert Address.parse(text) == address
+    assert Address.parse(str(address)) == address
+    assert address.url == url
+
+
+@pytest.mark.parametrize("text", ["", "localhost", "host:", "host:65536", "host:-1", "::1:80", "a b:80", "http://a:80"])
+def test_what_is_no_address(text: str) -> None:
+    with pytest.raises(ValueError, match="is not HOST:PORT"):
+        Address.parse(text)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::"])
+def test_others_are_let_in_only_when_that_is_said(host: str) -> None:
+    if host == "::" and not socket.has_dualstack_ipv6():
+        pytest.skip("switch on IPv6: sysctl net.ipv6.conf.all.disable_ipv6=0")
+    with pytest.raises(PerfboundError, match=r"anyone who reaches this address could .* --insecure"):
+        bind(Address(host), insecure=False)
+    listening, address = bind(Address(host), insecure=True)
+    with listening:
+        assert address.port > 0
+
+
+def test_a_port_that_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("perfbound.orchestrator.run.address.PATIENCE", 0.1)
+    first, address = bind(Address(), insecure=False)
+    with first, pytest.raises(PerfboundError, match="this port is in use; choose another, or 0 for a free one"):
+        bind(address, insecure=False)
+
+
+@pytest.mark.parametrize("host", ["nowhere.invalid", "192.0.2.1", "." * 300])
+def test_a_host_that_is_not_here(host: str) -> None:
+    with pytest.raises(PerfboundError, match=r"cannot listen there \(.*\); check the address"):
+        bind(Address(host), insecure=True)
+
+
+@pytest.fixture(scope="module")
+def looks(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+    """What the page of a short campaign was told, look by look."""
+    found: list[bytes] = []
+    chosen = parse((FOLDER / "test-function.toml").read_bytes(), "test", resolution=5, max_tests=5)
+    campaign(tmp_path_factory.mktemp("feed") / "run", chosen, log=_Told(found))
+    return found
+
+
+class _Told(Log):
+    def __init__(self, found: list[bytes]) -> None:
+        super().__init__()
+        self._found = found
+
+    def show(self, status: RunStatus) -> None:
+        self._found.append(message(status))
+
+
+def test_the_page_is_told_what_workers_do(looks: list[bytes]) -> None:
+    workers = [json.loads(look) for look in looks]
+    assert workers[0] == {}
+    (told,) = {name: known for look in workers for name, known in look.items()}.items()
+    name, (state, rollout, heartbeat) = told
+    assert name.startswith("worker-0")
+    assert state in ("new", "idle", "busy")
+    assert rollout is None or rollout.startswith("maximum.")
+    assert abs(time.time() - heartbeat) < 60
+
+
+@pytest.fixture
+def status(monkeypatch: pytest.MonkeyPatch) -> RunStatus:
+    """No workers; shown as often as asked."""
+    monkeypatch.setattr(live, "PERIOD", 0.0)
+    return RunStatus(config("test-function"), {}, {}, {}, 0, 0, 0.0)
+
+
+def said(page: LivePage) -> list[str]:
+    """Return what a page has printed so far."""
+    stream = page._console.file
+    assert isinstance(stream, StringIO)
+    return stream.getvalue().splitlines()[1:]  # after its address
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[LivePage]:
+    monkeypatch.setattr(live, "GRACE", 0.1)
+    console = Console(file=StringIO())
+    with live_page(Address(), tmp_path / "run", console, insecure=False) as found:
+        yield found
+
+
+def child(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, script: str) -> None:
+    """Let the page be served by a shell script."""
+    program = tmp_path / "child"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(program))
+
+
+def test_a_child_that_takes_nothing_holds_nothing_up(
+    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "message", lambda _: b"x" * 50_000)
+    child(monkeypatch, tmp_path, "exec sleep 60")
+    page.start()
+    for _ in range(100):
+        page.show(status)
+    assert said(page) == []
+
+
+def test_a_child_that_ends_is_said_once(
+    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    child(monkeypatch, tmp_path, "echo something is wrong >&2; exit 3")
+    page.start()
+    while not any("has ended" in line for line in said(page)):
+        page.show(status)
+        time.sleep(0.01)
+    lines = said(page)
+    (ended,) = [line for line in lines if "has ended" in line]
+    assert ended.startswith("the live page has ended: exit code 3")
+    assert ended.endswith(f". The campaign continues; `perfbound web {tmp_path / 'run'}` shows it")
+    assert "something is wrong" in "\n".join(lines)
+    page.show(status)
+    assert said(page) == lines
+
+
+def test_whatever_cannot_be_told_is_no_end_of_a_run(
+    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "message", lambda _: b"x" * 10_000_000)
+    child(monkeypatch, tmp_path, "exec sleep 60")
+    page.start()
+    page.show(status)
+    (line,) = said(page)
+    assert line.startswith("the live page has ended: [Errno ")
+    page.show(status)
+    assert said(page) == [line]
+
+
+def test_without_an_address_there_is_no_page(tmp_path: Path, status: RunStatus) -> None:
+    console = Console(file=StringIO())
+    with live_page(None, tmp_path, console, insecure=False) as page:
+        page.start()
+        page.show(status)
+    assert console.file.getvalue() == ""  # type: ignore[attr-defined]

@@ -1,0 +1,175 @@
+"""What must not grow: the memory of a long campaign, and what a turn writes."""
+
+import gc
+import shutil
+import sqlite3
+import tracemalloc
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.fleet import dispatch, events
+from perfbound.orchestrator.fleet.dispatch import Limits
+from perfbound.orchestrator.fleet.events import HandOut, Reported, Start, Wanted, WorkerUp
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.changes import ChangeReader
+from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.messages import Request
+from tests.benchmarks.fleet import a_config
+from tests.fakes.puppets import Stage
+
+ROLLOUTS = 2000
+BEATS = 10
+
+
+@pytest.fixture
+def no_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have nothing wait for the disk; what is durable is not the question here."""
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    monkeypatch.setattr(service, "TICK", 0.01)
+
+
+@pytest.mark.usefixtures("no_disk")
+def test_a_long_campaign_keeps_numbers_and_no_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """20,000 heartbeats leave nothing; a rollout leaves less than its digest and path would take."""
+    stage = Stage(tmp_path, a_config(ROLLOUTS), 16, beats=BEATS)
+    send, sizes = stage.puppets.send, dict[int, int]()
+
+    def weighed(worker: str, message: Request) -> None:
+        send(worker, message)
+        if stage.puppets.delivered in (ROLLOUTS // 4, ROLLOUTS) and stage.puppets.delivered not in sizes:
+            gc.collect()
+            sizes[stage.puppets.delivered] = tracemalloc.get_traced_memory()[0]
+
+    monkeypatch.setattr(stage.puppets, "send", weighed)
+    tracemalloc.start()
+    try:
+        stage.play()
+    finally:
+        tracemalloc.stop()
+    assert stage.ledger.done
+    assert stage.puppets.beaten >= BEATS * ROLLOUTS
+    grown = sizes[ROLLOUTS] - sizes[ROLLOUTS // 4]
+    assert grown / (ROLLOUTS * 3 // 4) < 200, grown
+    stage.journal.close()
+
+
+@pytest.mark.usefixtures("no_disk")
+def test_what_is_open_is_all_that_the_orchestrator_holds(tmp_path: Path) -> None:
+    stage = Stage(tmp_path, a_config(400), 16)
+    stage.play()
+    (account,), ledger = stage.ledger.accounts.values(), stage.ledger
+    assert len(account.robustness) == 400
+    held = (account.proposals, account.rollouts, ledger._trajectories, ledger._requests)
+    assert [len(each) for each in held] == [0, 0, 0, 0]
+    stage.journal.close()
+
+
+@pytest.mark.usefixtures("no_disk")
+@pytest.mark.parametrize("waiting", [1, 8, 64])
+def test_what_waits_together_is_committed_together(tmp_path: Path, waiting: int) -> None:
+    stage, commits = Stage(tmp_path, a_config(256), waiting), list[object]()
+    sa.event.listen(stage.journal._engine, "commit", commits.append)
+    stage.play()
+    assert len(commits) <= 256 / waiting + 6  # the start, the first assignments, the end in smaller turns
+    stage.journal.close()
+
+
+@pytest.mark.usefixtures("no_disk")
+def test_a_turn_is_one_statement_a_table(tmp_path: Path) -> None:
+    stage, statements = Stage(tmp_path, a_config(128), 64), list[str]()
+
+    def note(_c: Any, _cursor: Any, statement: str, *_: Any) -> None:
+        statements.append(statement.split("(", maxsplit=1)[0])
+
+    sa.event.listen(stage.journal._engine, "before_cursor_execute", note)
+    stage.play()
+    assert sum("INTO rollouts" in statement for statement in statements) <= 4, "128 rollouts, two full turns"
+    stage.journal.close()
+
+
+@pytest.mark.usefixtures("no_disk")
+def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> None:
+    """A reader holds the database open in the middle of its look while the writer goes on to the end."""
+    stage, seen, watch = Stage(tmp_path, a_config(256), 8), list[int](), ChangeReader(tmp_path)
+
+    def look() -> bool:
+        added = sum(watch.look().rollouts.values())
+        seen.append(seen[-1] + added if seen else added)
+        there = sum(problem.rollouts for problem in read.progress(tmp_path).problems)
+        assert seen[-1] == there, "what was added up is what is there"
+        return False
+
+    with read.reading(tmp_path) as held:
+        before = held.execute(sa.text("SELECT COUNT(*) FROM rollouts")).scalar()
+        stage.play(look)
+        assert held.execute(sa.text("SELECT COUNT(*) FROM rollouts")).scalar() == before == 0
+    assert stage.ledger.done
+    assert seen == sorted(seen)
+    assert seen[-1] == 256
+    stage.journal.close()
+
+
+@pytest.mark.usefixtures("no_disk")
+def test_whoever_reads_at_the_end_leaves_nothing_outside_the_database(tmp_path: Path) -> None:
+    """A copy of campaign.db alone has every fact, although a connection of somebody else outlives the writer's."""
+    stage = Stage(tmp_path, a_config(32), 8)
+    stage.play()
+    with closing(sqlite3.connect(f"file:{tmp_path / DATABASE}?mode=ro", uri=True)) as reader:
+        reader.execute("SELECT COUNT(*) FROM rollouts").fetchone()
+        stage.journal.close()
+        (tmp_path / "copy").mkdir()
+        shutil.copy(tmp_path / DATABASE, tmp_path / "copy" / DATABASE)
+    assert sum(problem.rollouts for problem in read.progress(tmp_path / "copy").problems) == 32
+
+
+@pytest.mark.usefixtures("no_disk")
+def test_a_replay_of_a_long_campaign_ends_where_it_was(tmp_path: Path) -> None:
+    stage = Stage(tmp_path, a_config(400), 64)
+    stage.play()
+    stage.journal.close()
+    journal = Journal.open(tmp_path)
+    again = Ledger(tmp_path, journal)
+    again.replay()
+    journal.close()
+    assert again.state == stage.ledger.state
+    assert again.accounts == stage.ledger.accounts
+
+
+# The dispatch core
+
+
+def crowd(workers: int, rollouts: int) -> dispatch.State:
+    """Return so many idle workers, and rollouts that wait."""
+    state = dispatch.initial(Limits())
+    wanted = tuple((RolloutId("p", number, "true", 0), 0) for number in range(rollouts))
+    arrivals: list[events.Event] = [
+        *(WorkerUp(0.0, f"w{number}") for number in range(workers)),
+        *(Reported(0.0, f"w{number}", None, 0) for number in range(workers)),
+        Wanted(0.0, wanted),
+    ]
+    for event in arrivals:
+        state, _ = dispatch.step(state, event)
+    return state
+
+
+@pytest.mark.parametrize(("workers", "rollouts"), [(3, 5), (5, 3), (4, 4), (0, 2), (2, 0)])
+def test_all_idle_workers_get_the_oldest_rollouts_at_once(workers: int, rollouts: int) -> None:
+    state, actions = dispatch.step(crowd(workers, rollouts), HandOut(1.0))
+    dispatch.check(state)
+    starts = [(each.worker, each.attempt.rollout.test) for each in actions if isinstance(each, Start)]
+    assert starts == [(f"w{number}", number) for number in range(min(workers, rollouts))]
+    assert [each.test for each in state.waiting] == list(range(len(starts), rollouts))
+
+
+def test_a_heartbeat_of_an_idle_worker_changes_nothing() -> None:
+    state = crowd(1000, 0)
+    after, actions = dispatch.step(state, Reported(1.0, "w500", None, 0))
+    assert after is state
+    assert actions == ()

@@ -1,0 +1,625 @@
+"""A whole campaign in one process: the certificate does not depend on luck, and nothing bad is believed."""
+
+import hashlib
+import random
+import sqlite3
+import time
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.fleet.transport import Heartbeat, Result, Sink, Token
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.run.service import RunStatus, Service
+from perfbound.orchestrator.store import files as evidence
+from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.schemas import __version__
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped
+from perfbound.schemas.messages import MAX_RESULT, PROTOCOL, Assign, Request, ResultHeader, WorkerState
+from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.trajectory import Trajectory, encode, read
+from perfbound.workers import worker as module
+from perfbound.workers.simulate import run
+from perfbound.workers.systems import load
+from perfbound.workers.transport import Receiver
+from perfbound.workers.worker import Worker
+from tests.fakes.inmemory import (
+    Faults,
+    InMemoryUplink,
+    Log,
+    Network,
+    Wrap,
+    begin,
+    campaign,
+    hurry,
+    run_of,
+    serve,
+    working,
+)
+
+PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
+ATTEMPTS = 3
+pytestmark = pytest.mark.timeout(60)
+
+
+def a_config(**changes: Any) -> CampaignConfig:
+    base = {"resolution": 11, "max_tests": 12, "replicates": 3, "max_attempts": ATTEMPTS}
+    return parse(PRESET.read_bytes(), "test", **{**base, **changes})
+
+
+LOSSY = a_config(max_attempts=1000)
+"""Under loss a rollout may fail often without being poison."""
+SMALL = a_config(max_tests=4, replicates=2)
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything as it is, in a tenth of the time."""
+    hurry(monkeypatch, tick=0.02)
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Callable[[CampaignConfig], str]:
+    """The certificate of a campaign without trouble, with one worker."""
+    known: dict[str, str] = {}
+
+    def certificate(config: CampaignConfig) -> str:
+        if config.digest not in known:
+            known[config.digest] = campaign(tmp_path_factory.mktemp("calm") / "run", config)
+        return known[config.digest]
+
+    return certificate
+
+
+Calm = Callable[[CampaignConfig], str]
+
+
+def outcomes(directory: Path) -> list[str]:
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        return [row[0] for row in connection.execute("SELECT outcome FROM outcomes")]
+
+
+def check_evidence(directory: Path, rollouts: int = 36) -> None:
+    """Every rollout is there once, under its digest."""
+    lines = (directory / files.MANIFEST).read_text().splitlines()
+    assert len(lines) == len(set(lines)) == rollouts
+    for line in lines:
+        sha256, path = line.split("  ")
+        evidence.read(directory, path, sha256)
+    assert sorted(path.name for path in directory.rglob("*.mcap")) == sorted(Path(line).name for line in lines)
+
+
+# Luck
+
+
+@pytest.mark.parametrize("workers", [2, 3])
+def test_the_number_of_workers_changes_nothing(tmp_path: Path, calm: Calm, workers: int) -> None:
+    assert campaign(tmp_path / "run", a_config(), workers=workers) == calm(a_config())
+    check_evidence(tmp_path / "run")
+    assert outcomes(tmp_path / "run") == ["recorded"] * 36
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bad_network_changes_nothing(tmp_path: Path, calm: Calm, seed: int) -> None:
+    faults = Faults(seed, loss=0.15, duplication=0.3, delay=0.05)
+    assert campaign(tmp_path / "run", LOSSY, workers=2, faults=faults) == calm(LOSSY)
+    check_evidence(tmp_path / "run")
+
+
+def _has_recorded(limit: int, seen: RunStatus) -> bool:
+    return seen.recorded >= limit
+
+
+@pytest.mark.parametrize("faults", [Faults(), Faults(7, loss=0.1, duplication=0.3, delay=0.03)])
+def test_stops_and_resumes_change_nothing(
+    tmp_path: Path, calm: Calm, faults: Faults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "TICK", 0.001)  # a stop is asked for at ticks: as often as there are messages
+    directory, luck, stops = tmp_path / "run", random.Random(3), 0
+    begin(directory, LOSSY)
+    with Network(faults) as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
+        while True:
+            stop = partial(_has_recorded, luck.randint(0, 9))
+            try:
+                found = serve(directory, network, Log(), stop=stop, resumed=stops > 0)
+                break
+            except Stopped:
+                stops += 1
+    assert stops >= 3
+    assert found == calm(LOSSY)
+    check_evidence(directory)
+
+
+def _once(condition: Callable[[RunStatus], bool]) -> Callable[[RunStatus], bool]:
+    """True at the first moment of `condition` only: one signal."""
+    told: list[bool] = []
+
+    def now(seen: RunStatus) -> bool:
+        if told or not condition(seen):
+            return False
+        told.append(True)
+        return True
+
+    return now
+
+
+def test_draining_finishes_what_is_under_way_and_begins_nothing(
+    tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "TICK", 0.001)
+    directory, log = tmp_path / "run", Log()
+    begin(directory, a_config())
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink] * 3):
+        busy = _once(lambda seen: seen.recorded >= 5 and bool({"sent", "busy"} & set(seen.workers.values())))
+        with pytest.raises(Stopped):
+            serve(directory, network, log, stop=busy, drain=True)
+        assert "draining" in log.lines[-1]
+        with closing(sqlite3.connect(directory / DATABASE)) as connection:
+            begun = connection.execute("SELECT count(*) FROM attempts").fetchone()[0]
+        assert outcomes(directory) == ["recorded"] * begun
+        assert 5 < begun < 36
+        assert serve(directory, network, Log(), resumed=True) == calm(a_config())
+
+
+def test_only_a_second_signal_ends_the_wait_for_what_is_under_way(tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    looks: list[RunStatus] = []
+    begin(directory, a_config(hung_after=30.0))
+
+    def later(seen: RunStatus) -> bool:
+        """One signal when a worker is at work, and one 20 looks later."""
+        looks.extend([seen] if looks or {"sent", "busy"} & set(seen.workers.values()) else [])
+        return len(looks) in (1, 21)
+
+    with Network() as network, working(network, run_of(directory), [_muted]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=later, drain=True)
+    assert len(looks) >= 21
+    assert outcomes(directory) == []
+
+
+def _muted(uplink: InMemoryUplink) -> InMemoryUplink:
+    uplink.deliver = lambda header, payload: None  # type: ignore[method-assign]
+    return uplink
+
+
+def test_a_rollback_leaves_nothing_behind(tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk is full in the middle of a turn; the next orchestrator goes on."""
+    directory = tmp_path / "run"
+    begin(directory, a_config())
+    writes = iter(range(10_000))
+    real = evidence.Batch.write
+
+    def write(batch: evidence.Batch, path: Path, data: bytes) -> None:
+        if next(writes) == 17:
+            raise OSError(28, "No space left on device")
+        real(batch, path, data)
+
+    monkeypatch.setattr(evidence.Batch, "write", write)
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]):
+        with pytest.raises(OSError, match="No space left"):
+            serve(directory, network, Log())
+        assert serve(directory, network, Log(), resumed=True) == calm(a_config())
+    check_evidence(directory)
+
+
+def stop_and_spoil(directory: Path) -> None:
+    """Stop a campaign after ten rollouts and spoil three of the newest files, as a power cut may."""
+    begin(directory, a_config())
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=partial(_has_recorded, 10))
+    newest = sorted(directory.rglob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)[-3:]
+    newest[0].unlink()
+    newest[1].write_bytes(newest[1].read_bytes()[:100])
+    newest[2].write_bytes(bytes(newest[2].stat().st_size))
+
+
+def test_files_that_a_power_cut_spoiled_are_simulated_again(tmp_path: Path, calm: Calm) -> None:
+    directory = tmp_path / "run"
+    stop_and_spoil(directory)
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
+        assert serve(directory, network, Log(), resumed=True) == calm(a_config())
+    check_evidence(directory)
+    assert outcomes(directory).count("restored") == 3
+    assert outcomes(directory).count("recorded") == 36
+
+
+def test_a_file_that_comes_out_different_is_not_put_back(tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    stop_and_spoil(directory)
+
+    def altered(header: ResultHeader, payload: bytes) -> tuple[ResultHeader, bytes]:
+        return with_digest(header, rewritten(payload, COLUMNS))
+
+    liar: Wrap = partial(Altered, result=altered)
+    with (
+        Network() as network,
+        working(network, run_of(directory), [liar]),
+        pytest.raises(PerfboundError, match=r"computes different floating-point results\. Restore it from a copy"),
+    ):
+        serve(directory, network, Log(), resumed=True)
+    assert "restored" not in outcomes(directory)
+
+
+# Workers that are not to be believed
+
+
+class Altered:
+    """An uplink whose worker says something else than it means."""
+
+    def __init__(
+        self,
+        inner: InMemoryUplink,
+        state: Callable[[WorkerState], WorkerState] = lambda state: state,
+        result: Callable[[ResultHeader, bytes], tuple[ResultHeader, bytes]] = lambda header, payload: (header, payload),
+    ) -> None:
+        self._inner, self._state, self._result = inner, state, result
+
+    def orchestrators(self) -> list[tuple[str, str]]:
+        return self._inner.orchestrators()
+
+    def join(self, run: str, worker: str, receive: Receiver) -> None:
+        self._inner.join(run, worker, receive)
+
+    def leave(self) -> None:
+        self._inner.leave()
+
+    def report(self, state: WorkerState) -> None:
+        self._inner.report(self._state(state))
+
+    def deliver(self, header: ResultHeader, payload: bytes) -> None:
+        self._inner.deliver(*self._result(header, payload))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"version": "0.0.1"}, "install the same version on both"),
+        ({"protocol": PROTOCOL + 1}, "install the same version on both"),
+        ({"systems": {}}, "has no system 'test-function'"),
+        ({"systems": {"test-function": "0" * 64}}, "differs from the one this campaign was planned for"),
+    ],
+)
+def test_a_worker_that_does_not_fit_is_refused(tmp_path: Path, change: dict[str, Any], reason: str) -> None:
+    directory, log = tmp_path / "run", Log()
+    begin(directory, a_config())
+    misfit: Wrap = lambda uplink: Altered(uplink, state=lambda state: state.model_copy(update=change))  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [misfit]) as refused:
+        with pytest.raises(Stopped) as stopped:
+            serve(directory, network, log, stop=lambda seen: bool(refused))
+        assert stopped.value.signal == 2
+    assert len(refused) == 1
+    assert reason in refused[0]
+    assert "\n" not in refused[0]
+    (line,) = log.lines
+    assert line.startswith("refused worker worker-0-")
+    assert line.endswith(refused[0])
+    assert outcomes(directory) == []
+
+
+def with_digest(header: ResultHeader, payload: bytes) -> tuple[ResultHeader, bytes]:
+    return header.model_copy(update={"sha256": hashlib.sha256(payload).hexdigest()}), payload
+
+
+def rewritten(
+    payload: bytes,
+    columns: tuple[str, ...],
+    *,
+    time: float = 0.0,
+    metadata: dict[str, str] | None = None,
+    **request: Any,
+) -> bytes:
+    """The file of a worker that changes columns, metadata or request, with true checksums."""
+    file = read(payload)
+    trajectory = Trajectory(columns, np.array([[time, *[0.5] * (len(columns) - 1)]]))
+    changed = {**file.request, **request}
+    record = {name: text for name, text in file.metadata.items() if name != "columns"} | (metadata or {})
+    return encode(trajectory, request=changed, metadata=record, units=dict.fromkeys(columns, "1"))
+
+
+COLUMNS = ("t", "value")
+Lie = Callable[[bytes, bytes], tuple[bytes, bool]]
+"""(first payload, this payload) -> (what is sent, whether the header has its digest)."""
+LIES: dict[str, tuple[Lie, str]] = {
+    "digest": (lambda _, mine: (mine + b"\0", False), "does not have the sha256"),
+    "empty": (lambda _, mine: (b"", True), "not a trajectory"),
+    "noise": (lambda _, mine: (b"noise" * 99, True), "not a trajectory"),
+    "cut": (lambda _, mine: (mine[:-1], True), "not a trajectory"),
+    "columns": (lambda _, mine: (rewritten(mine, ("t", "other")), True), "has the columns t, other"),
+    "order": (lambda _, mine: (rewritten(mine, ("t", "value", "b")), True), "has the columns t, value, b"),
+    "another": (lambda first, _: (first, True), "simulated for another request (other "),
+    "seed": (lambda _, mine: (rewritten(mine, COLUMNS, seed=1), True), "simulated for another request (other seed)"),
+    "start": (lambda _, mine: (rewritten(mine, COLUMNS, x=[0.0, 0.0]), True), "another request (other x)"),
+    "kind": (lambda _, mine: (rewritten(mine, COLUMNS, replicate=False), True), "another request (other "),
+    "metadata": (
+        lambda _, mine: (rewritten(mine, COLUMNS, metadata={"seed": "1"}), True),
+        "metadata of the trajectory",
+    ),
+    "time": (lambda _, mine: (rewritten(mine, COLUMNS, time=1.0), True), "goes from 1 to 1 s, the campaign asks for 0"),
+    "more": (lambda _, mine: (rewritten(mine, COLUMNS, comment=""), True), "another request (other comment)"),
+}
+
+
+class Liar:
+    """Sends lies instead of its first attempts at two rollouts, and the truth before and afterwards."""
+
+    def __init__(self, lie: Lie) -> None:
+        self._lie = lie
+        self._first: bytes | None = None
+        self._sent: dict[tuple[str, int], tuple[ResultHeader, bytes]] = {}
+        self.lied_about: set[str] = set()
+
+    def __call__(self, header: ResultHeader, payload: bytes) -> tuple[ResultHeader, bytes]:
+        key = (header.rollout, header.attempt)
+        if key not in self._sent:  # a parcel that is delivered again says the same again
+            self._sent[key] = self._said(header, payload)
+        return self._sent[key]
+
+    def _said(self, header: ResultHeader, payload: bytes) -> tuple[ResultHeader, bytes]:
+        if self._first is None:
+            self._first = payload
+            return header, payload
+        if header.attempt > 1 or len(self.lied_about) == 2:
+            return header, payload
+        self.lied_about.add(header.rollout)
+        sent, digest = self._lie(self._first, payload)
+        return with_digest(header, sent) if digest else (header, sent)
+
+
+@pytest.mark.parametrize("kind", LIES)
+def test_a_lie_is_a_failed_attempt_and_the_rollout_is_tried_again(
+    tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    lie, reason = LIES[kind]
+    liar, log = Liar(lie), Log()
+    wrap: Wrap = lambda uplink: Altered(uplink, result=liar)  # noqa: E731
+    config = SMALL
+    assert campaign(tmp_path / "run", config, workers=0, wraps=[wrap], log=log) == calm(config)
+    # On a busy machine the hurried clocks may lose the worker for a moment, and a parcel may come twice.
+    failed = [outcome for outcome in outcomes(tmp_path / "run") if reason in outcome]
+    told = {line for line in log.lines if reason in line}
+    assert len(failed) == len(liar.lied_about) == len(told) == 2
+    assert all("\n" not in line and len(line) < 500 for line in log.lines)
+    check_evidence(tmp_path / "run", 8)
+
+
+# Systems that fail
+
+
+def failing(fault: Callable[[], bytes]) -> Callable[..., bytes]:
+    def never(request: RolloutRequest, progress: object) -> bytes:
+        return fault()
+
+    return never
+
+
+def raising(error: BaseException) -> Callable[[], bytes]:
+    def fault() -> bytes:
+        raise error
+
+    return fault
+
+
+@pytest.mark.parametrize(
+    ("fault", "story"),
+    [
+        (raising(RuntimeError("boom")), "RuntimeError: boom"),
+        (raising(SimulationError("the Segway fell")), "the Segway fell"),
+        (raising(SimulationError()), "The rollout has no usable trajectory"),
+        (raising(OSError("no file b\udce9ta")), "OSError: no file b\\udce9ta"),
+        (lambda: b"x" * (MAX_RESULT + 1), f"{MAX_RESULT + 1} bytes, more than the {MAX_RESULT} of a result"),
+    ],
+)
+def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
+    tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch, fault: Callable[[], bytes], story: str
+) -> None:
+    directory, config = tmp_path / "run", SMALL
+    begin(directory, config)
+    monkeypatch.setattr(module, "run", failing(fault))
+    with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]):
+        with pytest.raises(PerfboundError) as end:
+            serve(directory, network, Log())
+        assert f"failed {ATTEMPTS} times" in str(end.value)
+        assert str(end.value).count(story) == ATTEMPTS
+        assert "then resume" in str(end.value)
+        assert not (directory / files.CERTIFICATE).exists()
+        assert outcomes(directory).count("recorded") == 0
+        monkeypatch.setattr(module, "run", run)
+        assert serve(directory, network, Log(), resumed=True) == calm(config)
+    check_evidence(directory, 8)
+
+
+# A busy orchestrator
+
+
+class Clock:
+    """The time of the service, which a test may move."""
+
+    def __init__(self) -> None:
+        self.ahead = 0.0
+
+    def monotonic(self) -> float:
+        return time.monotonic() + self.ahead
+
+
+class Puppets:
+    """Three workers without threads: two answer at once, `slow` and the first one after the long turn when told to."""
+
+    endpoint = "memory/puppets:0"
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._sink: Sink = lambda _: None
+        self.held: Assign | None = None
+        self.holds = True
+        self.late: tuple[str, Assign] | None = None
+        self.answered = False
+
+    def start(self, run: str, sink: Sink) -> None:
+        self._sink = sink
+        for name in ("a", "b", "slow"):
+            sink(Token(self._clock.monotonic(), name, alive=True))
+            self.beat(name, None, 0)
+
+    def send(self, worker: str, message: Request) -> None:
+        if not isinstance(message, Assign):
+            return
+        if worker == "slow" and self.holds:
+            self.held = message
+            self.beat(worker, message, 1)
+        elif not self.holds and self.late is None:
+            self.late = (worker, message)
+        else:
+            self.finish(worker, message)
+
+    def tick(self, _: RunStatus) -> None:
+        """The clock has been looked at: the late one answers."""
+        if self.late is not None and not self.answered:
+            self.answered = True
+            self.finish(*self.late)
+
+    def beat(self, worker: str, assign: Assign | None, progress: int) -> None:
+        state = WorkerState(
+            protocol=PROTOCOL,
+            version=__version__,
+            worker=worker,
+            host="h",
+            pid=1,
+            systems={"test-function": load("test-function").spec.digest},
+            state="busy" if assign else "idle",
+            rollout=assign.request.rollout if assign else None,
+            attempt=assign.attempt if assign else None,
+            progress=progress,
+        )
+        self._sink(Heartbeat(self._clock.monotonic(), worker, state))
+
+    def finish(self, worker: str, assign: Assign) -> None:
+        payload = run(assign.request, lambda _: None)
+        header = ResultHeader(rollout=assign.request.rollout, attempt=assign.attempt, worker=worker, outcome="done")
+        self._sink(Result(self._clock.monotonic(), worker, *with_digest(header, payload)))
+
+
+def test_a_busy_orchestrator_takes_no_worker_for_hung(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One result takes 30 s to handle; what waits in the inbox since, and what is assigned then, is not late."""
+    directory, clock = tmp_path / "run", Clock()
+    begin(directory, a_config(replicates=8, max_tests=3))
+    puppets, real = Puppets(clock), evidence.Batch.write
+    log = Log(puppets.tick)
+
+    def write(batch: evidence.Batch, path: Path, data: bytes) -> None:
+        if puppets.held is not None and puppets.holds:
+            clock.ahead += 15.0
+            puppets.beat("slow", puppets.held, 2)
+            clock.ahead += 15.0
+            puppets.holds = False
+            puppets.finish("slow", puppets.held)
+        real(batch, path, data)
+
+    monkeypatch.setattr(evidence.Batch, "write", write)
+    monkeypatch.setattr(service, "time", clock)
+    journal = Journal.open(directory)
+    ledger = Ledger(directory, journal)
+    server = Service(ledger, journal, puppets, None, [log], resumed=False)
+    puppets.start(journal.header.run, server.inbox.put)
+    server.run()
+    journal.close()
+    assert puppets.answered
+    assert log.lines == []
+    assert outcomes(directory) == ["recorded"] * 24
+
+
+# The worker alone
+
+
+class Deaf:
+    """An uplink that notes what the worker reports."""
+
+    def __init__(self) -> None:
+        self.states: list[WorkerState] = []
+        self.results: list[ResultHeader] = []
+
+    def orchestrators(self) -> list[tuple[str, str]]:
+        return []
+
+    def join(self, run: str, worker: str, receive: Receiver) -> None: ...
+
+    def leave(self) -> None: ...
+
+    def report(self, state: WorkerState) -> None:
+        self.states.append(state)
+
+    def deliver(self, header: ResultHeader, payload: bytes) -> None:
+        self.results.append(header)
+
+
+def an_assign(test: int, attempt: int = 1) -> Assign:
+    request = RolloutRequest(
+        campaign="c",
+        config_sha256="0" * 64,
+        problem="maximum",
+        test=test,
+        variant="true",
+        replicate=0,
+        seed=0,
+        system="test-function",
+        spec_sha256=load("test-function").spec.digest,
+        x=(0.0, 0.0),
+        horizon=0.0,
+    )
+    return Assign(attempt=attempt, request=request)
+
+
+def served(worker: Worker, uplink: Deaf, results: int) -> None:
+    """Let the worker work until it has delivered so much."""
+    worker.serve(lambda _: len(uplink.results) >= results)
+
+
+def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the clock of progress of the next one stands still until it has caught up, and the worker seems to hang."""
+    uplink = Deaf()
+    worker = Worker("w", uplink)
+
+    def work(request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
+        progress(900 if request.test == 0 else 1)
+        if request.test == 0:
+            worker.receive(an_assign(1))
+            seen = len(uplink.states)
+            while len(uplink.states) < seen + 3:
+                time.sleep(0.005)
+        return b"done"
+
+    monkeypatch.setattr(module, "run", work)
+    worker.receive(an_assign(0))
+    served(worker, uplink, 2)
+    told = {state.progress for state in uplink.states if state.rollout == "maximum.1.true.0"}
+    assert told
+    assert max(told) <= 1
+
+
+def test_an_assignment_is_taken_once_and_never_an_older_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
+    uplink, ran = Deaf(), []
+    worker = Worker("w", uplink)
+
+    def work(request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
+        ran.append(request.test)
+        if len(ran) == 1:
+            worker.receive(an_assign(0, 2))
+            worker.receive(an_assign(0, 1))
+            worker.receive(an_assign(1))
+        return b"done"
+
+    monkeypatch.setattr(module, "run", work)
+    worker.receive(an_assign(0, 2))
+    served(worker, uplink, 2)
+    assert [(header.rollout, header.attempt) for header in uplink.results] == [
+        ("maximum.0.true.0", 2),
+        ("maximum.1.true.0", 1),
+    ]

@@ -1,0 +1,266 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from perfbound.schemas.campaign import SENSES, CampaignConfig, PaperProblem
+from perfbound.schemas.campaign_check import check_against
+from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
+from tests.campaigns import FOLDER, config, table
+
+PAPER = (FOLDER / "segway-paper.toml").read_text()
+
+
+def fault_of(text: str, **overrides: Any) -> str:
+    with pytest.raises(CampaignError) as caught:
+        parse(text.encode(), "c.toml", **overrides)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith("c.toml: ")
+    return message.removeprefix("c.toml: ")
+
+
+def changed(old: str, new: str) -> str:
+    assert old in PAPER
+    return PAPER.replace(old, new, 1)
+
+
+# What a file says
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("*.toml")), ids=lambda file: file.stem)
+def test_the_shipped_files_are_campaigns_of_their_own_name(file: Path) -> None:
+    assert parse(file.read_bytes(), str(file)).name == file.stem
+
+
+def test_what_a_file_leaves_out_has_a_default() -> None:
+    lines = [line for line in PAPER.splitlines() if not line.startswith(("resolution", "max_tests", "visual", "risk_"))]
+    found = parse("\n".join(lines).encode(), "c.toml")
+    assert (found.window, found.replicates, found.resolution, found.max_tests) == (1, 1, 21, 2000)
+    assert (found.risk_weight, found.visual, found.max_attempts) == (0.2, "all", 5)
+    assert (found.hung_after, found.deadline) == (10.0, 600.0)
+    problem = found.problems[0]
+    assert isinstance(problem, PaperProblem)
+    assert (problem.prior_mean, problem.regulariser, problem.sigma, problem.tail) == (
+        0.0,
+        "1+eta",
+        "variance",
+        "gaussian",
+    )
+
+
+def test_a_problem_overrides_what_the_campaign_says() -> None:
+    first, second = table("segway-paper")["problems"]
+    gap = {"column": "x", "lipschitz": 2.0}
+    found = config(
+        "segway-paper", problems=[first, {**second, "replicates": 3, "resolution": 5, "max_tests": 7, "gap": gap}]
+    )
+    nominal, sim_gap = found.problems
+    assert (found.replicates_of(nominal), found.resolution_of(nominal), found.max_tests_of(nominal)) == (1, 21, 2000)
+    assert (found.replicates_of(sim_gap), found.resolution_of(sim_gap), found.max_tests_of(sim_gap)) == (3, 5, 7)
+    chosen, common = found.gap_of(sim_gap), found.gap_of(nominal)
+    assert chosen is not None
+    assert common is not None
+    assert (chosen.column, chosen.lipschitz, common.column) == ("x", 2.0, "phi")
+    assert found.window_of(sim_gap) == 1
+
+
+def test_an_override_of_the_command_line_replaces_a_key_and_is_checked() -> None:
+    assert parse(PAPER.encode(), "c.toml", seed=7).seed == 7
+    assert fault_of(PAPER, seed=-1).startswith("seed: -1 is not allowed: allowed is a whole number >= 0")
+    assert fault_of("", seed=7).startswith("the file is empty")
+
+
+def test_the_digest_tells_content_from_layout() -> None:
+    one = parse(PAPER.encode(), "one.toml")
+    assert one.digest == parse(("# another comment\n" + PAPER).encode(), "two.toml").digest
+    assert one.digest != parse(PAPER.encode(), "one.toml", seed=2).digest
+
+
+# What is wrong with a file
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (changed("horizon = 15.0", "horizon = 0.0"), "horizon: problem 'nominal_robustness' needs a rollout longer"),
+        (changed("clip = [-0.05, 0.75]", "clip = [1.0]"), "clip.1: [1.0] is not allowed: allowed is [low, high]"),
+        (changed('name = "segway-paper"\n', ""), "name: this key is required: 1 to 64 of a-z"),
+        (changed('name = "segway"\n', ""), "system.name: this key is required: text in quotes"),
+        (changed('gains = "paper"', "gains = [1]"), "system.gains: [1] is not allowed: allowed is text or a number"),
+        (
+            changed('gap = { kind = "signal_sup", column = "phi", lipschitz = 1.0 }', ""),
+            "gap: required by problem 'sim_gap'",
+        ),
+        (
+            changed('name = "sim_gap"', 'name = "true_risk"').replace('sense = "max"', ""),
+            "problems.true_risk.replicates: ",
+        ),
+        (changed('name = "sim_gap"', 'name = "maximum"'), "problems.maximum.column: required by problem 'maximum'"),
+        (
+            changed('sense = "min"', 'column = "phi"'),
+            "problems.nominal_robustness.column: only problem 'maximum' has one",
+        ),
+        (changed('sense = "min"', "window = 2"), "problems.nominal_robustness.window: Algorithm 1 is sequential"),
+        (changed('composition = "product"', 'composition = "single"'), "composition: 'single' is for one problem"),
+        (
+            PAPER.replace('"sim_gap"', '"nominal_robustness"').replace('"max"', '"min"'),
+            "problems: 'nominal_robustness' sta",
+        ),
+        (
+            changed("low = 0.0, high = 5.0", "lo = 0.0, hi = 5.0"),
+            "space.x.lo: unknown key; did you mean 'low'? allowed",
+        ),
+        (changed("delta = 0.05", "delta = 2.0\nepsilon = 1"), "problems.nominal_robustness.epsilon: unknown key; "),
+        (
+            changed("delta = 0.05", "delta = 2.0").replace("alpha = 0.01", "alpha = 0"),
+            "problems.nominal_robustness.delta: ",
+        ),
+        (changed("delta = 0.05", "delta = 1979-05-27"), "problems.0.delta: 1979-05-27 is a date or time"),
+        ("problems = 3", "name: this key is required: 1 to 64 of a-z"),
+        ("composition = 3", "name: this key is required: "),
+    ],
+)
+def test_the_fault_is_named(text: str, reason: str) -> None:
+    assert fault_of(text).startswith(reason)
+
+
+def test_the_other_faults_are_counted() -> None:
+    assert fault_of(changed("seed = 1\n", "seed = 1.5\n").replace("delta = 0.05", "delta = 2.0")).endswith(
+        "(and 2 more)"
+    )
+    assert "more" not in fault_of(PAPER[: PAPER.rindex("[[problems]]")].replace("delta = 0.05", "delta = 2.0"))
+
+
+@pytest.mark.parametrize("problem", ["3", "{ name = ['a'] }", "{ name = 'sim_gap' }", "{ }"])
+def test_a_problem_that_is_hardly_one_is_a_fault_like_others(problem: str) -> None:
+    start = PAPER[: PAPER.index("[[problems]]")]
+    assert fault_of(f"problems = [{problem}]\n{start}").startswith("problems.")
+
+
+# What only the system can tell
+
+
+SPEC = SystemSpec(
+    name="segway",
+    doc="",
+    parameters=tuple(Parameter(name=name, unit="m", low=-20.0, high=25.0) for name in ("x", "y")),
+    columns=(Column(name="t", unit="s"), Column(name="phi", unit="rad")),
+    options=(
+        Option(name="gains", default="paper", choices=("paper", "aggressive")),
+        Option(name="noise_variance", default=0.05, low=0.0),
+        Option(name="mass", default=1.0),
+    ),
+    max_horizon=120.0,
+)
+
+
+def refused(text: str) -> str:
+    with pytest.raises(CampaignError) as caught:
+        check_against(parse(text.encode(), "c.toml"), SPEC, "c.toml")
+    return str(caught.value)
+
+
+def test_a_file_that_suits_its_system() -> None:
+    check_against(parse(PAPER.encode(), "c.toml"), SPEC, "c.toml")
+
+
+def test_an_option_without_limits_takes_any_number_and_no_text() -> None:
+    assert refused(changed("noise_variance = 0.05", "noise_variance = -1")).endswith("allowed is a number >= 0")
+    assert refused(changed("noise_variance = 0.05", 'mass = "heavy"')).endswith(
+        "'heavy' is not allowed: allowed is a number"
+    )
+    check_against(parse(changed("noise_variance = 0.05", "mass = -1e9").encode(), "c.toml"), SPEC, "c.toml")
+
+
+def test_a_column_is_named_where_it_stands() -> None:
+    assert refused(changed('column = "phi"', 'column = "roll"')).startswith(
+        "c.toml: gap.column: no column 'roll'; segway"
+    )
+    inner = changed('sense = "max"', 'gap = { column = "yaw" }')
+    assert refused(inner).startswith("c.toml: problems.sim_gap.gap.column: no column 'yaw'")
+
+
+# Round trip
+
+
+numbers = st.floats(min_value=1e-6, max_value=1e6)
+kernels = st.fixed_dictionaries({"nu": st.floats(min_value=0.1, max_value=50), "length_scale": numbers})
+gaps = st.fixed_dictionaries({"column": st.text(min_size=1)}, optional={"lipschitz": numbers})
+ranges = st.tuples(st.floats(-1e6, 1e6), st.floats(0.5, 1e6)).map(
+    lambda pair: {"low": pair[0], "high": pair[0] + pair[1]}
+)
+
+
+def problems(name: str) -> st.SearchStrategy[dict[str, Any]]:
+    needed: dict[str, Any] = {
+        "name": st.just(name),
+        "method": st.just("paper"),
+        "delta": st.floats(min_value=1e-9, max_value=0.999),
+        "alpha": numbers,
+        "c": numbers,
+        "rkhs_norm": numbers,
+        "noise_scale": numbers,
+        "kernel": kernels,
+        "replicates": st.integers(2, 50),
+    }
+    optional: dict[str, Any] = {
+        "sense": st.just(SENSES[name]),  # type: ignore[index]
+        "prior_mean": st.floats(-1e6, 1e6),
+        "regulariser": st.one_of(st.just("1+eta"), numbers),
+        "sigma": st.sampled_from(["variance", "std"]),
+        "tail": st.sampled_from(["gaussian", "sub-gaussian"]),
+        "resolution": st.integers(2, 40),
+        "max_tests": st.integers(2, 10_000),
+        "gap": gaps,
+    }
+    if name == "maximum":
+        needed["column"] = st.text(min_size=1)
+    return st.fixed_dictionaries(needed, optional=optional)
+
+
+@st.composite
+def campaigns(draw: st.DrawFn) -> dict[str, Any]:
+    composition = draw(st.sampled_from(["product", "sum", "single"]))
+    names = (
+        ["nominal_robustness", "sim_gap"]
+        if composition != "single"
+        else [draw(st.sampled_from(["true_risk", "maximum"]))]
+    )
+    needed: dict[str, Any] = {
+        "name": st.from_regex(r"[a-z0-9][a-z0-9_-]{0,63}", fullmatch=True),
+        "seed": st.integers(0, 2**53 - 1),
+        "composition": st.just(composition),
+        "specification": st.text(),
+        "clip": st.tuples(st.floats(-10, -0.1), st.floats(0.1, 10)),
+        "horizon": numbers,
+        "gap": gaps,
+        "system": st.dictionaries(st.from_regex(r"[a-z]{1,5}", fullmatch=True), st.text() | numbers).map(
+            lambda options: {**options, "name": "segway"}
+        ),
+        "space": st.dictionaries(st.text(), ranges, min_size=1, max_size=3),
+        "problems": st.tuples(*(problems(name) for name in names)),
+    }
+    optional: dict[str, Any] = {"risk_weight": numbers, "visual": st.sampled_from(["all", "none"])}
+    return draw(st.fixed_dictionaries(needed, optional=optional))
+
+
+@given(campaigns())
+def test_a_campaign_survives_the_way_through_json(values: dict[str, Any]) -> None:
+    one = CampaignConfig.model_validate_json(json.dumps(values))
+    two = CampaignConfig.model_validate_json(one.model_dump_json())
+    assert two == one
+    assert two.digest == one.digest
+    assert two.system.options == one.system.options
+    assert CampaignConfig.model_validate_json(json.dumps(one.model_dump(mode="json"))) == one
+
+
+@given(st.binary() | st.text().map(str.encode))
+def test_any_bytes_are_a_campaign_or_one_fault(data: bytes) -> None:
+    with pytest.raises(CampaignError, match=r"^c\.toml: "):
+        parse(data, "c.toml")

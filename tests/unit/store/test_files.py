@@ -1,0 +1,144 @@
+"""Trajectory files: written whole or not at all, and read only if they are what was recorded."""
+
+import errno
+import hashlib
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perfbound.orchestrator.store import files
+from perfbound.schemas.errors import EvidenceError, TrajectoryError
+from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.trajectory import Trajectory, encode, read
+
+DATA = b"evidence" * 1000
+NAME = "trajectories/p/0/p.0.true.0.mcap"
+
+
+def sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def names(directory: Path) -> list[str]:
+    return sorted(str(path.relative_to(directory)) for path in directory.rglob("*") if path.is_file())
+
+
+def test_a_thousand_tests_a_folder() -> None:
+    assert files.relative_path(RolloutId("p", 1999, "true", 2)) == "trajectories/p/1/p.1999.true.2.mcap"
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    files.write(tmp_path / NAME, b"before")
+    files.write(tmp_path / NAME, DATA)
+    assert files.read(tmp_path, NAME, sha256(DATA)) == DATA
+    assert names(tmp_path) == [NAME]
+
+
+def test_every_new_folder_is_made_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[str] = []
+    real = os.fsync
+
+    def fsync(descriptor: int) -> None:
+        synced.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    files.write(tmp_path / NAME, DATA)
+    folder = (tmp_path / NAME).parent
+    assert synced == [
+        str(tmp_path),
+        str(folder.parents[1]),
+        str(folder.parent),
+        str(tmp_path / (NAME + files.TEMPORARY)),
+        str(folder),
+    ]
+
+
+def disk_full(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_batch_is_in_place_at_its_end_or_not_at_all(tmp_path: Path) -> None:
+    batch, paths = files.Batch(), [tmp_path / f"{n}/file.mcap" for n in range(20)]
+
+    def broken_off() -> None:
+        with batch:
+            batch.write(paths[0], DATA)
+            raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        broken_off()
+    assert names(tmp_path) == []
+    with batch:
+        for path in paths:
+            batch.write(path, DATA)
+        assert not any(path.exists() for path in paths)
+    assert [path.read_bytes() for path in paths] == [DATA] * 20
+    assert len(names(tmp_path)) == 20
+
+
+@pytest.mark.parametrize(("owner", "name"), [(os, "fsync"), (Path, "replace")])
+@pytest.mark.parametrize("before", [None, b"before"])
+def test_a_full_disk_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, before: bytes | None
+) -> None:
+    path = tmp_path / "file.mcap"
+    if before is not None:
+        path.write_bytes(before)
+    monkeypatch.setattr(owner, name, disk_full)
+    with pytest.raises(OSError, match="No space left"):
+        files.write(path, DATA)
+    assert names(tmp_path) == ([] if before is None else ["file.mcap"])
+    assert before is None or path.read_bytes() == before
+
+
+@pytest.mark.parametrize("change", [lambda data: data[:-1], lambda data: data + b"\0", lambda data: b"E" + data[1:]])
+def test_changed_bytes_are_refused(tmp_path: Path, change: Any) -> None:
+    files.write(tmp_path / NAME, DATA)
+    (tmp_path / NAME).write_bytes(change(DATA))
+    with pytest.raises(EvidenceError, match=r"is not the recorded .* restore it from a copy"):
+        files.read(tmp_path, NAME, sha256(DATA))
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(EvidenceError, match=r"p\.0\.true\.0\.mcap: No such file"):
+        files.read(tmp_path, NAME, sha256(DATA))
+
+
+def test_a_crash_is_swept_away(tmp_path: Path) -> None:
+    files.write(tmp_path / NAME, DATA)
+    (tmp_path / (NAME + files.TEMPORARY)).write_bytes(b"half")
+    files.write(tmp_path / "trajectories/p/0/unknown.mcap", DATA)
+    files.sweep(tmp_path, {NAME})
+    assert names(tmp_path) == [NAME]
+
+
+# What a file says of itself
+
+
+def a_file(request: dict[str, Any]) -> bytes:
+    trajectory = Trajectory(("t", "x"), np.array([[0.0, 1.0]]))
+    return encode(trajectory, request=request, metadata={"seed": "7"}, units={"t": "s", "x": "m"})
+
+
+def test_a_file_names_its_request() -> None:
+    file = read(a_file({"seed": 7, "x": [0.1, -0.0]}))
+    assert file.request == {"seed": 7, "x": [0.1, -0.0]}
+    assert file.metadata == {"seed": "7", "columns": '["t", "x"]'}
+    assert file.trajectory.samples.tolist() == [[0.0, 1.0]]
+
+
+@pytest.mark.parametrize("text", [b"[]", b"{", b"\xff", b"", b"1"])
+def test_a_request_that_is_no_object_is_refused(text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    from perfbound.schemas import trajectory as module
+
+    class Text(str):
+        def encode(self, *_: Any) -> bytes:
+            return text
+
+    monkeypatch.setattr(module, "canonical_json", lambda _: Text())
+    with pytest.raises(TrajectoryError):
+        read(a_file({}))

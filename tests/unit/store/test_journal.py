@@ -1,0 +1,333 @@
+"""The journal: what is written stays as it was, and a change is found."""
+
+import hashlib
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.campaign.software import software
+from perfbound.orchestrator.store import read, tables
+from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.orchestrator.store.lock import campaign_lock, is_held
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.errors import JournalError, PerfboundError
+from perfbound.schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.trajectory import decode
+from perfbound.schemas.values import Bound, Observation, Proposal
+from perfbound.workers.simulate import run
+from perfbound.workers.systems import load
+
+PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
+R0 = RolloutId("maximum", 0, "true", 0)
+FACTS: list[Fact] = [
+    ProposalFact("maximum", 0, Proposal(7, (0.5, 1 / 3), 0.0, 1.0, None, None)),
+    RolloutFact(R0, 2**53 - 1, "a" * 64, 1234, "trajectories/x", None),
+    ObservationFact("maximum", 0, Observation(-0.1, (-0.2, 0.0)), "b" * 64),
+    BoundFact("maximum", 0, Bound(None, None, None)),
+    ProposalFact("maximum", 1, Proposal(0, (5.0, -0.0), 1e-300, 0.1 + 0.2, 2.0, 3.0)),
+]
+
+
+def a_config(**changes: Any) -> CampaignConfig:
+    settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **changes}
+    return parse(PRESET.read_bytes(), "test", **settings)
+
+
+def a_header() -> Header:
+    spec = load("test-function").spec
+    return Header.new(a_config(), spec, software(spec))
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    opened = Journal.create(tmp_path, a_header())
+    yield opened
+    opened.close()
+
+
+def edit(directory: Path, statement: str) -> None:
+    """Change the database behind the journal's back, without its triggers."""
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        triggers = connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall()
+        for (trigger,) in triggers:
+            connection.execute(f"DROP TRIGGER {trigger}")
+        assert connection.execute(statement).rowcount == 1
+        connection.commit()
+
+
+# What is written
+
+
+def test_facts_come_back_in_their_order(journal: Journal, tmp_path: Path) -> None:
+    with journal.transaction():
+        for fact in FACTS[:3]:
+            journal.add(fact)
+    with journal.transaction():
+        for fact in FACTS[3:]:
+            journal.add(fact)
+    assert list(journal.facts()) == FACTS
+    journal.close()
+    again = Journal.open(tmp_path)
+    assert list(again.facts()) == FACTS
+    again.close()
+
+
+def test_the_header_comes_back(journal: Journal, tmp_path: Path) -> None:
+    header = journal.header
+    journal.close()
+    again = Journal.open(tmp_path)
+    again.close()
+    assert again.header == header
+    assert again.header.config.digest == header.config.digest
+    assert again.session == journal.session + 1
+    assert not (tmp_path / f"{DATABASE}.partial").exists()
+
+
+@pytest.mark.parametrize("table", [*tables.FACTS, tables.schema, tables.attempts, tables.outcomes, tables.sessions])
+@pytest.mark.parametrize("verb", ["UPDATE {0} SET {1} = {1}", "DELETE FROM {0}"])
+def test_nothing_is_changed_or_removed(journal: Journal, tmp_path: Path, table: sa.Table, verb: str) -> None:
+    with journal.transaction():
+        for fact in FACTS:
+            journal.add(fact)
+        journal.attempt_started(Attempt(R0, 1), "w", "h", 1)
+        journal.attempt_ended(Attempt(R0, 1), "w", "recorded")
+    with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
+        before = connection.execute(f"SELECT * FROM {table.name}").fetchall()
+        assert before
+        column = next(iter(table.columns)).name
+        with pytest.raises(sqlite3.IntegrityError, match=f"{table.name} is insert-only"):
+            connection.execute(verb.format(table.name, column))
+        assert connection.execute(f"SELECT * FROM {table.name}").fetchall() == before
+
+
+@pytest.mark.parametrize(
+    "fact",
+    [
+        ProposalFact("maximum", 0, Proposal(7, (0.5, float("nan")), 0.0, 1.0, None, None)),
+        ProposalFact("maximum", 0, Proposal(7, (0.5,), float("nan"), 1.0, None, None)),
+        ProposalFact("maximum", 0, Proposal(7, (0.5,), 0.0, 1.0, None, float("inf"))),
+        RolloutFact(R0, 1, "a" * 64, 1, "x", float("nan")),
+        ObservationFact("maximum", 0, Observation(float("nan"), ()), "b" * 64),
+        BoundFact("maximum", 0, Bound(float("nan"), None, None)),
+    ],
+)
+def test_a_number_that_is_not_finite_is_refused(journal: Journal, fact: Fact) -> None:
+    with pytest.raises(ValueError, match="JSON"), journal.transaction():
+        journal.add(fact)
+    assert list(journal.facts()) == []
+
+
+def test_a_transaction_is_whole_or_nothing(journal: Journal, tmp_path: Path) -> None:
+    with journal.transaction():
+        journal.add(FACTS[0])
+
+    def interrupted() -> None:
+        with journal.transaction():
+            journal.add(FACTS[1])
+            journal.attempt_started(Attempt(R0, 1), "w", "h", 1)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(journal.facts()) == FACTS[:1]
+    assert journal.attempts() == {}
+    with journal.transaction():
+        journal.add(FACTS[1])
+    assert list(journal.facts()) == FACTS[:2]
+    with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
+        assert connection.execute("SELECT seq FROM rollouts").fetchall() == [(3,)], "no gap"
+
+
+@pytest.mark.parametrize("fact", FACTS[:4])
+def test_a_fact_is_written_once(journal: Journal, fact: Fact) -> None:
+    with journal.transaction():
+        for each in FACTS[:4]:
+            journal.add(each)
+    with pytest.raises(sa.exc.IntegrityError), journal.transaction():
+        journal.add(fact)
+    assert list(journal.facts()) == FACTS[:4]
+
+
+def test_a_fact_needs_the_one_before(journal: Journal) -> None:
+    for orphan in FACTS[1:4]:
+        with pytest.raises(sa.exc.IntegrityError), journal.transaction():
+            journal.add(orphan)
+
+
+def test_the_highest_attempt_is_known_and_the_first_outcome_stands(journal: Journal, tmp_path: Path) -> None:
+    other = RolloutId("maximum", 1, "true", 2)
+    with journal.transaction():
+        for attempt in (Attempt(R0, 1), Attempt(R0, 3), Attempt(other, 2)):
+            journal.attempt_started(attempt, "w", "h", 1)
+        journal.attempt_ended(Attempt(R0, 1), "w", "bad")
+        journal.attempt_ended(Attempt(R0, 1), "w", "worse")
+    assert journal.attempts() == {R0: 3, other: 2}
+    with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
+        assert connection.execute("SELECT outcome FROM outcomes").fetchall() == [("bad",)]
+
+
+# What cannot be used
+
+
+def test_a_newer_schema_is_refused(journal: Journal, tmp_path: Path) -> None:
+    journal.close()
+    edit(tmp_path, f"UPDATE schema SET version = {tables.SCHEMA_VERSION + 1}")
+    with pytest.raises(JournalError, match=f"schema version {tables.SCHEMA_VERSION + 1}, this perfbound reads"):
+        Journal.open(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE campaign SET config = replace(config, '\"seed\":1', '\"seed\":2')",
+        "UPDATE campaign SET config = replace(config, '\"seed\":1', '\"seed\":-1')",
+        "UPDATE campaign SET config = '{'",
+        "UPDATE campaign SET system = '{}'",
+        "UPDATE campaign SET software = 'x'",
+        "DELETE FROM campaign",
+    ],
+)
+def test_a_header_that_was_changed_is_refused_in_one_line(journal: Journal, tmp_path: Path, statement: str) -> None:
+    journal.close()
+    edit(tmp_path, statement)
+    with pytest.raises(JournalError, match=r"campaign\.db: ") as refusal:
+        Journal.open(tmp_path)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a database" * 100])
+def test_what_is_no_database_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / DATABASE).write_bytes(content)
+    with pytest.raises(JournalError, match=r"campaign\.db: "):
+        Journal.open(tmp_path)
+
+
+def test_a_directory_without_campaign_is_named(tmp_path: Path) -> None:
+    with pytest.raises(JournalError, match="no campaign here"):
+        Journal.open(tmp_path)
+
+
+# The hash chain
+
+
+def simulated(request: RolloutRequest) -> bytes:
+    return run(request, lambda _: None)
+
+
+@pytest.fixture
+def finished(tmp_path: Path) -> Path:
+    """A campaign whose tests are all observed."""
+    journal = Journal.create(tmp_path, a_header())
+    ledger = Ledger(tmp_path, journal)
+    with journal.transaction():
+        waiting = ledger.outstanding().wanted
+    while waiting:
+        rollout = waiting.pop()
+        payload = simulated(ledger.request(rollout))
+        with ledger.transaction():
+            waiting += ledger.record(rollout, payload, decode(payload), hashlib.sha256(payload).hexdigest()).wanted
+    assert ledger.done
+    journal.close()
+    return tmp_path
+
+
+def replayed(directory: Path) -> Ledger:
+    journal = Journal.open(directory)
+    try:
+        ledger = Ledger(directory, journal)
+        ledger.replay()
+    finally:
+        journal.close()
+    return ledger
+
+
+def test_a_replay_rebuilds_everything(finished: Path) -> None:
+    ledger = replayed(finished)
+    assert ledger.done
+    account = ledger.accounts["maximum"]
+    assert len(account.observations) == account.counts["true"] == 4
+    assert account.last_bound is not None
+    assert account.last_bound.stopped_by == "budget"
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE observations SET y = y + 1e-12 WHERE test = 2",
+        "UPDATE observations SET chain = (SELECT chain FROM observations WHERE test = 1) WHERE test = 2",
+        "UPDATE rollouts SET sha256 = replace(sha256, substr(sha256, 1, 1), 'x') WHERE test = 2",
+        "UPDATE rollouts SET seed = seed + 1 WHERE test = 3",
+        "UPDATE rollouts SET replicate = 1 WHERE test = 0",
+        "UPDATE tests SET x = '[0.0,0.0]' WHERE test = 1",
+        "UPDATE tests SET node = node + 1 WHERE test = 1",
+        "UPDATE tests SET mu = mu + 1e-12 WHERE test = 2",
+        "UPDATE tests SET sigma = sigma + 1e-12 WHERE test = 2",
+        "UPDATE tests SET beta = beta + 1e-12 WHERE test = 2",
+        "UPDATE tests SET F = F + 1e-12 WHERE test = 2",
+        "DELETE FROM rollouts WHERE test = 2",
+        "DELETE FROM observations WHERE test = 2",
+        "DELETE FROM tests WHERE test = 2",
+        "DELETE FROM bounds WHERE test = 1",
+        "DELETE FROM bounds WHERE test = 3",
+        "UPDATE bounds SET upper = upper - 1e-6 WHERE test = 2",
+        "UPDATE bounds SET stopped_by = 'converged' WHERE test = 2",
+    ],
+)
+def test_an_edited_fact_is_found(finished: Path, statement: str) -> None:
+    edit(finished, statement)
+    with pytest.raises(
+        JournalError, match=r"changed after they were written|contradict each other|the one that follows"
+    ):
+        replayed(finished)
+
+
+# The lock
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from typing import Any
+from perfbound.orchestrator.store.lock import campaign_lock
+with campaign_lock(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_one_orchestrator_at_a_time_even_after_a_kill(tmp_path: Path) -> None:
+    assert not is_held(tmp_path)
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        assert is_held(tmp_path)
+        with pytest.raises(PerfboundError, match="another orchestrator is running"), campaign_lock(tmp_path):
+            pass
+        os.kill(holder.pid, signal.SIGKILL)
+    assert not is_held(tmp_path)
+    with campaign_lock(tmp_path):
+        assert is_held(tmp_path)
+    assert not is_held(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["with space", "what?", "50%", "a#b&c=d", "mode=ro"])
+def test_a_run_directory_of_any_name_is_written_and_read(tmp_path: Path, name: str) -> None:
+    directory = tmp_path / name
+    directory.mkdir()
+    header = a_header()
+    Journal.create(directory, header).close()
+    assert {path.name for path in tmp_path.iterdir()} == {name}
+    assert read.progress(directory).header == header
