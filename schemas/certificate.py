@@ -1,4 +1,4 @@
-"""The certificate: an in-toto Statement v1 without time, host or path, so that luck cannot change a byte of it."""
+"""The certificate: an in-toto Statement v1 without time, host or path, so that no run differs from another."""
 
 import json
 from typing import Literal
@@ -72,11 +72,14 @@ class ProblemResult(Model):
 
 
 class Assumption(Model):
-    """One thing that the claims rest on, and what the data say about it."""
+    """One assumption of the claims, and its status by the data; the sentence `detail` is presentation."""
 
     id: str
     status: Status
     detail: str
+    values: dict[str, int | float | str] | None = Field(
+        default=None, description="the named numbers behind the status; not in older certificates"
+    )
 
 
 class Composition(Model):
@@ -110,6 +113,9 @@ class Predicate(Model):
     assumptions: tuple[Assumption, ...]
     evidence: Evidence
     software: dict[str, str]
+    rules: int | None = Field(
+        default=None, ge=1, description="of seeds, digests and decisions; not in older certificates, which follow 1"
+    )
 
 
 class Certificate(Model):
@@ -123,6 +129,13 @@ class Certificate(Model):
     def to_json(self) -> str:
         """Return the one text of this certificate, ending with a newline."""
         value = self.model_dump(mode="json", by_alias=True)
-        if self.predicate.campaign.system_sha256 is None:  # certificates stay the text that they were
-            del value["predicate"]["campaign"]["system_sha256"]
+        # What a field that came later does not say is left out: older certificates stay the text that they were.
+        predicate = value["predicate"]
+        for part, key in (
+            (predicate, "rules"),
+            (predicate["campaign"], "system_sha256"),
+            *((assumption, "values") for assumption in predicate["assumptions"]),
+        ):
+            if part[key] is None:
+                del part[key]
         return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=True, allow_nan=False) + "\n"

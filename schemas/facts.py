@@ -12,6 +12,7 @@ from .base import canonical_json, digest
 from .campaign import CampaignConfig
 from .ids import RolloutId
 from .rollout import RequestTemplate
+from .rules import RULES
 from .system import SystemSpec
 from .values import Bound, Observation, Proposal, StoppedBy
 
@@ -32,6 +33,7 @@ class Header:
     software: dict[str, str]
     config_sha256: str
     system_sha256: str
+    rules: int = RULES
 
     @classmethod
     def new(

@@ -1,17 +1,18 @@
-"""What the claims rest on, and what the data say about it: the audit of a finished campaign."""
+"""The assumptions of a finished campaign, and their status by its data: the audit."""
 
 import itertools
 from collections.abc import Iterator, Mapping
-from typing import Literal
 
 from ...schemas.campaign import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
+from ...schemas.certificate import Assumption, Status
 from ..campaign.ledger import Account
 from ..campaign.methods import Methods, kernel
 from ..mathematics.bounds import audit
-from ..mathematics.bounds.audit import Assumption
+from ..mathematics.bounds.paper import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.gp.lattice import Lattice
 from .claims import PAIR
+from .sentences import assumption
 
 ROUNDING = 1e-9
 
@@ -20,134 +21,87 @@ def assumptions(accounts: Mapping[str, Account], methods: Methods) -> list[Assum
     """Return every assumption of the campaign, problem by problem, then those of the whole."""
     found: list[Assumption] = []
     for name, account in accounts.items():
-        plan, problem = account.plan, account.plan.problem
-        if isinstance(problem, PaperProblem):
-            found += _paper(account, problem)
-        elif isinstance(problem, RigorousProblem):
-            method = methods[name]
-            assert isinstance(method, RigorousMethod)
-            found += _rigorous(account, problem, method)
-        else:
-            found += _scenario(account, problem, size=methods[name].size)
+        found += _of_problem(account, methods)
         if name == "sim_gap":
             found.append(_dominates(account))
-            if "nominal" in plan.shared:
+            if "nominal" in account.plan.shared:
                 found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
         if account.robustness:
-            found.append(audit.clipped_share(name, account.robustness, plan.clip))
-    found.append(_finite(accounts))
-    pair = [name for name in accounts if name in PAIR]
-    if len(pair) == len(PAIR):
-        methods_used = {accounts[name].plan.problem.method for name in PAIR}
-        rules: tuple[Literal["product", "sum"], ...] = ("product", "sum") if methods_used == {"paper"} else ("sum",)
-        found += [audit.independent_problems(pair, rule) for rule in rules]
-    return [*found, _fixed_beforehand(), audit.workers_honest()]
-
-
-def _dominates(account: Account) -> Assumption:
-    """Say why the gap dominates the difference of the robustness; test it on every pair of rollouts."""
-    gap, name = account.plan.gap, "lipschitz/sim_gap"
-    if account.excess > ROUNDING:
-        return Assumption(
-            name,
-            "refuted",
-            f"on some pair of rollouts the robustness differs by {account.excess:.6g} more than L times the gap, so L "
-            "or the column is wrong and the composition does not follow.",
-        )
-    if gap.kind == "signal_sup":
-        detail = (
-            f"robustness is taken to change by at most L = {gap.lipschitz:g} times the largest difference in "
-            f"{gap.column}; all pairs of rollouts obey it, which is not evidence for the others."
-        )
-        return Assumption(name, "assumed", detail)
-    why = "is the difference itself" if gap.kind == "robustness" else "dominates it for every min/max robustness"
-    return Assumption(
-        name, "derived", f"the gap {why}, so that L = 1 needs no assumption; all pairs of rollouts obey it."
-    )
-
-
-def _deterministic_nominal(nominal: Account | None) -> Assumption:
-    """Say what the replicates of a gap test rest on that share one nominal rollout."""
-    shared_one = "the replicates of a test share one nominal rollout, because the system declares that variant "
-    if nominal is not None and any(len(each) > 1 for each in nominal.each):
-        found = audit.deterministic_variant("sim_gap", nominal.each)
-        detail = f"{shared_one}deterministic; in nominal_robustness, {found.detail}"
-        return Assumption("deterministic_nominal/sim_gap", found.status, detail)
-    detail = f"{shared_one}deterministic; nothing was repeated to test it."
-    return Assumption("deterministic_nominal/sim_gap", "assumed", detail)
-
-
-def _fixed_beforehand() -> Assumption:
-    detail = (
-        "norm bounds, noise scales, kernels, prior means, constants, replicates, budgets and the seed are taken to be "
-        "chosen without looking at rollouts with these seeds: a campaign that was changed after a look at its results "
-        "needs a new seed."
-    )
-    return Assumption("fixed_beforehand", "assumed", detail)
-
-
-def _listed(name: str, size: int) -> Assumption:
-    detail = f"the claim is about the {size} listed starts and no others; for these the optimum is exact."
-    return Assumption(f"finite_space/{name}", "derived", detail)
-
-
-def _linearised(name: str, constants: Linearised) -> Assumption:
-    detail = (
-        f"the risk is bounded by an expectation with the constants {constants.centre:g} and {constants.spread:g}, "
-        "fixed beforehand: any constants are valid, good ones lose less. What the bound tends to is not above the risk."
-    )
-    return Assumption(f"linearised/{name}", "derived", detail)
-
-
-def _finite(accounts: Mapping[str, Account]) -> Assumption:
+            found.append(_clip(account))
     rollouts = sum(sum(account.counts.values()) for account in accounts.values())
-    detail = (
-        f"all {rollouts} rollouts behind the bounds are finite, and none was dropped or redrawn because of its "
-        "outcome: one that is never finite ends the campaign without a certificate."
-    )
-    return Assumption("finite_rollouts", "derived", detail)
+    found.append(assumption("finite_rollouts", "derived", {"rollouts": rollouts}))
+    if set(PAIR) <= set(accounts):
+        if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
+            found.append(assumption("independence", "derived"))
+        found.append(assumption("accounting", "derived"))
+    return [*found, assumption("fixed_beforehand", "assumed"), assumption("workers_honest", "assumed")]
+
+
+def _of_problem(account: Account, methods: Methods) -> Iterator[Assumption]:
+    problem = account.plan.problem
+    match problem:
+        case PaperProblem():
+            return _paper(account, problem)
+        case RigorousProblem():
+            method = methods[problem.name]
+            assert isinstance(method, RigorousMethod)
+            return _rigorous(account, problem, method)
+        case ScenarioProblem():
+            return _scenario(account, problem)
 
 
 def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
-    name, noise, replicates = problem.name, account.plan.noise, account.plan.replicates
-    yield audit.rkhs_norm(
-        name,
+    name, plan = problem.name, account.plan
+    norm = audit.norm_from_tests(
         account.observations,
         prior_mean=problem.prior_mean,
         rkhs_norm=problem.rkhs_norm,
-        noise_scale=noise,
+        noise_scale=plan.noise,
         delta=problem.delta,
     )
-    yield audit.noise_scale(name, noise_scale=noise, replicates=replicates)
-    yield audit.noise_tail(name, c=problem.c, delta=problem.delta, noise_scale=noise, tail=problem.tail)
-    yield audit.sigma_reading(name, problem.sigma)
-    yield audit.regulariser(name, problem.regulariser)
-    lattice = account.plan.candidates
+    yield assumption(f"rkhs_norm/{name}", *norm, form="norm_from_tests")
+    yield _mean_noise(account)
+    gaussian, sub_gaussian = (
+        mills_probability(problem.c, problem.delta, plan.noise, tail) for tail in ("gaussian", "sub-gaussian")
+    )
+    tail: Status = "assumed" if problem.tail == "gaussian" else "derived"
+    yield assumption(f"tail/{name}", tail, {"gaussian": gaussian, "sub_gaussian": sub_gaussian})
+    yield assumption(f"sigma/{name}", "assumed", {"sigma": problem.sigma}, form=f"sigma_{problem.sigma}")
+    form = "regulariser_eta" if problem.regulariser == "1+eta" else "regulariser_fixed"
+    yield assumption(f"regulariser/{name}", "assumed", {"regulariser": problem.regulariser}, form=form)
+    lattice = plan.candidates
     if isinstance(lattice, Lattice):
-        yield audit.lattice_for_box(name, lattice, kernel(problem), problem.rkhs_norm, refine=problem.refine)
+        rise = audit.rise_between_nodes(lattice, kernel(problem), problem.rkhs_norm)
+        values = {"nodes": lattice.size, "resolution": lattice.resolution, "rise": rise, "rkhs_norm": problem.rkhs_norm}
+        form = "lattice_refined" if problem.refine else "lattice_alone"
+        yield assumption(f"lattice/{name}", "assumed", values, form=form)
     if name == "true_risk":
-        yield audit.centred_risk(name, replicates)
+        yield assumption(f"centred_noise/{name}", *audit.centred_risk(plan.replicates))
 
 
 def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod) -> Iterator[Assumption]:
-    name, bound, noise, last = problem.name, method.bound(), account.plan.noise, account.last_bound
-    yield audit.norm_from_data(
-        name, b_min=bound.b_min, rkhs_norm=problem.rkhs_norm, delta=problem.delta, noise_scale=noise
-    )
-    yield audit.misspecification(
-        name,
-        tau=problem.misspecification,
-        nu=problem.kernel.nu,
-        length_scale=problem.kernel.length_scale,
-        rkhs_norm=problem.rkhs_norm,
-    )
+    name, bound, last = problem.name, method.bound(), account.last_bound
+    # Without noise the observations are the function: the norm that they need is certain.
+    confidence = 1.0 if account.plan.noise == 0 else 1.0 - problem.delta
+    norm = audit.norm_from_set(b_min=bound.b_min, rkhs_norm=problem.rkhs_norm, confidence=confidence)
+    yield assumption(f"rkhs_norm/{name}", *norm, form="norm_from_set")
+    values = {
+        "tau": problem.misspecification,
+        "nu": problem.kernel.nu,
+        "length_scale": problem.kernel.length_scale,
+        "rkhs_norm": problem.rkhs_norm,
+    }
+    form = "kernel_near" if problem.misspecification else "kernel_ball"
+    yield assumption(f"kernel/{name}", "assumed", values, form=form)
     if last is not None and last.bound.upper is not None and last.bound.lower is not None:
-        yield audit.bounds_agree(name, upper=last.bound.upper, lower=last.bound.lower)
+        agree = audit.bounds_agree(upper=last.bound.upper, lower=last.bound.lower)
+        yield assumption(f"bounds_agree/{name}", *agree)
     yield from _noise(account, problem)
-    if isinstance(method.candidates, Lattice):
-        yield audit.certified_box(name, nodes=bound.candidates_upper, slack=bound.slack)
+    if isinstance(account.plan.candidates, Lattice):
+        box = {"candidates_upper": bound.candidates_upper, "slack": bound.slack}
+        yield assumption(f"lattice/{name}", "derived", box, form="certified_box")
     else:
-        yield _listed(name, method.size)
+        yield _listed(account)
     if problem.linearised is not None:
         yield _linearised(name, problem.linearised)
 
@@ -157,38 +111,75 @@ def _noise(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:
     if plan.noise == 0:
         places = sorted(zip(account.nodes, account.each, strict=True))
         by_place = itertools.groupby(places, key=lambda place: place[0])
-        yield audit.deterministic_variant(name, [[v for _, each in group for v in each] for _, group in by_place])
+        repeated = [[value for _, each in group for value in each] for _, group in by_place]
+        yield assumption(f"deterministic/{name}", *audit.deterministic_variant(repeated))
         return
     per_rollout = plan.noise_per_rollout
-    if name != "maximum":
-        yield audit.noise_range(name, noise_scale=per_rollout * (1 + 1e-12), hoeffding=plan.hoeffding)
+    if name == "maximum":  # a column has no clip, so Hoeffding's lemma gives no scale to compare with
+        yield _mean_noise(account)
     else:
-        yield audit.noise_scale(name, noise_scale=plan.noise, replicates=plan.replicates)
+        noise = audit.noise_range(noise_scale=per_rollout, hoeffding=plan.hoeffding)
+        yield assumption(f"noise_scale/{name}", *noise, form="noise_range")
     planned = plan.budget * plan.replicates
-    yield audit.replicate_spread(name, account.each, noise_scale=per_rollout, delta=problem.delta, planned=planned)
+    spread = audit.replicate_spread(account.each, noise_scale=per_rollout, delta=problem.delta, planned=planned)
+    if spread is None:
+        yield assumption(f"replicate_spread/{name}", "assumed", form="no_replicates")
+    else:
+        yield assumption(f"replicate_spread/{name}", *spread)
 
 
-def _scenario(account: Account, problem: ScenarioProblem, *, size: int) -> Iterator[Assumption]:
+def _scenario(account: Account, problem: ScenarioProblem) -> Iterator[Assumption]:
     name, last = problem.name, account.last_bound
-    rollouts = sum(account.counts.values())
-    yield _listed(name, size)
-    yield Assumption(
-        f"independent_rollouts/{name}",
-        "derived",
-        f"the {rollouts} rollouts have seeds of their own, and those of one start differ in nothing else; the bound "
-        "needs no more of the noise than this and the clip.",
-    )
+    yield _listed(account)
+    yield assumption(f"independent_rollouts/{name}", "derived", {"rollouts": sum(account.counts.values())})
     if last is not None and last.bound.upper is not None and last.bound.lower is not None:
-        ell, reach = -last.bound.upper, -last.bound.lower
-        yield Assumption(
-            f"one_law_per_start/{name}",
-            "refuted" if reach < ell else "not refuted",
-            f"the bound is {ell:.6g} and what it tends to is at most {reach:.6g}, each at its own confidence; "
-            + (
-                "they contradict each other, so the rollouts of a start do not have one law."
-                if reach < ell
-                else "that they agree is not evidence."
-            ),
-        )
+        ell, limit = -last.bound.upper, -last.bound.lower
+        status: Status = "refuted" if limit < ell else "not refuted"
+        yield assumption(f"one_law_per_start/{name}", status, {"ell": ell, "limit": limit})
     if problem.linearised is not None:
         yield _linearised(name, problem.linearised)
+
+
+def _mean_noise(account: Account) -> Assumption:
+    plan = account.plan
+    values = {"noise_scale": plan.noise, "replicates": plan.replicates}
+    return assumption(f"noise_scale/{plan.name}", "assumed", values, form="mean_noise")
+
+
+def _listed(account: Account) -> Assumption:
+    return assumption(f"finite_space/{account.plan.name}", "derived", {"starts": account.plan.candidates.size})
+
+
+def _linearised(name: str, constants: Linearised) -> Assumption:
+    return assumption(f"linearised/{name}", "derived", {"centre": constants.centre, "spread": constants.spread})
+
+
+def _clip(account: Account) -> Assumption:
+    low, high = account.plan.clip
+    values = {
+        "values": len(account.robustness),
+        "low": low,
+        "at_low": sum(value <= low for value in account.robustness),
+        "high": high,
+        "at_high": sum(value >= high for value in account.robustness),
+    }
+    return assumption(f"clip/{account.plan.name}", "derived", values)
+
+
+def _dominates(account: Account) -> Assumption:
+    """Return why the gap dominates the difference of the robustness, tested on every pair of rollouts."""
+    gap, name = account.plan.gap, "lipschitz/sim_gap"
+    forms = {"signal_sup": "lipschitz_column", "predicate_sup": "lipschitz_predicates"}
+    form = forms.get(gap.kind, "lipschitz_itself")
+    values: dict[str, float | int | str] = {"kind": gap.kind, "lipschitz": gap.lipschitz}
+    if gap.column is not None:
+        values["column"] = gap.column
+    if account.excess > ROUNDING:
+        return assumption(name, "refuted", values | {"excess": account.excess}, form=form)
+    return assumption(name, "assumed" if gap.kind == "signal_sup" else "derived", values, form=form)
+
+
+def _deterministic_nominal(nominal: Account | None) -> Assumption:
+    """Return the assumption behind replicates of a gap test that share one nominal rollout."""
+    found = audit.deterministic_variant(nominal.each if nominal else ())
+    return assumption("deterministic_nominal/sim_gap", *found)

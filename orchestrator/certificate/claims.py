@@ -7,7 +7,6 @@ from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig, Rule
 from ..campaign.methods import Methods
 from ..campaign.plan import Plans
-from ..mathematics.bounds.audit import Assumption
 from ..mathematics.bounds.composition import (
     compose,
     compose_mean,
@@ -35,7 +34,7 @@ class Claimed:
 
 
 def claims(
-    config: CampaignConfig, plans: Plans, results: Results, methods: Methods, assumptions: Sequence[Assumption]
+    config: CampaignConfig, plans: Plans, results: Results, methods: Methods, assumptions: Sequence[document.Assumption]
 ) -> Claimed:
     """Return the claims in the order: chosen beforehand, other rules over the same pair, direct ones.
 
@@ -59,7 +58,7 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 
-def _direct(result: document.ProblemResult, assumptions: Sequence[Assumption]) -> document.Claim:
+def _direct(result: document.ProblemResult, assumptions: Sequence[document.Assumption]) -> document.Claim:
     minimum = result.sense == "min"
     return document.Claim(
         quantity="rho_star" if minimum else "J_star",
@@ -73,7 +72,7 @@ def _direct(result: document.ProblemResult, assumptions: Sequence[Assumption]) -
 
 
 def _composed(
-    plans: Plans, results: Results, methods: Methods, assumptions: Sequence[Assumption], rule: Rule
+    plans: Plans, results: Results, methods: Methods, assumptions: Sequence[document.Assumption], rule: Rule
 ) -> tuple[document.Claim, document.Composition]:
     paper = rule in ("product", "sum") and isinstance(methods["sim_gap"], PaperMethod)
     terms = _theorem_2(plans, results, rule) if paper else _rigorous(plans, results, methods, rule)
@@ -157,7 +156,7 @@ def _pointwise(plans: Plans, methods: Methods, extremes: float) -> float:
     )
 
 
-def _rests_on(assumptions: Sequence[Assumption], problems: set[str], rule: Rule) -> dict[str, tuple[str, ...]]:
+def _rests_on(assumptions: Sequence[document.Assumption], problems: set[str], rule: Rule) -> dict[str, tuple[str, ...]]:
     """Return the assumptions of a claim, and which of them are refuted: of its problems, its rule, and the campaign."""
     others = {"product": {ADDED}, "single": {ADDED, MULTIPLIED}}.get(rule, {MULTIPLIED})
     used = [

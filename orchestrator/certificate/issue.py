@@ -45,13 +45,14 @@ def issue(ledger: Ledger, evidence: Evidence) -> document.Certificate:
         claims=claimed.claims,
         problems=tuple(results.values()),
         composition=claimed.composition,
-        assumptions=tuple(document.Assumption(id=a.id, status=a.status, detail=a.detail) for a in found),
+        assumptions=tuple(found),
         evidence=document.Evidence(
             manifest_sha256=manifest_sha256,
             chain_head=digest([account.link for account in accounts.values()]),
             rollouts=evidence.rollouts,
         ),
         software=header.software,
+        rules=header.rules,
     )
     return document.Certificate(subject=(subject(manifest_sha256),), predicate=predicate)
 

@@ -1,4 +1,4 @@
-"""What a certificate says, for people: what is refuted first, then the claim, its problems and what it rests on.
+"""A certificate as text: refuted assumptions first, then the claim, its problems and its other assumptions.
 
 Numbers are rounded outward, so that no line promises more than the certificate does. Everything is printed as plain
 text with styles, never as markup: names, paths and formulas may hold brackets.
@@ -43,12 +43,12 @@ def outward(bound: float, sense: str) -> str:
     return f"{nearest / 10**DIGITS:.{DIGITS}f}"
 
 
-def show(certificate: Certificate, console: Console) -> None:
-    """Print what the certificate says."""
+def print_certificate(certificate: Certificate, console: Console) -> None:
+    """Print the whole certificate."""
     predicate = certificate.predicate
     broken = [each for each in predicate.assumptions if each.status == "refuted"]
     if broken:
-        _heading(console, f"REFUTED, by this campaign's own data or by derivation: {_count(broken)}", "bold red")
+        _heading(console, f"REFUTED, by the data of this campaign or by derivation: {_count(broken)}", "bold red")
         _assumptions(broken, console)
     for number, claim in enumerate(predicate.claims):
         _claim(
@@ -61,14 +61,20 @@ def show(certificate: Certificate, console: Console) -> None:
     if len(predicate.claims) > 1:
         console.print()
         _line(
-            console, "The first claim was chosen beforehand. Each holds with its own probability; to choose the best of"
+            console, "The first claim was chosen beforehand. Each holds with its own probability; if you pick the best"
         )
-        _line(console, "them afterwards costs the sum of what their probabilities lack to 1.")
+        _line(console, "best claim afterwards, its failure probability is the sum of all their failure probabilities.")
     _heading(console, "Problems", "bold")
     for problem in predicate.problems:
         _problem(problem, console)
-    _heading(console, "Assumptions that the data do not refute", "bold")
+    _heading(console, "Assumptions that are not refuted", "bold")
     _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
+
+
+def assumptions(certificate: Certificate, console: Console) -> None:
+    """Print every assumption."""
+    _heading(console, "Assumptions", "bold")
+    _assumptions(list(certificate.predicate.assumptions), console)
 
 
 def first_claim(certificate: Certificate, console: Console) -> None:
@@ -78,10 +84,10 @@ def first_claim(certificate: Certificate, console: Console) -> None:
     _claim(claim, predicate.composition, list(claim.refuted), console, first=True)
 
 
-def written(directory: Path, console: Console) -> None:
-    """Print where everything is."""
-    _heading(console, "Written", "bold")
-    for name, what in (
+def print_files(directory: Path, console: Console) -> None:
+    """Print the output files of a run."""
+    _heading(console, "Output files", "bold")
+    for name, content in (
         ("certificate.json", "certificate"),
         ("certificate.dsse.json", "signed"),
         ("manifest.sha256", "manifest"),
@@ -90,8 +96,8 @@ def written(directory: Path, console: Console) -> None:
         ("report.html", "report"),
     ):
         if (directory / name).exists():
-            _line(console, f"  {what:<12} {directory / name}")
-    _line(console, f"  check it:    perfbound verify {shlex.quote(str(directory))}")
+            _line(console, f"  {content:<12} {directory / name}")
+    _line(console, f"  verify with  perfbound verify {shlex.quote(str(directory))}")
 
 
 def _claim(claim: Claim, composition: Composition | None, broken: list[str], console: Console, *, first: bool) -> None:
@@ -123,7 +129,7 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     end = {
         "converged": f"converged: {left} is at most alpha = {alpha}",
         "budget": f"NOT converged: its budget ended at {left}, alpha is {alpha}; {BUDGET[problem.method]}",
-        "refuted": "REFUTED: the data contradict the assumptions, so its bound is worth nothing",
+        "refuted": "REFUTED: the data contradict the assumptions, so this bound proves nothing",
     }[problem.stopped_by]
     _line(console, f"  {problem.name}", "bold")
     _line(
@@ -137,11 +143,11 @@ def _problem(problem: ProblemResult, console: Console) -> None:
 
 
 def _left(problem: ProblemResult) -> str:
-    """Say how far the bound may be from what it bounds."""
+    """Return how far the bound may be from the optimum."""
     if problem.last_F is not None:
         return f"F = {problem.last_F:.4f}"
     width = abs((problem.partner or 0.0) - problem.bound)
-    return f"{'what rollouts can still bring' if problem.method == 'scenario' else 'upper - lower'} = {width:.4f}"
+    return f"{'possible gain by more rollouts' if problem.method == 'scenario' else 'upper - lower'} = {width:.4f}"
 
 
 def _assumptions(assumptions: list[Assumption], console: Console) -> None:

@@ -163,10 +163,10 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
     console, found = data(), session.certificate(directory)
     if key is not None:
         signing.sign(directory, key)
-    text.show(found, console)
+    text.print_certificate(found, console)
     if report:
         draw(directory)
-    text.written(directory, console)
+    text.print_files(directory, console)
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
 

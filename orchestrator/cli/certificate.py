@@ -26,16 +26,15 @@ def verify(*, path: Path, key: Path | None, again: int, as_json: bool) -> None:
     """
     from rich.progress import Progress  # noqa: PLC0415
 
-    from ..certificate.verify import table as show  # noqa: PLC0415
-    from ..certificate.verify.run import verify as check  # noqa: PLC0415
+    from ..certificate.verify import run, table  # noqa: PLC0415
 
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        table, certificate = check(path, key=key, again=again, tell=show.teller(progress))
+        found = run.verify(path, key=key, again=again, report=table.stage_bars(progress))
     if as_json:
-        click.echo(show.as_json(table))
+        click.echo(table.as_json(found))
     else:
-        show.show(table, certificate, data())
-    if not table.good:
+        table.print_verification(found, data())
+    if not found.checks.good:
         sys.exit(1)
 
 

@@ -35,8 +35,8 @@ def show(directory: Path, console: Console) -> None:
     for line in _work(found, running=running):
         console.print(Text(line), soft_wrap=True)
     if certificate is not None:
-        text.show(certificate, console)
-        text.written(directory, console)
+        text.print_certificate(certificate, console)
+        text.print_files(directory, console)
     elif not running:
         console.print(Text(f"continue with: {resume_command(directory)}"), soft_wrap=True)
 

@@ -22,7 +22,7 @@ from ...schemas.errors import CampaignError, JournalError, PerfboundError
 from ...schemas.facts import Header
 from ...schemas.link import Tls
 from ..campaign.checks import check
-from ..campaign.software import software
+from ..campaign.software import other_numerics, software
 from ..certificate import files
 from ..fleet import child
 from ..fleet.processes import Fleet
@@ -177,13 +177,11 @@ def _unfinished(directory: Path) -> list[Path]:
 
 
 def _check_software(header: Header) -> None:
-    now = software(header.spec)
-    for name, then in header.software.items():
-        if now.get(name) != then:
-            raise JournalError(
-                f"this campaign was started with {name} {then}, here is {now.get(name, 'none')}; resume it with the "
-                "versions it was started with, or start a new campaign"
-            )
+    for name, then, now in other_numerics(header.software, header.spec):
+        raise JournalError(
+            f"this campaign was started with {name} {then}, here is {now or 'none'}; resume it with the versions it "
+            "was started with, or start a new campaign"
+        )
 
 
 @contextmanager

@@ -28,6 +28,7 @@ from ...schemas.facts import (
     RolloutFact,
 )
 from ...schemas.ids import Attempt, RolloutId
+from ...schemas.rules import check_rules
 from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 from . import tables
@@ -221,12 +222,13 @@ def read_header(connection: Connection, directory: Path) -> Header:
 
     """
     version = connection.execute(sa.select(tables.schema.c.version)).scalar()
-    if version != tables.SCHEMA_VERSION:
+    if version not in tables.READ_VERSIONS:
         raise JournalError(
             f"{directory / DATABASE}: schema version {version}, this perfbound reads {tables.SCHEMA_VERSION}; "
             "use the perfbound that wrote it, or a newer one"
         )
-    rows = connection.execute(sa.select(tables.campaign).limit(2)).all()
+    columns = [tables.campaign.c[name] for name in tables.columns(tables.campaign, version)]
+    rows = connection.execute(sa.select(*columns).limit(2)).all()
     row = rows[0] if rows else None
     try:
         if row is None:
@@ -239,7 +241,8 @@ def read_header(connection: Connection, directory: Path) -> Header:
         config, spec = CampaignConfig.model_validate_json(row.config), SystemSpec.model_validate_json(row.system)
         if (row.name, row.seed) != (config.name, config.seed):
             raise ValueError("name or seed are not the file's")
-        return Header(row.run, config, spec, json.loads(row.software), found, system)
+        rules = check_rules(getattr(row, "rules", 1), str(directory / DATABASE))
+        return Header(row.run, config, spec, json.loads(row.software), found, system, rules)
     except (ValueError, AttributeError, TypeError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise JournalError(
@@ -294,6 +297,7 @@ def _header_row(header: Header) -> dict[str, Any]:
         "config_sha256": header.config_sha256,
         "system": canonical_json(header.spec.model_dump(mode="json")),
         "software": canonical_json(header.software),
+        "rules": header.rules,
     }
 
 

@@ -7,7 +7,9 @@ depends on luck (who did what, where and when) stands in `attempts` and `session
 from sqlalchemy import Column, ForeignKeyConstraint, Integer, MetaData, Table, Text, UniqueConstraint
 from sqlalchemy.types import REAL
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Version 1 has no column `rules`; its campaigns follow rules 1."""
+READ_VERSIONS = (1, 2)
 
 metadata = MetaData()
 
@@ -24,6 +26,7 @@ campaign = Table(
     Column("config_sha256", Text, nullable=False),
     Column("system", Text, nullable=False),  # SystemSpec, canonical JSON
     Column("software", Text, nullable=False),  # versions, canonical JSON
+    Column("rules", Integer, nullable=False),  # schemas.rules
     sqlite_strict=True,
 )
 
@@ -136,3 +139,8 @@ def insert_only() -> list[str]:
         for table in (*FACTS, schema, attempts, outcomes, sessions)
         for verb in ("UPDATE", "DELETE")
     ]
+
+
+def columns(table: Table, version: int) -> list[str]:
+    """Return the columns of a table in a database of this schema version."""
+    return [name for name, _ in table.c.items() if version > 1 or (table.name, name) != ("campaign", "rules")]

@@ -90,7 +90,7 @@ def problem(row: Paper, rng: np.random.Generator, values: Floats, norm: float, p
         if method.stops(proposal) or method.n == MAX_TESTS:
             break
         proposal = method.propose()
-    checked = audit.rkhs_norm("-", seen, prior_mean=prior_mean, rkhs_norm=told, noise_scale=noise, delta=DELTA)
+    checked = audit.norm_from_tests(seen, prior_mean=prior_mean, rkhs_norm=told, noise_scale=noise, delta=DELTA)
     return Outcome(method.epsilon(proposal, seen[-1]), method.n, method.stops(proposal), checked.status == "refuted")
 
 

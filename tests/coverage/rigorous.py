@@ -185,11 +185,11 @@ def audited(row: Audit, rng: np.random.Generator) -> Counts:
         each.append((truth.values[index] + rng.normal(0.0, row.noise_scale, row.replicates)).tolist())
         told.observe(*an_observation(index, float(np.mean(each[-1]))))
     bound, planned = told.bound(), row.tests * row.replicates
-    by_norm = audit.norm_from_data("-", b_min=bound.b_min, rkhs_norm=norm, delta=delta, noise_scale=scale)
-    by_bounds = audit.bounds_agree("-", upper=bound.upper, lower=bound.lower)
-    by_spread = audit.replicate_spread("-", each, noise_scale=scale, delta=delta, planned=planned)
+    by_norm = audit.norm_from_set(b_min=bound.b_min, rkhs_norm=norm, confidence=1.0 - delta)
+    by_bounds = audit.bounds_agree(upper=bound.upper, lower=bound.lower)
+    by_spread = audit.replicate_spread(each, noise_scale=scale, delta=delta, planned=planned)
     refuted = "refuted" in (by_norm.status, by_bounds.status)
-    spread = by_spread.status == "refuted"
+    spread = by_spread is not None and by_spread.status == "refuted"
     wrong = wrong_bound(told, truth)
     return {
         "failed": (refuted or spread) and row.small_b == row.small_r == 1.0,

@@ -1,4 +1,4 @@
-"""The checks of a verification, and what became of each."""
+"""The checks of a verification and their results."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,27 +12,27 @@ Status = Literal["passed", "failed", "skipped"]
 
 CHECKS = {
     "signature": "the certificate was signed with this key",
-    "certificate": "the certificate is one of perfbound's, written as perfbound writes it",
+    "certificate": "the certificate has the form and the text that perfbound writes",
     "header": "the campaign file and the specification of the system are those of the certificate, and fit each other",
-    "manifest": "the manifest is the one that the certificate is about",
-    "files": "every file in the manifest is there and unchanged",
-    "requests": "every rollout is one that the campaign asks for: start, seed, options",
-    "trajectories": "every file is intact, and holds the columns of the system from 0 to the horizon",
-    "proposals": "the first test was drawn by the seed, every other is a maximiser of what was known before it",
-    "observations": "every y was computed again from its trajectories: robustness, gap, risk",
-    "stop": "every problem goes on until its rule stops it, and no longer",
+    "manifest": "the manifest is the one that the certificate names",
+    "files": "every file of the manifest exists and is unchanged",
+    "requests": "every rollout is one that the campaign requests: start, seed, options",
+    "trajectories": "every file is intact and has the columns of the system from 0 to the horizon",
+    "proposals": "the first test follows from the seed, every other is a maximiser given the observations before it",
+    "observations": "every y follows from its trajectories: robustness, gap, risk",
+    "stop": "every problem continues until its rule stops it, and no longer",
     "evidence": "the manifest lists the rollouts of the observed tests, all and no others",
     "chain": "the hash chain over proposals, digests and observations ends where the certificate says",
     "problems": "the bounds and parameters of the problems follow from the campaign file and the observations",
     "probabilities": "the probabilities follow from the campaign file",
     "composition": "the terms of the composition follow from the bounds",
-    "claims": "the claims follow, and name what they rest on",
-    "audit": "the assumptions and their status follow from the data",
-    "software": "this machine has the software of the campaign",
-    "database": "the tables of facts that are there say the same: tests, rollouts, observations, bounds",
-    "resimulation": "rollouts that are simulated again here give the same trajectory",
+    "claims": "the claims follow, and name their assumptions",
+    "audit": "the assumptions, their status and their numbers follow from the data",
+    "software": "this machine has the numerical software of the campaign",
+    "database": "the tables of facts agree: tests, rollouts, observations, bounds",
+    "resimulation": "rollouts that are simulated again give the same trajectory",
 }
-"""Every check in the order of the table, and what it means that it passes."""
+"""Every check in the order of the table, and the statement that it proves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +45,12 @@ class Check:
 
     @property
     def meaning(self) -> str:
-        """Return what it means that this check passes."""
+        """The statement that this check proves."""
         return CHECKS[self.name]
 
 
-class FailedError(Exception):
-    """A check failed in a way that those behind it cannot be made; the text is the detail."""
+class CheckFailed(Exception):  # noqa: N818  (an outcome of a verification, and no error of perfbound)
+    """A check failed so that later ones cannot be made; the text is the detail."""
 
     def __init__(self, name: str, detail: str) -> None:
         super().__init__(detail)
@@ -58,8 +58,8 @@ class FailedError(Exception):
 
 
 @dataclass(slots=True)
-class Table:
-    """The checks so far."""
+class Checks:
+    """The results so far."""
 
     found: dict[str, Check] = field(default_factory=dict)
 
@@ -72,7 +72,7 @@ class Table:
         self._add(Check(name, "failed", detail))
 
     def skipped(self, name: str, detail: str) -> None:
-        """Add a check that could not be made, or was not asked for."""
+        """Add a check that could not be made, or was not requested."""
         self._add(Check(name, "skipped", detail))
 
     def judge(self, name: str, fault: str | None, detail: str) -> None:
@@ -84,19 +84,19 @@ class Table:
 
     @contextmanager
     def making(self, name: str) -> Iterator[None]:
-        """Have this check fail if what it reads breaks what reads it: whoever forges may write anything anywhere.
+        """Turn any exception while reading untrusted input into a failed check.
 
         Raises:
-            FailedError: it broke, or it failed.
+            CheckFailed: an exception was raised inside.
 
         """
         try:
             yield
-        except FailedError:
+        except CheckFailed:
             raise
         except Exception as error:
             text = str(error).partition("\n")[0][:200]
-            raise FailedError(
+            raise CheckFailed(
                 name, text if isinstance(error, PerfboundError) else f"{type(error).__name__}: {text}"
             ) from error
 
@@ -105,7 +105,7 @@ class Table:
         self.found.setdefault(check.name, replace(check, detail=one_line(check.detail)))
 
     def lines(self) -> tuple[Check, ...]:
-        """Return every check in the order of the table; those that were never reached are skipped."""
+        """Return every check in the order of the table; those that were not reached are skipped."""
         broken = next((name for name in CHECKS if name in self.found and self.found[name].status == "failed"), None)
         reason = f"not reached: `{broken}` failed" if broken else "not reached"
         return tuple(self.found.get(name) or Check(name, "skipped", reason) for name in CHECKS)

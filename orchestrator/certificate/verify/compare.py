@@ -1,10 +1,9 @@
-"""What follows from the evidence beside what somebody wrote down: the tables of the database, and the certificate.
+"""Comparison of the facts that follow from the evidence with the tables of the database and the certificate.
 
 Numbers are the same up to `ROUND_OFF`, because another CPU computes other last digits; everything else is equal.
 """
 
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -25,9 +24,8 @@ from ...store.untrusted import UntrustedFacts
 
 ROUND_OFF = 2e-9
 """Bounds are rounded outward to 1e-9, so that round-off may move one by a step."""
-IN_WORDS = 1e-5
-"""Of a number inside a sentence, which has six digits."""
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+SIX_DIGITS = 1e-5
+"""Of a value of an assumption, which has six digits."""
 
 
 def difference(
@@ -35,7 +33,7 @@ def difference(
 ) -> str | None:
     """Return the first place in which two JSON values differ, and both sides; None if they are the same.
 
-    `same` compares what is neither a list nor an object: `identical`, `computed` (the default) or `told`.
+    `same` compares what is neither a list nor an object: `identical`, `computed` (the default) or `six_digits`.
 
     >>> difference({"a": [1.0, "x"]}, {"a": [1.0, "y"]})
     'a[1] is "y", the evidence gives "x"'
@@ -50,7 +48,7 @@ def difference(
             for key in keys
         )
         return next((found for found in inside if found), None)
-    if _listed(ours) and _listed(theirs) and len(ours) == len(theirs):
+    if _is_list(ours) and _is_list(theirs) and len(ours) == len(theirs):
         pairs = enumerate(zip(ours, theirs, strict=True))
         return next((d for k, (a, b) in pairs if (d := difference(a, b, f"{where}[{k}]", same=same))), None)
     return None if same(ours, theirs) else f"{where} is {_text(theirs)}, the evidence gives {_text(ours)}"
@@ -59,7 +57,7 @@ def difference(
 ABSENT = "(nothing)"
 
 
-def _listed(value: object) -> bool:
+def _is_list(value: object) -> bool:
     return isinstance(value, list | tuple)
 
 
@@ -75,12 +73,11 @@ def computed(a: Any, b: Any) -> bool:
     return identical(a, b)
 
 
-def told(a: Any, b: Any) -> bool:
-    """Whether two sentences are the same, up to the last digit of a number in them."""
-    if not (isinstance(a, str) and isinstance(b, str)) or _NUMBER.sub("", a) != _NUMBER.sub("", b):
-        return computed(a, b)
-    pairs = zip(_NUMBER.findall(a), _NUMBER.findall(b), strict=True)
-    return all(x == y or ("." in x + y and close(float(x), float(y), IN_WORDS)) for x, y in pairs)
+def six_digits(a: Any, b: Any) -> bool:
+    """Whether two values of an assumption are the same, up to the last digit of a float."""
+    if isinstance(a, float) and isinstance(b, float):
+        return close(a, b, SIX_DIGITS)
+    return identical(a, b)
 
 
 def close(a: float, b: float, tolerance: float) -> bool:
@@ -117,7 +114,7 @@ def tables(header: Header, ours: Iterable[Fact], stored: UntrustedFacts) -> tupl
 def _table(header: Header, name: str, derived: Mapping[object, Fact], rows: Sequence[Fact]) -> str | None:
     written = _by_key(rows)
     if len(written) != len(rows):
-        return f"table {name}: something stands there twice"
+        return f"table {name}: a row is there twice"
     kind = type(rows[0])
     wanted = {key: fact for key, fact in derived.items() if isinstance(fact, kind)}
     for key, fact in wanted.items():

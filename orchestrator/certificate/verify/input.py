@@ -1,4 +1,4 @@
-"""What is verified: a run directory and the certificate in it, and who signed that."""
+"""The input of a verification: a run directory, the certificate in it, and its signature."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from ....schemas.certificate import Certificate
 from ....schemas.errors import PerfboundError
 from ...store import files as evidence
 from .. import files, sign
-from .checks import FailedError, Table
+from .checks import CheckFailed, Checks
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +34,11 @@ class VerificationInput:
         return cls(directory, certificate, envelope)
 
 
-def signed_text(subject: VerificationInput, key: Path | None, table: Table) -> bytes:
+def signed_text(subject: VerificationInput, key: Path | None, checks: Checks) -> bytes:
     """Return the bytes of the certificate; with a key, those that were signed, before anything reads them.
 
     Raises:
-        FailedError: the signature does not hold, or there is none.
+        CheckFailed: the signature does not hold, or there is none.
         PerfboundError: the key cannot be read, or is needed.
 
     """
@@ -46,34 +46,34 @@ def signed_text(subject: VerificationInput, key: Path | None, table: Table) -> b
     if key is None:
         if not subject.certificate.exists():
             raise PerfboundError(f"{subject.envelope}: give the signer's public key with --key")
-        table.skipped("signature", "give the signer's public key with --key" if signed else "it is not signed")
-        with table.making("certificate"):
+        checks.skipped("signature", "give the signer's public key with --key" if signed else "it is not signed")
+        with checks.making("certificate"):
             return evidence.contents(subject.certificate, files.MAX_CERTIFICATE)
     public = sign.load_public(key)
     if not signed:
-        raise FailedError("signature", f"there is no {files.ENVELOPE}: the certificate is not signed")
-    with table.making("signature"):
+        raise CheckFailed("signature", f"there is no {files.ENVELOPE}: the certificate is not signed")
+    with checks.making("signature"):
         payload = sign.verify(evidence.contents(subject.envelope, sign.MAX_ENVELOPE), public)
         if subject.certificate.exists() and evidence.contents(subject.certificate, files.MAX_CERTIFICATE) != payload:
-            raise FailedError("signature", f"what was signed is not {subject.certificate.name}")
-    table.passed("signature", f"Ed25519, key {sign.key_id(public)[:16]}...")
+            raise CheckFailed("signature", f"what was signed is not {subject.certificate.name}")
+    checks.passed("signature", f"Ed25519, key {sign.key_id(public)[:16]}...")
     return payload
 
 
-def parsed(text: bytes, table: Table) -> Certificate:
+def parsed(text: bytes, checks: Checks) -> Certificate:
     """Return the certificate.
 
     Raises:
-        FailedError: it is none, or was edited by hand.
+        CheckFailed: it is none, or was edited by hand.
 
     """
-    with table.making("certificate"):
+    with checks.making("certificate"):
         try:
             found = Certificate.model_validate_json(text)
         except ValueError as error:
-            raise FailedError("certificate", f"not a certificate: {str(error).splitlines()[0]}") from None
+            raise CheckFailed("certificate", f"not a certificate: {str(error).splitlines()[0]}") from None
         if found.to_json().encode() != text:
-            raise FailedError("certificate", "it is not written as perfbound writes it: somebody edited it")
+            raise CheckFailed("certificate", "it is not written as perfbound writes it: somebody edited it")
     claims = len(found.predicate.claims)
-    table.passed("certificate", f"{claims} claim{'' if claims == 1 else 's'}")
+    checks.passed("certificate", f"{claims} claim{'' if claims == 1 else 's'}")
     return found

@@ -1,4 +1,4 @@
-"""The manifest: which files the certificate stands for."""
+"""The manifest: the files behind the certificate."""
 
 import hashlib
 import re
@@ -9,7 +9,7 @@ from pathlib import Path
 from ....schemas.errors import EvidenceError
 from ....schemas.ids import RolloutId
 from ...store import files
-from .checks import FailedError
+from .checks import CheckFailed
 
 _ROLLOUT = r"[a-z_]{1,40}\.\d{1,9}\.[a-z]{1,10}\.\d{1,6}"
 _LINE = re.compile(rf"([0-9a-f]{{64}})  (trajectories/[a-z_]+/\d{{1,6}}/({_ROLLOUT})\.mcap)")
@@ -25,32 +25,32 @@ class Entry:
     path: str
 
 
-def parse(text: str) -> Mapping[RolloutId, Entry]:
+def parse_manifest(text: str) -> Mapping[RolloutId, Entry]:
     """Return the files of a manifest, in its order.
 
     Raises:
-        FailedError: a line is none of ours, or a rollout stands there twice.
+        CheckFailed: a line has another form, or a rollout is listed twice.
 
     """
     found: dict[RolloutId, Entry] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         match = _LINE.fullmatch(line)
         if match is None or not line.isascii():
-            raise FailedError("manifest", f"line {number} is not a digest and the path of a trajectory")
+            raise CheckFailed("manifest", f"line {number} is not a digest and the path of a trajectory")
         rollout = RolloutId.parse(match[3])
         if files.relative_path(rollout) != match[2]:
-            raise FailedError("manifest", f"line {number}: {match[2]} is not where {rollout} stands")
+            raise CheckFailed("manifest", f"line {number}: {match[2]} is not the path of {rollout}")
         if rollout in found:
-            raise FailedError("manifest", f"line {number}: {rollout} stands there twice")
+            raise CheckFailed("manifest", f"line {number}: {rollout} is listed twice")
         found[rollout] = Entry(match[1], match[2])
     return found
 
 
-def check_files(directory: Path, entries: Mapping[RolloutId, Entry], tell: Callable[[int], None]) -> None:
-    """Compare the digest of every file; `tell` hears how many were read.
+def check_files(directory: Path, entries: Mapping[RolloutId, Entry], progress: Callable[[int], None]) -> None:
+    """Compare the digest of every file; `progress` is called with the number of files read.
 
     Raises:
-        FailedError: some are missing or changed.
+        CheckFailed: some are missing or changed.
 
     """
     faults: list[str] = []
@@ -59,10 +59,10 @@ def check_files(directory: Path, entries: Mapping[RolloutId, Entry], tell: Calla
             files.read(directory, entry.path, entry.sha256)
         except EvidenceError as error:
             faults.append(f"{entry.path}: {str(error).partition(': ')[2].partition(';')[0]}")
-        tell(number)
+        progress(number)
     if faults:
         more = f"; and {len(faults) - SHOWN} more" if len(faults) > SHOWN else ""
-        raise FailedError("files", f"{len(faults)} of {len(entries)}: {'; '.join(faults[:SHOWN])}{more}")
+        raise CheckFailed("files", f"{len(faults)} of {len(entries)}: {'; '.join(faults[:SHOWN])}{more}")
 
 
 def sha256_of(data: bytes) -> str:

@@ -1,7 +1,7 @@
-"""The campaign once more, with the trajectories of the manifest in place of workers.
+"""The campaign decided again, with the trajectories of the manifest in place of workers.
 
-The same ledger that wrote the campaign decides again: which test is next, what is observed, when a problem stops. It
-writes nothing. Where the evidence does not fit what the ledger wants, the check that fails is named.
+The same ledger that decided the campaign decides it again: the next test, its observation, the end of a problem. It
+writes nothing. Where the evidence does not fit, `CheckFailed` names the check.
 """
 
 from collections import deque
@@ -17,12 +17,12 @@ from ....schemas.values import Proposal
 from ...campaign.admission import admit
 from ...campaign.ledger import Ledger, Work
 from ...store import files
-from .checks import FailedError
+from .checks import CheckFailed
 from .manifest import Entry
 
 
 class MemoryFactStore:
-    """A book in memory: facts in the order in which they were drawn."""
+    """A fact store in memory, in the order of the facts."""
 
     def __init__(self, header: Header) -> None:
         self.header = header
@@ -30,11 +30,11 @@ class MemoryFactStore:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Do nothing more."""
+        """Do nothing: memory is not durable."""
         yield
 
     def add(self, fact: Fact) -> None:
-        """Remember a fact."""
+        """Append a fact."""
         self.written.append(fact)
 
     def facts(self) -> Iterator[Fact]:
@@ -52,10 +52,10 @@ class MemoryFactStore:
 
 
 class NullFileStore:
-    """A shelf that keeps nothing."""
+    """A file store that discards every file."""
 
     def write(self, path: Path, data: bytes) -> None:
-        """Take a file, and forget it."""
+        """Discard a file."""
 
     def __enter__(self) -> None:
         """Begin."""
@@ -65,7 +65,7 @@ class NullFileStore:
 
 
 class Rerun:
-    """One campaign, decided again; `facts` and `ledger` hold what follows from the evidence."""
+    """One campaign, decided again; `facts` and `ledger` follow from the evidence alone."""
 
     def __init__(self, directory: Path, header: Header, entries: Mapping[RolloutId, Entry]) -> None:
         self._directory, self._entries = directory, entries
@@ -73,15 +73,15 @@ class Rerun:
         for rollout in entries:
             self._first.setdefault(rollout[:2], rollout)
         self._columns = tuple(column.name for column in header.spec.columns)
-        self._book = MemoryFactStore(header)
+        self._store = MemoryFactStore(header)
         self.ties = 0
         """Tests for which this machine would have chosen another one of equal value."""
-        self.ledger = Ledger(directory, self._book, files=NullFileStore(), follow=self._follow)
+        self.ledger = Ledger(directory, self._store, files=NullFileStore(), follow=self._follow)
 
     @property
     def facts(self) -> list[Fact]:
-        """All facts that follow."""
-        return self._book.written
+        """All facts, in their order."""
+        return self._store.written
 
     def observed(self) -> list[tuple[str, str]]:
         """Return (sha256, path) of every rollout behind an observation, in the order of the manifest."""
@@ -91,11 +91,11 @@ class Rerun:
         found.sort(key=lambda fact: (order.index(fact.rollout.problem), *fact.rollout[1:]))
         return [(fact.sha256, fact.path) for fact in found]
 
-    def play(self, tell: Callable[[int], None]) -> None:
-        """Decide the whole campaign; `tell` hears how many rollouts were taken in.
+    def play(self, progress: Callable[[int], None]) -> None:
+        """Decide the whole campaign; `progress` is called with the number of rollouts admitted.
 
         Raises:
-            FailedError: the evidence is not that of this campaign.
+            CheckFailed: the evidence is not that of this campaign.
 
         """
         self._check_size()
@@ -104,22 +104,22 @@ class Rerun:
         while waiting:
             rollout = waiting.popleft()
             if rollout not in self._entries:
-                missing.append(rollout)  # it may be one that nobody observed any more
+                missing.append(rollout)  # legal: in flight when its problem stopped
                 continue
             if rollout.problem in self._stopped():
-                raise FailedError("stop", f"{rollout} is in the manifest, but its problem had stopped before")
+                raise CheckFailed("stop", f"{rollout} is in the manifest, but its problem had stopped before it")
             waiting.extend(self._take(rollout))
             used.add(rollout)
-            tell(len(used))
+            progress(len(used))
         self._check_end(used, missing)
 
     def _check_size(self) -> None:
-        """Refuse a campaign whose first tests alone need more than there is, before they are laid out."""
+        """Refuse a campaign whose first tests alone need more rollouts than the manifest has."""
         for each in self.ledger.state.problems:
             listed = sum(rollout.problem == each.plan.problem for rollout in self._entries)
             if listed < len(each.plan.rollouts):
                 wanted = f"{len(each.plan.rollouts)} rollouts a test"
-                raise FailedError("evidence", f"{each.plan.problem} takes {wanted}, the manifest has {listed} of it")
+                raise CheckFailed("evidence", f"{each.plan.problem} takes {wanted}, the manifest has {listed} of it")
 
     def _stopped(self) -> set[str]:
         bounds = {name: account.last_bound for name, account in self.ledger.accounts.items()}
@@ -129,7 +129,7 @@ class Rerun:
         try:
             return act().wanted
         except PerfboundError as error:
-            raise FailedError("observations", str(error)) from None
+            raise CheckFailed("observations", str(error)) from None
 
     def _take(self, rollout: RolloutId) -> Sequence[RolloutId]:
         entry = self._entries[rollout]
@@ -137,34 +137,34 @@ class Rerun:
         try:
             trajectory = admit(self.ledger.request(rollout), self._columns, payload, entry.sha256)
         except RequestError as error:
-            raise FailedError("requests", f"{entry.path}: {error}") from None
+            raise CheckFailed("requests", f"{entry.path}: {error}") from None
         except EvidenceError as error:
-            raise FailedError("trajectories", f"{entry.path}: {error}") from None
+            raise CheckFailed("trajectories", f"{entry.path}: {error}") from None
         return self._step(lambda: self.ledger.record(rollout, payload, trajectory, entry.sha256))
 
     def _read(self, entry: Entry) -> bytes:
         try:
             return files.read(self._directory, entry.path, entry.sha256)
         except EvidenceError as error:
-            raise FailedError("files", str(error)) from None
+            raise CheckFailed("files", str(error)) from None
 
     def _follow(
         self, problem: str, test: int, ours: Proposal, rival: Callable[[Sequence[float]], Proposal | None]
     ) -> Proposal:
-        """Take the test that was made, if it was a maximiser up to what another CPU computes otherwise."""
+        """Return the recorded test if it was a maximiser, up to the last digits that depend on the CPU."""
         x = self._start(problem, test)
         if x is None or x == ours.x:
             return ours
         theirs = rival(x)
         if theirs is None:
-            raise FailedError(
+            raise CheckFailed(
                 "proposals", f"{problem}, test {test}: {list(x)} was tested, the maximiser is {list(ours.x)}"
             )
         self.ties += 1
         return theirs
 
     def _start(self, problem: str, test: int) -> tuple[float, ...] | None:
-        """Return where the campaign tested, as the first file of that test says."""
+        """Return the start of a test, from the request in its first file."""
         rollout = self._first.get((problem, test))
         if rollout is None:
             return None
@@ -173,12 +173,12 @@ class Rerun:
             found = read(self._read(entry)).request["x"]
             return tuple(float(value) for value in found)
         except (TrajectoryError, KeyError, TypeError, ValueError, OverflowError) as error:
-            raise FailedError("trajectories", f"{entry.path}: {error}") from None
+            raise CheckFailed("trajectories", f"{entry.path}: {error}") from None
 
     def _check_end(self, used: set[RolloutId], missing: Sequence[RolloutId]) -> None:
         if not self.ledger.done:
             gone = next(rollout for rollout in missing if rollout.problem not in self._stopped())
-            raise FailedError("stop", f"the campaign does not end there: {gone} is to come, and the manifest lacks it")
+            raise CheckFailed("stop", f"the campaign does not end there: {gone} follows, and the manifest lacks it")
         extra = [rollout for rollout in self._entries if rollout not in used]
         if extra:
-            raise FailedError("evidence", f"{len(extra)} rollouts belong to no observed test: {extra[0]}")
+            raise CheckFailed("evidence", f"{len(extra)} rollouts belong to no observed test: {extra[0]}")

@@ -1,4 +1,4 @@
-"""Random rollouts once more: is what the workers sent what the simulator computes?"""
+"""Re-simulation of random rollouts: a spot check that the workers sent what the simulator computes."""
 
 import math
 import random
@@ -16,7 +16,7 @@ from ....schemas.ids import RolloutId
 from ....schemas.trajectory import Trajectory, read
 from ...fleet.child import ask
 from ...store import files
-from .checks import FailedError
+from .checks import CheckFailed
 from .manifest import Entry
 
 AT_A_TIME = 2
@@ -35,26 +35,27 @@ class Resimulation:
 
 
 def resimulate(
-    directory: Path, entries: Mapping[RolloutId, Entry], count: int, tell: Callable[[int], None]
+    directory: Path, entries: Mapping[RolloutId, Entry], count: int, progress: Callable[[int], None]
 ) -> tuple[Resimulation, ...]:
-    """Simulate `count` rollouts again, chosen at random when it is too late to prepare for the choice.
+    """Simulate `count` rollouts again, chosen at random after the evidence is fixed.
 
     Raises:
-        FailedError: one gives another trajectory.
+        CheckFailed: one gives another trajectory.
         PerfboundError: the system cannot be simulated here.
 
     """
-    luck = random.Random(secrets.randbits(64))  # noqa: S311  (seeded by the operating system)
-    chosen = luck.sample(sorted(entries), min(count, len(entries)))
+    chooser = random.Random(secrets.randbits(64))  # noqa: S311  (seeded by the operating system)
+    chosen = chooser.sample(sorted(entries), min(count, len(entries)))
     found: list[Resimulation] = []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(AT_A_TIME) as pool:
-        for again in pool.map(lambda rollout: _once(directory, rollout, entries[rollout], Path(folder)), chosen):
+        tasks = ((directory, rollout, entries[rollout], Path(folder)) for rollout in chosen)
+        for again in pool.map(lambda task: _simulate_again(*task), tasks):
             found.append(again)
-            tell(len(found))
+            progress(len(found))
     return tuple(found)
 
 
-def _once(directory: Path, rollout: RolloutId, entry: Entry, folder: Path) -> Resimulation:
+def _simulate_again(directory: Path, rollout: RolloutId, entry: Entry, folder: Path) -> Resimulation:
     before = files.read(directory, entry.path, entry.sha256)
     recorded = read(before)
     out = folder / f"{rollout}.mcap"
@@ -63,20 +64,20 @@ def _once(directory: Path, rollout: RolloutId, entry: Entry, folder: Path) -> Re
     out.unlink()
     if after == before:
         return Resimulation(rollout, bitwise=True, difference=0.0)
-    distance = _distance(recorded.trajectory, read(after).trajectory)
+    distance = _largest_difference(recorded.trajectory, read(after).trajectory)
     if not distance <= TOLERANCE:
-        raise FailedError("resimulation", f"{rollout}: simulated again it differs by up to {distance:.3g}")
+        raise CheckFailed("resimulation", f"{rollout}: simulated again it differs by up to {distance:.3g}")
     return Resimulation(rollout, bitwise=False, difference=distance)
 
 
-def _distance(a: Trajectory, b: Trajectory) -> float:
+def _largest_difference(a: Trajectory, b: Trajectory) -> float:
     if a.columns != b.columns or a.samples.shape != b.samples.shape:
         return float("inf")
     return float(np.max(np.abs(a.samples - b.samples)))
 
 
-def sentence(again: tuple[Resimulation, ...], total: int) -> str:
-    """Return what the spot check says about `workers_honest`."""
+def spot_check(again: tuple[Resimulation, ...], total: int) -> str:
+    """Return the evidence of the spot check for `workers_honest`, as a sentence."""
     count = len(again)
     same = sum(each.bitwise for each in again)
     how = "bitwise the same" if same == count else f"{same} bitwise the same, the others within {TOLERANCE:g}"

@@ -61,7 +61,7 @@ def a_certificate(*assumptions: Assumption) -> Certificate:
 
 def printed(certificate: Certificate, width: int = 100) -> list[str]:
     console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
-    summary.show(certificate, console)
+    summary.print_certificate(certificate, console)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue().splitlines()
 
@@ -79,7 +79,7 @@ def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
     (tmp_path / "a [red] :x: b").mkdir()
     (tmp_path / "a [red] :x: b" / "certificate.json").touch()
     console = Console(file=io.StringIO(), width=40)
-    summary.written(Path("a [red] :x: b"), console)
+    summary.print_files(Path("a [red] :x: b"), console)
     Plain(console).say("worker [bold]x[/] :x: ended")
     assert isinstance(console.file, io.StringIO)
     text = console.file.getvalue()
@@ -98,12 +98,12 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
         )
     )
     order = [
-        "REFUTED, by this campaign's own data or by derivation: 1 assumption",
+        "REFUTED, by the data of this campaign or by derivation: 1 assumption",
         "    rkhs_norm           refuted     B is wrong.",
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
         "       It rests on 1 assumption REFUTED: do not rely on it.",
         "    NOT converged: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
-        "Assumptions that the data do not refute",
+        "Assumptions that are not refuted",
         "    tail                assumed     Gaussian.",
         "  whole campaign",
         "    workers_honest      assumed     believed.",

@@ -1,0 +1,26 @@
+"""The rules of a campaign: how seeds, digests and decisions follow from its file and its facts.
+
+A campaign keeps the rules that it was started with: `resume`, `verify` and `replay` follow the number in its header.
+A change that gives another seed, digest or decision is a new number here, and a branch at the place that it changes.
+
+    1   the rules of perfbound 0.1; of every campaign whose header names none
+"""
+
+from .errors import JournalError
+
+RULES = 1
+"""Of a new campaign."""
+KNOWN = frozenset({1})
+
+
+def check_rules(rules: int, place: str) -> int:
+    """Return `rules` if this perfbound can follow them.
+
+    Raises:
+        JournalError: they are those of another perfbound; the text names `place`.
+
+    """
+    if rules not in KNOWN:
+        followed = ", ".join(map(str, sorted(KNOWN)))
+        raise JournalError(f"{place}: the campaign follows rules {rules}, this perfbound {followed}; use a newer one")
+    return rules
