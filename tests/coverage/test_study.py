@@ -163,12 +163,12 @@ def test_the_verdict_is_about_right_premises_only() -> None:
 def test_the_page_is_written_between_its_marks(tmp_path: Path) -> None:
     found = [found_row(1.0, refuted=50), found_row(2.0, refuted=10)]
     target = tmp_path / "page.md"
-    target.write_text(f"before\n{page.BEGIN}\nold\n{page.END}\nafter\n", encoding="utf-8")
+    target.write_text(f"before\n{page.BEGIN}\nreplaced text\n{page.END}\nafter\n", encoding="utf-8")
     page.write(target, found)
     text = target.read_text(encoding="utf-8")
     assert text.startswith("before\n")
     assert text.endswith(f"{page.END}\nafter\n")
-    assert "old" not in text
+    assert "replaced text" not in text
     assert "**FAILS**" in text
     assert (tmp_path / page.FIGURE).stat().st_size < 100_000
 

@@ -375,7 +375,7 @@ def test_a_database_of_a_newer_schema(busy: Process, here: Here) -> None:
 def test_a_worker_of_another_version_is_told_so(started: Processes) -> None:
     fake = started.folder / "fake"
     fake.mkdir()
-    (fake / "sitecustomize.py").write_text("import schemas\nschemas.__version__ = '9.9.9'\n")
+    (fake / "sitecustomize.py").write_text("import perfbound.schemas\nperfbound.schemas.__version__ = '9.9.9'\n")
     campaign = write_campaign(started.folder / "c.toml")
     orchestrator = started.start("perfbound", "orchestrate", campaign, "--out", "run")
     wait_for(lambda: "--connect" in orchestrator.err)

@@ -114,7 +114,7 @@ def test_a_page_that_is_killed_does_not_disturb_the_run(started: Processes, page
     assert ended.code == 0
     lines = [json.loads(line)["message"] for line in ended.err.splitlines()]
     assert [line for line in lines if "has ended" in line] == [
-        f"the live page has ended: signal 9. The campaign goes on; `perfbound web {directory}` shows it, too"
+        f"the live page has ended: signal 9. The campaign continues; `perfbound web {directory}` shows it"
     ]
     assert (directory / "certificate.json").read_bytes() == (pageless / "certificate.json").read_bytes()
     assert of_run(directory) == []
