@@ -1,1 +1,1 @@
-"""The diagrams of docs/architecture.md, drawn from the tables of the two cores: `python -m tests.architecture`."""
+"""The diagrams of docs/architecture.md; `python -m tests.architecture` draws them."""

@@ -1,4 +1,4 @@
-"""Write the diagrams anew; a test keeps them current."""
+"""Write the diagrams to docs/images; a test keeps them current."""
 
 from tests.architecture.diagrams import FOLDER, texts
 

@@ -1,10 +1,11 @@
-"""The two diagrams: where their boxes stand, and what their arrows say."""
+"""The three diagrams of docs/architecture.md: places of their boxes, bends and labels of their arrows."""
 
 from collections.abc import Set
 from pathlib import Path
 
 from perfbound.orchestrator.fleet.dispatch import KNOWN
 from tests.architecture.drawing import FRAME, Bend, Layout, Pair, svg
+from tests.architecture.rooms import DIVIDED, ROOT, imports
 from tests.architecture.transitions import BESIDE_CAMPAIGN, Transition, of_campaign, of_dispatch, of_legal
 
 FOLDER = Path(__file__).parents[2] / "docs" / "images"
@@ -37,7 +38,26 @@ CAMPAIGN = Layout(
     places={"absent": (70, 110), "running": (270, 110), "complete": (470, 110), "closed": (670, 110)},
     bends={("running", "closed"): Bend(120, 0.5)},
 )
-SAID = {
+ROOMS = Layout(
+    size=(770, 600),
+    places={
+        "cli": (330, 60),
+        "report": (520, 105),
+        "run": (130, 165),
+        "certificate": (590, 260),
+        "campaign": (80, 320),
+        "mathematics": (160, 440),
+        "store": (330, 460),
+        "fleet": (510, 430),
+        "schemas": (330, 570),
+        "workers": (520, 570),
+        "perfbound": (700, 570),
+    },
+    bends={("perfbound", "schemas"): Bend(-70)},
+    frame=(20, 24, 650, 494),
+    ports={(FRAME, "schemas"): ((330, 494), (330, 553))},
+)
+LABELS = {
     ("Unwanted", "shunned"): "withdrawn",
     ("Delivered", "shunned"): "done elsewhere",
 }
@@ -45,7 +65,7 @@ EARLIER = "an earlier test ends the problem"
 
 
 def merged(transitions: Set[Transition]) -> dict[Pair, list[str]]:
-    """Return the events of every arrow; what all living workers share is one arrow at the frame."""
+    """Return the events of every arrow; events that all living workers share are one arrow at the frame."""
     found: dict[Pair, list[str]] = {}
     for before, event, after in sorted(transitions):
         pair = (before, after)
@@ -53,15 +73,31 @@ def merged(transitions: Set[Transition]) -> dict[Pair, list[str]]:
             pair = (FRAME, after)
         elif before == "gone" and {Transition("gone", event, each) for each in KNOWN} <= transitions and after in KNOWN:
             pair = (before, FRAME)
-        said = SAID.get((event, after), event)
-        if said not in found.setdefault(pair, []):
-            found[pair].append(said)
+        label = LABELS.get((event, after), event)
+        if label not in found.setdefault(pair, []):
+            found[pair].append(label)
     return found
 
 
+def between_rooms() -> dict[Pair, list[str]]:
+    """Return the arrows between the rooms; an import that all rooms of the orchestrator share is one at the frame."""
+    found = imports()
+    inside = [room for room in found if (ROOT / DIVIDED / room).is_dir()]
+    shared = set.intersection(*(found[room] for room in inside))
+    return {
+        (FRAME if target in shared and room in inside else room, target): []
+        for room, targets in found.items()
+        for target in targets
+    }
+
+
 def texts() -> dict[str, str]:
-    """Return file name and content of both diagrams."""
+    """Return file name and content of every diagram."""
     tests = merged(of_campaign())
     for before, _, after in BESIDE_CAMPAIGN - of_legal():
         tests[before, after] = [EARLIER]
-    return {"dispatch.svg": svg(DISPATCH, merged(of_dispatch())), "campaign.svg": svg(CAMPAIGN, tests)}
+    return {
+        "rooms.svg": svg(ROOMS, between_rooms()),
+        "dispatch.svg": svg(DISPATCH, merged(of_dispatch())),
+        "campaign.svg": svg(CAMPAIGN, tests),
+    }

@@ -1,10 +1,16 @@
 """The documentation names files, commands and options that exist."""
 
+import importlib.util
+import json
+import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -13,9 +19,12 @@ from perfbound.orchestrator.cli.group import cli
 from perfbound.workers.cli import serve
 
 ROOT = Path(__file__).parents[3]
-PAGES = sorted((ROOT / "docs").rglob("*.md"))
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
+LOADED = re.compile(r"<(?:script|img|iframe|link)[^>]* (?:src|href)=[\"']?(?:https?:)?//")
+"""An element that makes a browser load something from another host."""
+PATH = re.compile(r"`((?:deploy|docs|orchestrator|perfbound|schemas|tests|workers)/[\w./-]*)`")
 COMMAND = re.compile(r"^ {4}(perfbound(?:-worker)? (?:.*\\\n)*.*)|`(perfbound(?:-worker)? [^`]*)`", re.MULTILINE)
 
 
@@ -49,12 +58,52 @@ def test_every_page_is_in_the_index() -> None:
     assert {page for page in PAGES if page.name != "README.md"} <= linked
 
 
-def test_the_layers_of_the_architecture_page_are_those_that_are_checked() -> None:
-    """By name and order: the page has one layer a line."""
+def test_every_page_is_in_the_navigation_of_the_site() -> None:
+    listed = set(re.findall(r"- [^:\n]+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
+    assert {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.is_relative_to(ROOT / "docs")} <= listed
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_paths_exist(page: Path) -> None:
+    """In backquotes, from the root of the repository: folders end with a slash."""
+    for path in PATH.findall(page.read_text()):
+        assert (ROOT / path).exists(), path
+
+
+def test_the_rooms_of_the_architecture_page_are_the_layers_that_are_checked() -> None:
+    """By name and order: one room per row of the table."""
     rules = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]["layers"]
-    block = re.search(
-        r"each line may import the lines below it:\n\n((?: {4}.*\n)+)", (ROOT / "docs/architecture.md").read_text()
+    table = (ROOT / "docs/architecture.md").read_text().partition("| room |")[2].partition("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)`", table, re.MULTILINE) == [room for layer in rules for room in layer.split(" : ")]
+
+
+def test_the_system_of_the_docs_keeps_the_contract() -> None:
+    code = re.findall(r"```python\n(.*?)```", (ROOT / "docs/own-system.md").read_text(), re.DOTALL)[-1]
+    names: dict[str, Any] = {}
+    exec(code, names)
+    system = names["Decay"]()
+    arguments = {"seed": 7, "horizon": 10.0, "options": {}, "progress": lambda _step: None}
+    nominal, true, again = (
+        system.rollout([1.0], variant=variant, **arguments) for variant in ("nominal", "true", "true")
     )
-    assert block is not None
-    shown = [re.split(r"\s{3,}", line.strip())[0].split(", ") for line in block[1].splitlines()]
-    assert shown == [re.split(" [:|] ", layer) for layer in rules]
+    assert nominal.columns == tuple(column.name for column in system.spec.columns)
+    assert (nominal.samples[0, 0], nominal.samples[-1, 0]) == (0.0, 10.0)
+    assert (true.samples == again.samples).all()
+    assert not (true.samples == nominal.samples).all()
+    assert system.visual(true) is None
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mkdocs") is None, reason="mkdocs is not installed: make docs")
+def test_the_site_builds_is_searchable_and_loads_nothing_from_outside(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    names = {page.relative_to(ROOT / "docs") for page in PAGES if page.is_relative_to(ROOT / "docs")}
+    for name in names:
+        html = (
+            tmp_path / name.with_name("index.html" if name.name == "README.md" else f"{name.stem}.html")
+        ).read_text()
+        assert not LOADED.search(html), name
+    found = {entry["location"] for entry in json.loads((tmp_path / "search/search_index.json").read_text())["docs"]}
+    assert {"tutorial.html", "api.html#perfbound.systems.SystemUnderTest.rollout"} <= found
