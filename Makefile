@@ -10,7 +10,7 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types imports unit explore faults coverage reproduce bench bench-compare schemas diagrams lock clean
+.PHONY: help setup run test lint types imports unit explore faults coverage reproduce bench bench-compare schemas diagrams docs lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -81,14 +81,24 @@ bench-compare: $(VENV)/.installed-dev ## Two results side by side: OLD=... NEW=.
 schemas: $(VENV)/.installed-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m perfbound.schemas
 
-diagrams: $(VENV)/.installed-dev ## Draw the diagrams of docs/architecture.md anew from the legality tables
+diagrams: $(VENV)/.installed-dev ## Draw the diagrams of docs/architecture.md from the legality tables and the imports
 	$(BIN)/python -m tests.architecture
+
+$(VENV)/.installed-docs: requirements-docs.lock $(VENV)/.installed
+	$(INSTALL) --require-hashes -r requirements-docs.lock
+	touch $@
+
+docs: $(VENV)/.installed-docs ## Build the docs site into build/site; a broken link fails the build
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 lock: ## Resolve the dependencies anew (needs pip-tools)
 	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \
 	  --no-emit-find-links --no-emit-trusted-host -o requirements.lock pyproject.toml
 	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \
 	  --no-emit-find-links --no-emit-trusted-host --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \
+	  --no-emit-find-links --no-emit-trusted-host --extra docs -c requirements.lock -c requirements-dev.lock \
+	  -o requirements-docs.lock pyproject.toml
 
 clean: ## Remove the environment and caches; runs are kept
 	rm -rf $(VENV) $(VENV)-bench .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build *.egg-info
