@@ -49,7 +49,13 @@ build/node/.installed: Makefile
 	@if command -v npm >/dev/null && npm install --silent --no-save --no-audit --no-fund --prefix build/node \
 	  @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 @foxglove/schemas@2.1.0; then touch $@; fi
 
-unit: $(VENV)/.installed-dev build/node/.installed ## Tests, with real workers, Zenoh and PyBullet
+# The build backend that pyproject.toml pins, so that the test of the wheel needs no network later on.
+build/backend/.installed: pyproject.toml $(VENV)/.installed
+	rm -rf build/backend
+	$(INSTALL) --target build/backend "$$(sed -n 's/^requires = \["\(.*\)"\]$$/\1/p' pyproject.toml)"
+	touch $@
+
+unit: $(VENV)/.installed-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
 	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas
 	$(BIN)/python -m pytest
 
