@@ -13,6 +13,8 @@ from typing import Literal
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from tests.patience import PATIENCE
+
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 Scheme = Literal["light", "dark"]
 
@@ -27,9 +29,9 @@ class Watched:
     requests: list[str] = field(default_factory=list)
     """URLs, the page itself included."""
 
-    def shown(self, timeout: float = 20_000) -> None:
+    def shown(self) -> None:
         """Wait until the page has drawn a story."""
-        self.page.wait_for_selector("html[data-drawn]", timeout=timeout)
+        self.page.wait_for_selector("html[data-drawn]")
 
     def drawn(self) -> int:
         """Return how often the page has drawn a story."""
@@ -60,6 +62,7 @@ def watched(browser: Browser, *, width: int = 1280, scheme: Scheme = "light") ->
     context = browser.new_context(
         viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=width < 500, device_scale_factor=1
     )
+    context.set_default_timeout(1000 * PATIENCE)
     try:
         page = context.new_page()
         watch = Watched(page)

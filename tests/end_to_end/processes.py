@@ -14,10 +14,9 @@ from pathlib import Path
 import psutil
 
 from tests.campaigns import FOLDER
+from tests.patience import PATIENCE
 
 BIN = Path(sys.executable).parent
-PATIENCE = 60.0
-"""Seconds after which a test gives up: a loaded machine is slow, not wrong."""
 
 
 @dataclass
@@ -60,8 +59,8 @@ class Process:
         """Send what a terminal sends to everything in the foreground."""
         os.killpg(self.pid, number)
 
-    def wait(self, timeout: float = PATIENCE) -> Ended:
-        code = self.popen.wait(timeout)
+    def wait(self) -> Ended:
+        code = self.popen.wait(PATIENCE)
         return Ended(code, (self.folder / "out").read_text(), self.err)
 
     def children(self) -> list[psutil.Process]:
@@ -139,14 +138,14 @@ ROLLOUTS = 24
 """Of the small campaign: 8 nominal ones, and 8 pairs for the gap."""
 
 
-def wait_for(condition: Callable[[], object], timeout: float = PATIENCE) -> None:
+def wait_for(condition: Callable[[], object], patience: float = PATIENCE) -> None:
     """Wait until `condition()` is true.
 
     Raises:
         TimeoutError: it never was.
 
     """
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + patience
     while not condition():
         if time.monotonic() > deadline:
             raise TimeoutError("the condition did not come true")
@@ -158,7 +157,7 @@ def query(directory: Path, text: str) -> list[tuple[object, ...]]:
     path = directory / "campaign.db"
     if not path.exists():
         return []
-    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=10)) as connection:
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=PATIENCE)) as connection:
         return connection.execute(text).fetchall()
 
 

@@ -27,6 +27,7 @@ from tests.end_to_end.processes import (
     wait_for,
     write_campaign,
 )
+from tests.faults.subjects import FUNCTION, LIMITS, install
 
 RESUME = "perfbound: stopped; go on with: perfbound resume run\n"
 
@@ -99,7 +100,7 @@ def test_the_number_of_workers_changes_no_byte(started: Processes, directory: Pa
 
 def test_an_orchestrator_killed_again_and_again(started: Processes, directory: Path, calm: Path) -> None:
     chance = random.Random(7)
-    kills = sorted(chance.sample(range(1, ROLLOUTS - 4), 3))
+    kills = sorted(chance.sample(range(1, ROLLOUTS // 2), 3))
     process = start(started)
     for kill in kills:
         wait_for(lambda kill=kill: recorded(directory) >= kill)  # type: ignore[misc]
@@ -113,7 +114,7 @@ def test_an_orchestrator_killed_again_and_again(started: Processes, directory: P
     assert ended.code == 0, ended.err
     assert finished(directory, calm)
     assert query(directory, "SELECT count(*) FROM sessions") == [(4,)]
-    wait_for(lambda: gone(directory), 2)
+    wait_for(lambda: gone(directory))
 
 
 def test_a_killed_run_leaves_no_worker(started: Processes, directory: Path) -> None:
@@ -122,7 +123,7 @@ def test_a_killed_run_leaves_no_worker(started: Processes, directory: Path) -> N
     workers = process.children()
     assert len(workers) == 2
     process.popen.kill()
-    wait_for(lambda: not any(worker.is_running() for worker in workers), 2)
+    wait_for(lambda: not any(worker.is_running() for worker in workers))
     assert gone(directory)
 
 
@@ -176,15 +177,17 @@ def attempts(directory: Path, rollout: str) -> list[tuple[object, ...]]:
 # Signals, and what a person sees
 
 
-def test_ctrl_c_stops_within_three_seconds(started: Processes, directory: Path) -> None:
-    campaign = write_campaign(started.folder / "c.toml")
-    process = started.start("perfbound", "run", campaign, "--out", "run")
-    wait_for(lambda: recorded(directory) >= 3)
-    asked = time.monotonic()
+def test_ctrl_c_waits_for_no_rollout(started: Processes, directory: Path) -> None:
+    """Every rollout lasts an hour: whoever waited for one would reach the limit of the test."""
+    campaign, plugins = started.folder / "c.toml", install(started.folder / "plugins")
+    campaign.write_text(FUNCTION.format(name="endless", **{**LIMITS["slow"], "pace": 3600.0, "deadline": 36000.0}))
+    process = started.start("perfbound", "run", campaign, "--out", "run", PYTHONPATH=str(plugins))
+    wait_for(lambda: len(under_way(directory)) == 2)
     process.signal_group(signal.SIGINT)
     ended = process.wait()
-    assert time.monotonic() - asked < 3
-    assert (ended.code, ended.out, ended.err) == (130, "", RESUME)
+    assert (ended.code, ended.out) == (130, "")
+    assert ended.err.endswith(RESUME)
+    assert (recorded(directory), len(under_way(directory))) == (0, 2)
     assert gone(directory)
     assert not lock.is_held(directory)
 
@@ -276,9 +279,9 @@ def test_workers_that_outlive_the_orchestrator(started: Processes, directory: Pa
     assert early.running
     assert late.running
     late.popen.send_signal(signal.SIGINT)
-    assert late.wait(20).code == 130
+    assert late.wait().code == 130
     early.popen.terminate()
-    assert early.wait(20).code == -signal.SIGTERM
+    assert early.wait().code == -signal.SIGTERM
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.end_to_end.processes import Processes, query, recorded, wait_for, write_campaign
+from tests.patience import PATIENCE
 
 UNITS = Path(__file__).parents[2] / "deploy" / "systemd"
 
@@ -52,7 +53,7 @@ def test_systemd_is_told(started: Processes) -> None:
     directory, address = started.folder / "run", started.folder / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(address))
-        manager.settimeout(60)
+        manager.settimeout(PATIENCE)
         process = started.start(
             "perfbound",
             *("run", write_campaign(started.folder / "c.toml"), "--out", directory),

@@ -16,6 +16,7 @@ from playwright.sync_api import Browser
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import processes
 from tests.end_to_end.processes import Process, Processes, contents, free_port, of_run, wait_for, write_campaign
+from tests.patience import PATIENCE
 
 browser = chromium.browser
 TESTS = 20
@@ -41,7 +42,7 @@ def pageless(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def get(url: str, method: str = "GET", **headers: str) -> tuple[int, bytes]:
     try:
-        with urlopen(Request(url, method=method, headers=headers), timeout=60) as answer:
+        with urlopen(Request(url, method=method, headers=headers), timeout=PATIENCE) as answer:
             return answer.status, answer.read()
     except HTTPError as error:
         with error:
@@ -81,7 +82,7 @@ def test_a_page_lives_through_the_death_of_its_orchestrator(
         assert not (directory / "certificate.json").exists(), "it runs still"
         page = child_of(process)
         process.popen.kill()
-        page.wait(10)
+        page.wait(PATIENCE)
         assert of_run(directory) == []
         stopped = watch.page.evaluate(SHOWN)
         resumed = started.start("perfbound", "resume", directory, "--workers", "2", "--web", address)
@@ -127,7 +128,7 @@ def test_a_run_that_is_stopped_takes_its_page_along(started: Processes, number: 
     url = url_of(process)
     assert story(url)["state"] == "running"
     process.popen.send_signal(number)
-    ended = process.wait(15)
+    ended = process.wait()
     assert ended.code == 128 + number
     assert ended.err.endswith(f"perfbound: stopped; go on with: perfbound resume {directory}\n")
     assert of_run(directory) == []
@@ -171,7 +172,7 @@ def test_the_page_of_a_finished_campaign(started: Processes, pageless: Path, bro
     assert get(f"{url}story.json", Host="evil.example")[0] == 421
     assert get(f"{url}trajectories/..%2Fcampaign.db")[0] == 404
     process.popen.send_signal(signal.SIGTERM)
-    ended = process.wait(15)
+    ended = process.wait()
     assert (ended.code, ended.out) == (143, "")
     assert ended.err == f"live page: {url}\nperfbound: the live page has ended\n"
     assert contents(pageless) == before
@@ -179,7 +180,7 @@ def test_the_page_of_a_finished_campaign(started: Processes, pageless: Path, bro
 
 def raw(url: str, text: bytes) -> socket.socket:
     host, port = url.removeprefix("http://").rstrip("/").split(":")
-    client = socket.create_connection((host, int(port)), timeout=60)
+    client = socket.create_connection((host, int(port)), timeout=PATIENCE)
     client.sendall(text)
     return client
 
@@ -223,7 +224,7 @@ def test_hostile_clients(started: Processes, pageless: Path) -> None:
         assert get(f"{url}events")[0] == 503
     wait_for(lambda: get(f"{url}events", "HEAD")[0] == 200)
     process.popen.send_signal(signal.SIGINT)
-    ended = process.wait(15)
+    ended = process.wait()
     assert (ended.code, "Traceback" in ended.err) == (130, False)
 
 

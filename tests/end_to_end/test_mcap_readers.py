@@ -17,6 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from tests.end_to_end import processes
 from tests.end_to_end.processes import BIN, Ended, Processes
+from tests.patience import PATIENCE
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ROOT / "build" / "node"
@@ -112,7 +113,7 @@ def javascript(visual: Path, evidence: Path) -> dict[str, Any]:
         pytest.skip(INSTALL)
     script = Path(__file__).with_name("read_mcap.mjs")
     line: list[str | Path] = [node, script, PACKAGES, visual, evidence]
-    ended = subprocess.run(line, capture_output=True, text=True, check=False, timeout=60)
+    ended = subprocess.run(line, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert ended.returncode == 0, ended.stderr
     found: dict[str, Any] = json.loads(ended.stdout)
     return found

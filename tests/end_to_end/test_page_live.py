@@ -61,7 +61,7 @@ def test_a_live_page_follows_and_keeps_what_the_reader_chose(campaign: Campaign)
     page.locator("#assumptions details").last.locator("summary").click()
     page.evaluate("window.kept = [document.getElementById('map-0'), document.querySelector('#decay-0 .uplot')]")
     page.evaluate("window.scrollTo({top: 700, behavior: 'instant'})")
-    page.focus("#problem-0 [data-series=lower]", timeout=1000)
+    page.focus("#problem-0 [data-series=lower]")
     where, charts = page.evaluate("scrollY"), page.locator(".uplot").count()
     for tests in range(5, 12):
         campaign.tests = tests

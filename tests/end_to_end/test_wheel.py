@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.end_to_end.processes import PATIENCE, Ended, Processes
+from tests.end_to_end.processes import Ended, Processes
 
 ROOT = Path(__file__).parents[2]
 LOCK = ROOT / "requirements.lock"
@@ -176,7 +176,6 @@ def test_the_main_job_runs_from_the_wheel_and_harms_no_module_of_the_folder(link
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(10 * PATIENCE)
 def test_the_same_with_the_lock_installed_afresh(built: tuple[Path, Path], started: Processes, tmp_path: Path) -> None:
     """Downloads everything: minutes."""
     folder = tmp_path / "fresh"

@@ -132,7 +132,7 @@ def hang_then_kill(scene: Scene) -> None:
             worker.suspend()
         scene.did(f"stop workers {', '.join(str(worker.pid) for worker in workers)}")
         scene.kill_orchestrator()
-        wait_for(lambda: not any(_lives(worker) for worker in workers), 15)
+        wait_for(lambda: not any(_lives(worker) for worker in workers))
         scene.resume()
     scene.finish()
 

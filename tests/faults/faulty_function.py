@@ -40,7 +40,7 @@ class FaultyFunction(SystemUnderTest):
             doc="the test function in slow motion",
             parameters=tuple(Parameter(name=name, unit="1", low=0.0, high=5.0) for name in ("z1", "z2")),
             columns=(Column(name="t", unit="s"), Column(name="value", unit="1")),
-            options=(Option(name="pace", default=0.08, low=0.0, high=60.0, unit="s", doc="duration of a rollout"),),
+            options=(Option(name="pace", default=0.08, low=0.0, high=3600.0, unit="s", doc="duration of a rollout"),),
             max_horizon=3600.0,
             versions={"faulty-function": "1.0"},
         )

@@ -13,11 +13,8 @@ import psutil
 
 from tests.end_to_end.processes import Ended, Process, Processes, free_port, recorded, wait_for
 from tests.faults.subjects import Subject
+from tests.patience import PATIENCE
 
-PATIENCE = 240.0
-"""Seconds that a campaign may last under faults on a loaded machine."""
-GRACE = 15.0
-"""Seconds in which what shall end by itself does so."""
 MARK = "PERFBOUND_FAULTS"
 """Every process of a scene inherits this variable, whose value is the scene's folder."""
 
@@ -41,6 +38,8 @@ class Scene:
     workers_at: str = ""
     """Endpoint that remote workers connect to, when it is not the orchestrator's."""
     resumes: int = 0
+    patience: float = PATIENCE
+    """Seconds in which what shall end by itself does so."""
     undo: list[Callable[[], None]] = field(default_factory=list)
     """What takes back what the machine was given: mounts, network namespaces."""
 
@@ -106,7 +105,7 @@ class Scene:
 
     def reach(self, count: int) -> bool:
         """Wait until `count` rollouts are recorded; False if the campaign has ended before."""
-        wait_for(lambda: recorded(self.directory) >= count or not self.orchestrator.running, PATIENCE)
+        wait_for(lambda: recorded(self.directory) >= count or not self.orchestrator.running)
         return self.orchestrator.running
 
     def moments(self, number: int, share: float = 0.7) -> list[int]:
@@ -152,7 +151,7 @@ class Scene:
 
     def end(self) -> Ended:
         """Wait for the end of the orchestrator, however it ends."""
-        return self.orchestrator.wait(PATIENCE)
+        return self.orchestrator.wait()
 
     # Afterwards
 
@@ -163,7 +162,7 @@ class Scene:
                 each.popen.send_signal(signal.SIGCONT)
                 each.popen.send_signal(signal.SIGTERM)
         with suppress(TimeoutError):
-            wait_for(lambda: not self.alive(), GRACE)
+            wait_for(lambda: not self.alive(), self.patience)
         left = self.alive()
         self.processes.end()
         for pid in left:

@@ -100,6 +100,6 @@ def prepare(name: str, folder: Path) -> Subject:
         hung_after = LIMITS[name]["hung_after"]
     subject = Subject(campaign, folder / "calm", plugins, hung_after)
     with processes(folder) as started:
-        calm = started.start("perfbound", "run", campaign, "--out", subject.calm, PYTHONPATH=subject.path).wait(180)
+        calm = started.start("perfbound", "run", campaign, "--out", subject.calm, PYTHONPATH=subject.path).wait()
     assert calm.code == 0, calm.err
     return subject

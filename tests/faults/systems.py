@@ -56,7 +56,7 @@ def hang_and_kill(scene: Scene) -> None:
     scene.did(f"gil in the rollout of seed {seed}")
     scene.pause(0.3, 1.0)
     scene.kill_orchestrator()
-    wait_for(lambda: not scene.alive(), 15)
+    wait_for(lambda: not scene.alive())
     scene.resume()
     scene.finish()
 

@@ -14,8 +14,6 @@ from perfbound.schemas.errors import CampaignError, Stopped
 from tests.campaigns import table
 from tests.fakes.inmemory import Faults, Log, Network, begin, campaign, hurry, run_of, serve, working
 
-pytestmark = pytest.mark.timeout(120)
-
 
 def a_config(base: dict[str, Any], **changes: Any) -> CampaignConfig:
     return CampaignConfig.model_validate_json(json.dumps({**base, "max_attempts": 1000, **changes}))

@@ -26,9 +26,9 @@ from perfbound.schemas.campaign_file import parse
 from perfbound.schemas.errors import JournalError
 from tests.campaigns import FOLDER
 from tests.fakes.inmemory import campaign
+from tests.patience import PATIENCE
 
 RECORDED = "trajectories/maximum/0/maximum.0.true.0.mcap"
-pytestmark = pytest.mark.timeout(60)
 
 
 @pytest.fixture(scope="module")
@@ -446,8 +446,8 @@ def test_nobody_looks_while_nobody_watches(stub: Stub) -> None:
 
 
 def test_many_who_watch_share_one_look(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(looks_module, "PERIOD", 60.0)
-    monkeypatch.setattr(looks_module, "LONGEST", 60.0)
+    monkeypatch.setattr(looks_module, "PERIOD", PATIENCE)
+    monkeypatch.setattr(looks_module, "LONGEST", PATIENCE)
 
     async def test(client: Client, _: SnapshotCache) -> None:
         answers = [Answer() for _ in range(10)]
@@ -507,7 +507,8 @@ def test_a_look_that_fails_is_said_once_and_the_page_keeps_what_it_has(stub: Stu
         stub.trouble = None
         await until(lambda: answer.stories)
         stub.trouble = ZeroDivisionError("a fault of ours")
-        await asyncio.sleep(0.05)
+        looks = stub.looks
+        await until(lambda: stub.looks > looks)
         assert (await client.ask("/story.json")).status == 200
         stub.trouble, stub.story = None, replace(stub.story, rollouts=7)
         await until(lambda: len(answer.stories) == 2)
@@ -518,8 +519,8 @@ def test_a_look_that_fails_is_said_once_and_the_page_keeps_what_it_has(stub: Stu
 
 
 def test_at_the_end_everybody_is_told_how_it_ended(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(looks_module, "PERIOD", 60.0)
-    monkeypatch.setattr(looks_module, "LONGEST", 60.0)
+    monkeypatch.setattr(looks_module, "PERIOD", PATIENCE)
+    monkeypatch.setattr(looks_module, "LONGEST", PATIENCE)
 
     async def test(client: Client, looks: SnapshotCache) -> None:
         answers = Answer(), Answer()

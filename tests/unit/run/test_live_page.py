@@ -20,7 +20,7 @@ from perfbound.schemas.errors import PerfboundError
 from tests.campaigns import FOLDER, config
 from tests.fakes.inmemory import Log, campaign
 
-pytestmark = pytest.mark.timeout(60)
+BEGAN = time.time()
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_the_page_is_told_what_workers_do(looks: list[bytes]) -> None:
     assert name.startswith("worker-0")
     assert state in ("new", "idle", "busy")
     assert rollout is None or rollout.startswith("maximum.")
-    assert abs(time.time() - heartbeat) < 60
+    assert BEGAN <= heartbeat <= time.time()
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def test_a_child_that_takes_nothing_holds_nothing_up(
     page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live, "message", lambda _: b"x" * 50_000)
-    child(monkeypatch, tmp_path, "exec sleep 60")
+    child(monkeypatch, tmp_path, "exec sleep infinity")
     page.start()
     for _ in range(100):
         page.show(status)
@@ -160,7 +160,7 @@ def test_whatever_cannot_be_told_is_no_end_of_a_run(
     page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live, "message", lambda _: b"x" * 10_000_000)
-    child(monkeypatch, tmp_path, "exec sleep 60")
+    child(monkeypatch, tmp_path, "exec sleep infinity")
     page.start()
     page.show(status)
     (line,) = said(page)

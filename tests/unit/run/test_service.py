@@ -48,7 +48,6 @@ from tests.fakes.inmemory import (
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 ATTEMPTS = 3
-pytestmark = pytest.mark.timeout(60)
 
 
 def a_config(**changes: Any) -> CampaignConfig:

@@ -313,13 +313,13 @@ def test_an_edited_fact_is_found(finished: Path, statement: str) -> None:
 # The lock
 
 HOLD = """
-import sys, time
+import signal, sys
 from pathlib import Path
 from typing import Any
 from perfbound.orchestrator.store.lock import campaign_lock
 with campaign_lock(Path(sys.argv[1])):
     print("held", flush=True)
-    time.sleep(60)
+    signal.pause()
 """
 
 
