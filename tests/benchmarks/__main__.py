@@ -20,6 +20,7 @@ from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     durability,
     fleet,
     proposal,
+    reactions,
     report,
     rigorous,
     rollout,
@@ -32,7 +33,18 @@ OUT = Path("build/bench.json")
 PEERS = Path(".venv-bench/bin/python")
 ASKED = {"proposal", "rigorous"}
 """Parts that need what `peers.py` measures."""
-PARTS = ("proposal", "rigorous", "scenario", "stl", "rollout", "campaign", "fleet", "durability", "throughput")
+PARTS = (
+    "proposal",
+    "rigorous",
+    "scenario",
+    "stl",
+    "rollout",
+    "campaign",
+    "fleet",
+    "durability",
+    "reactions",
+    "throughput",
+)
 """In this order: wall times last."""
 
 
@@ -68,7 +80,8 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
     if part == "durability":
         return durability.main(None if alone else lambda: child("peers_storage"))
     plain = {"scenario": scenario.main, "rollout": rollout.main, "fleet": fleet.main}
-    return (plain | {"campaign": campaign.main, "throughput": throughput.main})[part]()
+    whole = {"campaign": campaign.main, "reactions": reactions.main, "throughput": throughput.main}
+    return (plain | whole)[part]()
 
 
 def child(module: str) -> dict[str, Any]:
