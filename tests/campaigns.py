@@ -8,6 +8,8 @@ from typing import Any
 from perfbound.schemas.campaign import CampaignConfig
 
 FOLDER = Path(__file__).parents[1] / "deploy" / "campaigns"
+REPLICATES = 8
+"""Of a cheap campaign."""
 
 
 def table(name: str, **changes: Any) -> dict[str, Any]:
@@ -18,3 +20,12 @@ def table(name: str, **changes: Any) -> dict[str, Any]:
 def config(name: str, **changes: Any) -> CampaignConfig:
     """Return a shipped campaign, with top-level keys replaced."""
     return CampaignConfig.model_validate_json(json.dumps(table(name, **changes)))
+
+
+def cheap(rollouts: int, window: int = 16) -> CampaignConfig:
+    """Return the test function as a scenario campaign, whose rollouts cost nothing and whose files have 2 kB."""
+    found = table("segway-scenario", horizon=0.3, specification="always (value >= -0.65)")
+    found["system"] = {"name": "test-function"}
+    problem = {"max_tests": rollouts // REPLICATES, "window": window, "replicates": REPLICATES, "alpha": 1e-9}
+    found["problems"][0] |= problem
+    return CampaignConfig.model_validate_json(json.dumps(found))

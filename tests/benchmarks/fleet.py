@@ -3,7 +3,6 @@
 python -m tests.benchmarks.fleet ROLLOUTS FOLDER     one long campaign with ten times as many heartbeats, in FOLDER
 """
 
-import json
 import resource
 import sys
 import time
@@ -13,17 +12,15 @@ from pathlib import Path
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import DATABASE, Journal
-from perfbound.schemas.campaign import CampaignConfig
 from tests.benchmarks import sessions
 from tests.benchmarks.report import Row
-from tests.campaigns import table
+from tests.campaigns import REPLICATES, cheap
 from tests.fakes.puppets import Stage, scratch
 
 ROLLOUTS = 5000
 BEATS = 10
 """Heartbeats per rollout."""
 PUPPETS = 64
-REPLICATES = 8
 WORKERS = (10, 100, 1000, 10_000)
 HEARTBEATS = 20_000
 PAGE = resource.getpagesize()
@@ -34,15 +31,6 @@ def main() -> list[Row]:
     with scratch() as folder:
         rows = long(ROLLOUTS, Path(folder))
     return [*rows, *(row for workers in WORKERS for row in crowd(workers)), *sessions.main()]
-
-
-def a_config(rollouts: int, window: int = 16) -> CampaignConfig:
-    """Return the test function as a scenario campaign, whose rollouts cost nothing and whose files have 2 kB."""
-    found = table("segway-scenario", horizon=0.3, specification="always (value >= -0.65)")
-    found["system"] = {"name": "test-function"}
-    problem = {"max_tests": rollouts // REPLICATES, "window": window, "replicates": REPLICATES, "alpha": 1e-9}
-    found["problems"][0] |= problem
-    return CampaignConfig.model_validate_json(json.dumps(found))
 
 
 # One long campaign
@@ -62,7 +50,7 @@ class Mark:
 def long(rollouts: int, folder: Path) -> list[Row]:
     """Run a campaign of so many rollouts, then replay it."""
     directory = folder / "run"
-    stage, marks = Stage(directory, a_config(rollouts), PUPPETS, beats=BEATS), list[Mark]()
+    stage, marks = Stage(directory, cheap(rollouts), PUPPETS, beats=BEATS), list[Mark]()
     stage.play(lambda: _mark(stage, marks))
     stage.journal.close()
     early, late = _between(marks, 0.1, 0.4), _between(marks, 0.7, 1.0)
@@ -136,7 +124,7 @@ def crowd(workers: int) -> list[Row]:
 def _beating(directory: Path, workers: int, *, busy: bool) -> float:
     """Return CPU seconds a heartbeat."""
     window = max(1, 2 * workers // REPLICATES) if busy else 1
-    stage = Stage(directory, a_config(10**6, window), workers)
+    stage = Stage(directory, cheap(10**6, window), workers)
     puppets = stage.puppets
     puppets.holding = True
     spent: list[tuple[float, int]] = []
@@ -154,7 +142,7 @@ def _beating(directory: Path, workers: int, *, busy: bool) -> float:
 
 def _rolling(directory: Path, workers: int) -> float:
     rollouts = max(2000, workers)
-    stage = Stage(directory, a_config(rollouts, max(1, 2 * workers // REPLICATES)), workers)
+    stage = Stage(directory, cheap(rollouts, max(1, 2 * workers // REPLICATES)), workers)
     stage.play()
     stage.journal.close()
     return stage.per_rollout()[1]

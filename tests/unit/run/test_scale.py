@@ -21,7 +21,7 @@ from perfbound.orchestrator.store.changes import ChangeReader
 from perfbound.orchestrator.store.journal import DATABASE, Journal
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.messages import Request
-from tests.benchmarks.fleet import a_config
+from tests.campaigns import cheap
 from tests.fakes.puppets import Stage
 
 ROLLOUTS = 2000
@@ -38,7 +38,7 @@ def no_disk(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_disk")
 def test_a_long_campaign_keeps_numbers_and_no_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """20,000 heartbeats leave nothing; a rollout leaves less than its digest and path would take."""
-    stage = Stage(tmp_path, a_config(ROLLOUTS), 16, beats=BEATS)
+    stage = Stage(tmp_path, cheap(ROLLOUTS), 16, beats=BEATS)
     send, sizes = stage.puppets.send, dict[int, int]()
 
     def weighed(worker: str, message: Request) -> None:
@@ -62,7 +62,7 @@ def test_a_long_campaign_keeps_numbers_and_no_messages(tmp_path: Path, monkeypat
 
 @pytest.mark.usefixtures("no_disk")
 def test_what_is_open_is_all_that_the_orchestrator_holds(tmp_path: Path) -> None:
-    stage = Stage(tmp_path, a_config(400), 16)
+    stage = Stage(tmp_path, cheap(400), 16)
     stage.play()
     (account,), ledger = stage.ledger.accounts.values(), stage.ledger
     assert len(account.robustness) == 400
@@ -74,7 +74,7 @@ def test_what_is_open_is_all_that_the_orchestrator_holds(tmp_path: Path) -> None
 @pytest.mark.usefixtures("no_disk")
 @pytest.mark.parametrize("waiting", [1, 8, 64])
 def test_what_waits_together_is_committed_together(tmp_path: Path, waiting: int) -> None:
-    stage, commits = Stage(tmp_path, a_config(256), waiting), list[object]()
+    stage, commits = Stage(tmp_path, cheap(256), waiting), list[object]()
     sa.event.listen(stage.journal._engine, "commit", commits.append)
     stage.play()
     assert len(commits) <= 256 / waiting + 6  # the start, the first assignments, the end in smaller turns
@@ -83,7 +83,7 @@ def test_what_waits_together_is_committed_together(tmp_path: Path, waiting: int)
 
 @pytest.mark.usefixtures("no_disk")
 def test_a_turn_is_one_statement_a_table(tmp_path: Path) -> None:
-    stage, statements = Stage(tmp_path, a_config(128), 64), list[str]()
+    stage, statements = Stage(tmp_path, cheap(128), 64), list[str]()
 
     def note(_c: Any, _cursor: Any, statement: str, *_: Any) -> None:
         statements.append(statement.split("(", maxsplit=1)[0])
@@ -97,7 +97,7 @@ def test_a_turn_is_one_statement_a_table(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_disk")
 def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> None:
     """A reader holds the database open in the middle of its look while the writer goes on to the end."""
-    stage, seen, watch = Stage(tmp_path, a_config(256), 8), list[int](), ChangeReader(tmp_path)
+    stage, seen, watch = Stage(tmp_path, cheap(256), 8), list[int](), ChangeReader(tmp_path)
 
     def look() -> bool:
         added = sum(watch.look().rollouts.values())
@@ -119,7 +119,7 @@ def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> 
 @pytest.mark.usefixtures("no_disk")
 def test_whoever_reads_at_the_end_leaves_nothing_outside_the_database(tmp_path: Path) -> None:
     """A copy of campaign.db alone has every fact, although a connection of somebody else outlives the writer's."""
-    stage = Stage(tmp_path, a_config(32), 8)
+    stage = Stage(tmp_path, cheap(32), 8)
     stage.play()
     with closing(sqlite3.connect(f"file:{tmp_path / DATABASE}?mode=ro", uri=True)) as reader:
         reader.execute("SELECT COUNT(*) FROM rollouts").fetchone()
@@ -131,7 +131,7 @@ def test_whoever_reads_at_the_end_leaves_nothing_outside_the_database(tmp_path: 
 
 @pytest.mark.usefixtures("no_disk")
 def test_a_replay_of_a_long_campaign_ends_where_it_was(tmp_path: Path) -> None:
-    stage = Stage(tmp_path, a_config(400), 64)
+    stage = Stage(tmp_path, cheap(400), 64)
     stage.play()
     stage.journal.close()
     journal = Journal.open(tmp_path)

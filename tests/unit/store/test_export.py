@@ -38,8 +38,7 @@ from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.systems import load
-from tests.benchmarks.fleet import a_config
-from tests.campaigns import config, table
+from tests.campaigns import cheap, config, table
 from tests.fakes.puppets import Stage
 
 ROLLOUTS = 64
@@ -63,7 +62,7 @@ def campaign(tmp_path: Path) -> Path:
 
 
 def played(directory: Path, names: Sequence[str] = ("one", "two")) -> Stage:
-    stage = Stage(directory, a_config(ROLLOUTS), 0)
+    stage = Stage(directory, cheap(ROLLOUTS), 0)
     stage.puppets.names = list(names)
     return stage
 
