@@ -10,7 +10,7 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types imports unit explore faults coverage reproduce bench bench-compare schemas diagrams docs lock clean
+.PHONY: help setup run test lint types imports unit explore faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -86,6 +86,9 @@ bench-compare: $(VENV)/.installed-dev ## Two results side by side: OLD=... NEW=.
 
 schemas: $(VENV)/.installed-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m perfbound.schemas
+
+names: $(VENV)/.installed-dev ## Names that are defined in more than one module
+	$(BIN)/python -m tests.architecture.names
 
 diagrams: $(VENV)/.installed-dev ## Draw the diagrams of docs/architecture.md from the legality tables and the imports
 	$(BIN)/python -m tests.architecture

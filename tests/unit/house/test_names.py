@@ -1,0 +1,77 @@
+"""Names, sizes and arrows of the source code stay within their limits."""
+
+import ast
+import graphlib
+from collections import defaultdict
+from pathlib import Path
+
+from tests.architecture import source
+from tests.architecture.names import LIMIT
+
+ROOMS = ("cli", "report", "run", "certificate", "campaign", "store", "fleet", "mathematics")
+"""From the top to the ground; the last three are independent of one another."""
+FLOORS = {room: -min(place, 5) for place, room in enumerate(ROOMS)} | {"schemas": -6}
+MODULE_LINES, CLASS_LINES, METHODS, PARAMETERS, ARROWS = 400, 200, 15, 7, 32
+
+LARGE_MODULES: dict[str, str] = {}
+"""Name -> reason, here and below. An entry that is no longer larger than the limit fails the test, too."""
+
+LARGE_CLASSES = {
+    "orchestrator/campaign/ledger.py:Ledger": "one place through which every fact goes, live and in a replay",
+    "orchestrator/mathematics/bounds/paper.py:PaperMethod": "implements the protocol of methods",
+    "orchestrator/mathematics/bounds/rigorous.py:RigorousMethod": "implements the protocol of methods",
+    "orchestrator/mathematics/bounds/scenario.py:ScenarioMethod": "implements the protocol of methods",
+    "orchestrator/mathematics/gp/observations.py:Observations": "short properties of one factor",
+    "orchestrator/mathematics/stl/formula.py:_Parser": "recursive descent: one method a rule of the grammar",
+    "orchestrator/run/service.py:Service": "the one loop: a handler for each event and each action",
+    "orchestrator/store/journal.py:Journal": "a writer for each kind of fact",
+}
+
+MANY_PARAMETERS = {
+    "orchestrator/mathematics/bounds/composition.py:pointwise_mean": "the quantities of the formula",
+    "orchestrator/mathematics/bounds/paper.py:__init__": "the constants of Algorithm 1, under their names in the file",
+    "orchestrator/mathematics/bounds/rigorous.py:__init__": "the constants of the bound, under their names in the file",
+}
+
+
+def test_few_names_are_defined_twice() -> None:
+    assert len(source.shared_names()) <= LIMIT, "`make names` lists them"
+
+
+def test_the_orchestrator_has_eight_rooms_and_no_loose_module() -> None:
+    found = {path.name for path in (source.ROOT / "orchestrator").iterdir() if path.name != "__pycache__"}
+    assert found == {*ROOMS, "__init__.py", "__main__.py"}
+    assert len(ROOMS) <= 8
+
+
+def test_modules_are_short() -> None:
+    assert {name for name in source.modules() if source.lines(name) > MODULE_LINES} == set(LARGE_MODULES)
+
+
+def test_classes_are_small() -> None:
+    large = {each.name for each in source.classes() if each.lines > CLASS_LINES or each.methods > METHODS}
+    assert large == set(LARGE_CLASSES)
+
+
+def test_functions_have_few_parameters() -> None:
+    assert {name for name, number in source.parameters() if number > PARAMETERS} == set(MANY_PARAMETERS)
+
+
+def test_arrows_between_rooms_are_few_and_lead_down() -> None:
+    arrows = {(one, other) for one, other in source.arrows_of_rooms() if one in ROOMS}
+    assert {other for _, other in arrows} <= FLOORS.keys()
+    assert [(one, other) for one, other in arrows if FLOORS[other] >= FLOORS[one]] == []
+    assert len(arrows) <= ARROWS, sorted(arrows)
+
+
+def test_no_module_imports_itself_by_a_detour() -> None:
+    imported = defaultdict(set)
+    for one, other in source.arrows(everywhere=False):
+        imported[one].add(other)
+    list(graphlib.TopologicalSorter(imported).static_order())
+
+
+def test_no_unit_test_imports_the_benchmarks() -> None:
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        imports = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)]
+        assert not [each.module for each in imports if (each.module or "").startswith("tests.benchmarks")], path
