@@ -1,8 +1,8 @@
 """The rollouts on record, and how a record of one is made.
 
-A record holds digests and numbers. The digests say that not one bit changed: of the samples, of the file with the
-evidence alone, of the file that a person can look at. The numbers say what changed if one did, and stand in for the
-digests on another platform.
+`segway.json` has the rollouts with their numbers, which every platform meets. `platforms/` has one file for each class
+of platforms (CPU, C library, versions of packages) with digests, which show that not one bit changed: of the samples,
+of the file with the evidence alone, of the file with its visual part.
 """
 
 import hashlib
@@ -20,10 +20,14 @@ from perfbound.schemas.trajectory import Trajectory, encode
 from perfbound.workers.systems.base import SystemUnderTest
 
 FILE = Path(__file__).with_name("segway.json")
+PLATFORMS = Path(__file__).with_name("platforms")
 CPU_INFO = Path("/proc/cpuinfo")
 INSTRUCTION_SETS = ("fma", "avx2", "avx512f")
 DECIDING_PACKAGES = ("foxglove-schemas-protobuf", "lz4", "mcap", "numpy", "protobuf", "pybullet", "zstandard")
 
+TOLERANCE = 1e-9
+
+Numbers = dict[str, Any]
 Rollout = dict[str, Any]
 """The arguments of `SystemUnderTest.rollout` without `progress`."""
 
@@ -54,18 +58,28 @@ ROLLOUTS: dict[str, Rollout] = {
 
 
 def record(system: SystemUnderTest, rollout: Rollout) -> dict[str, Any]:
-    """Return what is on record of one rollout: digests, then the numbers of `numbers`."""
+    """Return what is on record of one rollout: the numbers of `numbers`, and digests."""
     trajectory = system.rollout(**rollout, progress=lambda _: None)
     seen = replace(trajectory, visual=system.visual(trajectory))
     return {
-        "samples_sha256": _sha256(trajectory.samples.tobytes()),
-        "file_sha256": _sha256(_file(system, trajectory, rollout)),
-        "visual_file_sha256": _sha256(_file(system, seen, rollout)),
         "numbers": numbers(trajectory),
+        "digests": {
+            "samples_sha256": _sha256(trajectory.samples.tobytes()),
+            "file_sha256": _sha256(_file(system, trajectory, rollout)),
+            "visual_file_sha256": _sha256(_file(system, seen, rollout)),
+        },
     }
 
 
-def numbers(trajectory: Trajectory) -> dict[str, Any]:
+def differs(now: Numbers, then: Numbers) -> bool:
+    """Return whether the numbers of a rollout are others than those on record, beyond what platforms differ by."""
+    pairs = [(now["max_abs_phi"], then["max_abs_phi"])]
+    for key in ("last", "mean"):
+        pairs += zip(now[key], then[key], strict=True)
+    return now["length"] != then["length"] or any(abs(one - other) > TOLERANCE for one, other in pairs)
+
+
+def numbers(trajectory: Trajectory) -> Numbers:
     """Return the length, the last row, the mean of every column (exactly rounded sums) and the largest |phi|."""
     columns = trajectory.samples.T.tolist()
     return {
@@ -88,13 +102,36 @@ def platform_key() -> dict[str, str]:
     return {"machine": platform.machine(), "cpu": _cpu(), "libc": libc, "python": python} | packages
 
 
-def write() -> None:
-    """Make the record anew."""
-    from perfbound.workers.systems.segway import SegwaySystem
+def platform_file(key: dict[str, str]) -> Path:
+    """Return the file of a class of platforms; its name tells the CPU and the C library, and a digest the rest.
 
-    system = SegwaySystem()
-    rollouts = {name: {"rollout": rollout} | record(system, rollout) for name, rollout in ROLLOUTS.items()}
-    FILE.write_text(json.dumps({"platform": platform_key(), "rollouts": rollouts}, indent=1) + "\n")
+    >>> platform_file({"cpu": "GenuineIntel 6 fma avx2", "libc": "glibc 2.36"}).name
+    'genuineintel-6-fma-avx2-glibc-2.36-ec2c5de4.json'
+    """
+    words = f"{key['cpu']} {key['libc']}".lower().split()
+    return PLATFORMS / f"{'-'.join(words)}-{_sha256(json.dumps(key, sort_keys=True).encode())[:8]}.json"
+
+
+def on_record() -> dict[str, dict[str, Any]]:
+    """Return the rollouts with their numbers."""
+    return dict(json.loads(FILE.read_text()))
+
+
+def write_numbers(found: dict[str, Any]) -> None:
+    """Write the rollouts with their numbers anew; the digests of every platform are then those of other rollouts."""
+    rows = {name: {"rollout": ROLLOUTS[name], "numbers": each["numbers"]} for name, each in found.items()}
+    FILE.write_text(json.dumps(rows, indent=1) + "\n")
+    for path in PLATFORMS.glob("*.json"):
+        path.unlink()
+
+
+def write_platform(key: dict[str, str], found: dict[str, Any]) -> Path:
+    """Write the digests of a class of platforms; return its file."""
+    path = platform_file(key)
+    path.parent.mkdir(exist_ok=True)
+    rows = {name: each["digests"] for name, each in found.items()}
+    path.write_text(json.dumps({"platform": key, "digests": rows}, indent=1) + "\n")
+    return path
 
 
 def _file(system: SystemUnderTest, trajectory: Trajectory, rollout: Rollout) -> bytes:
