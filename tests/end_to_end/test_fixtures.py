@@ -1,0 +1,47 @@
+"""Campaigns of an earlier perfbound: the finished ones verify, the stopped one resumes to the same certificate."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.end_to_end.processes import Processes, query
+
+RULES_1 = Path(__file__).parents[1] / "fixtures" / "rules-1"
+FINISHED = ("paper-pair", "rigorous-pair", "scenario-list")
+DECIDED = ("claims", "problems", "composition", "evidence")
+"""Parts of a certificate that follow from the campaign alone, not from the perfbound that wrote it."""
+
+
+def copied(name: str, folder: Path) -> Path:
+    """Return a run directory that may be written to."""
+    return Path(shutil.copytree(RULES_1 / name, folder / name))
+
+
+def decided(certificate: Path) -> dict[str, Any]:
+    predicate = json.loads(certificate.read_bytes())["predicate"]
+    return {part: predicate[part] for part in DECIDED}
+
+
+@pytest.mark.parametrize("name", FINISHED)
+def test_a_finished_campaign_verifies(started: Processes, name: str) -> None:
+    directory = copied(name, started.folder)
+    ended = started.run("perfbound", "verify", directory, "--resimulate", "2", "--json")
+    found = {each["check"]: each["status"] for each in json.loads(ended.out)["checks"]}
+    assert {check: status for check, status in found.items() if status != "passed"} == {"signature": "skipped"}
+    assert ended.code == 0
+    assert len(found) >= 20
+
+
+def test_the_stopped_campaign_resumes_to_the_certificate_of_the_finished_one(started: Processes) -> None:
+    directory, calm = copied("rigorous-pair-stopped", started.folder), RULES_1 / "rigorous-pair"
+    recorded = "SELECT count(*) FROM rollouts"
+    before = query(directory, recorded)
+    ended = started.run("perfbound", "resume", directory, "--workers", "2")
+    assert ended.code == 0, ended.err
+    assert query(directory, recorded) > before
+    assert decided(directory / "certificate.json") == decided(calm / "certificate.json")
+    assert (directory / "manifest.sha256").read_bytes() == (calm / "manifest.sha256").read_bytes()
+    assert started.run("perfbound", "verify", directory).code == 0
