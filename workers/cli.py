@@ -13,6 +13,7 @@ from typing import NoReturn
 
 import click
 
+from ..schemas.atomic import replacing
 from ..schemas.base import canonical_json, one_blas_thread, one_line
 from ..schemas.errors import LinkError, PerfboundError, RefusedError
 from ..schemas.link import Tls
@@ -177,12 +178,10 @@ def simulate(request: str, out: Path) -> None:
         fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")
     except PerfboundError as error:
         fail(str(error))
-    temporary = out.with_name(f"{out.name}.{os.getpid()}.partial")
     try:
-        temporary.write_bytes(data)
-        temporary.replace(out)
+        with replacing([out]) as (file,):
+            file.write(data)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         fail(f"{out}: {error.strerror}")
 
 

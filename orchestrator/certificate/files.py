@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from ...schemas import atomic
 from ...schemas.certificate import Certificate
 from ...schemas.errors import EvidenceError
 from ..store import files
@@ -22,8 +23,8 @@ def write(directory: Path, certificate: Certificate, manifest: str) -> None:
         OSError: the disk is full or the directory cannot be written.
 
     """
-    files.write(directory / MANIFEST, manifest.encode())
-    files.write(directory / CERTIFICATE, certificate.to_json().encode())
+    atomic.write(directory / MANIFEST, manifest.encode())
+    atomic.write(directory / CERTIFICATE, certificate.to_json().encode())
 
 
 def read(directory: Path) -> Certificate | None:

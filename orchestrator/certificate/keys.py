@@ -1,9 +1,8 @@
 """Ed25519 keys in PEM files: a private one for who signs (PKCS#8), a public one for everybody else."""
 
 import os
-import secrets
 import stat
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,9 +18,9 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
+from ...schemas import atomic
 from ...schemas.base import digest
 from ...schemas.errors import SignatureError
-from ..store.files import TEMPORARY
 
 MAX_FILE = 64 * 1024
 """Bytes of a key's file."""
@@ -54,7 +53,10 @@ def new_pair(folder: Path, name: str, passphrase: bytes = b"") -> Pair:
     secret = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, cipher)
     known = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     pair = Pair(folder / f"{name}.key", folder / f"{name}.pub", key_id(key.public_key()))
-    _create({pair.private: (secret, 0o600), pair.public: (known, 0o644)})
+    try:
+        atomic.write_new({pair.private: (secret, 0o600), pair.public: (known, 0o644)})
+    except OSError as error:
+        raise _refusal(error, pair.private) from None
     return pair
 
 
@@ -137,32 +139,6 @@ def _check_private(path: Path, status: os.stat_result) -> None:
             f"{path}: others can open this file (mode {status.st_mode & 0o777:04o}); `chmod 600` it, "
             "and make a new key if somebody may have read this one"
         )
-
-
-def _create(contents: Mapping[Path, tuple[bytes, int]]) -> None:
-    """Create files (bytes, mode) that are not there yet, all of them whole, or none."""
-    partials = {path: path.with_name(f"{path.name}.{secrets.token_hex(4)}{TEMPORARY}") for path in contents}
-    made: list[Path] = []
-    try:
-        for path, (data, mode) in contents.items():
-            _write_new(partials[path], data, mode)
-        for path, partial in partials.items():
-            os.link(partial, path)  # a rename would replace what is there
-            made.append(path)
-    except OSError as error:
-        for path in made:
-            path.unlink()
-        raise _refusal(error, next(iter(contents))) from None
-    finally:
-        for partial in partials.values():
-            partial.unlink(missing_ok=True)
-
-
-def _write_new(path: Path, data: bytes, mode: int) -> None:
-    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode), "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _refusal(error: OSError, path: Path) -> SignatureError:

@@ -19,9 +19,9 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from pydantic import ValidationError
 
+from ...schemas import atomic
 from ...schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, Envelope, Signature
 from ...schemas.errors import EvidenceError, SignatureError
-from ..store import files as evidence
 from . import files
 from .keys import key_id, load_private, load_public, new_pair
 
@@ -99,7 +99,7 @@ def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
     payload, path = _certificate(directory), directory / files.ENVELOPE
     envelope = sign(payload, key, _others(path, payload))
     if not path.exists() or path.read_bytes() != envelope:
-        evidence.write(path, envelope)
+        atomic.write(path, envelope)
     return path
 
 

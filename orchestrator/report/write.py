@@ -4,8 +4,9 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
+from ...schemas import atomic
 from ..run.session import resume_command
-from ..store import export, files
+from ..store import export
 from . import html
 from .collect import Collector
 from .data import ReportData, Rollout, to_json
@@ -48,7 +49,7 @@ def write(directory: Path, story: ReportData) -> tuple[Path, ...]:
     """
     export.counterexamples(directory, directory / COUNTEREXAMPLES)
     page = html.report(f"{story.name}: perfbound report", to_json(here(story)))
-    files.write(directory / REPORT, page.html.encode())
+    atomic.write(directory / REPORT, page.html.encode())
     return (directory / REPORT, directory / COUNTEREXAMPLES)
 
 
@@ -63,5 +64,5 @@ def write_figures(directory: Path, story: ReportData) -> tuple[Path, ...]:
 
     pictures = dict(figures(story))
     for name, picture in pictures.items():
-        files.write(directory / FIGURES / name, picture)
+        atomic.write(directory / FIGURES / name, picture)
     return tuple(directory / FIGURES / name for name in pictures)

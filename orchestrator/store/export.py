@@ -2,20 +2,20 @@
 
 import csv
 import io
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import IO, Literal
 
 from sqlalchemy import Connection
 
+from ...schemas.atomic import replacing
 from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
 from . import export_tables
 from .export_tables import TABLES, Column, Row, Table, Value
-from .files import FOLDER, TEMPORARY
+from .files import FOLDER
 from .journal import DATABASE, read_header
 from .read import reading
 
@@ -169,25 +169,9 @@ def _whole(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
         PerfboundError: they cannot be written.
 
     """
-    partials = [path.with_name(f"{path.name}.{os.getpid()}{TEMPORARY}") for path in paths]
-    files: list[IO[bytes]] = []
     try:
-        for partial in partials:
-            partial.parent.mkdir(parents=True, exist_ok=True)
-            files.append(partial.open("wb"))
-        yield files
-        for file in files:
-            file.flush()
-            os.fsync(file.fileno())
-        for partial, path in zip(partials, paths, strict=True):
-            partial.replace(path)
+        with replacing(paths) as files:
+            yield files
     except OSError as error:
         where = error.filename2 or error.filename or paths[0].parent
         raise PerfboundError(f"{where}: cannot be written ({error.strerror or error}); choose another --out") from None
-    finally:
-        for file in files:
-            with suppress(OSError):  # what is in place is on the disk already; what is not is removed
-                file.close()
-        for partial in partials:
-            with suppress(OSError):
-                partial.unlink()

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Set
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
+from ...schemas.atomic import TEMPORARY, make_folder, sync, temporary
 from ...schemas.errors import EvidenceError
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import MAX_FILE_BYTES
 
 FOLDER = "trajectories"
-TEMPORARY = ".partial"
 NEWEST = 256
 """Files whose digests a resume compares."""
 SYNCING = 8
@@ -42,10 +42,10 @@ class Batch:
             OSError: the disk is full or the folder cannot be written.
 
         """
-        _make_folder(path.parent)
+        make_folder(path.parent)
         self._written[path] = None
-        _temporary(path).write_bytes(data)
-        self._syncing.append(self._pool.submit(_sync, _temporary(path)))
+        temporary(path).write_bytes(data)
+        self._syncing.append(self._pool.submit(sync, temporary(path)))
 
     def __enter__(self) -> None:
         """Begin with nothing."""
@@ -63,7 +63,7 @@ class Batch:
         finally:
             wait(self._syncing)
             for path in self._written:
-                _temporary(path).unlink(missing_ok=True)
+                temporary(path).unlink(missing_ok=True)
             self._written.clear()
             self._syncing.clear()
 
@@ -71,41 +71,8 @@ class Batch:
         for each in self._syncing:
             each.result()
         for path in paths:
-            _temporary(path).replace(path)
-        list(self._pool.map(_sync, {path.parent for path in paths}))
-
-
-def write(path: Path, data: bytes) -> None:
-    """Write one file durably: temporary file, fsync, rename, fsync of the folder.
-
-    Raises:
-        OSError: the disk is full or the folder cannot be written; no half-written file is left.
-
-    """
-    batch = Batch()
-    with batch:
-        batch.write(path, data)
-
-
-def _make_folder(folder: Path) -> None:
-    """Make a folder and its parents so that they, too, outlive a power cut."""
-    if not folder.is_dir():
-        _make_folder(folder.parent)
-        folder.mkdir(exist_ok=True)
-        _sync(folder.parent)
-
-
-def _temporary(path: Path) -> Path:
-    return path.with_name(path.name + TEMPORARY)
-
-
-def _sync(path: Path) -> None:
-    """Wait until a file or folder is on the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+            temporary(path).replace(path)
+        list(self._pool.map(sync, {path.parent for path in paths}))
 
 
 def read(directory: Path, relative: str, sha256: str) -> bytes:

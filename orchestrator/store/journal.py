@@ -14,6 +14,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
+from ...schemas.atomic import move, temporary
 from ...schemas.base import canonical_json
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import JournalError
@@ -54,7 +55,7 @@ class Journal:
     @classmethod
     def create(cls, directory: Path, header: Header) -> "Journal":
         """Make the database of a new campaign, whole or not at all."""
-        partial = directory / f"{DATABASE}.partial"
+        partial = temporary(directory / DATABASE)
         engine = _engine(partial)
         with engine.begin() as connection:
             tables.metadata.create_all(connection)
@@ -63,8 +64,7 @@ class Journal:
             connection.execute(tables.schema.insert().values(version=tables.SCHEMA_VERSION))
             connection.execute(tables.campaign.insert().values(seq=1, **_header_row(header)))
         engine.dispose()
-        partial.replace(directory / DATABASE)
-        _sync_folder(directory)
+        move(partial, directory / DATABASE)
         return cls(_engine(directory / DATABASE), header)
 
     @classmethod
@@ -352,11 +352,3 @@ def _configure(connection: Any, _record: object) -> None:
 
 def _begin_immediate(connection: Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE")
-
-
-def _sync_folder(directory: Path) -> None:
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

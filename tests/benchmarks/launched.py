@@ -24,7 +24,7 @@ IMPORTING = "<frozen importlib._bootstrap>"
 ROOMS = (
     ("mathematics", ("/orchestrator/mathematics/",)),
     ("objectives", ("/orchestrator/campaign/observation.py", "/orchestrator/campaign/objectives.py")),
-    ("evidence files, fsync", ("/orchestrator/store/files.py",)),
+    ("evidence files, fsync", ("/orchestrator/store/files.py", "/schemas/atomic.py")),
     ("SQLite", ("/orchestrator/store/", "/sqlalchemy/")),
     ("trajectories (MCAP)", ("/schemas/trajectory.py", "/mcap/")),
     ("Zenoh, main thread", ("/orchestrator/fleet/transport.py", "/zenoh/")),

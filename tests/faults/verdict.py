@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from perfbound.orchestrator.store import lock
-from perfbound.orchestrator.store.files import TEMPORARY
+from perfbound.schemas.atomic import TEMPORARY
 from tests.end_to_end.processes import query
 from tests.faults.scene import Scene
 

@@ -6,8 +6,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from ....schemas import atomic
 from ...run import session
-from ...store import files, read
+from ...store import read
 from . import figures, study, table
 
 
@@ -27,7 +28,7 @@ def reproduce(extent: study.Extent, folder: Path, out: Path, *, workers: int, co
     documents = {**_tables(campaigns), **_figure_2(campaigns), **_figure_4(campaigns)}
     out.mkdir(parents=True, exist_ok=True)
     for name, content in documents.items():
-        files.write(out / name, content)
+        atomic.write(out / name, content)
     console.print(Text(f"written into {out}: {', '.join(documents)}"), soft_wrap=True)
     yield "Table I\n\n" + documents["table1.md"].decode()
     yield "Claims about the true Segway\n\n" + documents["claims.md"].decode().rstrip("\n")

@@ -6,12 +6,12 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from ....schemas import atomic
 from ....schemas.campaign import Problem
 from ....schemas.errors import PerfboundError, TrajectoryError
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory, decode
 from ...fleet.child import ask
-from ...store import files
 from .. import curves
 from .comparison import Comparison, compare, lines
 from .load import RecordedRollout, load_recorded
@@ -47,10 +47,10 @@ def replay(directory: Path, rollout: str, *, out: Path | None = None, mcap: Path
             yield from lines(comparison, {column.name: column.unit for column in found.header.spec.columns})
             fault = _fault(found, comparison)
         if mcap is not None:
-            files.write(mcap.absolute(), data)
+            atomic.write(mcap.absolute(), data)
             yield f"file: {mcap}"
         if out is not None:
-            files.write(out.absolute(), _picture(found, again, path))
+            atomic.write(out.absolute(), _picture(found, again, path))
             yield f"picture: {out}"
     if fault:
         raise PerfboundError(f"{found.fact.rollout}: {fault}")

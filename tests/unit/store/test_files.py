@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.store import files
+from perfbound.schemas import atomic
 from perfbound.schemas.errors import EvidenceError, TrajectoryError
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.trajectory import Trajectory, encode, read
@@ -31,8 +32,8 @@ def test_a_thousand_tests_a_folder() -> None:
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    files.write(tmp_path / NAME, b"before")
-    files.write(tmp_path / NAME, DATA)
+    atomic.write(tmp_path / NAME, b"before")
+    atomic.write(tmp_path / NAME, DATA)
     assert files.read(tmp_path, NAME, sha256(DATA)) == DATA
     assert names(tmp_path) == [NAME]
 
@@ -46,13 +47,13 @@ def test_every_new_folder_is_made_durable(tmp_path: Path, monkeypatch: pytest.Mo
         real(descriptor)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    files.write(tmp_path / NAME, DATA)
+    atomic.write(tmp_path / NAME, DATA)
     folder = (tmp_path / NAME).parent
     assert synced == [
         str(tmp_path),
         str(folder.parents[1]),
         str(folder.parent),
-        str(tmp_path / (NAME + files.TEMPORARY)),
+        str(tmp_path / (NAME + atomic.TEMPORARY)),
         str(folder),
     ]
 
@@ -90,14 +91,14 @@ def test_a_full_disk_leaves_nothing_half_written(
         path.write_bytes(before)
     monkeypatch.setattr(owner, name, disk_full)
     with pytest.raises(OSError, match="No space left"):
-        files.write(path, DATA)
+        atomic.write(path, DATA)
     assert names(tmp_path) == ([] if before is None else ["file.mcap"])
     assert before is None or path.read_bytes() == before
 
 
 @pytest.mark.parametrize("change", [lambda data: data[:-1], lambda data: data + b"\0", lambda data: b"E" + data[1:]])
 def test_changed_bytes_are_refused(tmp_path: Path, change: Any) -> None:
-    files.write(tmp_path / NAME, DATA)
+    atomic.write(tmp_path / NAME, DATA)
     (tmp_path / NAME).write_bytes(change(DATA))
     with pytest.raises(EvidenceError, match=r"is not the recorded .* restore it from a copy"):
         files.read(tmp_path, NAME, sha256(DATA))
@@ -109,9 +110,9 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def test_a_crash_is_swept_away(tmp_path: Path) -> None:
-    files.write(tmp_path / NAME, DATA)
-    (tmp_path / (NAME + files.TEMPORARY)).write_bytes(b"half")
-    files.write(tmp_path / "trajectories/p/0/unknown.mcap", DATA)
+    atomic.write(tmp_path / NAME, DATA)
+    (tmp_path / (NAME + atomic.TEMPORARY)).write_bytes(b"half")
+    atomic.write(tmp_path / "trajectories/p/0/unknown.mcap", DATA)
     files.sweep(tmp_path, {NAME})
     assert names(tmp_path) == [NAME]
 
