@@ -6,12 +6,12 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from .base import Model
 from .errors import MessageError
-from .rollout import RolloutRequest
+from .rollout import MAX_FILE_BYTES, RolloutRequest
 
 PROTOCOL = 1
 MAX_MESSAGE = 64 * 1024
 """Bytes of a JSON message."""
-MAX_RESULT = 64 * 1024 * 1024
+MAX_RESULT = MAX_FILE_BYTES
 """Bytes of one trajectory file."""
 
 Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.[0-9]{1,9}\.(nominal|true)\.[0-9]{1,6}$")]

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from .base import canonical_json
 from .errors import TrajectoryError
+from .rollout import MAX_FILE_BYTES
 from .visual import Floats, Transform, Visual, channels
 
 __all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read"]
@@ -39,7 +40,6 @@ __all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visu
 LIBRARY = "perfbound"
 FRAME_RATE = 30  # 1/s
 CHUNK_BYTES = 65536
-MAX_FILE_BYTES = 64 * 2**20  # a 15 s rollout of nine columns takes 0.2 MB
 MAX_RECORDS = 10_000
 MAX_NPY_HEADER = 128
 EVIDENCE, REQUEST, RECORD = "trajectory.npy", "request.json", "rollout"

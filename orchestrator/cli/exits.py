@@ -17,7 +17,7 @@ from .stderr import STDERR
 @contextmanager
 def resumable(directory: Path, again: str | None = None) -> Iterator[None]:
     """When the campaign ends before its time, name the way to go on: `again`, or to resume it."""
-    from ..run.session import resume_command  # noqa: PLC0415
+    from ..run.format import resume_command  # noqa: PLC0415
 
     def way(first: str = "") -> str:
         there = again or os.path.exists(directory / "campaign.db")  # Path.exists raises if the name is too long

@@ -21,7 +21,7 @@ from .web_option import web_option
 def web(*, directory: Path, web: Address, insecure: bool) -> None:
     """Serve the live page of the campaign in DIRECTORY, whether it runs, is stopped, or has finished."""
     from ..run.address import bind  # noqa: PLC0415
-    from ..store.journal import existing  # noqa: PLC0415
+    from ..store.rows import existing  # noqa: PLC0415
 
     existing(directory)
     listening, address = bind(web, insecure=insecure)

@@ -7,10 +7,10 @@ from rich.console import Console
 from rich.text import Text
 
 from ..certificate import files, text
-from ..run.format import duration
-from ..run.progress import table, tests_left
-from ..run.session import resume_command
-from ..store import lock, read
+from ..run.format import duration, resume_command
+from ..run.table import progress_table, tests_left
+from ..store import lock
+from ..store.progress import CampaignProgress, read_progress
 
 
 def show(directory: Path, console: Console) -> None:
@@ -20,7 +20,7 @@ def show(directory: Path, console: Console) -> None:
         PerfboundError: there is no campaign here, or its database cannot be read.
 
     """
-    found = read.progress(directory)
+    found = read_progress(directory)
     certificate = files.read(directory)
     running = lock.is_held(directory)
     config = found.header.config
@@ -31,7 +31,7 @@ def show(directory: Path, console: Console) -> None:
     for problem, each in zip(config.problems, found.problems, strict=True):
         left = tests_left(config, problem, each)
         rows.append((each, "-" if left is None else f"about {left} tests"))
-    console.print(table(config, rows))
+    console.print(progress_table(config, rows))
     for line in _work(found, running=running):
         console.print(Text(line), soft_wrap=True)
     if certificate is not None:
@@ -41,7 +41,7 @@ def show(directory: Path, console: Console) -> None:
         console.print(Text(f"continue with: {resume_command(directory)}"), soft_wrap=True)
 
 
-def _work(progress: read.CampaignProgress, *, running: bool) -> list[str]:
+def _work(progress: CampaignProgress, *, running: bool) -> list[str]:
     now = time.time()
     lines = []
     for name, rollouts, last in progress.workers:

@@ -135,7 +135,7 @@ class Poison:
     """A rollout has failed too often: the campaign cannot go on."""
 
     rollout: RolloutId
-    story: tuple[str, ...]
+    failures: tuple[str, ...]
 
 
 Action = Start | Resend | Cancel | Record | Acknowledge | Fail | GiveUp | Poison

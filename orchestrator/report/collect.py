@@ -10,7 +10,7 @@ from ...schemas.campaign import Scenarios
 from ...schemas.certificate import ProblemResult
 from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
-from ..run.session import resume_command
+from ..run.format import resume_command
 from ..store import lock
 from ..store.changes import rollouts_of
 from . import rollouts, wording

@@ -10,8 +10,7 @@ from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory, decode
 from ..fleet.child import ask, system_specs
-from ..store.journal import read_header
-from ..store.read import reading
+from ..store.read import read_header, reading
 from . import curves
 from .data import Curve, ReportData, Rollout, RolloutsOfTest
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...schemas import atomic
-from ..run.session import resume_command
+from ..run.format import resume_command
 from ..store import export
 from . import html
 from .collect import Collector

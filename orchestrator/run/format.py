@@ -1,4 +1,7 @@
-"""Numbers and time spans as people read them."""
+"""Numbers, time spans and commands as text."""
+
+import shlex
+from pathlib import Path
 
 from ...schemas.campaign import SENSES
 
@@ -23,3 +26,8 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60} s"
     return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def resume_command(directory: Path) -> str:
+    """Return what a person types to continue a campaign."""
+    return f"perfbound resume {shlex.quote(str(directory))}"

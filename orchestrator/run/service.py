@@ -1,8 +1,7 @@
-"""The one loop of the orchestrator: take events, write facts, commit, then act.
+"""The one loop of the orchestrator: take messages, write facts, commit, then act.
 
-A turn takes what has been received, in order, and at most one tick of the clock behind it, so that a busy
-orchestrator never takes a worker for dead whose message it has not read yet. Everything that a turn decides is
-committed in one transaction; only then do messages leave.
+A turn takes what has been received, in order, and at most one tick of the clock behind it. Everything that a turn
+decides is committed in one transaction; only then do messages leave.
 """
 
 import os
@@ -13,23 +12,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from ...schemas import __version__
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import EvidenceError, PerfboundError, Stopped
-from ...schemas.facts import RECORDED, RESTORED
+from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import Attempt, RolloutId
-from ...schemas.messages import PROTOCOL, Ack, Assign, Cancel, Refuse, Request, WorkerState
-from ...schemas.trajectory import Trajectory
+from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.values import ProblemProgress
-from ..campaign.admission import admit
 from ..campaign.ledger import Ledger, Work
 from ..fleet import dispatch, events
 from ..fleet.processes import Fleet
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
+from ..store import read
 from ..store.journal import Journal
+from .results import Results
+from .roster import Roster, WorkerRecord
 
 TICK = 0.25
-"""Seconds between two looks at the clock."""
+"""Seconds between two ticks of the dispatch machine."""
 TURN = 64
 """Messages in one transaction at most; about 100 ms of work."""
 ADOPTION = 2.5
@@ -41,17 +39,6 @@ class Interrupted:
     """A signal asks the orchestrator to stop."""
 
     signal: int
-
-
-@dataclass(slots=True)
-class WorkerRecord:
-    """A worker process as the protocol shows it."""
-
-    alive: bool = False
-    state: WorkerState | None = None
-    refused: bool = False
-    heard: float = 0.0
-    """Of its last heartbeat, by the monotonic clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +59,7 @@ class RunStatus:
 
 
 class Listener(Protocol):
-    """Where progress is shown."""
+    """A form in which progress is shown."""
 
     def say(self, line: str) -> None:
         """Print one event."""
@@ -84,7 +71,7 @@ class Listener(Protocol):
 
 
 class Service:
-    """Runs one campaign until it is done, it fails, or a signal stops it."""
+    """Runs one campaign until it is done, it fails, or a signal stops it; other threads may use `inbox` alone."""
 
     def __init__(
         self,
@@ -103,24 +90,21 @@ class Service:
         self._transport = transport
         self._fleet = fleet
         self._listeners = listeners
-        self._known: dict[str, WorkerRecord] = {}
+        self._roster = Roster(ledger.header.spec)
+        self._results = Results(ledger, journal)
         self._outgoing: list[tuple[str, Request]] = []
+        self._events: deque[events.Event] = deque()
         self._drain = drain
         self._draining: int | None = None
         self._stop: int | None = None
-        self._poisoned: tuple[RolloutId, tuple[str, ...]] | None = None
-        self._events: deque[events.Event] = deque()
-        self._results: dict[Attempt, tuple[Result, Trajectory]] = {}
-        """Admitted results that the dispatch machine has not decided on."""
+        self._poisoned: events.Poison | None = None
         self._started = time.monotonic()
         self._next_tick = self._started
-        self._spec_sha256 = ledger.header.spec.digest
-        self._columns = tuple(column.name for column in ledger.header.spec.columns)
         config = ledger.config
         limits = dispatch.Limits(
             hung_after=config.hung_after, deadline=config.deadline, max_attempts=config.max_attempts
         )
-        # Only workers of another orchestrator's time can be busy already; those of our own fleet start empty.
+        # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
         self._state = dispatch.initial(limits, hold)
 
@@ -129,11 +113,11 @@ class Service:
 
         Raises:
             Stopped: a signal arrived.
-            PerfboundError: a rollout is poison, local workers do not live, or the mathematics cannot go on.
+            PerfboundError: a rollout is poisoned, local workers do not live, or the mathematics cannot continue.
             OSError: the disk is full.
 
         """
-        attempts = self._journal.attempts()
+        attempts = read.attempts(self._journal.directory)
         with self._ledger.transaction():
             self._demand(self._ledger.outstanding(), attempts)
             self._settle()
@@ -152,13 +136,17 @@ class Service:
                 messages.append(self.inbox.get(timeout=wait) if wait > 0 else self.inbox.get_nowait())
             except queue.Empty:
                 return messages, now + wait
+        # The inbox may hold more: time is complete only up to the last message taken, and a signal has no time.
         return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
 
     def _turn(self, messages: list[Inbound | Interrupted], complete: float) -> None:
         with self._ledger.transaction():
             for message in messages:
                 self._take(message)
+                # Before the next message: its admission reads which rollouts are still open.
                 self._settle()
+            # Never a tick before what was received earlier: the heartbeat of a worker that would be given up may be
+            # among those messages.
             if complete >= self._next_tick:
                 self._tick(complete)
             if self._draining is None:
@@ -166,16 +154,22 @@ class Service:
                 self._settle()
             elif not dispatch.under_way(self._state):
                 self._stop = self._draining
+        # After the commit: kill -9 before it loses facts that no worker was told of, so all of them are made again.
         self._send()
 
     def _take(self, message: Inbound | Interrupted) -> None:
         match message:
             case Token():
-                self._token(message)
+                self._events.extend(self._roster.token(message))
             case Heartbeat():
-                self._heartbeat(message)
+                if (reason := self._roster.refusal(message)) is not None:
+                    self._say(f"refused worker {message.worker}: {reason}")
+                    self._outgoing.append((message.worker, Refuse(reason=reason)))
+                self._events.extend(self._roster.heartbeat(message))
             case Result():
-                self._result(message)
+                # One that comes before the worker is admitted is not acknowledged: the worker delivers it again.
+                if self._roster.admitted(message.worker) is not None:
+                    self._events.append(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
                 self._say(f"ignored a message of {message.worker}: {message.reason}")
             case Interrupted():
@@ -190,83 +184,18 @@ class Service:
         count = dispatch.under_way(self._state)
         self._say(f"draining: {count} rollouts are under way; a second signal stops at once")
 
-    def _token(self, message: Token) -> None:
-        known = self._known.setdefault(message.worker, WorkerRecord())
-        known.alive = message.alive
-        if known.state is not None and not known.refused:
-            event = events.WorkerUp if message.alive else events.WorkerDown
-            self._events.append(event(message.at, message.worker))
-        if not message.alive and (known.state is None or known.refused):
-            del self._known[message.worker]
-
-    def _heartbeat(self, message: Heartbeat) -> None:
-        known = self._known.get(message.worker)
-        if known is None or not known.alive or known.refused:
-            return  # its token comes first, also after a partition
-        if known.state is None:
-            if (reason := self._mismatch(message.state)) is not None:
-                known.refused = True
-                self._say(f"refused worker {message.worker}: {reason}")
-                self._outgoing.append((message.worker, Refuse(reason=reason)))
-                return
-            known.state = message.state
-            self._events.append(events.WorkerUp(message.at, message.worker))
-        known.heard = message.at
-        state = known.state = message.state
-        busy = None
-        if state.rollout is not None and state.attempt is not None:
-            busy = Attempt(RolloutId.parse(state.rollout), state.attempt)
-        self._events.append(events.Reported(message.at, message.worker, busy, state.progress))
-
-    def _mismatch(self, state: WorkerState) -> str | None:
-        spec = self._ledger.header.spec
-        if state.protocol != PROTOCOL or state.version != __version__:
-            theirs, ours = f"{state.version} (protocol {state.protocol})", f"{__version__} (protocol {PROTOCOL})"
-            return f"the worker is perfbound {theirs}, the orchestrator {ours}; install the same version on both"
-        if spec.name not in state.systems:
-            return f"the worker has no system {spec.name!r}; install the package that provides it"
-        if state.systems[spec.name] != self._spec_sha256:
-            planned = ", ".join(f"{name} {version}" for name, version in spec.versions.items())
-            return (
-                f"the worker's {spec.name!r} differs from the one this campaign was planned for ({planned}); "
-                "install the same versions"
-            )
-        return None
-
-    def _result(self, message: Result) -> None:
-        known = self._known.get(message.worker)
-        if known is None or known.state is None or known.refused:
-            return  # not acknowledged, so it comes again once the worker is known
-        attempt = Attempt(RolloutId.parse(message.header.rollout), message.header.attempt)
-        # A result that nobody wants any more is acknowledged unread.
-        error = self._admit(attempt, message) if attempt.rollout in self._state.open else None
-        self._events.append(events.Delivered(message.at, message.worker, attempt, error))
-
-    def _admit(self, attempt: Attempt, message: Result) -> str | None:
-        """Keep a result until the dispatch machine has decided on it; return the reason if it is refused."""
-        header = message.header
-        if header.outcome == "failed":
-            return header.error or "the worker gave no reason"
-        request, columns = self._ledger.request(attempt.rollout), self._columns
-        try:
-            trajectory = admit(request, columns, message.payload, header.sha256)
-        except EvidenceError as fault:
-            return str(fault)
-        self._results[attempt] = message, trajectory
-        return None
-
     def _tick(self, now: float) -> None:
-        # `now` is not later than the last look into the inbox: what waits there since is no silence of a worker.
         self._next_tick = now + TICK
         if self._fleet is not None:
             for news in self._fleet.tend():
                 self._say(news)
+        # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.
         self._events.append(events.Tick(now))
         self._settle()
         self._show()
 
     def _settle(self) -> None:
-        """Step the dispatch machine until no event is left; actions may add events, which wait for their turn."""
+        """Step the dispatch machine until no event is left; an action may add events, which wait for their turn."""
         while self._events:
             self._state, actions = dispatch.step(self._state, self._events.popleft())
             for action in actions:
@@ -274,11 +203,15 @@ class Service:
         self._results.clear()
 
     def _act(self, action: events.Action) -> None:
+        """Carry out an action of the dispatch machine; messages are kept until the commit."""
         match action:
             case events.Record(worker, attempt):
-                self._record(worker, attempt)
+                self._demand(self._results.record(worker, attempt), {})
             case events.Start(worker, attempt):
-                self._start(worker, attempt)
+                state = self._roster.admitted(worker)
+                assert state is not None, "the dispatch machine has admitted workers only"
+                self._journal.attempt_started(attempt, worker, state.host, state.pid)
+                self._assign(worker, attempt)
             case events.Resend(worker, attempt):
                 self._assign(worker, attempt)
             case events.Cancel(worker, attempt):
@@ -289,17 +222,12 @@ class Service:
                 self._journal.attempt_ended(attempt, worker, reason)
                 self._say(f"{attempt.rollout}, attempt {attempt.number} on {worker}: {reason}")
             case events.GiveUp(worker):
-                self._give_up(worker)
-            case events.Poison(rollout, story):
-                self._poisoned = (rollout, story)
-
-    def _record(self, worker: str, attempt: Attempt) -> None:
-        (message, trajectory), rollout = self._results[attempt], attempt.rollout
-        header = message.header
-        outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
-        work = self._ledger.record(rollout, message.payload, trajectory, header.sha256)
-        self._journal.attempt_ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
-        self._demand(work, {})
+                state = self._roster.admitted(worker)
+                # A process id names one of our children on this host only.
+                if self._fleet is not None and state is not None and state.host == os.uname().nodename:
+                    self._fleet.kill(state.pid)
+            case events.Poison():
+                self._poisoned = action
 
     def _demand(self, work: Work, attempts: Mapping[RolloutId, int]) -> None:
         """Have rollouts simulated, or no longer; `attempts` are those made before a restart."""
@@ -309,35 +237,23 @@ class Service:
         if work.wanted:
             self._events.append(events.Wanted(now, tuple((each, attempts.get(each, 0)) for each in work.wanted)))
 
-    def _start(self, worker: str, attempt: Attempt) -> None:
-        state = self._known[worker].state
-        assert state is not None, "only known workers are in the dispatch core"
-        self._journal.attempt_started(attempt, worker, state.host, state.pid)
-        self._assign(worker, attempt)
-
     def _assign(self, worker: str, attempt: Attempt) -> None:
         request = self._ledger.request(attempt.rollout)
         self._outgoing.append((worker, Assign(attempt=attempt.number, request=request)))
 
-    def _give_up(self, worker: str) -> None:
-        known = self._known.get(worker)
-        if self._fleet is None or known is None or known.state is None:
-            return
-        if known.state.host == os.uname().nodename:
-            self._fleet.kill(known.state.pid)
-
     def _send(self) -> None:
+        """Send what the turn has decided, then end the run if the turn has decided that."""
         for worker, message in self._outgoing:
             self._transport.send(worker, message)
         self._outgoing.clear()
         if self._stop is not None:
             raise Stopped(self._stop)
         if self._poisoned is not None:
-            rollout, story = self._poisoned
+            rollout, failures = self._poisoned.rollout, self._poisoned.failures
             raise PerfboundError(
-                f"rollout {rollout} failed {len(story)} times, so the campaign cannot go on: "
-                + "; ".join(story)
-                + ". Reproduce it with `perfbound simulate`, mend the cause, then resume"
+                f"rollout {rollout} failed {len(failures)} times, so the campaign cannot continue: "
+                + "; ".join(failures)
+                + ". Reproduce it with `perfbound simulate`, fix the cause, then resume"
             )
 
     def _say(self, line: str) -> None:
@@ -349,7 +265,7 @@ class Service:
             self._ledger.config,
             {name: account.progress for name, account in self._ledger.accounts.items()},
             {name: worker.phase for name, worker in self._state.workers.items()},
-            self._known,
+            self._roster.records,
             self._state.recorded,
             len(self._state.waiting),
             time.monotonic() - self._started,

@@ -3,7 +3,6 @@
 Nothing is created before the campaign file, the system and the endpoint are known to be good.
 """
 
-import shlex
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -28,9 +27,12 @@ from ..fleet import child
 from ..fleet.processes import Fleet
 from ..fleet.transport import ZenohTransport, listen
 from ..store import read
-from ..store.journal import DATABASE, Journal, existing, read_header
+from ..store.journal import Journal
 from ..store.lock import campaign_lock
+from ..store.read import read_header
+from ..store.rows import DATABASE, existing
 from .address import Address
+from .format import resume_command
 from .live_page import LivePage, live_page
 from .systemd import Systemd
 
@@ -39,11 +41,6 @@ if TYPE_CHECKING:
 
 MAX_CAMPAIGN_FILE = 1024 * 1024
 """Bytes of a campaign file."""
-
-
-def resume_command(directory: Path) -> str:
-    """Return what a person types to continue a campaign."""
-    return f"perfbound resume {shlex.quote(str(directory))}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,13 +246,13 @@ def _conduct(
             systemd.ready(f"workers connect to {transport.endpoint}")
             stack.callback(systemd.stopping)
             service.run()
-    _certify(directory, journal, ledger)
+    _certify(directory, ledger)
 
 
-def _certify(directory: Path, journal: Journal, ledger: "Ledger") -> None:
+def _certify(directory: Path, ledger: "Ledger") -> None:
     from ..certificate.issue import issue, manifest  # noqa: PLC0415
 
-    found = manifest((sha256, path) for _, sha256, path in journal.observed())
+    found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
     files.write(directory, issue(ledger, found), found.manifest)
 
 

@@ -10,8 +10,8 @@ from sqlalchemy import Connection
 from ...schemas.errors import JournalError
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from . import tables
-from .journal import DATABASE, READERS, read_header
-from .read import reading
+from .read import read_header, reading
+from .rows import DATABASE, READERS
 
 _SINCE: sa.BindParameter[int] = sa.bindparam("since")
 _rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.attempts.c
@@ -140,6 +140,6 @@ def _rollout(row: Any, directory: Path) -> RolloutFact:
 
 def _fact(table: sa.Table, row: Any, directory: Path) -> Any:
     try:
-        return READERS[table](row)
+        return READERS[table.name](row)
     except (ValueError, TypeError) as error:
         raise JournalError(f"{directory / DATABASE}: table {table.name}: a row cannot be read ({error})") from None

@@ -16,8 +16,8 @@ from ...schemas.facts import Header
 from . import export_tables
 from .export_tables import TABLES, Column, Row, Table, Value
 from .files import FOLDER
-from .journal import DATABASE, read_header
-from .read import reading
+from .read import read_header, reading
+from .rows import DATABASE
 
 __all__ = ["TABLES", "counterexamples", "export", "stream"]
 

@@ -7,10 +7,6 @@ depends on luck (who did what, where and when) stands in `attempts` and `session
 from sqlalchemy import Column, ForeignKeyConstraint, Integer, MetaData, Table, Text, UniqueConstraint
 from sqlalchemy.types import REAL
 
-SCHEMA_VERSION = 2
-"""Version 1 has no column `rules`; its campaigns follow rules 1."""
-READ_VERSIONS = (1, 2)
-
 metadata = MetaData()
 
 schema = Table("schema", metadata, Column("version", Integer, primary_key=True), sqlite_strict=True)

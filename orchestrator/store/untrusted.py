@@ -8,8 +8,8 @@ import sqlalchemy as sa
 from ...schemas.errors import JournalError
 from ...schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from . import tables
-from .journal import DATABASE, READERS, read_header
-from .read import reading
+from .read import read_header, reading
+from .rows import DATABASE, READ_VERSIONS, READERS
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ def read_untrusted(directory: Path) -> UntrustedFacts:
     with reading(directory) as connection:
         there = _shape(connection, directory)
         header = read_header(connection, directory)
-        return UntrustedFacts(header, *(_rows(connection, directory, table, there) for table in READERS))  # type: ignore[arg-type]
+        return UntrustedFacts(header, *(_rows(connection, directory, name, there) for name in READERS))  # type: ignore[arg-type]
 
 
 def read_untrusted_header(directory: Path) -> Header:
@@ -58,16 +58,17 @@ def _shape(connection: sa.Connection, directory: Path) -> set[str]:
         if table is not None:
             quoted = name.replace('"', '""')
             columns = connection.exec_driver_sql(f'PRAGMA table_xinfo("{quoted}")').all()
-            expected = [tables.columns(table, version) for version in tables.READ_VERSIONS]
+            expected = [tables.columns(table, version) for version in READ_VERSIONS]
             if [row.name for row in columns] not in expected or any(row.hidden for row in columns):
                 raise JournalError(f"{directory / DATABASE}: the table {name} has other columns than perfbound's")
     return {name for name, _ in master}
 
 
-def _rows(connection: sa.Connection, directory: Path, table: sa.Table, there: set[str]) -> tuple[Fact, ...]:
-    if table.name not in there:
+def _rows(connection: sa.Connection, directory: Path, name: str, there: set[str]) -> tuple[Fact, ...]:
+    if name not in there:
         return ()
+    table = tables.metadata.tables[name]
     try:
-        return tuple(READERS[table](row) for row in connection.execute(sa.select(table).order_by(table.c.seq)))
+        return tuple(READERS[name](row) for row in connection.execute(sa.select(table).order_by(table.c.seq)))
     except (ValueError, TypeError, RecursionError, OverflowError) as error:
-        raise JournalError(f"{directory / DATABASE}: table {table.name}: a row cannot be read ({error})") from None
+        raise JournalError(f"{directory / DATABASE}: table {name}: a row cannot be read ({error})") from None

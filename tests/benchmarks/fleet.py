@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.store import read
-from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.progress import read_progress
+from perfbound.orchestrator.store.rows import DATABASE
 from tests.benchmarks import sessions
 from tests.benchmarks.report import Row
 from tests.campaigns import REPLICATES, cheap
@@ -97,9 +98,9 @@ def replay(directory: Path) -> float:
 
 def look(directory: Path) -> float:
     """Return the CPU seconds of one look of a reader."""
-    read.progress(directory)
+    read_progress(directory)
     start = time.process_time()
-    read.progress(directory)
+    read_progress(directory)
     return time.process_time() - start
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from perfbound.orchestrator import cli
 from perfbound.orchestrator.fleet import child
-from perfbound.orchestrator.store import tables
+from perfbound.orchestrator.store.rows import SCHEMA_VERSION
 from perfbound.schemas.system import SystemSpec
 from tests.campaigns import FOLDER
 from tests.end_to_end.processes import (
@@ -356,14 +356,12 @@ def test_a_database_of_a_newer_schema(busy: Process, here: Here) -> None:
         source.execute("VACUUM INTO ?", (str(directory / "campaign.db"),))
     source.close()
     newer = sqlite3.connect(directory / "campaign.db")
-    newer.executescript(f"DROP TRIGGER schema_no_update; UPDATE schema SET version = {tables.SCHEMA_VERSION + 1}")
+    newer.executescript(f"DROP TRIGGER schema_no_update; UPDATE schema SET version = {SCHEMA_VERSION + 1}")
     newer.close()
     for command in ("resume", "status"):
         ended = here.run(command, "newer")
         assert ended.code == 1
-        assert (
-            f"schema version {tables.SCHEMA_VERSION + 1}, this perfbound reads {tables.SCHEMA_VERSION}" in ended.fault
-        )
+        assert f"schema version {SCHEMA_VERSION + 1}, this perfbound reads {SCHEMA_VERSION}" in ended.fault
         assert "newer/campaign.db" in ended.fault
     (directory / "campaign.db").write_bytes(b"no database " * 100)
     for command in ("resume", "status"):

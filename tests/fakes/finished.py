@@ -8,7 +8,8 @@ from typing import Any
 
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
-from perfbound.orchestrator.store.journal import DATABASE
+from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign import CampaignConfig
 from tests.campaigns import table
 from tests.fakes.puppets import Stage
@@ -60,7 +61,7 @@ def play(directory: Path, config: CampaignConfig, look: Callable[[], bool] = lam
 def finish(stage: Stage, directory: Path) -> None:
     """Issue the certificate of a campaign that was played to its end, and close its journal."""
     ledger, journal = stage.ledger, stage.journal
-    found = manifest((sha256, path) for _, sha256, path in journal.observed())
+    found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
     files.write(directory, issue(ledger, found), found.manifest)
     journal.close()
 

@@ -26,6 +26,7 @@ from perfbound.orchestrator.fleet import dispatch
 from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
+from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.schemas import keys
@@ -345,7 +346,7 @@ def serve(
             log._look = lambda seen: server.inbox.put(Interrupted(2)) if stop(seen) else None
             port.start(journal.header.run, server.inbox.put)
             server.run()
-        found = manifest((sha256, path) for _, sha256, path in journal.observed())
+        found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
         files.write(directory, issue(ledger, found), found.manifest)
     return (directory / files.CERTIFICATE).read_text()
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.facts import Header
 from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.workers.systems import load

@@ -18,7 +18,7 @@ from ....schemas.link import LOCAL
 from ...certificate import files
 from ...run import session
 from ...run.format import duration
-from ...store.journal import DATABASE
+from ...store.rows import DATABASE
 
 SHIPPED = Path(str(resources.files("perfbound") / "campaigns"))
 

@@ -13,8 +13,8 @@ from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import File, Trajectory, read
 from ...campaign.seeds import rollout_seed
 from ...store import files, tables
-from ...store.journal import READERS, read_header
-from ...store.read import reading
+from ...store.read import read_header, reading
+from ...store.rows import READERS
 from ..rollouts import inside
 
 
@@ -64,13 +64,13 @@ def _find(connection: Connection, header: Header, directory: Path, text: str) ->
         ) from None
     columns = tables.rollouts.c
     this = (columns.problem == rollout.problem) & (columns.test == rollout.test)
-    facts = [READERS[tables.rollouts](row) for row in connection.execute(sa.select(tables.rollouts).where(this))]
+    facts = [READERS[tables.rollouts.name](row) for row in connection.execute(sa.select(tables.rollouts).where(this))]
     found = {fact.rollout: fact for fact in facts if isinstance(fact, RolloutFact)}
     if rollout not in found:
         there = _there(connection, header, rollout, [str(each) for each in sorted(found)])
         raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {there}")
     where = (tables.tests.c.problem == rollout.problem) & (tables.tests.c.test == rollout.test)
-    proposal = READERS[tables.tests](connection.execute(sa.select(tables.tests).where(where)).one())
+    proposal = READERS[tables.tests.name](connection.execute(sa.select(tables.tests).where(where)).one())
     assert isinstance(proposal, ProposalFact)
     return found[rollout], proposal
 

@@ -28,8 +28,8 @@ from perfbound.orchestrator.certificate.verify.rerun import Rerun
 from perfbound.orchestrator.certificate.verify.run import Verification, verify
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.files import relative_path
-from perfbound.orchestrator.store.journal import DATABASE, read_header
-from perfbound.orchestrator.store.read import reading
+from perfbound.orchestrator.store.read import observed, read_header, reading
+from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.orchestrator.store.untrusted import UntrustedFacts, read_untrusted
 from perfbound.schemas.base import canonical_json
 from perfbound.schemas.campaign import CampaignConfig
@@ -59,7 +59,7 @@ def run(directory: Path, config: CampaignConfig) -> Path:
         patch.setattr(service, "TICK", 0.01)
         stage = Stage(directory, config, 4)
         stage.play()
-        found = manifest((sha256, path) for _, sha256, path in stage.journal.observed())
+        found = manifest((sha256, path) for _, sha256, path in observed(directory))
         certificate = issue(stage.ledger, found)
         files.write(directory, certificate, found.manifest)
         stage.journal.close()

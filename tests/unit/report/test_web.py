@@ -21,7 +21,7 @@ from perfbound.orchestrator.report.web.hosts import Hosts
 from perfbound.orchestrator.report.web.snapshots import SnapshotCache
 from perfbound.orchestrator.report.workers import LiveState
 from perfbound.orchestrator.run.address import Address
-from perfbound.orchestrator.store.journal import DATABASE
+from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign_file import parse
 from perfbound.schemas.errors import JournalError
 from tests.campaigns import FOLDER

@@ -23,7 +23,7 @@ from perfbound.orchestrator.report import nominal, write
 from perfbound.orchestrator.report.data import Axis, ReportData, Rollout, Surface, to_json
 from perfbound.orchestrator.report.figures import figures
 from perfbound.orchestrator.run import service
-from perfbound.orchestrator.store.journal import DATABASE
+from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.facts import Header
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory

@@ -18,7 +18,9 @@ from perfbound.orchestrator.fleet.events import HandOut, Reported, Start, Wanted
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import ChangeReader
-from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.progress import read_progress
+from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.messages import Request
 from tests.campaigns import cheap
@@ -102,7 +104,7 @@ def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> 
     def look() -> bool:
         added = sum(watch.look().rollouts.values())
         seen.append(seen[-1] + added if seen else added)
-        there = sum(problem.rollouts for problem in read.progress(tmp_path).problems)
+        there = sum(problem.rollouts for problem in read_progress(tmp_path).problems)
         assert seen[-1] == there, "what was added up is what is there"
         return False
 
@@ -126,7 +128,7 @@ def test_whoever_reads_at_the_end_leaves_nothing_outside_the_database(tmp_path: 
         stage.journal.close()
         (tmp_path / "copy").mkdir()
         shutil.copy(tmp_path / DATABASE, tmp_path / "copy" / DATABASE)
-    assert sum(problem.rollouts for problem in read.progress(tmp_path / "copy").problems) == 32
+    assert sum(problem.rollouts for problem in read_progress(tmp_path / "copy").problems) == 32
 
 
 @pytest.mark.usefixtures("no_disk")

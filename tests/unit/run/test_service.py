@@ -19,7 +19,8 @@ from perfbound.orchestrator.fleet.transport import Heartbeat, Result, Sink, Toke
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.service import RunStatus, Service
 from perfbound.orchestrator.store import files as evidence
-from perfbound.orchestrator.store.journal import DATABASE, Journal
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas import __version__
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse

@@ -1,0 +1,90 @@
+"""The worker processes of a run: their tokens and heartbeats, and the admission of those that may serve the campaign.
+
+The protocol: a worker shows its liveliness token, then sends heartbeats, which name its version and its systems. A
+worker that fits the campaign is `up` for the dispatch machine from its first heartbeat on; any other one is refused
+once and then ignored.
+"""
+
+from dataclasses import dataclass
+
+from ...schemas import __version__
+from ...schemas.ids import Attempt, RolloutId
+from ...schemas.messages import PROTOCOL, WorkerState
+from ...schemas.system import SystemSpec
+from ..fleet import events
+from ..fleet.transport import Heartbeat, Token
+
+
+@dataclass(slots=True)
+class WorkerRecord:
+    """A worker process as the protocol shows it."""
+
+    alive: bool = False
+    state: WorkerState | None = None
+    """The last heartbeat; None before the worker is admitted."""
+    refused: bool = False
+    heard: float = 0.0
+    """Time of the last heartbeat, by the monotonic clock."""
+
+
+class Roster:
+    """The workers of one run, by name."""
+
+    def __init__(self, spec: SystemSpec) -> None:
+        self.records: dict[str, WorkerRecord] = {}
+        self._spec, self._spec_sha256 = spec, spec.digest
+
+    def token(self, message: Token) -> tuple[events.Event, ...]:
+        """Take a token that appeared or disappeared; return the events for the dispatch machine."""
+        record = self.records.setdefault(message.worker, WorkerRecord())
+        record.alive = message.alive
+        if record.state is not None:
+            # The record outlives the token: after a partition the same process returns, perhaps with its result.
+            event = events.WorkerUp if message.alive else events.WorkerDown
+            return (event(message.at, message.worker),)
+        if not message.alive:
+            del self.records[message.worker]  # never admitted, so no attempt can come back from it
+        return ()
+
+    def refusal(self, message: Heartbeat) -> str | None:
+        """Return the reason to refuse a worker, at its first heartbeat alone."""
+        record = self.records.get(message.worker)
+        if record is None or not record.alive or record.refused or record.state is not None:
+            return None
+        reason = self._mismatch(message.state)
+        record.refused = reason is not None
+        return reason
+
+    def heartbeat(self, message: Heartbeat) -> tuple[events.Event, ...]:
+        """Take a heartbeat that is no reason for a refusal; return the events for the dispatch machine."""
+        record = self.records.get(message.worker)
+        # The token comes first, also after a partition: without it a heartbeat is a late one of a lost worker.
+        if record is None or not record.alive or record.refused:
+            return ()
+        up = () if record.state else (events.WorkerUp(message.at, message.worker),)
+        record.heard, record.state = message.at, message.state
+        state, attempt = message.state, None
+        if state.rollout is not None and state.attempt is not None:
+            attempt = Attempt(RolloutId.parse(state.rollout), state.attempt)
+        return (*up, events.Reported(message.at, message.worker, attempt, state.progress))
+
+    def admitted(self, worker: str) -> WorkerState | None:
+        """Return the last heartbeat of an admitted worker; None for every other one."""
+        record = self.records.get(worker)
+        return record.state if record is not None else None
+
+    def _mismatch(self, state: WorkerState) -> str | None:
+        spec = self._spec
+        if state.protocol != PROTOCOL or state.version != __version__:
+            theirs, ours = f"{state.version} (protocol {state.protocol})", f"{__version__} (protocol {PROTOCOL})"
+            return f"the worker is perfbound {theirs}, the orchestrator {ours}; install the same version on both"
+        if spec.name not in state.systems:
+            return f"the worker has no system {spec.name!r}; install the package that provides it"
+        if state.systems[spec.name] != self._spec_sha256:
+            # Another build may give other trajectories for the same seed; one certificate names one build.
+            planned = ", ".join(f"{name} {version}" for name, version in spec.versions.items())
+            return (
+                f"the worker's {spec.name!r} differs from the one this campaign was planned for ({planned}); "
+                "install the same versions"
+            )
+        return None

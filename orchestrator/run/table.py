@@ -1,0 +1,45 @@
+"""Progress of a campaign as a table with one row per problem."""
+
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.values import ProblemProgress
+from ..campaign import forecast
+from .format import MINIMA, figure
+
+
+def bound_in_sense(problem: Problem, progress: ProblemProgress) -> float | None:
+    """Return the bound so far in the unit and sense of the problem: -eps for a minimum."""
+    upper = progress.bound.upper if progress.bound else None
+    return -upper if upper is not None and problem.name in MINIMA else upper
+
+
+def distance(problem: Problem, progress: ProblemProgress) -> float | None:
+    """Return what has to fall to alpha: F_i, or upper - lower."""
+    return forecast.distance(problem, progress.F, progress.bound)
+
+
+def tests_left(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> int | None:
+    """Guess the tests until a problem ends; None where its decay cannot tell yet."""
+    return forecast.tests_left(config, problem, distance(problem, progress), progress.tests)
+
+
+def progress_table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress, str]]) -> Table:
+    """Return one row per problem, in the order of the campaign file: its progress, and what is left in words."""
+    found = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
+        found.add_column(name, justify="left" if name == "problem" else "right")
+    for problem, (progress, left) in zip(config.problems, rows, strict=True):
+        found.add_row(
+            problem.name,
+            f"{progress.tests} of {config.max_tests_of(problem)}",
+            figure(distance(problem, progress)),
+            f"{problem.alpha:g}",
+            figure(bound_in_sense(problem, progress)),
+            str(progress.rollouts),
+            f"ended: {progress.stopped_by}" if progress.stopped_by else left,
+            style="green" if progress.stopped_by == "converged" else "",
+        )
+    return found

@@ -1,0 +1,99 @@
+"""Progress of a campaign from its database, by a few aggregates.
+
+The queries go to the SQLite driver directly: loading SQLAlchemy takes longer than everything else that `perfbound
+status` does.
+"""
+
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+from ...schemas.errors import JournalError
+from ...schemas.facts import RECORDED, RESTORED, Header
+from ...schemas.values import ProblemProgress
+from .readonly import connect, is_still
+from .rows import DATABASE, bound_fact, checked_header, existing, header_columns
+
+RECENT = 1000
+MINUTE = 60.0
+"""The rate is that of the last minute of work, or of its last `RECENT` rollouts."""
+
+_VERSION = "SELECT version FROM schema"
+_ROLLOUTS = "SELECT problem, count(*) FROM rollouts GROUP BY problem"
+_LAST_BOUNDS = """
+    SELECT problem, test, upper, lower, stopped_by, F FROM bounds JOIN tests USING (problem, test)
+    WHERE bounds.seq IN (SELECT max(seq) FROM bounds GROUP BY problem)
+"""
+_WORKERS = "SELECT worker, count(*), max(ended) FROM outcomes WHERE outcome = ? GROUP BY worker ORDER BY worker"
+_FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?)"
+_RECENT = "SELECT ended FROM outcomes WHERE outcome = ? ORDER BY rowid DESC LIMIT ?"
+_SESSIONS = "SELECT count(*) FROM sessions"
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignProgress:
+    """The state of a campaign, from its database alone."""
+
+    header: Header
+    problems: tuple[ProblemProgress, ...]
+    """In the order of the campaign file."""
+    workers: tuple[tuple[str, int, float], ...]
+    """(worker, rollouts recorded, Unix time of the last one)."""
+    failures: int
+    sessions: int
+    rate: float
+    """Rollouts per second over the last minute of work, or over its last thousand rollouts."""
+
+
+def read_progress(directory: Path) -> CampaignProgress:
+    """Return the progress of the campaign in `directory`.
+
+    Raises:
+        JournalError: there is none, or it cannot be read.
+
+    """
+    path = existing(directory).resolve()
+    try:
+        with closing(connect(path, immutable=is_still(directory, path))) as connection:
+            connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
+            return _progress(connection, directory)
+    except sqlite3.DatabaseError as error:
+        raise JournalError(f"{directory / DATABASE}: cannot be read ({error})") from None
+
+
+def _progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
+    version = connection.execute(_VERSION).fetchone()
+    columns = ", ".join(header_columns(directory, version and version[0]))
+    header = checked_header(directory, _named(connection.execute(f"SELECT {columns} FROM campaign LIMIT 2")))
+    rollouts = {str(row[0]): int(row[1]) for row in connection.execute(_ROLLOUTS)}
+    last = {str(row.problem): row for row in _named(connection.execute(_LAST_BOUNDS))}
+    return CampaignProgress(
+        header,
+        tuple(_of_problem(last.get(each.name), rollouts.get(each.name, 0)) for each in header.config.problems),
+        tuple((str(row[0]), int(row[1]), float(row[2])) for row in connection.execute(_WORKERS, [RECORDED])),
+        int(connection.execute(_FAILURES, [RECORDED, RESTORED]).fetchone()[0]),
+        int(connection.execute(_SESSIONS).fetchone()[0]),
+        rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])]),
+    )
+
+
+def _of_problem(last: SimpleNamespace | None, rollouts: int) -> ProblemProgress:
+    if last is None:
+        return ProblemProgress(0, rollouts, None, None, None)
+    fact = bound_fact(last)
+    return ProblemProgress(fact.test + 1, rollouts, last.F, fact.bound, fact.stopped_by)
+
+
+def _named(cursor: sqlite3.Cursor) -> list[SimpleNamespace]:
+    names = [column[0] for column in cursor.description]
+    return [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in cursor]
+
+
+def rate(ended: Sequence[float]) -> float:
+    """Return rollouts per second over the last minute before the newest of these Unix times."""
+    newest = max(ended, default=0.0)
+    minute = [time for time in ended if time > newest - MINUTE]
+    return (len(minute) - 1) / (newest - min(minute)) if len(minute) > 1 and newest > min(minute) else 0.0

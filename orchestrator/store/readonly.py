@@ -1,0 +1,33 @@
+"""Read-only connections of the SQLite driver to a campaign database, whose file is untrusted."""
+
+import sqlite3
+from pathlib import Path
+from urllib.parse import quote
+
+from .lock import is_held
+
+LONGEST = 2**26
+"""Bytes of one value."""
+
+
+def connect(path: Path, *, immutable: bool) -> sqlite3.Connection:
+    """Open a database for reading; nothing in the file runs, and no value fills the memory."""
+    query = "mode=ro&immutable=1" if immutable else "mode=ro"
+    connection = sqlite3.connect(f"file:{quote(str(path))}?{query}", uri=True)
+    connection.execute("PRAGMA trusted_schema=OFF")  # a view or a generated column of the file may call functions
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
+    return connection
+
+
+def is_still(directory: Path, path: Path) -> bool:
+    """Whether a database has no writer and no log, so that a reader may take it as immutable."""
+    # Without `immutable` every reader of a WAL database leaves -wal and -shm behind, beside a finished one too. With it
+    # SQLite ignores a log: after kill -9 the last commits are there alone.
+    return not is_held(directory) and not _size(path.with_name(f"{path.name}-wal"))
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:  # also between two lines: the writer's last connection removes the log when it closes
+        return 0

@@ -1,0 +1,173 @@
+"""Rows of the campaign database as facts, and facts as rows; without SQL, for every way of reading."""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ...schemas.base import canonical_json
+from ...schemas.campaign import CampaignConfig
+from ...schemas.errors import JournalError
+from ...schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.ids import Attempt, RolloutId
+from ...schemas.rules import check_rules
+from ...schemas.system import SystemSpec
+from ...schemas.values import Bound, Observation, Proposal
+
+DATABASE = "campaign.db"
+SCHEMA_VERSION = 2
+"""Version 1 has no column `rules`; its campaigns follow rules 1."""
+READ_VERSIONS = (1, 2)
+_HEADER = ("run", "name", "seed", "config", "config_sha256", "system", "software")
+
+
+def existing(directory: Path) -> Path:
+    """Return the database of a campaign.
+
+    Raises:
+        JournalError: there is none in `directory`.
+
+    """
+    path = directory / DATABASE
+    if not path.is_file():
+        raise JournalError(
+            f"{directory}: no campaign here (no {DATABASE}); start one with `perfbound run CAMPAIGN.toml`"
+        )
+    return path
+
+
+# From rows to facts; a row has the columns of its table as attributes.
+
+
+def header_columns(directory: Path, version: int | None) -> tuple[str, ...]:
+    """Return the columns of table `campaign` in a database of this schema version.
+
+    Raises:
+        JournalError: this perfbound does not read that version.
+
+    """
+    if version not in READ_VERSIONS:
+        raise JournalError(
+            f"{directory / DATABASE}: schema version {version}, this perfbound reads {SCHEMA_VERSION}; "
+            "use the perfbound that wrote it, or a newer one"
+        )
+    return _HEADER if version == 1 else (*_HEADER, "rules")
+
+
+def checked_header(directory: Path, rows: Sequence[Any]) -> Header:
+    """Return the header in the rows of table `campaign`.
+
+    Raises:
+        JournalError: it is missing, or was changed, or follows rules that this perfbound has not.
+
+    """
+    try:
+        return _header(directory, rows)
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
+        reason = str(error).splitlines()[0]
+        raise JournalError(
+            f"{directory / DATABASE}: the header was changed after the start ({reason}); restore it from a copy"
+        ) from None
+
+
+def _header(directory: Path, rows: Sequence[Any]) -> Header:
+    if len(rows) != 1:
+        raise ValueError("there are several" if rows else "it is missing")
+    row = rows[0]
+    # The digests are those of the stored texts: parsing may add keys that this version has and the writer had not.
+    config_sha256, system_sha256 = (hashlib.sha256(text.encode()).hexdigest() for text in (row.config, row.system))
+    if config_sha256 != row.config_sha256:
+        raise ValueError("the campaign file is another one")
+    config, spec = CampaignConfig.model_validate_json(row.config), SystemSpec.model_validate_json(row.system)
+    if (row.name, row.seed) != (config.name, config.seed):
+        raise ValueError("name or seed are not the file's")
+    rules = check_rules(getattr(row, "rules", 1), str(directory / DATABASE))
+    return Header(row.run, config, spec, json.loads(row.software), config_sha256, system_sha256, rules)
+
+
+def proposal_fact(row: Any) -> ProposalFact:
+    """Read a row of `tests`."""
+    x = tuple(json.loads(row.x))
+    return ProposalFact(row.problem, row.test, Proposal(row.node, x, row.mu, row.sigma, row.beta, row.F))
+
+
+def rollout_fact(row: Any) -> RolloutFact:
+    """Read a row of `rollouts`."""
+    rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
+    return RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)
+
+
+def observation_fact(row: Any) -> ObservationFact:
+    """Read a row of `observations`."""
+    found = Observation(row.y, tuple(json.loads(row.each)))
+    return ObservationFact(row.problem, row.test, found, row.chain)
+
+
+def bound_fact(row: Any) -> BoundFact:
+    """Read a row of `bounds`."""
+    budget = row.stopped_by == "budget"
+    bound = Bound(row.upper, row.lower, None if budget else row.stopped_by)
+    return BoundFact(row.problem, row.test, bound, budget)
+
+
+READERS: dict[str, Callable[[Any], Fact]] = {
+    "tests": proposal_fact,
+    "rollouts": rollout_fact,
+    "observations": observation_fact,
+    "bounds": bound_fact,
+}
+"""By the name of the table."""
+
+
+# From facts to rows
+
+
+def header_row(header: Header) -> dict[str, Any]:
+    """Return the row of `campaign`, without its sequence number."""
+    return {
+        "run": header.run,
+        "name": header.config.name,
+        "seed": header.config.seed,
+        "config": canonical_json(header.config.model_dump(mode="json")),
+        "config_sha256": header.config_sha256,
+        "system": canonical_json(header.spec.model_dump(mode="json")),
+        "software": canonical_json(header.software),
+        "rules": header.rules,
+    }
+
+
+def fact_row(fact: Fact) -> tuple[str, dict[str, Any]]:
+    """Return the table of a fact, and its row without the sequence number.
+
+    Raises:
+        ValueError: a number is not finite.
+
+    """
+    match fact:
+        case ProposalFact(problem, test, chosen):
+            row = {"problem": problem, "test": test, **_fields(chosen), "x": canonical_json(list(chosen.x))}
+            table = "tests"
+        case RolloutFact():
+            row = _fields(fact)
+            row |= row.pop("rollout")._asdict()
+            table = "rollouts"
+        case ObservationFact(problem, test, found, chain):
+            row = {"problem": problem, "test": test, "y": found.y, "each": canonical_json(list(found.each))}
+            row["chain"] = chain
+            table = "observations"
+        case BoundFact(problem, test, bound):
+            row = {"problem": problem, "test": test, "upper": bound.upper, "lower": bound.lower}
+            row["stopped_by"] = fact.stopped_by
+            table = "bounds"
+    canonical_json(row)  # SQLite stores NaN as NULL without an error; this raises, for every kind of fact
+    return table, row
+
+
+def attempt_key(attempt: Attempt) -> dict[str, Any]:
+    """Return the key of an attempt in `attempts` and `outcomes`."""
+    return {"rollout": str(attempt.rollout), "attempt": attempt.number}
+
+
+def _fields(value: RolloutFact | Proposal) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in value.__slots__}
