@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
@@ -14,21 +13,6 @@ class Model(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True, ser_json_inf_nan="strings"
     )
-
-
-def one_blas_thread() -> None:
-    """Have BLAS use one thread: results must not depend on the number of cores. Call it before numpy is loaded."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
-
-
-def one_line(message: str) -> str:
-    """Return `message` without anything that a terminal would obey, so that it is one line, whoever wrote its parts.
-
-    >>> one_line("a\\nb\\x1b[2J")
-    'a\\\\nb\\\\x1b[2J'
-    """
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in message)
 
 
 def canonical_json(value: Any) -> str:

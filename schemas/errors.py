@@ -69,3 +69,12 @@ class Stopped(BaseException):
     def __init__(self, signal: int) -> None:
         super().__init__(f"stopped by signal {signal}")
         self.signal = signal
+
+
+def one_line(message: str) -> str:
+    """Return `message` without anything that a terminal would obey, so that it is one line, whoever wrote its parts.
+
+    >>> one_line("a\\nb\\x1b[2J")
+    'a\\\\nb\\\\x1b[2J'
+    """
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in message)

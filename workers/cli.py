@@ -14,8 +14,9 @@ from typing import NoReturn
 import click
 
 from ..schemas.atomic import replacing
-from ..schemas.base import canonical_json, one_blas_thread, one_line
-from ..schemas.errors import LinkError, PerfboundError, RefusedError
+from ..schemas.base import canonical_json
+from ..schemas.blas import one_blas_thread
+from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
 from ..schemas.link import Tls
 
 RUN_GONE = 5.0

@@ -6,6 +6,7 @@ import sys
 import threading
 from types import FrameType
 
+from ...schemas.blas import one_blas_thread
 from ...schemas.errors import PerfboundError, Stopped
 from .exits import end, take_signals
 from .group import cli
@@ -36,8 +37,6 @@ def main() -> None:
 
 
 def _main() -> None:
-    from ...schemas.base import one_blas_thread  # noqa: PLC0415
-
     one_blas_thread()
     try:
         cli(prog_name="perfbound")

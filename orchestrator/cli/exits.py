@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from ...schemas.errors import Stopped
+from ...schemas.errors import Stopped, one_line
 from .stderr import STDERR
 
 
@@ -44,8 +44,6 @@ def take_signals(handler: Callable[[int, FrameType | None], None] | signal.Handl
 
 def end(message: str, code: int) -> NoReturn:
     """Say why in one line, and exit."""
-    from ...schemas.base import one_line  # noqa: PLC0415
-
     take_signals(signal.SIG_IGN)  # nothing is left to stop
     STDERR.fail(f"perfbound: {one_line(message)}")
     sys.exit(code)

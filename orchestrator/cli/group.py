@@ -6,13 +6,11 @@ from typing import Any
 
 import click
 
-from ...schemas import __version__
-
 RUN_DIRECTORY = click.Path(path_type=Path, file_okay=False)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.version_option(__version__, prog_name="perfbound")
+@click.version_option(package_name="perfbound", prog_name="perfbound")
 def cli() -> None:
     """Test campaigns for safety-critical systems that end with a certificate."""
 

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import click
 
-from ...schemas.base import one_line
-from ...schemas.errors import Stopped
+from ...schemas.errors import Stopped, one_line
 from ..run.address import Address
 from .exits import end
 from .group import RUN_DIRECTORY, cli

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from perfbound.schemas.base import one_blas_thread
+from perfbound.schemas.blas import one_blas_thread
 
 one_blas_thread()
 

@@ -90,7 +90,7 @@ def main() -> None:
 
 def _perfbound(marks: list[float]) -> None:
     """Run the command line; `marks` gets the CPU times at both ends of the loop."""
-    from perfbound.schemas.base import one_blas_thread
+    from perfbound.schemas.blas import one_blas_thread
 
     one_blas_thread()  # before numpy comes along
     from perfbound.orchestrator import cli

@@ -5,8 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from ....schemas.base import one_line
-from ....schemas.errors import PerfboundError
+from ....schemas.errors import PerfboundError, one_line
 
 Status = Literal["passed", "failed", "skipped"]
 

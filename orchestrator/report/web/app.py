@@ -25,8 +25,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from ....schemas.base import one_line
-from ....schemas.errors import EvidenceError, PerfboundError
+from ....schemas.errors import EvidenceError, PerfboundError, one_line
 from ...certificate.files import CERTIFICATE
 from ...store import export
 from ...store.files import FOLDER

@@ -12,7 +12,7 @@ import sys
 import threading
 from pathlib import Path
 
-from ....schemas.base import one_line
+from ....schemas.errors import one_line
 from ...run.address import Address
 from ..workers import LiveState
 from .server import Server, server
