@@ -1,0 +1,88 @@
+"""The modules that a worker and a bare `import perfbound` load, and the frozen public names."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import perfbound
+import perfbound.systems
+
+FORBIDDEN = ("sqlalchemy", "scipy", "sklearn", "perfbound.orchestrator")
+REPORT = "import atexit, json, sys; atexit.register(lambda: print(json.dumps(sorted(sys.modules)), file=sys.stderr))"
+AS_MODULE = "import runpy; runpy.run_module('perfbound.workers', run_name='__main__', alter_sys=True)"
+
+
+def loaded(*lines: str, arguments: tuple[str, ...] = ()) -> list[str]:
+    """Return the modules that a fresh interpreter has loaded at the end of these lines."""
+    code = "\n".join((REPORT, *lines))
+    command = [sys.executable, "-P", "-c", code, *arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return list(json.loads(ended.stderr.splitlines()[-1]))
+
+
+def of(modules: list[str], *packages: str) -> list[str]:
+    return [name for name in modules if any(name == each or name.startswith(f"{each}.") for each in packages)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "works"),
+    [
+        (("systems",), "perfbound.workers.systems.segway"),
+        (("simulate", "--request", "{}", "--out", "never.mcap"), "perfbound.workers.simulate"),
+        # The name is refused after everything is imported and before anything is opened.
+        (("serve", "--connect", "tcp/127.0.0.1:1", "--name", "no name"), "perfbound.workers.worker"),
+    ],
+)
+def test_a_worker_loads_no_database_no_learning_library_and_no_orchestrator(
+    arguments: tuple[str, ...], works: str
+) -> None:
+    modules = loaded(AS_MODULE, arguments=arguments)
+    assert works in modules
+    assert of(modules, *FORBIDDEN) == []
+
+
+def test_importing_the_package_loads_no_other_module_of_it() -> None:
+    assert of(loaded("import perfbound"), "perfbound") == ["perfbound"]
+
+
+def test_every_public_name_is_there() -> None:
+    assert all(getattr(perfbound, name) is not None for name in perfbound.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'orchestra'"):
+        _ = perfbound.orchestra
+
+
+def test_the_public_names_are_frozen() -> None:
+    """A name that disappears breaks systems and scripts of users, and a new one is a promise."""
+    assert perfbound.__all__ == [
+        "Cancelled",
+        "Column",
+        "Option",
+        "Parameter",
+        "SimulationError",
+        "SystemSpec",
+        "SystemUnderTest",
+        "Trajectory",
+        "__version__",
+        "checked_options",
+        "read_certificate",
+        "read_trajectory",
+    ]
+    assert perfbound.systems.__all__ == [
+        "Cancelled",
+        "Column",
+        "Option",
+        "OptionValue",
+        "Parameter",
+        "Progress",
+        "SimulationError",
+        "SystemSpec",
+        "SystemUnderTest",
+        "Trajectory",
+        "Transform",
+        "Variant",
+        "Visual",
+        "checked_options",
+    ]
+    assert all(hasattr(perfbound.systems, name) for name in perfbound.systems.__all__)
