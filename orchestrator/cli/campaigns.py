@@ -198,11 +198,11 @@ def paper(*, out: Path, campaigns: Path | None, workers: int, **extent: Any) -> 
 
     What is finished is not run again, and what was interrupted goes on where it stopped.
     """
-    from ..report.paper import reproduce as published  # noqa: PLC0415
     from ..report.paper import study  # noqa: PLC0415
+    from ..report.paper.reproduce import reproduce_paper  # noqa: PLC0415
 
     with resumable(out, shlex.join(["perfbound", *sys.argv[1:]])):
-        for line in published.reproduce(
+        for line in reproduce_paper(
             study.Extent(**extent), campaigns or study.SHIPPED, out, workers=workers, console=STDERR.console
         ):
             click.echo(line)

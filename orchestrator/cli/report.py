@@ -1,4 +1,4 @@
-"""Commands that draw: the report of a campaign, and its live page."""
+"""The commands of the report: its files, and the live page."""
 
 import shlex
 from pathlib import Path
@@ -16,7 +16,7 @@ from .web_option import web_option
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
 @web_option("Where to serve it.  [default: loopback and a free port]", default=Address())
-@click.option("--insecure", is_flag=True, help="Allow to serve it beyond this machine, where anyone can read it.")
+@click.option("--insecure", is_flag=True, help="Allow serving it beyond this machine, where anyone can read it.")
 def web(*, directory: Path, web: Address, insecure: bool) -> None:
     """Serve the live page of the campaign in DIRECTORY, whether it runs, is stopped, or has finished."""
     from ..run.address import bind  # noqa: PLC0415
@@ -25,11 +25,11 @@ def web(*, directory: Path, web: Address, insecure: bool) -> None:
     existing(directory)
     listening, address = bind(web, insecure=insecure)
     try:
-        from ..report.web.server import server  # noqa: PLC0415  (late: a port that is taken is said at once)
+        from ..report.web.server import Server  # noqa: PLC0415  (late: a port in use is reported at once)
 
-        page = server(directory, address, _say)
+        server = Server(directory, address, _say)
         _say(f"live page: {address.url}")
-        page.run([listening])
+        server.run([listening])
     except Stopped as request:
         end("the live page has ended", 128 + request.signal)
 
@@ -41,28 +41,28 @@ def report(*, directory: Path, as_json: bool) -> None:
     """Write report.html, counterexamples.csv and figures of the campaign in DIRECTORY, finished or not."""
     from ..report.data import to_json  # noqa: PLC0415
     from ..report.nominal import with_nominal  # noqa: PLC0415
-    from ..report.write import tell, write, write_figures  # noqa: PLC0415
+    from ..report.write import collected, write_figures, write_page  # noqa: PLC0415
 
-    story = tell(directory)
+    data = collected(directory)
     if as_json:
-        click.echo(to_json(story))
+        click.echo(to_json(data))
         return
-    if story.state != "finished":
-        _say(f"{directory}: the campaign is {story.state}: the report shows how far it is now")
-    told = with_nominal(directory, story)
-    for path in (*write(directory, told), *write_figures(directory, told)):
+    if data.state != "finished":
+        _say(f"{directory}: the campaign is {data.state}; the report shows its present state")
+    data = with_nominal(directory, data)
+    for path in (*write_page(directory, data), *write_figures(directory, data)):
         click.echo(path)
 
 
 def draw(directory: Path) -> None:
-    """Write the page of a finished campaign; if that fails, the campaign is finished all the same."""
+    """Write the page of a finished campaign; a failure is reported and does not fail the campaign."""
     try:
-        from ..report.write import tell, write  # noqa: PLC0415
+        from ..report.write import collected, write_page  # noqa: PLC0415
 
-        write(directory, tell(directory))
-    except Exception as error:  # noqa: BLE001  (whatever it is: the certificate is there, and this is a picture of it)
-        again = shlex.join(["perfbound", "report", str(directory)])
-        _say(one_line(f"{directory}: finished, but there is no report: {error}; try again with `{again}`"))
+        write_page(directory, collected(directory))
+    except Exception as error:  # noqa: BLE001  (any: the certificate is already there, and the report only shows it)
+        command = shlex.join(["perfbound", "report", str(directory)])
+        _say(one_line(f"{directory}: finished, but there is no report: {error}; run `{command}`"))
 
 
 def _say(line: str) -> None:

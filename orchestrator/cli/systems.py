@@ -44,7 +44,7 @@ def replay(*, directory: Path, rollout: str, out: Path | None, mcap: Path | None
 
     ROLLOUT is problem.test.variant.replicate, as reports and file names say: sim_gap.3.true.0
     """
-    from ..report.replay import replay  # noqa: PLC0415
+    from ..report.replay.replay import replay_rollout  # noqa: PLC0415
 
-    for line in replay.replay(directory, rollout, out=out, mcap=mcap):
+    for line in replay_rollout(directory, rollout, out=out, mcap=mcap):
         click.echo(line)

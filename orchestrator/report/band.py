@@ -1,4 +1,4 @@
-"""What a method knows over D, as a picture needs it: few nodes, two axes, the sign of the objective."""
+"""The band of a method over D, reduced for a map: few nodes, two axes, the sign of the objective."""
 
 import math
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from .data import Series, Surface
 Floats = NDArray[np.float64]
 
 MOST_NODES = 3000
-"""Of one surface; a finer lattice is thinned to about this."""
+"""Nodes of one surface, about; a finer lattice is thinned."""
 
 
 def surface(plan: ProblemPlan, method: ProblemMethod, bound: Bound) -> Surface:
-    """Return what `method` knows of a problem after at least one observation; `bound` is what followed from the last.
+    """Return the band of `method` after at least one observation; `bound` is the one after the last.
 
     Raises:
         ValueError: the method has no observation, or its kernel matrix is singular.
@@ -37,17 +37,17 @@ def surface(plan: ProblemPlan, method: ProblemMethod, bound: Bound) -> Surface:
         lower=upper if minimum else lower,
         upper=lower if minimum else upper,
         worst=tuple(kept.possible.ravel().tolist()),
-        band=meaning(problem, method),
+        band=_meaning(problem, method),
     )
 
 
-def meaning(problem: Problem, method: ProblemMethod) -> str:
-    """Say what the lower and upper values of a surface are."""
+def _meaning(problem: Problem, method: ProblemMethod) -> str:
+    """Return the meaning of the lower and upper values of a surface, in words."""
     match problem:
         case PaperProblem():
             sigma = "variance" if problem.sigma == "variance" else "standard deviation"
             return (
-                f"mu -+ beta sigma of Algorithm 1 at the nodes, sigma read as the {sigma}; by its lemma J lies within "
+                f"μ ∓ β σ of Algorithm 1 at the nodes, σ read as the {sigma}; by its lemma J is within "
                 f"with probability at least {1 - problem.delta:g}"
             )
         case RigorousProblem():
@@ -55,14 +55,14 @@ def meaning(problem: Problem, method: ProblemMethod) -> str:
         case ScenarioProblem():
             mean = "robustness" if problem.linearised is None else "linearised risk"
             return (
-                f"each start's lower bound by itself with probability at least {1 - problem.delta:g}; the mean is that "
-                f"of its {mean}; no start has an upper bound of its own"
+                f"the lower bound of each start by itself with probability at least {1 - problem.delta:g}; the mean is "
+                f"that of its {mean}; a start by itself has no upper bound"
             )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Arrays:
-    """A band as arrays of one shape."""
+    """A band as arrays of equal shape."""
 
     mean: Floats
     lower: Floats
@@ -84,9 +84,9 @@ def _projected(band: _Arrays, lattice: Lattice) -> _Arrays:
 
 
 def _thinned(band: _Arrays) -> tuple[_Arrays, tuple[int, ...]]:
-    """Take nodes along each axis; a node that stands for possible ones is possible."""
+    """Return the band at fewer nodes; a node is possible if one of those that it replaces is."""
     size, axes = band.mean.shape[0], band.mean.ndim
-    count = _count(size, int(MOST_NODES ** (1 / axes) + 1e-9))
+    count = _kept(size, int(MOST_NODES ** (1 / axes) + 1e-9))
     taken = np.rint(np.linspace(0, size - 1, count)).astype(np.intp)
     nearest = np.rint(np.arange(size) * (count - 1) / (size - 1)).astype(np.intp)
     possible = np.zeros((count,) * axes, dtype=np.bool_)
@@ -96,10 +96,10 @@ def _thinned(band: _Arrays) -> tuple[_Arrays, tuple[int, ...]]:
     return _Arrays(band.mean[take], band.lower[take], band.upper[take], possible), possible.shape
 
 
-def _count(size: int, most: int) -> int:
-    """Return how many of `size` nodes are taken: all, or as many as lie equally far apart, if not much fewer fit.
+def _kept(size: int, most: int) -> int:
+    """Return the number of nodes to keep of `size`: all, or at most `most`, evenly spaced if that costs less than half.
 
-    >>> _count(51, 54), _count(101, 54), _count(98, 54)
+    >>> _kept(51, 54), _kept(101, 54), _kept(98, 54)
     (51, 51, 54)
     """
     if size <= most:
@@ -108,5 +108,6 @@ def _count(size: int, most: int) -> int:
 
 
 def _series(values: Floats, *, minimum: bool) -> Series:
+    """Return the values with the sign of the objective; None where the method has none."""
     signed = 0.0 - values if minimum else values
     return tuple(None if math.isnan(value) else value for value in signed.ravel().tolist())

@@ -1,128 +1,168 @@
-"""The story of a run directory, told again and again: a look reads what was added since the last one.
+"""The incremental collector of a campaign's report data.
 
-It works beside a running campaign, of a stopped one and of a finished one, and changes no file.
+It reads the run directory of a running, stopped or finished campaign and changes no file in it.
 """
 
 from collections.abc import Mapping
 from pathlib import Path
 
 from ...schemas.campaign import Scenarios
-from ...schemas.certificate import ProblemResult
-from ...schemas.errors import PerfboundError
-from ...schemas.facts import Header
-from ..run.format import resume_command
+from ...schemas.certificate import Certificate
+from ...schemas.errors import JournalError, PerfboundError
+from ...schemas.facts import Header, RolloutFact
+from ..campaign.plan import plans
+from ..certificate import files
+from ..run.session import resume_command
 from ..store import lock
-from ..store.changes import rollouts_of
+from ..store.changes import ChangeReader, Changes, rollouts_of
 from . import rollouts, wording
 from .data import Axis, ReportData, RolloutsOfTest, State
-from .known import Known
 from .problem import ProblemCollector
-from .workers import LiveState
+from .workers import LiveState, WorkerStatistics
 
-SCENES = 8
-"""Of each problem, one a start."""
-MOST_KEPT = 200
-"""Scenes that are not made again."""
+WORST_STARTS = 8
+"""Starts of each problem whose rollouts are part of the data."""
+MOST_CACHED = 200
+"""Tests whose rollouts are kept."""
+MOST_COUNTEREXAMPLES = 1000
+"""Counterexamples in the data; counterexamples.csv lists all of them."""
 
 
 class Collector:
-    """Somebody who tells the story of a campaign; one thread at a time may ask."""
+    """Collects the report data of one campaign; each refresh adds the new facts. Not thread-safe."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        self._known: Known | None = None
-        self._scenes: dict[tuple[str, int], RolloutsOfTest] = {}
+        self._reset()
 
-    def look(self, live: Mapping[str, LiveState] | None = None, at: float | None = None) -> ReportData:
-        """Return the story now; `live` is what an orchestrator knows of its workers, `at` the Unix time to be shown.
+    def _reset(self) -> None:
+        self._changes = ChangeReader(self.directory)
+        self._header: Header | None = None
+        self._certificate: Certificate | None = None
+        self._problems: dict[str, ProblemCollector] = {}
+        self._workers = WorkerStatistics()
+        self._violations: list[RolloutFact] = []
+        self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
+
+    def refresh(self, live: Mapping[str, LiveState] | None = None, at: float | None = None) -> ReportData:
+        """Add the new facts and return all data; `live` is the state of the workers, `at` the Unix time to show.
 
         Raises:
-            PerfboundError: there is no campaign in the directory, or it cannot be read. The next look starts over.
+            PerfboundError: there is no campaign in the directory, or it cannot be read. The next refresh starts over.
 
         """
         try:
-            if self._known is None:
-                self._known = Known(self.directory)
-            else:
-                self._known.look()
-            return self._story(self._known, live or {}, at)
+            return self._data(self._read(), live or {}, at)
         except BaseException:
-            self._known = None
-            self._scenes.clear()
+            self._reset()  # facts that were added in part would be counted twice
             raise
 
-    def scene(self, problem: str, test: int) -> RolloutsOfTest:
-        """Return the rollouts of one test that somebody asks for, as far as the last look knows of it.
+    def rollouts_of_test(self, problem: str, test: int) -> RolloutsOfTest:
+        """Return the rollouts of one test, as of the last refresh.
 
         Raises:
             PerfboundError: there is no such problem or test, or the campaign cannot be read.
 
         """
-        if self._known is None:
-            self._known = Known(self.directory)
-        told = self._known.told.get(problem)
-        if told is None:
-            known = ", ".join(self._known.told)
-            raise PerfboundError(f"{self.directory}: no problem {problem[:80]!r}; allowed are {known}")
-        if not 0 <= test < len(told.starts):
-            raise PerfboundError(f"{self.directory}: {problem} has no test {test}; there are {len(told.starts)}")
-        return self._scene(self._known.header, told, test)
+        if self._header is None:
+            self.refresh()
+        if problem not in self._problems:
+            known = ", ".join(self._problems)
+            raise PerfboundError(f"{self.directory}: no problem {problem[:80]!r}; choose one of {known}")
+        number = len(self._problems[problem].starts)
+        if not 0 <= test < number:
+            raise PerfboundError(f"{self.directory}: {problem} has no test {test}; choose one of the {number}")
+        return self._rollouts(problem, test)
 
-    def _story(self, known: Known, live: Mapping[str, LiveState], at: float | None) -> ReportData:
-        config, spec, certificate = known.header.config, known.header.spec, known.certificate
-        results: dict[str, ProblemResult] = {}
-        if certificate:
-            results |= {each.name: each for each in certificate.predicate.problems}
-        problems = tuple(told.told(results.get(name)) for name, told in known.told.items())
-        claims = wording.claims(certificate)
+    def _read(self) -> Header:
+        # The certificate before the facts: it is written after the last of them, so they are complete with it.
+        certificate = self._certificate or files.read(self.directory)
+        changes = self._changes.look()
+        header = self._header = changes.header
+        if certificate and certificate.predicate.campaign.config_sha256 != header.config_sha256:
+            raise JournalError(
+                f"{self.directory}: the certificate is that of another campaign than the database; restore one of them"
+            )
+        self._certificate = certificate
+        if not self._problems:
+            found = plans(header.config, header.spec).items()
+            self._problems = {name: ProblemCollector(header, plan) for name, plan in found}
+        self._add(changes)
+        return header
+
+    def _add(self, changes: Changes) -> None:
+        try:
+            for fact in changes.decisions:
+                self._problems[fact.problem].add(fact)
+            for problem, number in changes.rollouts.items():
+                self._problems[problem].rollouts += number
+        except (KeyError, ValueError) as error:
+            raise JournalError(
+                f"{self.directory}: the facts contradict each other ({error}); restore the database from a copy"
+            ) from None
+        self._workers.add(changes)
+        self._violations += changes.violations
+        self._violations.sort(key=lambda fact: (fact.robustness, fact.rollout))
+
+    def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
+        config, predicate = header.config, self._certificate.predicate if self._certificate else None
+        results = {each.name: each for each in predicate.problems} if predicate else {}
+        problems = tuple(each.data(results.get(each.problem.name)) for each in self._problems.values())
+        claims = tuple(map(wording.worded, predicate.claims)) if predicate else ()
         return ReportData(
             name=config.name,
             seed=config.seed,
-            run=known.header.run,
-            state=self._state(known),
+            run=header.run,
+            state=self._state(),
             updated=at,
-            system=spec.name,
-            doc=spec.doc,
+            system=header.spec.name,
+            doc=header.spec.doc,
             specification=config.specification,
             horizon=config.horizon,
             risk_weight=config.risk_weight,
             clip=config.clip,
-            axes=_axes(known.header),
-            now=wording.now(problems, claims),
+            axes=_axes(header),
+            now=wording.current_bound(problems, claims),
             claims=claims,
-            composition=wording.composition(certificate),
-            assumptions=wording.assumptions(certificate),
+            composition=predicate.composition if predicate else None,
+            assumptions=predicate.assumptions if predicate else (),
             problems=problems,
             scenes=tuple(
-                self._scene(known.header, told, test) for told in known.told.values() for test in told.worst(SCENES)
+                self._rollouts(name, test)
+                for name, each in self._problems.items()
+                for test in each.worst_tests(WORST_STARTS)
             ),
-            counterexamples=known.counterexamples,
-            violations=known.violations,
-            rollouts=sum(told.rollouts for told in known.told.values()),
-            workers=known.crew.workers(live),
-            throughput=known.crew.throughput(),
-            software=known.header.software,
+            counterexamples=tuple(
+                rollouts.described(self.directory, fact, self._problems[fact.rollout.problem].starts[fact.rollout.test])
+                for fact in self._violations[:MOST_COUNTEREXAMPLES]
+            ),
+            violations=len(self._violations),
+            rollouts=sum(each.rollouts for each in self._problems.values()),
+            workers=self._workers.rows(live),
+            throughput=self._workers.throughput(),
+            software=header.software,
             resume=resume_command(self.directory),
         )
 
-    def _state(self, known: Known) -> State:
-        if known.certificate is not None:
+    def _state(self) -> State:
+        if self._certificate is not None:
             return "finished"
         return "running" if lock.is_held(self.directory) else "stopped"
 
-    def _scene(self, header: Header, told: ProblemCollector, test: int) -> RolloutsOfTest:
-        """Return the scene of a test; what is whole is kept, for it never changes."""
-        key = (told.problem.name, test)
-        if key in self._scenes:
-            return self._scenes[key]
-        facts = rollouts_of(self.directory, *key)
+    def _rollouts(self, problem: str, test: int) -> RolloutsOfTest:
+        key, collector = (problem, test), self._problems[problem]
+        if key in self._cache:
+            return self._cache[key]
+        facts = rollouts_of(self.directory, problem, test)
         if not facts:
-            raise PerfboundError(f"{self.directory}: test {test} of {key[0]} has no rollout yet; ask again later")
-        found = rollouts.scene(self.directory, header, told.problem, facts, told.starts[test])
-        if found.error is None and test < len(told.observed):
-            self._scenes[key] = found
-            if len(self._scenes) > MOST_KEPT:
-                del self._scenes[next(iter(self._scenes))]
+            raise PerfboundError(f"{self.directory}: test {test} of {problem} has no rollout yet; retry later")
+        assert self._header is not None, "read before"
+        found = rollouts.of_test(self.directory, self._header, collector.problem, facts, collector.starts[test])
+        # An observed test gets no more rollouts; a file that could not be read may be restored, so it is read again.
+        if found.error is None and test < len(collector.observed):
+            self._cache[key] = found
+            if len(self._cache) > MOST_CACHED:
+                del self._cache[next(iter(self._cache))]
         return found
 
 

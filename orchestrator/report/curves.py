@@ -1,4 +1,4 @@
-"""Which columns a problem is about, the limits on them, and curves that are few numbers and look the same."""
+"""Curves of rollouts: the columns of a problem, their limits, and their values, thinned."""
 
 from collections.abc import Iterator, Sequence
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ...schemas.campaign import Problem
 from ...schemas.facts import Header
+from ...schemas.trajectory import Trajectory
 from ..mathematics.stl.formula import FormulaError, parse
 from ..mathematics.stl.tree import (
     Absolute,
@@ -19,17 +20,18 @@ from ..mathematics.stl.tree import (
     columns,
     predicates,
 )
+from .data import Curve
 
 Floats = NDArray[np.float64]
 
 MOST_POINTS = 240
-"""Of one curve."""
+"""Points of one curve."""
 MOST_COLUMNS = 3
-"""Of one scene."""
+"""Columns drawn for one test."""
 
 
 def formula(header: Header) -> Formula | None:
-    """Return the specification; None if there is none, or this perfbound cannot read it."""
+    """Return the specification; None if there is none, or if its grammar is that of another version."""
     text = header.config.specification
     try:
         return None if text is None else parse(text, [column.name for column in header.spec.columns])
@@ -37,25 +39,23 @@ def formula(header: Header) -> Formula | None:
         return None
 
 
-def shown(header: Header, problem: Problem) -> tuple[str, ...]:
-    """Return the columns that a person should see of a problem's rollouts, in the order of the system."""
+def relevant_columns(header: Header, problem: Problem) -> tuple[str, ...]:
+    """Return the columns that a problem's objective reads, in the order of the system."""
     gap = header.config.gap_of(problem) if problem.name == "sim_gap" else None
-    wanted: frozenset[str | None]
+    tree = formula(header)
+    wanted: frozenset[str | None] = columns(tree) if tree else frozenset()
     if problem.name == "maximum":
         wanted = frozenset({problem.column})
     elif gap is not None and gap.column is not None:
         wanted = frozenset({gap.column})
-    else:
-        tree = formula(header)
-        wanted = columns(tree) if tree else frozenset()
     return tuple(column.name for column in header.spec.columns if column.name in wanted)[:MOST_COLUMNS]
 
 
 def limits(header: Header, names: Sequence[str]) -> tuple[tuple[str, float], ...]:
     """Return (column, limit) of every predicate that compares one column, or its absolute value, with a number."""
     tree = formula(header)
-    found = [limit for predicate in predicates(tree) for limit in _limits(predicate)] if tree else []
-    return tuple(dict.fromkeys(limit for limit in sorted(found) if limit[0] in names))
+    found = {limit for predicate in predicates(tree) for limit in _limits(predicate)} if tree else set()
+    return tuple(limit for limit in sorted(found) if limit[0] in names)
 
 
 def column_unit(header: Header, name: str) -> str:
@@ -63,10 +63,22 @@ def column_unit(header: Header, name: str) -> str:
     return next(column.unit for column in header.spec.columns if column.name == name)
 
 
+def of_trajectory(
+    header: Header, names: Sequence[str], trajectory: Trajectory, label: str, variant: str
+) -> Iterator[Curve]:
+    """Yield the curves of one rollout; none for a single sample, which is a number."""
+    if len(trajectory.samples) < 2:
+        return
+    for name in names:
+        t, values = thinned(trajectory.samples[:, 0], trajectory.column(name))
+        yield Curve(label, variant, name, column_unit(header, name), t, values)
+
+
 def thinned(t: Floats, values: Floats) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return a curve (T,) with at most `MOST_POINTS` points: its ends, and least and greatest value of equal parts."""
     rows = np.arange(len(t))
     if len(t) > MOST_POINTS:
+        # The extremes and not every n-th sample: a short peak may be the one that violates the specification.
         parts = np.array_split(rows[1:-1], (MOST_POINTS - 2) // 2)
         extremes = [part[pick] for part in parts for pick in (np.argmin(values[part]), np.argmax(values[part]))]
         rows = np.unique([0, *extremes, len(t) - 1])
@@ -74,27 +86,19 @@ def thinned(t: Floats, values: Floats) -> tuple[tuple[float, ...], tuple[float, 
 
 
 def _limits(predicate: Comparison) -> Iterator[tuple[str, float]]:
-    for name, sign, limit in _sides(predicate):
-        yield name, sign * limit
+    """Yield (column, limit) if one side is a column and the other a number; two limits for an absolute value."""
+    for side, other in ((predicate.left, predicate.right), (predicate.right, predicate.left)):
+        match side, _constant(other):
+            case Column(name), float(limit):
+                yield name, limit
+            case Negative(Column(name)), float(limit):
+                yield name, -limit
+            case Absolute(Column(name)), float(limit):
+                yield name, -limit
+                yield name, limit
 
 
-def _sides(predicate: Comparison) -> tuple[tuple[str, float, float], ...]:
-    """Return (column, sign, limit) if one side is a column and the other a number; both signs for an absolute value."""
-    for one, other in ((predicate.left, predicate.right), (predicate.right, predicate.left)):
-        number = _number(other)
-        if number is None:
-            continue
-        match one:
-            case Column(name):
-                return ((name, 1.0, number),)
-            case Negative(Column(name)):
-                return ((name, -1.0, number),)
-            case Absolute(Column(name)):
-                return ((name, -1.0, number), (name, 1.0, number))
-    return ()
-
-
-def _number(tree: Expression) -> float | None:
+def _constant(tree: Expression) -> float | None:
     match tree:
         case Number(value):
             return value

@@ -1,8 +1,8 @@
-"""What report and live page show, as values; `page/` draws nothing else.
+"""The data of report and live page; `page/` draws nothing else, and the names of the fields are its JSON keys.
 
-Numbers stand in the unit of their objective: for sense min they are robustness (J negated), for sense max J itself.
-So `lower` <= truth <= `upper` holds in both, and `bound` is on the side that the certificate speaks of. Lists of one
-series have equal lengths. A name or a path is text that a stranger may have chosen: the page never reads it as markup.
+Numbers have the unit and the sign of their objective: robustness (J negated) for sense min, J itself for sense max.
+So `lower` <= truth <= `upper` for both, and `bound` is the side of the certificate. Lists of one series have equal
+lengths. Names and paths are untrusted text: the page never parses them as markup.
 """
 
 import json
@@ -10,13 +10,17 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from pydantic import BaseModel
+
+from ...schemas.certificate import Assumption, Composition
+
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A claim of the certificate; the first one was chosen beforehand."""
+    """A claim of the certificate; the first one is fixed before the campaign."""
 
     quantity: str
     """"rho_star" or "J_star"."""
@@ -27,30 +31,9 @@ class Claim:
     rule: str
     method: str
     sentence: str
-    """The claim in words, with both numbers rounded so that they promise no more."""
+    """The claim in words, bound and probability rounded to the safe side."""
     assumptions: tuple[str, ...]
     refuted: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Assumption:
-    """One thing that the claims rest on."""
-
-    id: str
-    status: str
-    """"derived", "assumed", "not refuted" or "refuted"."""
-    detail: str
-
-
-@dataclass(frozen=True, slots=True)
-class Composition:
-    """bound = nominal_bound - gap_term - risk_term: the bar from rho~ down to ell."""
-
-    rule: str
-    nominal_bound: float
-    gap_term: float
-    risk_term: float
-    bound: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +48,9 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """What is known of the objective over D: on a lattice of `shape` (last axis fastest), or at listed points.
+    """The band of a method over D: on a lattice of `shape` (last axis fastest), or at listed points.
 
-    Of a box with more than two parameters it is the projection on the first two: the worst value over the others.
+    For a box with more than two parameters it is projected on the first two: the worst value over the others.
     """
 
     shape: tuple[int, ...] | None
@@ -78,9 +61,9 @@ class Surface:
     lower: Series
     upper: Series
     worst: tuple[bool, ...]
-    """Whether the worst start may still be here: the band does not rule it out."""
+    """Whether the band leaves it possible that the worst start is here."""
     band: str = ""
-    """What `lower` and `upper` are, and with what probability, in words."""
+    """Meaning and probability of `lower` and `upper`, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +74,10 @@ class TestSeries:
     x: tuple[tuple[float, ...], ...]
     y: Series
     distance: Series
-    """F_i of method paper, U - L of the others; it goes down to alpha."""
+    """F_i for method paper, U - L for the others; a problem converges when it reaches alpha."""
     lower: Series
     upper: Series
-    """The bounds that held after this test."""
+    """The bounds after this test."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +91,7 @@ class Problem:
     """"min" or "max": the worst start is where the objective is least or greatest."""
     unit: str
     distance: str
-    """What `Tests.distance` is: "F_i" or "U - L"."""
+    """Name of `TestSeries.distance`: "F_i" or "U - L"."""
     alpha: float
     delta: float
     bound: float | None
@@ -118,14 +101,14 @@ class Problem:
     rollouts: int
     stopped_by: str | None
     left: str | None
-    """Forecast of the tests left, in words."""
+    """Forecast of the remaining tests, in words."""
     surface: Surface | None
     tests: TestSeries
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One curve over time: a column of one rollout, thinned for the eye; its extremes are kept."""
+    """A column of one rollout over time, thinned; its extremes are kept."""
 
     label: str
     variant: str
@@ -149,30 +132,30 @@ class Rollout:
     x: tuple[float, ...]
     robustness: float | None
     path: str
-    """Of its file, relative to the run directory."""
+    """Path of its file relative to the run directory; empty if the recorded one leaves it."""
     command: str
-    """What a person types to simulate it again."""
+    """Command that simulates it again."""
 
 
 @dataclass(frozen=True, slots=True)
 class RolloutsOfTest:
-    """The rollouts of one test, as curves, and the limits that the specification puts on the column."""
+    """The rollouts of one test as curves, with the limits that the specification sets for their columns."""
 
     problem: str
     test: int
     traces: tuple[Curve, ...]
     limits: tuple[float, ...]
     rollouts: tuple[Rollout, ...]
-    """The worst first, at most 24; the curves are those of the first few."""
+    """The worst first, at most 24; only the first few have curves."""
     limit_columns: tuple[str, ...] = ()
     """The column of each limit."""
     error: str | None = None
-    """What could not be read, in words; its curves are missing."""
+    """Files that could not be read, in words; their curves are missing."""
 
 
 @dataclass(frozen=True, slots=True)
-class Worker:
-    """One worker; state and heartbeat are known to a page only whose orchestrator tells them."""
+class WorkerRow:
+    """One worker; state and heartbeat are known on the live page of a run only."""
 
     name: str
     host: str
@@ -199,21 +182,21 @@ class Throughput:
     """Unix time of the first result."""
     seconds: tuple[float, ...]
     recorded: tuple[int, ...]
-    """`recorded[k]` rollouts stood in the database `seconds[k]` after the start; at most 200 points."""
+    """`recorded[k]` rollouts are recorded `seconds[k]` after the start; at most 200 points."""
     sessions: int
     failures: int
 
 
 @dataclass(frozen=True, slots=True)
 class ReportData:
-    """Everything about a campaign that is worth a look, at one moment."""
+    """All data of a campaign's report, at one moment."""
 
     name: str
     seed: int
     run: str
     state: State
     updated: float | None
-    """Unix time of this look; None in a report, which does not depend on the clock."""
+    """Unix time of this refresh; None in a report, which does not depend on the clock."""
     system: str
     doc: str
     specification: str | None
@@ -222,42 +205,47 @@ class ReportData:
     clip: tuple[float, float] | None
     axes: tuple[Axis, ...]
     now: str
-    """The bound that holds right now, in words; of a finished campaign its first claim."""
+    """The current bound in words; the first claim of a finished campaign."""
     claims: tuple[Claim, ...]
     composition: Composition | None
     assumptions: tuple[Assumption, ...]
     problems: tuple[Problem, ...]
     scenes: tuple[RolloutsOfTest, ...]
-    """The worst test of each of the worst starts of every problem, the worst first; a live page asks for the others."""
+    """The worst test of each of the worst starts of every problem, the worst first; a live page requests the others."""
     counterexamples: tuple[Rollout, ...]
-    """Rollouts with robustness below 0, the worst first, at most `MOST`."""
+    """Rollouts with robustness below 0, the worst first, at most 1000."""
     violations: int
-    """How many there are."""
+    """Number of all rollouts with robustness below 0."""
     rollouts: int
-    workers: tuple[Worker, ...]
+    workers: tuple[WorkerRow, ...]
     throughput: Throughput
     software: Mapping[str, str]
     resume: str
-    """What a person types to continue the campaign."""
+    """Command that resumes the campaign."""
 
 
-def to_json(story: ReportData | RolloutsOfTest) -> str:
-    """Return it as JSON that may stand inside a <script> element of a page.
+def to_json(data: ReportData | RolloutsOfTest) -> str:
+    """Return the data as JSON that is safe inside a <script> element of a page.
 
     Raises:
         ValueError: a number is not finite.
 
     """
-    text = json.dumps(_plain(asdict(story)), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    text = json.dumps(_json_value(asdict(data)), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    # </script> and <!-- would end or change the element (HTML Living Standard, 4.12.1.3)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _plain(value: Any) -> Any:
-    """Round what is for eyes only to 7 digits: it halves the page."""
-    if isinstance(value, float):
-        return float(f"{value:.7g}") if abs(value) < 1e8 else value  # Unix times keep their seconds
-    if isinstance(value, dict):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value
+def _json_value(value: Any) -> Any:
+    """Return a value for json.dumps, numbers rounded to the 7 digits that a page can show: it halves the page."""
+    match value:
+        case float():
+            return float(f"{value:.7g}") if abs(value) < 1e8 else value  # Unix times keep their seconds
+        case BaseModel():
+            return _json_value(value.model_dump())
+        case dict():
+            return {name: _json_value(each) for name, each in value.items()}
+        case list() | tuple():
+            return [_json_value(each) for each in value]
+        case _:
+            return value

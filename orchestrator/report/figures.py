@@ -1,151 +1,112 @@
-"""The story's maps and decays as files, in the style of the paper's figures; equal stories give equal bytes."""
+"""The maps and decays of a report as files, in the style of the paper's figures; equal data give equal bytes."""
 
-import io
-from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from ..mathematics.gp.kernels import Floats
-from .data import Problem, ReportData, Series, Surface
-from .paper.figures import BLUE, DPI, GREEN, GREYS, RED, STYLE, THICK, THIN, WIDTH, png
+from . import style
+from .data import Axis, Problem, ReportData, Series, Surface
+from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
-SVG = {"svg.hashsalt": "perfbound", "svg.fonttype": "path"}
-HATCH = {"hatch.color": RED, "hatch.linewidth": THIN}
+DISTANCES = {"F_i": "$F_i$", "U - L": "$U - L$"}
 
 
-def figures(story: ReportData) -> Iterator[tuple[str, bytes]]:
+def figures(data: ReportData) -> Iterator[tuple[str, bytes]]:
     """Yield (name, bytes) of every figure, as SVG and PNG, for the problems that have tests."""
-    for problem in story.problems:
-        for kind, figure in _drawn(story, problem):
-            yield f"{problem.name}-{kind}.svg", svg(figure)
-            yield f"{problem.name}-{kind}.png", png(figure)
+    for problem in data.problems:
+        for kind, figure in _of_problem(data, problem):
+            yield f"{problem.name}-{kind}.svg", style.svg(figure)
+            yield f"{problem.name}-{kind}.png", style.png(figure)
 
 
-def svg(figure: Figure) -> bytes:
-    """Return a figure as SVG without date and random names."""
-    out = io.BytesIO()
-    with mpl.rc_context(STYLE | HATCH | SVG):
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return out.getvalue()
-
-
-def _drawn(story: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:
+def _of_problem(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:
     if problem.surface is not None:
-        yield "map", _map(story, problem, problem.surface)
-    if any(value is not None and value > 0 for value in problem.tests.distance):
+        yield "map", _map(data.axes, problem, problem.surface)
+    if any(value is not None and value > 0 for value in problem.tests.distance):  # the scale is logarithmic
         yield "decay", _decay(problem)
 
 
-@contextmanager
-def _figure(height: float) -> Iterator[tuple[Figure, Axes]]:
-    with mpl.rc_context(STYLE | HATCH):
-        figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
-        yield figure, figure.subplots()
-
-
-def _map(story: ReportData, problem: Problem, surface: Surface) -> Figure:
-    with _figure(2.8) as (figure, axes):
-        axes.set_title(_title(problem), fontsize=8)
-        axes.set_xlabel(_label(story.axes[0].name, story.axes[0].unit))
-        if len(story.axes) == 1:
-            _line(story, problem, surface, axes)
-        elif surface.shape is None:
-            _listed(story, problem, surface, figure, axes)
+def _map(parameters: tuple[Axis, ...], problem: Problem, surface: Surface) -> Figure:
+    with style.new_figure(2.8) as figure:
+        axes = figure.subplots()
+        axes.set(title=_title(problem), xlabel=style.with_unit(parameters[0].name, parameters[0].unit))
+        if len(parameters) == 1:
+            _profile(axes, parameters[0], problem, surface)
+            return figure
+        axes.set_ylabel(style.with_unit(parameters[1].name, parameters[1].unit))
+        if surface.shape is None:
+            drawn, keys = _scattered(axes, surface)
         else:
-            _plane(story, problem, surface, figure, axes)
+            nodes = [
+                np.linspace(each.low, each.high, size) for each, size in zip(parameters, surface.shape, strict=False)
+            ]
+            drawn, keys = _plane(axes, problem, surface, *nodes)
+        figure.colorbar(drawn, ax=axes, label=style.with_unit("mean", problem.unit))
+        if keys:
+            figure.legend(handles=keys, loc="outside lower center", borderaxespad=0)
     return figure
 
 
-def _line(story: ReportData, problem: Problem, surface: Surface, axes: Axes) -> None:
+def _profile(axes: Axes, parameter: Axis, problem: Problem, surface: Surface) -> None:
     """Draw a band over the only parameter."""
-    at = _grid(story, surface)[0] if surface.shape else np.array(surface.points)[:, 0]
-    order = np.argsort(at, kind="stable")
+    listed = np.array([x[0] for x in surface.points])
+    at = np.linspace(parameter.low, parameter.high, surface.shape[0]) if surface.shape else listed
+    order = np.argsort(at, kind="stable")  # listed starts have no order
     lower, upper = _array(surface.lower)[order], _array(surface.upper)[order]
     axes.fill_between(at[order], lower, upper, color=BLUE, alpha=0.2, linewidth=0)
     axes.plot(at[order], _array(surface.mean)[order], color=BLUE, linewidth=THICK)
-    worst = np.array(surface.worst)
-    axes.plot(at[worst], np.full(worst.sum(), 0.01), "s", color=RED, transform=axes.get_xaxis_transform(), markersize=2)
+    worst = at[np.array(surface.worst)]
+    axes.plot(worst, np.full(len(worst), 0.01), "s", color=RED, transform=axes.get_xaxis_transform(), markersize=2)
     starts = [x[0] for x in problem.tests.x]
     axes.plot(starts, _array(problem.tests.y), "o", color=GREEN, markersize=2, alpha=0.7, markeredgewidth=0)
-    axes.set_ylabel(_label("value", problem.unit))
+    axes.set_ylabel(style.with_unit("value", problem.unit))
 
 
-def _plane(story: ReportData, problem: Problem, surface: Surface, figure: Figure, axes: Axes) -> None:
-    """Draw the mean over the first two parameters, a line around the worst, and the tests as dots that grow."""
-    assert surface.shape is not None, "a lattice"
-    first, second = _grid(story, surface)
-    mean = _array(surface.mean).reshape(surface.shape).T  # rows are the second parameter
-    drawn = axes.contourf(first, second, mean, levels=20, cmap=GREYS)
-    _ruled_out(surface, first, second, figure, axes)
-    counts = dict(Counter(x[:2] for x in problem.tests.x).most_common())  # small dots upon large ones
-    areas = [3.0 + 2.0 * count for count in counts.values()]  # pt^2
-    z1, z2 = zip(*counts, strict=True)
-    axes.scatter(z1, z2, areas, color=GREEN, alpha=0.7, edgecolor="white", linewidth=THIN, clip_on=False, zorder=3)
-    _two_axes(story, problem, figure, axes, drawn)
-
-
-def _ruled_out(surface: Surface, first: Floats, second: Floats, figure: Figure, axes: Axes) -> None:
-    """Hatch where the band rules the worst start out."""
-    assert surface.shape is not None, "a lattice"
-    worst = np.array(surface.worst, dtype=np.float64).reshape(surface.shape).T
+def _plane(axes: Axes, problem: Problem, surface: Surface, first: Floats, second: Floats) -> tuple[Any, list[Artist]]:
+    """Draw the mean over the first two parameters, hatched where the worst start is ruled out, and the tests."""
+    mean, worst = (_array(values).reshape(surface.shape or ()).T for values in (surface.mean, surface.worst))
+    drawn = style.draw_map(axes, first, second, mean, levels=20)
+    style.draw_tests(axes, problem.tests.x)
     if worst.all():
-        return
+        return drawn, []
     axes.contourf(first, second, worst, levels=[-0.5, 0.5], colors="none", hatches=["/////"])
     axes.contour(first, second, worst, levels=[0.5], colors=RED, linewidths=THIN)
-    key = Patch(facecolor="none", edgecolor=RED, linewidth=THIN, hatch="/////", label="the worst start is not here")
-    figure.legend(handles=[key], loc="outside lower center", borderaxespad=0)
+    key = Patch(facecolor="none", edgecolor=RED, linewidth=THIN, hatch="/////", label="worst start ruled out")
+    return drawn, [key]
 
 
-def _listed(story: ReportData, problem: Problem, surface: Surface, figure: Figure, axes: Axes) -> None:
+def _scattered(axes: Axes, surface: Surface) -> tuple[Any, list[Artist]]:
     """Draw the listed starts, dark where the mean is high, with a red edge where the worst one may be."""
     z1, z2 = np.array(surface.points)[:, :2].T
     edges = [RED if worst else "white" for worst in surface.worst]
     drawn = axes.scatter(z1, z2, 60, c=_array(surface.mean), cmap=GREYS, edgecolor=edges, linewidth=THICK, zorder=3)
-    _two_axes(story, problem, figure, axes, drawn)
     key = Line2D([], [], linestyle="", marker="o", color="white", markeredgecolor=RED, label="may be the worst start")
-    figure.legend(handles=[key], loc="outside lower center", borderaxespad=0)
-
-
-def _two_axes(story: ReportData, problem: Problem, figure: Figure, axes: Axes, drawn: object) -> None:
-    axes.set_ylabel(_label(story.axes[1].name, story.axes[1].unit))
-    figure.colorbar(drawn, ax=axes, label=_label("mean", problem.unit))  # type: ignore[arg-type]
+    return drawn, [key]
 
 
 def _decay(problem: Problem) -> Figure:
-    with _figure(1.8) as (figure, axes):
+    with style.new_figure(1.8) as figure:
+        axes = figure.subplots()
         found = [pair for pair in zip(problem.tests.test, problem.tests.distance, strict=True) if pair[1]]
         axes.plot(*zip(*found, strict=True), color=BLUE, linewidth=THICK)
-        axes.axhline(problem.alpha, color=RED, linestyle="--", linewidth=THICK, label=rf"$\alpha = {problem.alpha:g}$")
-        name = "$F_i$" if problem.distance == "F_i" else "$U - L$"
-        axes.set(title=_title(problem), xlabel="test $i$", yscale="log")
-        axes.title.set_fontsize(8)
-        axes.set_ylabel(_label(name, problem.unit))
-        axes.spines[["top", "right"]].set_visible(False)
+        style.draw_tolerance(axes, problem.alpha, RED, rf"tolerance $\alpha = {problem.alpha:g}$")
+        axes.set_title(_title(problem))
+        style.decay_axes(axes, style.with_unit(DISTANCES[problem.distance], problem.unit))
         axes.legend(loc="upper right", borderaxespad=0)
     return figure
 
 
-def _grid(story: ReportData, surface: Surface) -> list[Floats]:
-    assert surface.shape is not None, "a lattice"
-    return [np.linspace(axis.low, axis.high, size) for axis, size in zip(story.axes, surface.shape, strict=False)]
-
-
 def _array(values: Series) -> Floats:
-    return np.array([np.nan if value is None else value for value in values])
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
 def _title(problem: Problem) -> str:
-    return f"{problem.name}: {len(problem.tests.test)} tests, method {problem.method}"
-
-
-def _label(name: str, unit: str) -> str:
-    """Return an axis label; nothing in a stranger's unit is mathematics, or no character."""
-    plain = "".join(each for each in unit if each.isprintable() and each != "\\").replace("$", r"\$")[:40]
-    return f"{name} / {plain}" if unit not in ("", "1") else name
+    number = len(problem.tests.test)
+    return f"{problem.name}: {number} test{'' if number == 1 else 's'}, method {problem.method}"

@@ -1,14 +1,18 @@
-"""The page as one text: template, styles, scripts and story in it, and a policy under which nothing else may run."""
+"""The page as one text: template, styles, scripts and data, under a policy that allows no other script.
+
+The Content-Security-Policy (CSP Level 3) names the hash of each inline script and style, so text of a campaign that a
+browser took for markup could still not run.
+"""
 
 import base64
 import hashlib
 import html
 import re
 from functools import cache
-from importlib.resources import files
+from importlib import resources
 from typing import NamedTuple
 
-ASSETS = files("perfbound.orchestrator.report") / "page"
+ASSETS = resources.files(__package__) / "page"
 PLOT = "uPlot.iife.min.js"
 _INLINE = re.compile(r"<(script|style)>(.*?)</\1>", re.DOTALL)
 _PLACEHOLDER = re.compile(r"\{\{(STORY|TITLE|CSP)\}\}")
@@ -22,54 +26,45 @@ class Page(NamedTuple):
     policy: str
 
 
-def report(title: str, story: str) -> Page:
-    """Return a page that needs no server; `story` is JSON from `story.to_json`."""
-    return _page(_template(), title, story, "")
+def standalone_page(title: str, data: str) -> Page:
+    """Return a page that needs no server; `data` is JSON from `data.to_json`."""
+    return _page(_template(), title, data, "")
 
 
-def live(title: str, story: str) -> Page:
-    """Return a page that asks the server from which it came for more."""
-    return _page(_template().replace("<body>", '<body data-live="events">'), title, story, "connect-src 'self'; ")
+def served_page(title: str, data: str) -> Page:
+    """Return a page that requests updates from the server that it came from."""
+    return _page(_template().replace("<body>", '<body data-live="events">'), title, data, "connect-src 'self'; ")
 
 
-def _page(template: str, title: str, story: str, more: str) -> Page:
-    policy = _policy(template, more)
-    parts = {"STORY": story, "TITLE": html.escape(title), "CSP": html.escape(policy, quote=False)}
-    # All at once: a name that looks like a placeholder is a name.
-    return Page(_PLACEHOLDER.sub(lambda found: parts[found[1]], template), policy)
-
-
-def _policy(template: str, more: str) -> str:
-    hashes = {kind: " ".join(_hash(text) for tag, text in _INLINE.findall(template) if tag == kind) for kind in _KINDS}
-    return (
-        f"default-src 'none'; script-src {hashes['script']}; style-src {hashes['style']}; img-src data:; {more}"
+def _page(template: str, title: str, data: str, directive: str) -> Page:
+    hashes = {"script": "", "style": ""}
+    for tag, text in _INLINE.findall(template):
+        hashes[tag] += f" 'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+    policy = (
+        f"default-src 'none'; script-src{hashes['script']}; style-src{hashes['style']}; img-src data:; {directive}"
         "base-uri 'none'; form-action 'none'"
     )
-
-
-_KINDS = ("script", "style")
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+    parts = {"STORY": data, "TITLE": html.escape(title), "CSP": html.escape(policy, quote=False)}
+    # All in one pass: a name of the campaign that looks like a placeholder stays a name.
+    return Page(_PLACEHOLDER.sub(lambda found: parts[found[1]], template), policy)
 
 
 @cache
 def _template() -> str:
-    """Return the template with its styles and scripts; story, title and policy are still to come."""
+    """Return the template with its styles and scripts; the placeholders of data, title and policy remain."""
     scripts = sorted(each.name for each in ASSETS.iterdir() if each.name.endswith(".js") and each.name != PLOT)
     parts = {
         "UPLOT_CSS": _asset("uPlot.min.css"),
         "CSS": _asset("page.css"),
         "UPLOT": _asset(PLOT),
-        "PAGE": "\n".join(_asset(name) for name in scripts),
+        "PAGE": "\n".join(map(_asset, scripts)),
     }
     found = _STYLES_AND_SCRIPTS.sub(lambda found: parts[found[1]], _asset("page.html"))
-    assert sorted(_PLACEHOLDER.findall(found)) == ["CSP", "STORY", "TITLE"], "each stands in the template, and once"
+    assert sorted(_PLACEHOLDER.findall(found)) == ["CSP", "STORY", "TITLE"], "the template has each placeholder once"
     return found
 
 
 def _asset(name: str) -> str:
     text = (ASSETS / name).read_text("utf-8")
-    assert "</script" not in text or name == "page.html", f"{name} would end the element in which it stands"
+    assert "</script" not in text or name == "page.html", f"{name} would end its own element"
     return text

@@ -1,7 +1,6 @@
-"""Nominal curves beside true ones that were recorded alone: simulated for a report, and no evidence of anything."""
+"""Nominal curves beside true ones that were recorded alone: simulated for a report, and no part of the evidence."""
 
 import tempfile
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,42 +8,42 @@ from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory, decode
-from ..fleet.child import ask, system_specs
-from ..store.read import read_header, reading
+from ..fleet.child import system_specs
+from ..store.journal import read_header
+from ..store.read import reading
 from . import curves
-from .data import Curve, ReportData, Rollout, RolloutsOfTest
+from .data import ReportData, Rollout, RolloutsOfTest
+from .replay.replay import simulate_file
 
 MOST = 8
-"""Scenes that get one."""
+"""Tests that get a nominal curve; a child process simulates each."""
 LABEL = "nominal, simulated for this report"
 
 
-def with_nominal(directory: Path, story: ReportData) -> ReportData:
-    """Return the story with nominal curves; where the system cannot be simulated here, a label says so.
+def with_nominal(directory: Path, data: ReportData) -> ReportData:
+    """Return the data with nominal curves; where the system cannot be simulated here, a label gives the reason.
 
     Raises:
         JournalError: the database cannot be read.
 
     """
-    lonely = [scene for scene in story.scenes if {trace.variant for trace in scene.traces} == {"true"}][:MOST]
-    if not lonely:
-        return story
+    true_only = [each for each in data.scenes if {trace.variant for trace in each.traces} == {"true"}][:MOST]
+    if not true_only:
+        return data
     with reading(directory) as connection:
         header = read_header(connection, directory)
-    known: dict[tuple[float, ...], Trajectory] = {}
     try:
-        _check(header)
-        for scene in lonely:
-            start = scene.rollouts[0].x
-            known[start] = known.get(start) or _simulated(header, scene.rollouts[0])
+        _check_system(header)
+        starts = {each.rollouts[0].x: each.rollouts[0] for each in true_only}
+        nominal = {x: _simulated(header, rollout) for x, rollout in starts.items()}
+        added = {id(each): _joined(header, each, nominal[each.rollouts[0].x]) for each in true_only}
     except PerfboundError as error:
-        note = f" (no nominal curve: {error})"
-        return _changed(story, {id(scene): _noted(scene, note) for scene in lonely})
-    return _changed(story, {id(scene): _joined(header, scene, known[scene.rollouts[0].x]) for scene in lonely})
+        added = {id(each): _noted(each, f" (no nominal curve: {error})") for each in true_only}
+    return replace(data, scenes=tuple(added.get(id(each), each) for each in data.scenes))
 
 
-def _check(header: Header) -> None:
-    """Refuse to simulate another system than the campaign's, or one whose nominal variant depends on the seed."""
+def _check_system(header: Header) -> None:
+    """Refuse another system than the campaign's, or one whose nominal variant depends on the seed."""
     found, spec = system_specs().get(header.spec.name), header.spec
     if found is None or found.digest != spec.digest:
         raise PerfboundError(f"{spec.name} is not installed here as it was in the campaign")
@@ -53,26 +52,18 @@ def _check(header: Header) -> None:
 
 
 def _simulated(header: Header, rollout: Rollout) -> Trajectory:
-    rollout_id = RolloutId(rollout.problem, rollout.test, "nominal", 0)
-    request = replace(header.template, visual=False).request(rollout_id, rollout.x, rollout.seed)
+    nominal = RolloutId(rollout.problem, rollout.test, "nominal", 0)
+    request = replace(header.template, visual=False).request(nominal, rollout.x, rollout.seed)
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "nominal.mcap"
-        ask("simulate", "--request", request.model_dump_json(), "--out", str(file))
-        return decode(file.read_bytes())
+        return decode(simulate_file(request, Path(folder) / "nominal.mcap"))
 
 
 def _joined(header: Header, scene: RolloutsOfTest, trajectory: Trajectory) -> RolloutsOfTest:
-    added = []
-    for column in dict.fromkeys(trace.column for trace in scene.traces):
-        t, values = curves.thinned(trajectory.samples[:, 0], trajectory.column(column))
-        added.append(Curve(LABEL, "nominal", column, curves.column_unit(header, column), t, values))
+    columns = list(dict.fromkeys(trace.column for trace in scene.traces))
+    added = curves.of_trajectory(header, columns, trajectory, LABEL, "nominal")
     return replace(scene, traces=(*added, *scene.traces))
 
 
 def _noted(scene: RolloutsOfTest, note: str) -> RolloutsOfTest:
     first, *others = scene.traces
     return replace(scene, traces=(replace(first, label=first.label + note), *others))
-
-
-def _changed(story: ReportData, scenes: Mapping[int, RolloutsOfTest]) -> ReportData:
-    return replace(story, scenes=tuple(scenes.get(id(scene), scene) for scene in story.scenes))

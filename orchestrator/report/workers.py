@@ -1,4 +1,4 @@
-"""Who did the work, and how fast it went: the part of the story that depends on luck and on the clock."""
+"""The nondeterministic part of the report: workers and timing."""
 
 from array import array
 from collections.abc import Mapping, Sequence
@@ -7,22 +7,25 @@ from typing import NamedTuple
 
 from ...schemas.facts import RECORDED, RESTORED
 from ..store.changes import Changes, Outcome
-from ..store.progress import RECENT, rate
-from .data import Throughput, Worker
+from ..store.read import RECENT, rate
+from .data import Throughput, WorkerRow
 
 MOST_POINTS = 200
 
 
 class LiveState(NamedTuple):
-    """What an orchestrator knows of a worker now; `heartbeat` is a Unix time."""
+    """The current state of a worker, from its orchestrator; `heartbeat` is a Unix time."""
 
     state: str
     rollout: str | None = None
     heartbeat: float | None = None
 
 
+UNKNOWN = LiveState("unknown")
+
+
 @dataclass(slots=True)
-class _Sum:
+class _Totals:
     rollouts: int = 0
     failures: int = 0
     busy_seconds: float = 0.0
@@ -41,60 +44,61 @@ class _Sum:
 
 @dataclass(slots=True)
 class WorkerStatistics:
-    """The sums so far."""
+    """Totals by worker, and the times of all recorded rollouts."""
 
-    _sums: dict[str, _Sum] = field(default_factory=dict)
+    _totals: dict[str, _Totals] = field(default_factory=dict)
     _hosts: dict[str, str] = field(default_factory=dict)
     _ended: "array[float]" = field(default_factory=lambda: array("d"))
     _sessions: int = 0
 
-    def take(self, added: Changes) -> None:
-        """Add what is new."""
-        self._hosts |= added.hosts
-        self._sessions = added.sessions
-        for outcome in added.outcomes:
-            self._sums.setdefault(outcome.worker, _Sum()).add(outcome)
+    def add(self, changes: Changes) -> None:
+        """Add the outcomes of new attempts."""
+        self._hosts |= changes.hosts
+        self._sessions = changes.sessions
+        for outcome in changes.outcomes:
+            self._totals.setdefault(outcome.worker, _Totals()).add(outcome)
             if outcome.outcome == RECORDED:
                 self._ended.append(outcome.ended)
 
-    def workers(self, live: Mapping[str, LiveState]) -> tuple[Worker, ...]:
-        """Return every worker by name; of one that is not in `live` the state is unknown."""
-        names = sorted({*self._sums, *self._hosts, *live})
-        return tuple(self._worker(name, live.get(name, LiveState("unknown"))) for name in names)
+    def rows(self, live: Mapping[str, LiveState]) -> tuple[WorkerRow, ...]:
+        """Return every worker by name; the state of one that `live` lacks is unknown."""
+        found = []
+        for name in sorted({*self._totals, *self._hosts, *live}):
+            totals, now = self._totals.get(name, _Totals()), live.get(name, UNKNOWN)
+            found.append(
+                WorkerRow(
+                    name=name,
+                    host=self._hosts.get(name, ""),
+                    rollouts=totals.rollouts,
+                    failures=totals.failures,
+                    busy_seconds=totals.busy_seconds,
+                    cpu_seconds=totals.cpu_seconds,
+                    last=totals.last,
+                    state=now.state,
+                    rollout=now.rollout,
+                    heartbeat=now.heartbeat,
+                )
+            )
+        return tuple(found)
 
     def throughput(self) -> Throughput:
-        """Return how the rollouts came."""
-        ended = sorted(self._ended)
-        marks = _marks(len(ended))
+        """Return the rollouts recorded over time."""
+        ended = sorted(self._ended)  # results of several workers are not recorded in the order in which they ended
+        positions = _positions(len(ended))
         return Throughput(
             rate=rate(self._ended[-RECENT:]),
             start=ended[0] if ended else None,
-            seconds=tuple(ended[mark] - ended[0] for mark in marks),
-            recorded=tuple(mark + 1 for mark in marks),
+            seconds=tuple(ended[at] - ended[0] for at in positions),
+            recorded=tuple(at + 1 for at in positions),
             sessions=self._sessions,
-            failures=sum(each.failures for each in self._sums.values()),
-        )
-
-    def _worker(self, name: str, live: LiveState) -> Worker:
-        done = self._sums.get(name, _Sum())
-        return Worker(
-            name=name,
-            host=self._hosts.get(name, ""),
-            rollouts=done.rollouts,
-            failures=done.failures,
-            busy_seconds=done.busy_seconds,
-            cpu_seconds=done.cpu_seconds,
-            last=done.last,
-            state=live.state,
-            rollout=live.rollout,
-            heartbeat=live.heartbeat,
+            failures=sum(each.failures for each in self._totals.values()),
         )
 
 
-def _marks(count: int) -> Sequence[int]:
+def _positions(count: int) -> Sequence[int]:
     """Return at most `MOST_POINTS` of `count` positions, first and last among them.
 
-    >>> _marks(3), len(_marks(1000)), _marks(1000)[-1]
+    >>> _positions(3), len(_positions(1000)), _positions(1000)[-1]
     ([0, 1, 2], 200, 999)
     """
     if count <= MOST_POINTS:

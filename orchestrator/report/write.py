@@ -1,4 +1,4 @@
-"""`perfbound report`: one page that needs no server, the counterexamples, and the figures, beside the evidence."""
+"""The output of `perfbound report`: a page that needs no server, the counterexamples, and the figures."""
 
 import shlex
 from dataclasses import replace
@@ -14,32 +14,28 @@ from .data import ReportData, Rollout, to_json
 REPORT, COUNTEREXAMPLES, FIGURES = "report.html", "counterexamples.csv", "figures"
 
 
-def tell(directory: Path) -> ReportData:
-    """Return the story of the campaign in `directory` now, whether it runs, has stopped or is finished.
+def collected(directory: Path) -> ReportData:
+    """Return the report data of the campaign in `directory`, running, stopped or finished.
 
     Raises:
         PerfboundError: there is no campaign, or it cannot be read.
 
     """
-    return Collector(directory).look()
+    return Collector(directory).refresh()
 
 
-def here(story: ReportData) -> ReportData:
-    """Return the story with commands for somebody who stands in the run directory: a report may have been moved."""
+def relocatable(data: ReportData) -> ReportData:
+    """Return the data with commands for a shell in the run directory, since a report may be moved with it."""
 
     def moved(rollout: Rollout) -> Rollout:
         return replace(rollout, command=shlex.join(["perfbound", "replay", ".", rollout.id]))
 
-    scenes = tuple(replace(scene, rollouts=tuple(map(moved, scene.rollouts))) for scene in story.scenes)
-    return replace(
-        story,
-        scenes=scenes,
-        counterexamples=tuple(map(moved, story.counterexamples)),
-        resume=resume_command(Path()),
-    )
+    scenes = tuple(replace(scene, rollouts=tuple(map(moved, scene.rollouts))) for scene in data.scenes)
+    counterexamples = tuple(map(moved, data.counterexamples))
+    return replace(data, scenes=scenes, counterexamples=counterexamples, resume=resume_command(Path()))
 
 
-def write(directory: Path, story: ReportData) -> tuple[Path, ...]:
+def write_page(directory: Path, data: ReportData) -> tuple[Path, ...]:
     """Write the page and the counterexamples, each file whole or not at all, and return the files, the page first.
 
     Raises:
@@ -48,13 +44,13 @@ def write(directory: Path, story: ReportData) -> tuple[Path, ...]:
 
     """
     export.counterexamples(directory, directory / COUNTEREXAMPLES)
-    page = html.report(f"{story.name}: perfbound report", to_json(here(story)))
-    atomic.write(directory / REPORT, page.html.encode())
+    page = html.standalone_page(f"{data.name}: perfbound report", to_json(relocatable(data)))
+    files.write(directory / REPORT, page.html.encode())
     return (directory / REPORT, directory / COUNTEREXAMPLES)
 
 
-def write_figures(directory: Path, story: ReportData) -> tuple[Path, ...]:
-    """Write the figures as SVG and PNG, and return the files; it takes seconds.
+def write_figures(directory: Path, data: ReportData) -> tuple[Path, ...]:
+    """Write the figures as SVG and PNG, and return the files; this takes seconds.
 
     Raises:
         OSError: the directory cannot be written.
@@ -62,7 +58,8 @@ def write_figures(directory: Path, story: ReportData) -> tuple[Path, ...]:
     """
     from .figures import figures  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
-    pictures = dict(figures(story))
-    for name, picture in pictures.items():
-        atomic.write(directory / FIGURES / name, picture)
-    return tuple(directory / FIGURES / name for name in pictures)
+    written = []
+    for name, picture in figures(data):
+        written.append(directory / FIGURES / name)
+        files.write(written[-1], picture)
+    return tuple(written)

@@ -4,10 +4,8 @@ import math
 from dataclasses import replace
 
 from perfbound.orchestrator.report.data import (
-    Assumption,
     Axis,
     Claim,
-    Composition,
     Curve,
     Problem,
     ReportData,
@@ -16,8 +14,9 @@ from perfbound.orchestrator.report.data import (
     Surface,
     TestSeries,
     Throughput,
-    Worker,
+    WorkerRow,
 )
+from perfbound.schemas.certificate import Assumption, Composition
 
 AXES = (Axis("x", "m", 0.0, 4.0), Axis("y", "m", 0.0, 3.0))
 NODES = tuple((float(i), float(j)) for i in range(5) for j in range(4))
@@ -42,18 +41,20 @@ def small(tests: int = 6) -> ReportData:
         axes=AXES,
         now="rho* >= 0.1743 with probability at least 0.8544",
         claims=(_claim("product", ("rkhs_norm/sim_gap", "independence")), _claim("sum", ("accounting",))),
-        composition=Composition("product", 0.45, 0.2, 0.08, 0.17),
+        composition=Composition(
+            rule="product", nominal_bound=0.45, gap_bound=0.2, lipschitz=1.0, gap_term=0.2, risk_term=0.08, bound=0.17
+        ),
         assumptions=(
-            Assumption("rkhs_norm/sim_gap", "refuted", "largest |y| = 0.68 exceeds B = 0.1."),
-            Assumption("independence", "derived", "each problem has seeds of its own."),
-            Assumption("accounting", "assumed", "the failure probabilities are added."),
+            Assumption(id="rkhs_norm/sim_gap", status="refuted", detail="largest |y| = 0.68 exceeds B = 0.1."),
+            Assumption(id="independence", status="derived", detail="each problem has seeds of its own."),
+            Assumption(id="accounting", status="assumed", detail="the failure probabilities are added."),
         ),
         problems=problems,
         scenes=tuple(scene(each.name, test) for each in problems for test in (worst(each), 0)),
         counterexamples=(),
         violations=0,
         rollouts=4 * tests,
-        workers=(Worker("local-1", "vm", 4 * tests, 0, 9.0, 8.5, STARTED + 9, "unknown", None, None),),
+        workers=(WorkerRow("local-1", "vm", 4 * tests, 0, 9.0, 8.5, STARTED + 9, "unknown", None, None),),
         throughput=Throughput(12.0, STARTED, (0.0, 5.0, 9.0), (0, 10, 4 * tests), 1, 0),
         software={"perfbound": "0.1.0"},
         resume="perfbound resume runs/small",
@@ -77,7 +78,7 @@ def calm() -> ReportData:
 
 def running(tests: int, scenes: tuple[RolloutsOfTest, ...] = ()) -> ReportData:
     """A running campaign at one moment."""
-    workers = (Worker("local-1", "vm", tests, 0, 9.0, 8.5, STARTED, "busy", "sim_gap.3.true.0", STARTED + 1),)
+    workers = (WorkerRow("local-1", "vm", tests, 0, 9.0, 8.5, STARTED, "busy", "sim_gap.3.true.0", STARTED + 1),)
     story = replace(small(tests), state="running", updated=STARTED + tests, claims=(), composition=None)
     return replace(story, scenes=scenes, workers=workers)
 
@@ -135,12 +136,15 @@ def hostile() -> ReportData:
         run=script,
         axes=(Axis(script, strange, 0.0, 4.0), Axis(long, long, 0.0, 3.0)),
         claims=(replace(story.claims[0], sentence=script + long, method=long, rule=strange),),
-        assumptions=(Assumption("rkhs_norm/sim_gap", "refuted", script + long), Assumption(long, "assumed", strange)),
+        assumptions=(
+            Assumption(id="rkhs_norm/sim_gap", status="refuted", detail=script + long),
+            Assumption(id=long, status="assumed", detail=strange),
+        ),
         problems=(problem, replace(story.problems[1], name=long, left=script)),
         scenes=(stage,),
         counterexamples=rollouts,
         violations=len(rollouts),
-        workers=(Worker(long, script, 1, 1, 1.0, 1.0, STARTED, strange, script, None),),
+        workers=(WorkerRow(long, script, 1, 1, 1.0, 1.0, STARTED, strange, script, None),),
         software={script: long},
         resume=long,
     )

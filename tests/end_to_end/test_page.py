@@ -33,7 +33,7 @@ def opened(
 ) -> Iterator[Watched]:
     """Open the report of a story from disk; whatever the test does, the page logs no error and asks for nothing."""
     file = folder / "report.html"
-    file.write_text(html.report(story.name, to_json(story)).html, "utf-8")
+    file.write_text(html.standalone_page(story.name, to_json(story)).html, "utf-8")
     with chromium.watched(browser, width=width, scheme=scheme) as watch:
         watch.page.goto(file.as_uri())
         watch.shown()

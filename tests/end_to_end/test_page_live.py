@@ -27,7 +27,7 @@ class Campaign:
     def _answer(self, route: Route) -> None:
         path = route.request.url.removeprefix(ORIGIN)
         if path == "/":
-            route.fulfill(content_type="text/html", body=html.live("live", to_json(stories.begun())).html)
+            route.fulfill(content_type="text/html", body=html.served_page("live", to_json(stories.begun())).html)
         elif path == "/events" and self.refusing:
             self.refusing -= 1
             route.fulfill(status=503)

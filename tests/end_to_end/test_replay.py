@@ -16,7 +16,7 @@ def test_a_rollout_is_simulated_again(started: Processes, calm: Path, tmp_path: 
         ended = started.run("perfbound", "replay", calm, ROLLOUT, *files)
         assert (ended.code, ended.err) == (0, "")
         assert ended.out.splitlines()[1:] == [
-            "bitwise the same as the recorded trajectory",
+            "bitwise equal to the recorded trajectory",
             f"file: {tmp_path / name}.mcap",
             f"picture: {tmp_path / name}.png",
         ]
@@ -33,7 +33,7 @@ def test_a_damaged_file_is_said_to_be_damaged(started: Processes, calm: Path, tm
     assert (ended.code, ended.err) == (0, "")
     _, damage, good = ended.out.splitlines()
     assert damage.startswith(f"{directory / FILE}: sha256 ")
-    assert good == "simulated again, the file is bitwise the one that was recorded"
+    assert good == "simulated again, the file is bitwise equal to the recorded one"
 
 
 def test_known_faults_are_one_line(started: Processes, calm: Path, tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_known_faults_are_one_line(started: Processes, calm: Path, tmp_path: Pat
     assert (ended.code, ended.out) == (1, "")
     assert ended.fault == (
         f"perfbound: {calm}: no rollout sim_gap.3.true.9 is recorded; "
-        "of its test there are sim_gap.3.nominal.0, sim_gap.3.true.0"
+        "choose one of its test: sim_gap.3.nominal.0, sim_gap.3.true.0"
     )
     ended = started.run("perfbound", "replay", tmp_path, ROLLOUT)
     assert (ended.code, "no campaign here" in ended.fault) == (1, True)

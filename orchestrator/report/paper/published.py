@@ -1,4 +1,4 @@
-"""What the method paper printed: its Table I, the claims below it, and the numbers of tests in its text."""
+"""The printed results of the method paper: Table I, the claims below it, and the numbers of tests in its text."""
 
 from dataclasses import dataclass
 
@@ -23,4 +23,4 @@ TABLE = {
     THEOREM_2: Printed("rho* >=", "0", "0.84", "128"),
     "maximum": Printed("eps =", "(0.5, 0.53]"),
 }
-"""The rows of Table I and, after them, what the text says about both problems together and about the test function."""
+"""The rows of Table I, then those of the text: both problems together, and the test function."""

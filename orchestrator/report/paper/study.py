@@ -1,15 +1,12 @@
-"""Which campaigns reproduce the paper, and running what is still missing of them, one after the other."""
+"""The campaigns that reproduce the paper, and the runs of those that are not finished."""
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.text import Text
 
 from ....schemas.campaign import CampaignConfig, MethodName, ProblemName
@@ -25,7 +22,7 @@ SHIPPED = Path(str(resources.files("perfbound") / "campaigns"))
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """A campaign file of the study, and what its numbers are read from."""
+    """A campaign file of the study, and the problems that its numbers are read from."""
 
     name: str
     method: MethodName
@@ -43,26 +40,26 @@ SCENARIO = Preset("segway-scenario", "scenario", ("true_risk",), 240)
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """How many seeds of each kind; `ours` says whether our own two claims are made as well."""
+    """Number of seeds of each kind; `ours` adds the claims of the methods rigorous and scenario."""
 
     functions: int
     seeds: int
     direct_seeds: int
     ours: bool
 
-    def __iter__(self) -> Iterator[tuple[Preset, range | None]]:
-        """Yield every preset with its seeds; None stands for the one in the file."""
-        yield FUNCTION, range(self.functions)
-        yield PAPER, range(self.seeds)
+    def __iter__(self) -> Iterator[tuple[Preset, int | None]]:
+        """Yield every campaign as preset and seed; None is the seed of the file."""
+        yield from ((FUNCTION, seed) for seed in range(self.functions))
+        yield from ((PAPER, seed) for seed in range(self.seeds))
         if self.ours:
             yield RIGOROUS, None
             yield SCENARIO, None
-        yield DIRECT, range(self.direct_seeds)
+        yield from ((DIRECT, seed) for seed in range(self.direct_seeds))
 
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """One campaign of the study, and the run directory that is its own."""
+    """One campaign of the study with its run directory."""
 
     preset: Preset
     source: Path
@@ -71,11 +68,21 @@ class Planned:
 
     @property
     def label(self) -> str:
-        """What a person calls it."""
+        """Preset and seed."""
         return self.directory.name
 
+    @property
+    def finished(self) -> bool:
+        """Whether there is a certificate.
 
-def plan(extent: Extent, folder: Path, out: Path) -> tuple[Planned, ...]:
+        Raises:
+            EvidenceError: there is one, but it is damaged.
+
+        """
+        return files.read(self.directory) is not None
+
+
+def planned(extent: Extent, folder: Path, out: Path) -> tuple[Planned, ...]:
     """Return the campaigns of a study in the order in which they run.
 
     Raises:
@@ -84,16 +91,12 @@ def plan(extent: Extent, folder: Path, out: Path) -> tuple[Planned, ...]:
 
     """
     if not folder.is_dir():
-        raise PerfboundError(f"{folder}: no such folder; name the one that holds the campaign files with --campaigns")
-    return tuple(
-        _planned(preset, folder / f"{preset.name}.toml", out, {} if seed is None else {"seed": seed})
-        for preset, seeds in extent
-        for seed in ((None,) if seeds is None else seeds)
-    )
+        raise PerfboundError(f"{folder}: no such folder; choose the one with the campaign files with --campaigns")
+    return tuple(_planned(preset, folder / f"{preset.name}.toml", out, seed) for preset, seed in extent)
 
 
-def _planned(preset: Preset, source: Path, out: Path, overrides: dict[str, int]) -> Planned:
-    config = session.load(source, **overrides)
+def _planned(preset: Preset, source: Path, out: Path, seed: int | None) -> Planned:
+    config = session.load(source) if seed is None else session.load(source, seed=seed)
     for name in preset.problems:
         if not any((each.name, each.method) == (name, preset.method) for each in config.problems):
             raise PerfboundError(
@@ -104,7 +107,7 @@ def _planned(preset: Preset, source: Path, out: Path, overrides: dict[str, int])
 
 
 def check_stored(campaigns: Iterable[Planned]) -> None:
-    """Refuse results of another campaign file under the name of one of ours.
+    """Refuse results of another campaign file in the run directory of a planned campaign.
 
     Raises:
         PerfboundError: a stored campaign differs from its file; the text names both.
@@ -121,39 +124,23 @@ def check_stored(campaigns: Iterable[Planned]) -> None:
                 )
 
 
-def finished(campaign: Planned) -> bool:
-    """Whether its certificate is there.
+def run_unfinished(campaigns: Sequence[Planned], *, workers: int, console: Console) -> None:
+    """Run or resume the unfinished campaigns one after the other, with one line of progress for each.
 
     Raises:
-        EvidenceError: it is there, but damaged.
-
-    """
-    return files.read(campaign.directory) is not None
-
-
-class Follower(Protocol):
-    """Is told what runs."""
-
-    def begin(self, number: int, campaign: Planned, left: float | None) -> None:
-        """Campaign `number` (from 1) begins; all that is left takes about `left` seconds."""
-        ...
-
-
-def conduct(campaigns: Sequence[Planned], *, workers: int, follower: Follower) -> None:
-    """Run what is not finished, one campaign after the other; what is half done is resumed.
-
-    Raises:
-        PerfboundError, CampaignError: what is wrong, in one line.
+        PerfboundError, CampaignError: a campaign fails; the text has one line.
         Stopped: a signal arrived.
 
     """
     done: list[tuple[float, float]] = []
-    missing = [(number, each) for number, each in enumerate(campaigns, 1) if not finished(each)]
+    missing = [(number, each) for number, each in enumerate(campaigns, 1) if not each.finished]
     for position, (number, each) in enumerate(missing):
-        rest = (one.preset.cost for _, one in missing[position:])
-        follower.begin(number, each, time_left(done, rest))
+        left = time_left(done, (one.preset.cost for _, one in missing[position:]))
+        forecast = "" if left is None else f", about {duration(left)} left"
+        line = f"campaign {number} of {len(campaigns)}: {each.label}{forecast}"
+        console.print(Text(line), soft_wrap=True)
         begun = time.monotonic()
-        _run(each, workers)
+        _run_or_resume(each, workers)
         done.append((each.preset.cost, time.monotonic() - begun))
 
 
@@ -169,50 +156,10 @@ def time_left(done: Sequence[tuple[float, float]], costs: Iterable[float]) -> fl
     return per_cost * sum(costs)
 
 
-def _run(campaign: Planned, workers: int) -> None:
+def _run_or_resume(campaign: Planned, workers: int) -> None:
     options, console = session.RunOptions(workers, session.Link(LOCAL)), Console(quiet=True, force_terminal=False)
     directory = campaign.directory
     if (directory / DATABASE).exists():
         session.resume(directory, options, console)
     else:
         session.start(campaign.config, campaign.source, directory, options, console)
-
-
-class Lines:
-    """Progress as one line a campaign."""
-
-    def __init__(self, console: Console, total: int) -> None:
-        self._console, self._total = console, total
-
-    def begin(self, number: int, campaign: Planned, left: float | None) -> None:
-        """As `Follower`."""
-        text = f"campaign {number} of {self._total}: {campaign.label}{_about(left)}"
-        self._console.print(Text(text), soft_wrap=True)
-
-
-class Bar:
-    """Progress as one line that is redrawn."""
-
-    def __init__(self, progress: Progress, total: int) -> None:
-        self._progress = progress
-        self._task = progress.add_task("", total=total, left="")
-
-    def begin(self, number: int, campaign: Planned, left: float | None) -> None:
-        """As `Follower`."""
-        self._progress.update(self._task, completed=number - 1, description=campaign.label, left=_about(left))
-
-
-def _about(left: float | None) -> str:
-    return "" if left is None else f", about {duration(left)} left"
-
-
-@contextmanager
-def following(console: Console, total: int) -> Iterator[Follower]:
-    """Return the view that fits: a redrawn line on a terminal, plain lines elsewhere."""
-    if not console.is_terminal:
-        yield Lines(console, total)
-        return
-    count = MofNCompleteColumn()
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), count, TextColumn("{task.fields[left]}"))
-    with Progress(*columns, console=console, transient=True) as progress:
-        yield Bar(progress, total)

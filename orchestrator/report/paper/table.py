@@ -21,39 +21,30 @@ CLAIM_COLUMNS = (
     *("source", "seed", "quantity", "sense", "bound", "probability", "method", "rule"),
     *("tests", "nominal_rollouts", "true_rollouts", "refuted"),
 )
+MARKDOWN_COLUMNS = ("source", "seed", "bound", "probability", "tests", "true_rollouts", "refuted")
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """A campaign of the study and what its certificate says."""
+    """A campaign of the study with the predicate of its certificate."""
 
     preset: str
     predicate: Predicate
 
     @property
-    def seed(self) -> int:
-        """The seed of the campaign."""
-        return self.predicate.campaign.seed
-
-    @property
-    def tests(self) -> int:
-        """Tests of all its problems."""
-        return sum(problem.tests for problem in self.predicate.problems)
-
-    @property
-    def nominal_rollouts(self) -> int:
-        """Nominal rollouts of all its problems."""
-        return sum(problem.rollouts.nominal for problem in self.predicate.problems)
-
-    @property
-    def true_rollouts(self) -> int:
-        """True rollouts of all its problems."""
-        return sum(problem.rollouts.true for problem in self.predicate.problems)
+    def counts(self) -> dict[str, int]:
+        """Tests and rollouts of all its problems."""
+        problems = self.predicate.problems
+        return {
+            "tests": sum(each.tests for each in problems),
+            "nominal_rollouts": sum(each.rollouts.nominal for each in problems),
+            "true_rollouts": sum(each.rollouts.true for each in problems),
+        }
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What one seed contributes to a row; `bound` in the unit of the problem."""
+    """One seed's part of a row; `bound` in the unit of the problem."""
 
     bound: float
     probability: float
@@ -64,11 +55,22 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row of Table I: what was printed, and what our seeds gave."""
+    """One row of Table I: the printed numbers, and the outcome of every seed."""
 
     name: str
     printed: Printed
     outcomes: tuple[Outcome, ...]
+
+    @property
+    def parameters(self) -> list[object]:
+        """The columns of `PARAMETERS`, equal for all seeds; empty where there are none."""
+        found = self.outcomes[0].parameters if self.outcomes else {}
+        return [found.get(name, "") for name in PARAMETERS]
+
+    @property
+    def published(self) -> list[object]:
+        """The printed numbers, and the number of seeds beside them."""
+        return [self.printed.bound, self.printed.probability, self.printed.tests, len(self.outcomes)]
 
     @property
     def bounds(self) -> list[float]:
@@ -82,7 +84,7 @@ class Row:
 
 
 def rows(finished: Sequence[Finished]) -> tuple[Row, ...]:
-    """Return Table I, with a row also where nothing was run."""
+    """Return Table I, with a row also for problems that were not run."""
     found: dict[str, list[Outcome]] = {name: [] for name in TABLE}
     for each in finished:
         if each.preset in (FUNCTION.name, PAPER.name, DIRECT.name):
@@ -96,26 +98,21 @@ def _outcomes(campaign: Finished) -> Iterator[tuple[str, Outcome]]:
         parameters = {column: each.parameters[key] for column, key in PARAMETERS.items()}
         yield each.name, Outcome(each.bound, each.probability, each.tests, each.rollouts.true, parameters)
     if campaign.predicate.composition is not None:
-        claim = campaign.predicate.claims[0]
-        yield THEOREM_2, Outcome(claim.bound, claim.probability, campaign.tests, campaign.true_rollouts, {})
+        claim, counts = campaign.predicate.claims[0], campaign.counts
+        yield THEOREM_2, Outcome(claim.bound, claim.probability, counts["tests"], counts["true_rollouts"], {})
 
 
 def table_csv(table: Iterable[Row]) -> str:
-    """Return Table I as CSV, one row a problem, empty where there is nothing."""
+    """Return Table I as CSV, one row for each problem; numbers of problems that were not run are empty."""
     return csv_text(COLUMNS, map(_cells, table))
 
 
 def _cells(row: Row) -> list[object]:
-    printed = row.printed
-    head = [row.name, printed.symbol]
-    published = [printed.bound, printed.probability, printed.tests, len(row.outcomes)]
+    head = [row.name, row.printed.symbol, *row.parameters, *row.published]
     if not row.outcomes:
-        return [*head, *[""] * len(PARAMETERS), *published, *[""] * 8]
-    first = row.outcomes[0]
+        return [*head, *[""] * 8]
     return [
         *head,
-        *(first.parameters.get(name, "") for name in PARAMETERS),
-        *published,
         *(statistics.median(row.bounds), min(row.bounds), max(row.bounds), min(o.probability for o in row.outcomes)),
         *(statistics.median(row.tests), min(row.tests), max(row.tests)),
         statistics.median(each.true_rollouts for each in row.outcomes),
@@ -123,22 +120,17 @@ def _cells(row: Row) -> list[object]:
 
 
 def table_markdown(table: Iterable[Row]) -> str:
-    """Return Table I for people: numbers as median, and least to greatest over the seeds."""
+    """Return Table I as Markdown: numbers as median, and least to greatest over the seeds."""
     head = ["", *PARAMETERS, "paper", "prob.", "tests", "seeds", "ours", "prob.", "tests", "true rollouts"]
     return markdown(head, map(_texts, table))
 
 
 def _texts(row: Row) -> list[str]:
-    printed = row.printed
-    left = [f"{row.name}: {printed.symbol}"]
-    published = [printed.bound, printed.probability, printed.tests, str(len(row.outcomes))]
+    head = [f"{row.name}: {row.printed.symbol}", *map(str, row.parameters), *map(str, row.published)]
     if not row.outcomes:
-        return [*left, *[""] * len(PARAMETERS), *published, *["-"] * 4]
-    first = row.outcomes[0]
+        return [*head, *["-"] * 4]
     return [
-        *left,
-        *(str(first.parameters.get(name, "")) for name in PARAMETERS),
-        *published,
+        *head,
         _spread(row.bounds, ".3f"),
         outward(min(each.probability for each in row.outcomes), ">="),
         _spread(row.tests, ".0f"),
@@ -152,43 +144,40 @@ def _spread(values: Sequence[float], form: str) -> str:
     >>> _spread([0.25, 0.5, 0.125], ".3f"), _spread([4], ".0f")
     ('0.250 (0.125 to 0.500)', '4')
     """
-    middle = format(statistics.median(values), form)
-    least, greatest = format(min(values), form), format(max(values), form)
+    middle, least, greatest = (format(value, form) for value in (statistics.median(values), min(values), max(values)))
     return middle if least == greatest else f"{middle} ({least} to {greatest})"
 
 
-def claims(finished: Iterable[Finished]) -> list[dict[str, object]]:
+def claim_rows(finished: Iterable[Finished]) -> list[dict[str, object]]:
     """Return every claim about the true Segway with the columns of claims.csv, the printed ones before ours.
 
-    The claim of a campaign is the one that was chosen beforehand.
+    The claim of a campaign is its first one, which is fixed before the campaign.
     """
     by_preset: dict[str, list[dict[str, object]]] = {
-        PAPER.name: [_printed(TABLE[THEOREM_2], "product")],
-        DIRECT.name: [_printed(TABLE["true_risk"], "single")],
+        PAPER.name: [_printed_claim(TABLE[THEOREM_2], "product")],
+        DIRECT.name: [_printed_claim(TABLE["true_risk"], "single")],
         RIGOROUS.name: [],
         SCENARIO.name: [],
     }
     for each in finished:
         if each.preset in by_preset:
-            by_preset[each.preset].append(_claim(each))
+            by_preset[each.preset].append(_first_claim(each))
     return [claim for found in by_preset.values() for claim in found]
 
 
-def _printed(printed: Printed, rule: str) -> dict[str, object]:
+def _printed_claim(printed: Printed, rule: str) -> dict[str, object]:
     known = {"source": "printed in the paper", "quantity": "rho_star", "sense": ">=", "method": "paper", "rule": rule}
     known |= {"bound": printed.bound, "probability": printed.probability, "tests": printed.tests}
     return {column: known.get(column, "") for column in CLAIM_COLUMNS}
 
 
-def _claim(campaign: Finished) -> dict[str, object]:
+def _first_claim(campaign: Finished) -> dict[str, object]:
     claim = campaign.predicate.claims[0]
     return {
         "source": campaign.preset,
-        "seed": campaign.seed,
-        **claim.model_dump(include={"quantity", "sense", "bound", "probability", "method", "rule"}),
-        "tests": campaign.tests,
-        "nominal_rollouts": campaign.nominal_rollouts,
-        "true_rollouts": campaign.true_rollouts,
+        "seed": campaign.predicate.campaign.seed,
+        **claim.model_dump(exclude={"assumptions", "refuted"}),
+        **campaign.counts,
         "refuted": " ".join(claim.refuted),
     }
 
@@ -199,16 +188,14 @@ def claims_csv(found: Iterable[dict[str, object]]) -> str:
 
 
 def claims_markdown(found: Iterable[dict[str, object]]) -> str:
-    """Return the claims for people, rounded so that none promises more than its certificate."""
+    """Return the claims as Markdown, rounded to the safe side."""
     head = ["campaign", "seed", "rho* >=", "probability", "tests", "true rollouts", "refuted assumptions"]
-    return markdown(head, ([_text(claim, column) for column in _SHOWN] for claim in found))
+    return markdown(head, ([_claim_text(claim, column) for column in MARKDOWN_COLUMNS] for claim in found))
 
 
-_SHOWN = ("source", "seed", "bound", "probability", "tests", "true_rollouts", "refuted")
-
-
-def _text(claim: dict[str, object], column: str) -> str:
+def _claim_text(claim: dict[str, object], column: str) -> str:
     value = claim[column]
     if column == "refuted":
+        # Of a printed claim, which has no seed, nothing is known.
         return ", ".join(str(value).split()) or ("" if claim["seed"] == "" else "none")
     return outward(value, ">=") if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""Tables as text: CSV for programs, Markdown for people."""
+"""Tables as text: CSV and Markdown."""
 
 import csv
 import io
@@ -19,7 +19,7 @@ def csv_text(head: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
 
 
 def markdown(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """Return a table in Markdown whose columns also stand below each other in a terminal.
+    """Return a table in Markdown whose columns are aligned in a terminal, too.
 
     >>> markdown(["a", "b"], [["1", "long"]])
     '| a   | b    |\\n| --- | ---- |\\n| 1   | long |\\n'

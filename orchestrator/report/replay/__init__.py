@@ -1,1 +1,1 @@
-"""Replay: one recorded rollout, simulated again, compared with its file, and drawn."""
+"""Replay of one recorded rollout: simulated again, compared with its file, and drawn."""

@@ -1,4 +1,4 @@
-"""How far a trajectory is from the recorded one of the same request."""
+"""The comparison of a trajectory with the recorded one of the same request."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -7,13 +7,13 @@ import numpy as np
 
 from ....schemas.trajectory import Trajectory
 
-SAME = 1e-9
-"""Largest difference, in the unit of the column, that another machine is allowed: CPUs round differently."""
+TOLERANCE = 1e-9
+"""Largest difference, in the unit of the column, allowed to another machine: its CPU may round differently."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The largest difference in one column, and when it occurs: unit of the column, s."""
+    """The largest difference in one column, and its time: unit of the column, s."""
 
     column: str
     largest: float
@@ -21,12 +21,12 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """Two trajectories side by side; `grids` says what is wrong with the times, and then nothing else is compared."""
+class Deviation:
+    """The deviation of a trajectory from the recorded one; `mismatch` is the reason why there are no differences."""
 
     bitwise: bool
     differences: tuple[Difference, ...] = ()
-    grids: str = ""
+    mismatch: str = ""
 
     @property
     def worst(self) -> Difference | None:
@@ -34,34 +34,33 @@ class Comparison:
         return max(self.differences, key=lambda each: each.largest, default=None)
 
     @property
-    def same(self) -> bool:
-        """Whether no number differs by more than `SAME`."""
-        return self.bitwise or (not self.grids and self.worst is not None and self.worst.largest <= SAME)
+    def within_tolerance(self) -> bool:
+        """Whether no number differs by more than `TOLERANCE`."""
+        return self.bitwise or (self.worst is not None and self.worst.largest <= TOLERANCE)
 
 
-def compare(again: Trajectory, before: Trajectory) -> Comparison:
-    """Compare what was simulated now with what is recorded."""
-    if again.columns != before.columns:
-        return Comparison(bitwise=False, grids=f"the columns are {', '.join(again.columns)} now")
-    if again.samples.shape != before.samples.shape:
-        return Comparison(bitwise=False, grids=f"there are {len(again.samples)} samples, not {len(before.samples)}")
-    if again.samples.tobytes() == before.samples.tobytes():
-        return Comparison(bitwise=True)
-    gaps = np.abs(again.samples - before.samples)  # (T, n)
-    rows = gaps.argmax(axis=0)
-    times = before.samples[rows, 0]
-    found = zip(before.columns, gaps.max(axis=0).tolist(), times.tolist(), strict=True)
-    return Comparison(bitwise=False, differences=tuple(Difference(*each) for each in found))
+def compare(again: Trajectory, recorded: Trajectory) -> Deviation:
+    """Compare a new trajectory with the recorded one."""
+    if again.columns != recorded.columns:
+        return Deviation(bitwise=False, mismatch=f"the columns are {', '.join(again.columns)} now")
+    if again.samples.shape != recorded.samples.shape:
+        return Deviation(bitwise=False, mismatch=f"there are {len(again.samples)} samples, not {len(recorded.samples)}")
+    if again.samples.tobytes() == recorded.samples.tobytes():
+        return Deviation(bitwise=True)
+    gaps = np.abs(again.samples - recorded.samples)  # (T, n)
+    times = recorded.samples[gaps.argmax(axis=0), 0]
+    found = zip(recorded.columns, gaps.max(axis=0).tolist(), times.tolist(), strict=True)
+    return Deviation(bitwise=False, differences=tuple(Difference(*each) for each in found))
 
 
-def lines(comparison: Comparison, units: Mapping[str, str]) -> Iterator[str]:
-    """Yield what a person should know; `units` names the unit of every column."""
-    if comparison.bitwise:
-        yield "bitwise the same as the recorded trajectory"
+def lines(deviation: Deviation, units: Mapping[str, str]) -> Iterator[str]:
+    """Yield the comparison as text; `units` names the unit of every column."""
+    if deviation.bitwise:
+        yield "bitwise equal to the recorded trajectory"
         return
-    if comparison.grids:
-        yield f"cannot be compared with the recorded trajectory: {comparison.grids}"
+    if deviation.mismatch:
+        yield f"cannot be compared with the recorded trajectory: {deviation.mismatch}"
         return
     yield f"{'column':<14} {'unit':<8} {'largest difference':>18} {'at t / s':>9}"
-    for each in comparison.differences:
+    for each in deviation.differences:
         yield f"{each.column:<14} {units[each.column]:<8} {each.largest:18.3g} {each.at:9.3f}"

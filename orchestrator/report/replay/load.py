@@ -1,4 +1,4 @@
-"""A recorded rollout: its fact, its file, and the request that it answers."""
+"""A recorded rollout: its fact, its file, and its request."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,21 +6,23 @@ from pathlib import Path
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
-from ....schemas.errors import EvidenceError, PerfboundError, TrajectoryError
+from ....schemas.errors import EvidenceError, PerfboundError
 from ....schemas.facts import Header, ProposalFact, RolloutFact
 from ....schemas.ids import RolloutId
 from ....schemas.rollout import RolloutRequest
-from ....schemas.trajectory import File, Trajectory, read
+from ....schemas.trajectory import Trajectory
 from ...campaign.seeds import rollout_seed
-from ...store import files, tables
-from ...store.read import read_header, reading
-from ...store.rows import READERS
-from ..rollouts import inside
+from ...store import tables
+from ...store.journal import READERS, read_header
+from ...store.read import reading
+from ..rollouts import read_recorded
+
+_rollouts, _tests = tables.rollouts.c, tables.tests.c
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedRollout:
-    """One rollout of a campaign; `trajectory` is None where its file is damaged, and `damage` says how."""
+    """One rollout of a campaign; `trajectory` is None if its file is damaged, and `damage` gives the reason."""
 
     header: Header
     fact: RolloutFact
@@ -35,23 +37,23 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     Raises:
         JournalError: there is no campaign, or it cannot be read.
         PerfboundError: it has no such rollout.
-        EvidenceError: the file is whole, and answers another request than the one that follows from the facts.
+        EvidenceError: the file is whole, but belongs to another request than the one that follows from the facts.
 
     """
     with reading(directory) as connection:
         header = read_header(connection, directory)
         fact, proposal = _find(connection, header, directory, text)
-    wanted = header.template.request(fact.rollout, proposal.proposal.x, rollout_seed(header.config, fact.rollout))
+    request = header.template.request(fact.rollout, proposal.proposal.x, rollout_seed(header.config, fact.rollout))
     try:
-        file = _read(directory, fact)
+        file = read_recorded(directory, fact)
     except EvidenceError as error:
-        return RecordedRollout(header, fact, wanted, None, str(error))
-    if file.request != wanted.model_dump(mode="json"):
+        return RecordedRollout(header, fact, request, None, str(error))
+    if file.request != request.model_dump(mode="json"):
         raise EvidenceError(
-            f"{directory / fact.path}: it answers another request than the one that follows from the facts; "
+            f"{directory / fact.path}: it belongs to another request than the one that follows from the facts; "
             "check the campaign with `perfbound verify`"
         )
-    return RecordedRollout(header, fact, wanted, file.trajectory)
+    return RecordedRollout(header, fact, request, file.trajectory)
 
 
 def _find(connection: Connection, header: Header, directory: Path, text: str) -> tuple[RolloutFact, ProposalFact]:
@@ -59,43 +61,30 @@ def _find(connection: Connection, header: Header, directory: Path, text: str) ->
         rollout = RolloutId.parse(text.replace("-", "."))
     except ValueError:
         raise PerfboundError(
-            f"{text!r} names no rollout; a name is problem.test.variant.replicate, e.g. "
-            f"{_example(connection) or 'sim_gap.0.true.0'}"
+            f"{text!r} names no rollout; use problem.test.variant.replicate, e.g. {_example(connection)}"
         ) from None
-    columns = tables.rollouts.c
-    this = (columns.problem == rollout.problem) & (columns.test == rollout.test)
-    facts = [READERS[tables.rollouts.name](row) for row in connection.execute(sa.select(tables.rollouts).where(this))]
-    found = {fact.rollout: fact for fact in facts if isinstance(fact, RolloutFact)}
+    of_test = (_rollouts.problem == rollout.problem) & (_rollouts.test == rollout.test)
+    rows = connection.execute(sa.select(tables.rollouts).where(of_test))
+    found = {fact.rollout: fact for fact in map(READERS[tables.rollouts], rows) if isinstance(fact, RolloutFact)}
     if rollout not in found:
-        there = _there(connection, header, rollout, [str(each) for each in sorted(found)])
-        raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {there}")
-    where = (tables.tests.c.problem == rollout.problem) & (tables.tests.c.test == rollout.test)
-    proposal = READERS[tables.tests.name](connection.execute(sa.select(tables.tests).where(where)).one())
-    assert isinstance(proposal, ProposalFact)
+        existing = _existing(connection, header, rollout, [str(each) for each in sorted(found)])
+        raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {existing}")
+    where = (_tests.problem == rollout.problem) & (_tests.test == rollout.test)
+    proposal = READERS[tables.tests](connection.execute(sa.select(tables.tests).where(where)).one())
+    assert isinstance(proposal, ProposalFact), "the reader of that table"
     return found[rollout], proposal
 
 
-def _example(connection: Connection) -> str | None:
-    row = connection.execute(sa.select(tables.rollouts).order_by(tables.rollouts.c.seq).limit(1)).first()
-    return None if row is None else f"{row.problem}.{row.test}.{row.variant}.{row.replicate}"
+def _example(connection: Connection) -> str:
+    row = connection.execute(sa.select(tables.rollouts).order_by(_rollouts.seq).limit(1)).first()
+    return f"{row.problem}.{row.test}.{row.variant}.{row.replicate}" if row else "sim_gap.0.true.0"
 
 
-def _there(connection: Connection, header: Header, rollout: RolloutId, of_test: list[str]) -> str:
-    """Say what there is instead."""
+def _existing(connection: Connection, header: Header, rollout: RolloutId, of_test: list[str]) -> str:
+    """Return the nearest choice: rollouts of the test, tests of the problem, or the problems."""
     if of_test:
-        return f"of its test there are {', '.join(of_test[:4])}{', ...' if len(of_test) > 4 else ''}"
-    columns = tables.rollouts.c
-    query = sa.select(sa.func.max(columns.test)).where(columns.problem == rollout.problem)
-    last = connection.execute(query).scalar()
-    if last is not None:
-        return f"{rollout.problem} has the tests 0 to {last}"
-    return f"the problems are {', '.join(problem.name for problem in header.config.problems)}"
-
-
-def _read(directory: Path, fact: RolloutFact) -> File:
-    if not inside(fact.path):
-        raise EvidenceError(f"{directory}: {fact.path!r} is not a path in the run directory")
-    try:
-        return read(files.read(directory, fact.path, fact.sha256))
-    except TrajectoryError as error:
-        raise EvidenceError(f"{directory / fact.path}: {error}") from None
+        return f"choose one of its test: {', '.join(of_test[:4])}{', ...' if len(of_test) > 4 else ''}"
+    last = connection.execute(sa.select(sa.func.max(_rollouts.test)).where(_rollouts.problem == rollout.problem))
+    if (number := last.scalar()) is not None:
+        return f"choose a test of {rollout.problem} from 0 to {number}"
+    return f"choose a problem: {', '.join(problem.name for problem in header.config.problems)}"

@@ -1,9 +1,9 @@
-"""How close a trajectory is to breaking its specification over time, and the moments worth a picture.
+"""The margin of a trajectory to its specification over time, and the moments for a strip of pictures.
 
 | symbol | meaning | shape, unit |
 |---|---|---|
 | T | samples of the trajectory | |
-| margin | robustness of what must hold at each moment | (T,), unit of the predicates |
+| margin | robustness of the condition at each moment | (T,), unit of the predicates |
 """
 
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ def margins(tree: Formula | None, trajectory: Trajectory) -> Floats | None:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """One picture: the frame of the film, the time in s, the margin, and whether it is the least of all."""
+    """One picture: the frame of the film, the time in s, the margin, and whether that is the least of all."""
 
     frame: int
     t: float
@@ -61,9 +61,9 @@ class Moment:
 
 
 def moments(trajectory: Trajectory, margin: Floats | None, number: int) -> tuple[Moment, ...]:
-    """Return at most `number` moments in their order: first, last, and closer together where much happens.
+    """Return at most `number` moments in order: first, last, and closer together where the margin changes much.
 
-    The one nearest to the least margin takes its place.
+    The moment nearest to the least margin is moved to it.
     """
     rows = trajectory.frames  # (F,)
     t = trajectory.samples[rows, 0]
@@ -74,7 +74,7 @@ def moments(trajectory: Trajectory, margin: Floats | None, number: int) -> tuple
     least = int(margin.argmin())
     worst = int(np.abs(t - trajectory.samples[least, 0]).argmin())
     chosen[int(np.argmin([abs(frame - worst) for frame in chosen]))] = worst
-    # What is said of the worst moment is exact; what is shown of it is the frame nearest to it.
+    # Time and margin of the worst moment are exact; its picture is the nearest frame.
     samples = {frame: least if frame == worst else int(rows[frame]) for frame in chosen}
     return tuple(
         Moment(frame, float(trajectory.samples[row, 0]), float(margin[row]), row == least)
@@ -83,7 +83,7 @@ def moments(trajectory: Trajectory, margin: Floats | None, number: int) -> tuple
 
 
 def _progress(t: Floats, margin: Floats | None, rows: NDArray[np.intp]) -> Floats:
-    """Return 0 to 1, half by the time that has passed and half by how much has changed, shape (F,)."""
+    """Return 0 to 1, half by the elapsed time and half by the total change of the margin, shape (F,)."""
     parts = [t - t[0]]
     if margin is not None:
         parts.append(np.concatenate([[0.0], np.cumsum(np.abs(np.diff(margin[rows])))]))

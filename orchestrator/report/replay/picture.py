@@ -1,10 +1,7 @@
-"""The picture of a rollout: a strip of moments, seen from the side, over the curves that its specification reads.
-
-Colours are those of Okabe and Ito, which colour-blind people tell apart.
-"""
+"""The picture of a rollout: a strip of moments from the side above the curves that its specification reads."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,22 +14,22 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from ....schemas.trajectory import Trajectory
+from ..style import BLUE, GREY, RED, with_unit
 from .moments import Moment
-from .solids import Film, Floats, Outline
+from .solids import Film, Outline
 
 WIDTH = 10.0
 """Inches."""
 DPI = 150
-BLUE, RED, GREY = "#0072B2", "#D55E00", "#555555"
 MARGINS = LinearSegmentedColormap.from_list("margins", (RED, "#F0E442", "#009E73"))
 STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "axes.linewidth": 0.6}
 BORDER = 0.08
-"""Around what moves, of its extent."""
+"""Around the moving solids, relative to their extent."""
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """One column over time: now and as it was recorded, with the limits of the specification."""
+class Panel:
+    """One column over time, simulated again and recorded, with the limits of the specification."""
 
     column: str
     unit: str
@@ -41,46 +38,46 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """All that is drawn. `ample` is the margin that counts as good; without a film there are the curves alone."""
+    """The content of a picture; `ample` is the margin at the good end of the colours. `film` may be missing."""
 
     title: str
     again: Trajectory
-    before: Trajectory | None
-    curves: tuple[Curve, ...]
+    recorded: Trajectory | None
+    panels: tuple[Panel, ...]
     moments: tuple[Moment, ...]
     film: Film | None
     ample: float = 1.0
 
 
-def png(picture: Picture) -> bytes:
+def drawn(picture: Picture) -> bytes:
     """Return the picture as PNG; equal pictures give equal bytes."""
     out = io.BytesIO()
     with mpl.rc_context(STYLE):
-        figure = _figure(picture)
+        figure = _composed(picture)
         figure.savefig(out, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
     return out.getvalue()
 
 
-def _figure(picture: Picture) -> Figure:
+def _composed(picture: Picture) -> Figure:
     strip = None if picture.film is None else _strip(picture.film, picture.moments)
     above = 0.0 if strip is None else strip.height
-    below = (1.9 if len(picture.curves) == 1 else 1.4) * len(picture.curves) + 0.3
+    below = (1.9 if len(picture.panels) == 1 else 1.4) * len(picture.panels) + 0.3
     figure = Figure(figsize=(WIDTH, 0.3 + above + below), dpi=DPI, layout="constrained")
     figure.suptitle(picture.title, fontsize=10)
     lower: Any = figure
     if strip is not None:
         upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(above, below))[:, 0]
         _draw_strip(upper, picture, strip)
-    panels = lower.subplots(len(picture.curves), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, curve in zip(panels, picture.curves, strict=True):
-        _curve(axes, picture, curve)
-    panels[-1].set_xlabel("t / s")
+    rows = lower.subplots(len(picture.panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, panel in zip(rows, picture.panels, strict=True):
+        _draw_panel(axes, picture, panel)
+    rows[-1].set_xlabel("t / s")
     return figure
 
 
 @dataclass(frozen=True, slots=True)
 class _Strip:
-    """What is seen at every moment, within one window for all: left, right, bottom, top in m."""
+    """The outlines at every moment, in one window for all: left, right, bottom, top in m."""
 
     seen: tuple[tuple[Outline, ...], ...]
     lead: str
@@ -108,7 +105,7 @@ def _draw_strip(figure: Any, picture: Picture, strip: _Strip) -> None:
     for axes, outlines, moment in zip(panels, strip.seen, picture.moments, strict=True):
         colour = None if moment.margin is None else MARGINS(scale(moment.margin))
         for outline in outlines:
-            _draw(axes, outline, colour if outline.frame == strip.lead else None)
+            _draw_outline(axes, outline, colour if outline.frame == strip.lead else None)
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=(), yticks=())
         axes.spines[:].set(visible=moment.worst, color=RED, linewidth=1.5)
         axes.set_xlabel(f"{moment.t:.2f} s", color=RED if moment.worst else "black")
@@ -116,47 +113,34 @@ def _draw_strip(figure: Any, picture: Picture, strip: _Strip) -> None:
             axes.set_title(f"worst: {moment.margin:.3f}", color=RED, fontsize=9)
     if picture.moments[0].margin is not None:
         bar = figure.colorbar(ScalarMappable(scale, MARGINS), ax=panels, fraction=0.015, pad=0.01, aspect=20)
-        bar.set_label(_with_unit("margin", picture.curves[0].unit))
+        bar.set_label(with_unit("margin", picture.panels[0].unit))
         bar.outline.set_linewidth(0.4)
 
 
-def _draw(axes: Axes, outline: Outline, colour: Any) -> None:
-    """Draw one solid in `colour`, or else in its own."""
+def _draw_outline(axes: Axes, outline: Outline, colour: Any) -> None:
+    """Draw one solid in `colour`, or in its own if that is None."""
     *own, opacity = outline.color
     axes.add_patch(
         Polygon(outline.polygon, facecolor=colour or own, alpha=opacity, edgecolor="black", linewidth=0.4, zorder=2)
     )
 
 
-def _curve(axes: Axes, picture: Picture, curve: Curve) -> None:
-    style = "o" if len(picture.again.samples) == 1 else "-"
-    if picture.before is not None:
-        t, values = picture.before.samples[:, 0], picture.before.column(curve.column)
-        axes.plot(t, values, style, color=BLUE, alpha=0.3, linewidth=4, markersize=9, label="recorded")
-    t, values = picture.again.samples[:, 0], picture.again.column(curve.column)
-    axes.plot(t, values, style, color=BLUE, linewidth=1, markersize=4, label="simulated again")
-    for limit in curve.limits:
+def _draw_panel(axes: Axes, picture: Picture, panel: Panel) -> None:
+    marker = "o" if len(picture.again.samples) == 1 else "-"
+    if picture.recorded is not None:
+        t, values = picture.recorded.samples[:, 0], picture.recorded.column(panel.column)
+        axes.plot(t, values, marker, color=BLUE, alpha=0.3, linewidth=4, markersize=9, label="recorded")
+    t, values = picture.again.samples[:, 0], picture.again.column(panel.column)
+    axes.plot(t, values, marker, color=BLUE, linewidth=1, markersize=4, label="simulated again")
+    for limit in panel.limits:
         axes.axhline(limit, color=RED, linestyle="--", linewidth=0.9)
     for moment in picture.moments if picture.film else ():
         axes.axvline(moment.t, color=RED if moment.worst else GREY, linewidth=0.5, alpha=0.6, zorder=0)
-    _dot(axes, picture.moments, t, values)
-    axes.set_ylabel(_with_unit(curve.column, curve.unit))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.margins(x=0.01)
-    if picture.before is not None:
-        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, fontsize=8, frameon=False, ncols=2)
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} / {unit}" if unit not in {"", "1"} else name
-
-
-def _dot(axes: Axes, moments: Sequence[Moment], t: Floats, values: Floats) -> None:
-    for moment in moments:
+    for moment in picture.moments:
         if moment.worst:
             axes.plot([moment.t], [values[int(np.argmin(np.abs(t - moment.t)))]], "o", color=RED, markersize=5)
-
-
-def curves(columns: Sequence[str], units: Mapping[str, str], limits: Sequence[tuple[str, float]]) -> tuple[Curve, ...]:
-    """Return the curves of these columns; `limits` holds pairs of a column and its limit."""
-    return tuple(Curve(name, units[name], tuple(limit for of, limit in limits if of == name)) for name in columns)
+    axes.set_ylabel(with_unit(panel.column, panel.unit))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.margins(x=0.01)
+    if picture.recorded is not None:
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, fontsize=8, frameon=False, ncols=2)

@@ -1,4 +1,4 @@
-"""Simulate a recorded rollout again in a child of `workers`, compare, and draw it."""
+"""The replay of a recorded rollout: simulated in a child of `workers`, compared with its file, and drawn."""
 
 import hashlib
 import json
@@ -6,46 +6,49 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from ....schemas import atomic
-from ....schemas.campaign import Problem
 from ....schemas.errors import PerfboundError, TrajectoryError
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory, decode
 from ...fleet.child import ask
 from .. import curves
-from .comparison import Comparison, compare, lines
+from .comparison import Deviation, compare, lines
 from .load import RecordedRollout, load_recorded
-from .moments import Moment, margins, moments
-from .solids import Film, film
+from .moments import margins, moments
+from .solids import film
 
 MOMENTS = 8
 """Pictures on a strip."""
 
 
-def replay(directory: Path, rollout: str, *, out: Path | None = None, mcap: Path | None = None) -> Iterator[str]:
-    """Simulate a rollout of the campaign in `directory` again, and yield what a person should know.
+def replay_rollout(
+    directory: Path, rollout: str, *, out: Path | None = None, mcap: Path | None = None
+) -> Iterator[str]:
+    """Simulate a rollout of the campaign in `directory` again, and yield the result as lines of text.
 
-    Writes its picture to `out` and its file, with what a person sees, to `mcap`.
+    Writes its picture to `out` and its file, with the visual part, to `mcap`.
 
     Raises:
-        PerfboundError: there is no such rollout, the system is missing or of another version, or what is simulated
-            now is not what was recorded; then the files are written none the less.
+        PerfboundError: there is no such rollout, the system is missing or of another version, or the new trajectory
+            differs from the recorded one; in the last case the files are written nevertheless.
 
     """
     found = load_recorded(directory, rollout)
-    yield _described(found)
+    yield _title_line(found)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.mcap"
-        data = _simulated(found.request.model_copy(update={"visual": True}), path)
-        again = _decoded(data)
+        data = simulate_file(found.request.model_copy(update={"visual": True}), path)
+        try:
+            again = decode(data)
+        except TrajectoryError as error:
+            raise PerfboundError(f"the system returned no trajectory: {error}; fix the system") from None
         if found.trajectory is None:
             yield found.damage
             fault = _digest_fault(found, data, Path(folder))
-            yield fault or "simulated again, the file is bitwise the one that was recorded"
+            yield fault or "simulated again, the file is bitwise equal to the recorded one"
         else:
-            comparison = compare(again, found.trajectory)
-            yield from lines(comparison, {column.name: column.unit for column in found.header.spec.columns})
-            fault = _fault(found, comparison)
+            deviation = compare(again, found.trajectory)
+            yield from lines(deviation, {column.name: column.unit for column in found.header.spec.columns})
+            fault = _fault(found, deviation)
         if mcap is not None:
             atomic.write(mcap.absolute(), data)
             yield f"file: {mcap}"
@@ -56,8 +59,18 @@ def replay(directory: Path, rollout: str, *, out: Path | None = None, mcap: Path
         raise PerfboundError(f"{found.fact.rollout}: {fault}")
 
 
-def _described(found: RecordedRollout) -> str:
-    """Return one line that says what the rollout is."""
+def simulate_file(request: RolloutRequest, path: Path) -> bytes:
+    """Simulate a rollout in a child and return its file, which is also at `path`.
+
+    Raises:
+        PerfboundError: the child fails.
+
+    """
+    ask("simulate", "--request", request.model_dump_json(), "--out", str(path))
+    return path.read_bytes()
+
+
+def _title_line(found: RecordedRollout) -> str:
     request, spec = found.request, found.header.spec
     start = ", ".join(
         f"{each.name} = {value:g} {each.unit}".removesuffix(" 1")
@@ -67,70 +80,52 @@ def _described(found: RecordedRollout) -> str:
     return f"{found.fact.rollout}: {spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
 
 
-def _simulated(request: RolloutRequest, path: Path) -> bytes:
-    ask("simulate", "--request", request.model_dump_json(), "--out", str(path))
-    return path.read_bytes()
-
-
-def _decoded(data: bytes) -> Trajectory:
-    try:
-        return decode(data)
-    except TrajectoryError as error:
-        raise PerfboundError(f"the system returned no trajectory: {error}") from None
-
-
 def _digest_fault(found: RecordedRollout, data: bytes, folder: Path) -> str:
-    """Return what is wrong with a file that takes the place of a damaged one; nothing, if it is the same file."""
-    if not found.request.visual:
-        data = _simulated(found.request, folder / "exact.mcap")
+    """Return the fault of a file that replaces a damaged one; empty if it is the same file."""
+    if not found.request.visual:  # the recorded file had no visual part, so it has other bytes than `data`
+        data = simulate_file(found.request, folder / "exact.mcap")
     digest = hashlib.sha256(data).hexdigest()
     if digest == found.fact.sha256:
         return ""
     return f"simulated again, the file has the sha256 {digest[:12]}..., not the recorded {found.fact.sha256[:12]}..."
 
 
-def _fault(found: RecordedRollout, comparison: Comparison) -> str:
-    if comparison.same:
+def _fault(found: RecordedRollout, deviation: Deviation) -> str:
+    if deviation.within_tolerance:
         return ""
-    if comparison.worst is None:
-        return f"simulated again, {comparison.grids}"
-    worst = comparison.worst
+    if deviation.worst is None:
+        return f"simulated again, {deviation.mismatch}"
+    worst = deviation.worst
     unit = curves.column_unit(found.header, worst.column)
     return (
         f"simulated again, {worst.column} differs by up to {worst.largest:.3g} {unit} at t = {worst.at:.3f} s: "
-        "this machine computes other digits than the one that recorded it"
+        "this machine computes different floating-point results than the one that recorded it"
     )
 
 
 def _picture(found: RecordedRollout, again: Trajectory, path: Path) -> bytes:
     """Return the PNG of a rollout whose file is at `path`."""
-    from . import picture  # noqa: PLC0415
+    from . import picture  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
     header, clip = found.header, found.header.config.clip
-    problem = _problem(found)
-    columns = curves.shown(header, problem) or again.columns[1:2]
+    problem = next(each for each in header.config.problems if each.name == found.fact.rollout.problem)
+    columns = curves.relevant_columns(header, problem) or again.columns[1:2]
+    limits = curves.limits(header, columns)
     margin = margins(curves.formula(header), again)
-    seen = _film(path)
-    chosen: tuple[Moment, ...] = moments(again, margin, MOMENTS)
-    return picture.png(
+    visual = json.loads(ask("look", "--file", str(path)))
+    return picture.drawn(
         picture.Picture(
-            title=_described(found),
+            title=_title_line(found),
             again=again,
-            before=found.trajectory,
-            curves=picture.curves(
-                columns, {name: curves.column_unit(header, name) for name in columns}, curves.limits(header, columns)
+            recorded=found.trajectory,
+            panels=tuple(
+                picture.Panel(
+                    name, curves.column_unit(header, name), tuple(limit for of, limit in limits if of == name)
+                )
+                for name in columns
             ),
-            moments=chosen,
-            film=seen,
+            moments=moments(again, margin, MOMENTS),
+            film=film(visual["scene"], visual["transforms"]) if visual else None,
             ample=1.0 if clip is None else clip[1],
         )
     )
-
-
-def _problem(found: RecordedRollout) -> Problem:
-    return next(each for each in found.header.config.problems if each.name == found.fact.rollout.problem)
-
-
-def _film(path: Path) -> Film | None:
-    seen = json.loads(ask("look", "--file", str(path)))
-    return None if seen is None else film(seen["scene"], seen["transforms"])

@@ -1,1 +1,1 @@
-"""The live page: a read-only server in a process of its own."""
+"""The live page: a read-only server in a separate process."""

@@ -1,10 +1,10 @@
-"""The live page as a web application: read-only, and closed to whoever is not invited.
+"""The live page as a web application: read-only, restricted to the configured host names.
 
-| route                  | what it gives                                                        |
+| route                  | response                                                             |
 |------------------------|----------------------------------------------------------------------|
-| `/`                    | the page, with the story of the moment                               |
-| `/events`              | the story again whenever it has changed, as server-sent events       |
-| `/story.json`          | the story                                                            |
+| `/`                    | the page with the current data                                       |
+| `/events`              | the data again after every change, as server-sent events             |
+| `/story.json`          | the current data                                                     |
 | `/scene`               | `?problem=NAME&test=N`: the rollouts of one test, as curves          |
 | `/trajectories/...`    | the file of a recorded rollout                                       |
 | `/certificate.json`    | the certificate, once there is one                                   |
@@ -27,64 +27,70 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ....schemas.errors import EvidenceError, PerfboundError, one_line
 from ...certificate.files import CERTIFICATE
+from ...run.address import Address
 from ...store import export
 from ...store.files import FOLDER
 from .. import html as document
 from . import files
-from .hosts import Guard, Hosts
+from .security import restricted
 from .snapshots import SnapshotCache
 
 MOST_STREAMS = 32
 MOST_FILES = 4
-"""Files that are read at a time."""
+"""Files read at the same time."""
 KEEP_ALIVE = 15.0
-"""Seconds of silence after which a stream says that it lives."""
-RETRY, STILL_HERE = b"retry: 1000\n\n", b": still here\n\n"
+"""Seconds without a change after which a stream sends a comment, so that proxies keep it open."""
+RETRY, COMMENT = b"retry: 1000\n\n", b": still here\n\n"
 JSON, EVENTS = "application/json", "text/event-stream"
 _NUMBER = re.compile("[0-9]{1,9}")
 
 
-def application(directory: Path, looks: SnapshotCache, hosts: Hosts) -> ASGIApp:
-    """Return the application for the campaign in `directory`."""
-    web = _Web(directory, looks)
+def application(directory: Path, snapshots: SnapshotCache, address: Address) -> ASGIApp:
+    """Return the application for the campaign in `directory`, served at `address`."""
+    web = _Endpoints(directory, snapshots)
     routes = [
         Route("/", web.page),
         Route("/events", web.events),
-        Route("/story.json", web.story),
-        Route("/scene", web.scene),
+        Route("/story.json", web.data),
+        Route("/scene", web.rollouts_of_test),
         Route(f"/{FOLDER}/{{rest:path}}", web.trajectory),
         Route(f"/{CERTIFICATE}", web.certificate),
         Route("/counterexamples.csv", web.counterexamples),
     ]
-    return Guard(Starlette(routes=routes, exception_handlers={PerfboundError: _unreadable, 500: web.fault}), hosts)
+    web_application = Starlette(
+        routes=routes, exception_handlers={PerfboundError: _unreadable, 500: web.internal_error}
+    )
+    return restricted(web_application, address)
 
 
-class _Web:
-    def __init__(self, directory: Path, looks: SnapshotCache) -> None:
-        self._directory, self._looks = directory, looks
+class _Endpoints:
+    """The responses of the routes; counts the open streams and the files being read."""
+
+    def __init__(self, directory: Path, snapshots: SnapshotCache) -> None:
+        self._directory, self._snapshots = directory, snapshots
         self._files = CapacityLimiter(MOST_FILES)
         self._streams = 0
 
     async def page(self, _: Request) -> Response:
-        look = await self._looks.fresh()
-        html, policy = document.live(look.title, look.story)
+        snapshot = await self._snapshots.available()
+        html, policy = document.served_page(snapshot.title, snapshot.json)
         return HTMLResponse(html, headers={"Content-Security-Policy": f"{policy}; frame-ancestors 'none'"})
 
-    async def story(self, _: Request) -> Response:
-        return Response((await self._looks.fresh()).story, media_type=JSON)
+    async def data(self, _: Request) -> Response:
+        return Response((await self._snapshots.available()).json, media_type=JSON)
 
-    async def scene(self, request: Request) -> Response:
+    async def rollouts_of_test(self, request: Request) -> Response:
         problem, test = request.query_params.get("problem", ""), request.query_params.get("test", "")
         if not _NUMBER.fullmatch(test):
-            return _text("ask for /scene?problem=NAME&test=NUMBER", 400)
+            return _plain("/scene: wrong query; use /scene?problem=NAME&test=NUMBER", 400)
         try:
-            return Response(await self._looks.scene(problem, int(test)), media_type=JSON)
+            return Response(await self._snapshots.rollouts_of_test(problem, int(test)), media_type=JSON)
         except PerfboundError as error:
-            return _text(str(error), 404)
+            return _plain(str(error), 404)
 
     async def trajectory(self, request: Request) -> Response:
-        asked = f"{FOLDER}/{request.path_params['rest']}"
-        return await self._file(partial(files.trajectory, self._directory, asked), "application/octet-stream")
+        path = f"{FOLDER}/{request.path_params['rest']}"
+        return await self._file(partial(files.recorded_file, self._directory, path), "application/octet-stream")
 
     async def certificate(self, _: Request) -> Response:
         return await self._file(partial(files.certificate, self._directory, CERTIFICATE), JSON)
@@ -101,61 +107,62 @@ class _Web:
         try:
             data = await to_thread.run_sync(read, limiter=self._files)
         except EvidenceError as error:
-            return _text(str(error), 404)
+            return _plain(str(error), 404)
         if data is None:
-            return _text("there is no such file, or not yet", 404)
+            return _plain("there is no such file, or not yet", 404)
+        # An attachment: a browser must not display what a worker wrote.
         return Response(data, media_type=media_type, headers={"Content-Disposition": "attachment"})
 
-    async def fault(self, request: Request, error: Exception) -> Response:
-        self._looks.say(f"{request.url.path}: {error!r}")
-        return _text("this failed; the page's owner sees why", 500)
+    async def internal_error(self, request: Request, error: Exception) -> Response:
+        self._snapshots.report(f"{request.url.path}: {error!r}")
+        return _plain("internal error; see the output of perfbound", 500)
 
     async def events(self, request: Request) -> Response:
         if self._streams >= MOST_STREAMS:
-            return _text(f"{MOST_STREAMS} pages of this campaign are open; close one and load this one again", 503)
-        if request.method == "HEAD":
+            return _plain(f"{MOST_STREAMS} pages of this campaign are open; close one and reload this one", 503)
+        if request.method == "HEAD":  # its stream would have no end
             return Response(media_type=EVENTS)
         self._streams += 1
-        return _Counted(self._stream(), self._gone)
+        return _CountedStream(self._stream(), self._stream_ended)
 
-    def _gone(self) -> None:
+    def _stream_ended(self) -> None:
         self._streams -= 1
 
     async def _stream(self) -> AsyncIterator[bytes]:
-        """Yield the story whenever it has changed, and at the end; who is slow misses what came between."""
-        seen, spoke = -1, time.monotonic()
+        """Yield the data after every change, and at the end; a slow client skips intermediate snapshots."""
+        sent, sent_at = -1, time.monotonic()
         yield RETRY
         while True:
-            last = self._looks.closing.is_set()
-            look = await self._looks.latest()
-            if look is not None and look.number != seen:
-                seen, spoke = look.number, time.monotonic()
-                yield f"event: story\nid: {seen}\ndata: {look.story}\n\n".encode()
-            elif time.monotonic() - spoke >= KEEP_ALIVE:
-                spoke = time.monotonic()
-                yield STILL_HERE
+            last = self._snapshots.closing.is_set()
+            snapshot = await self._snapshots.latest()
+            if snapshot is not None and snapshot.number != sent:
+                sent, sent_at = snapshot.number, time.monotonic()
+                yield f"event: story\nid: {sent}\ndata: {snapshot.json}\n\n".encode()
+            elif time.monotonic() - sent_at >= KEEP_ALIVE:
+                sent_at = time.monotonic()
+                yield COMMENT
             if last:
                 return
-            await self._looks.pause(KEEP_ALIVE)
+            await self._snapshots.pause(KEEP_ALIVE)
 
 
-class _Counted(StreamingResponse):
-    """A stream that is counted until it ends, however it ends."""
+class _CountedStream(StreamingResponse):
+    """A stream that reports its end, also after an error or a lost connection."""
 
-    def __init__(self, content: AsyncIterator[bytes], gone: Callable[[], None]) -> None:
+    def __init__(self, content: AsyncIterator[bytes], ended: Callable[[], None]) -> None:
         super().__init__(content, media_type=EVENTS)
-        self._gone = gone
+        self._ended = ended
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
             await super().__call__(scope, receive, send)
         finally:
-            self._gone()
+            self._ended()
 
 
-def _text(text: str, status: int) -> Response:
+def _plain(text: str, status: int) -> Response:
     return PlainTextResponse(one_line(text) + "\n", status)
 
 
 def _unreadable(_: Request, error: Exception) -> Response:
-    return _text(str(error), 503)
+    return _plain(str(error), 503)

@@ -1,121 +1,109 @@
-"""Looks at one campaign, shared by all who watch it: at most one a second, and none when nobody asks."""
+"""A rate-limited cache of report snapshots, shared by all clients of a live page."""
 
 import asyncio
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from anyio import to_thread
 
 from ....schemas.errors import PerfboundError
-from ..data import ReportData, RolloutsOfTest, to_json
+from ..collect import Collector
+from ..data import ReportData, to_json
 from ..workers import LiveState
 
-PERIOD = 1.0
-"""Seconds from the end of a look to the next one, at least."""
-LONGEST = 5.0
-"""As long as a look took is waited before the next one, at most so many s: half a processor is enough."""
-
-
-class Tells(Protocol):
-    """What is looked at; `Teller` in life. It is asked by one thread at a time."""
-
-    def look(self, live: Mapping[str, LiveState] | None = None, at: float | None = None) -> ReportData:
-        """Tell how the campaign stands, at the Unix time `at`; `live` is what the workers do."""
-        ...
-
-    def scene(self, problem: str, test: int) -> RolloutsOfTest:
-        """Tell about one test."""
-        ...
+SHORTEST_PAUSE = 1.0
+"""Seconds from the end of a refresh to the next one, at least."""
+LONGEST_PAUSE = 5.0
+"""The pause after a refresh equals its duration, up to this many seconds, so polling uses at most half a core."""
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What was seen."""
+    """The report data at one moment."""
 
     number: int
-    """Grows when something has changed, but for the time of the look."""
+    """Grows with every change of the data, the time of the refresh excepted."""
     title: str
-    story: str
-    """JSON."""
+    json: str
 
 
 class SnapshotCache:
-    """The one who looks; used from one event loop."""
+    """Refreshes a collector at most once a second, and only on request; use from one event loop.
 
-    def __init__(self, teller: Tells, say: Callable[[str], None]) -> None:
+    A refresh that fails is reported once, and the last snapshot stays.
+    """
+
+    def __init__(self, collector: Collector, report: Callable[[str], None]) -> None:
         self.live: Mapping[str, LiveState] | None = None
-        """What the workers do, where an orchestrator tells; set from any thread."""
+        """State of the workers, from the orchestrator if there is one; set from any thread."""
         self.closing = asyncio.Event()
-        self._teller, self.say = teller, say
+        self.report = report
+        self._collector = collector
         self._one_at_a_time = asyncio.Lock()
         self._due = 0.0
-        self._ended = False
-        self._last: Snapshot | None = None
-        self._seen: ReportData | None = None
-        self._trouble = ""
+        self._final = False
+        self._snapshot: Snapshot | None = None
+        self._data: ReportData | None = None
+        self._error = ""
 
     async def latest(self) -> Snapshot | None:
-        """Return the last look, or a new one when it is time for one; None if the campaign never could be read."""
+        """Return the last snapshot, or a new one when it is due; None if the campaign was never readable."""
         async with self._one_at_a_time:
-            end = self.closing.is_set() and not self._ended  # a look that was under way then saw too little
-            if end or time.monotonic() >= self._due:
-                self._ended = end
-                await to_thread.run_sync(self._look)
-            return self._last
+            # One more refresh at the end: one that was in progress when the page closed may lack the last facts.
+            final = self.closing.is_set() and not self._final
+            if final or time.monotonic() >= self._due:
+                self._final = final
+                await to_thread.run_sync(self._refresh)
+            return self._snapshot
 
-    async def fresh(self) -> Snapshot:
-        """Return the latest look.
+    async def available(self) -> Snapshot:
+        """Return the latest snapshot.
 
         Raises:
-            PerfboundError: the campaign cannot be read, and never could.
+            PerfboundError: the campaign cannot be read and never could be.
 
         """
-        look = await self.latest()
-        if look is None:
-            raise PerfboundError(self._trouble)
-        return look
+        snapshot = await self.latest()
+        if snapshot is None:
+            raise PerfboundError(self._error)
+        return snapshot
 
-    async def scene(self, problem: str, test: int) -> str:
-        """Return the scene of a test, as JSON.
+    async def rollouts_of_test(self, problem: str, test: int) -> str:
+        """Return the rollouts of a test as JSON.
 
         Raises:
             PerfboundError: there is no such test, or its files cannot be read.
 
         """
         async with self._one_at_a_time:
-            return to_json(await to_thread.run_sync(self._teller.scene, problem, test))
+            return to_json(await to_thread.run_sync(self._collector.rollouts_of_test, problem, test))
 
     async def pause(self, most: float) -> None:
-        """Wait until the next look, at most `most` s, or until the page closes."""
+        """Wait until a refresh is due, at most `most` s, or until the page closes."""
         try:
             await asyncio.wait_for(self.closing.wait(), min(most, max(0.0, self._due - time.monotonic())))
         except TimeoutError:
             return
 
-    def close(self) -> None:
-        """Let everybody take one last look and go."""
-        self.closing.set()
-
-    def _look(self) -> None:
+    def _refresh(self) -> None:
         began = time.monotonic()
         try:
-            self._take(self._teller.look(self.live, time.time()))
+            self._store(self._collector.refresh(self.live, time.time()))
         except (PerfboundError, OSError) as error:
-            self._complain(str(error))
-        except Exception as error:  # noqa: BLE001  (a fault of ours: the page keeps what it has)
-            self._complain(f"a look failed: {error!r}")
+            self._fail(str(error))
+        except Exception as error:  # noqa: BLE001  (a bug in a refresh must not end the page)
+            self._fail(f"the page could not be refreshed: {error!r}")
         now = time.monotonic()
-        self._due = now + min(LONGEST, max(PERIOD, now - began))
+        self._due = now + min(LONGEST_PAUSE, max(SHORTEST_PAUSE, now - began))
 
-    def _take(self, story: ReportData) -> None:
-        seen = replace(story, updated=None)
-        if seen != self._seen:
-            number = self._last.number + 1 if self._last else 0
-            self._last, self._seen = Snapshot(number, story.name, to_json(story)), seen
+    def _store(self, data: ReportData) -> None:
+        timeless = replace(data, updated=None)
+        if timeless != self._data:
+            number = self._snapshot.number + 1 if self._snapshot else 0
+            self._snapshot, self._data = Snapshot(number, data.name, to_json(data)), timeless
 
-    def _complain(self, trouble: str) -> None:
-        if trouble != self._trouble:
-            self._trouble = trouble
-            self.say(trouble)
+    def _fail(self, error: str) -> None:
+        if error != self._error:  # the same error every second is reported once
+            self._error = error
+            self.report(error)

@@ -1,4 +1,4 @@
-"""The story of a campaign, told while it is made and afterwards."""
+"""The report data of a campaign, collected while it runs and afterwards."""
 
 import json
 import math
@@ -59,8 +59,8 @@ def one(tmp_path: Path, no_disk: None) -> Path:
     return tmp_path
 
 
-def told(directory: Path) -> ReportData:
-    return Collector(directory).look()
+def collected(directory: Path) -> ReportData:
+    return Collector(directory).refresh()
 
 
 def numbers(values: tuple[float | None, ...]) -> list[float]:
@@ -75,57 +75,57 @@ def numbers(values: tuple[float | None, ...]) -> list[float]:
 @pytest.mark.usefixtures("no_disk")
 @pytest.mark.parametrize("name", CONFIGS)
 def test_what_was_added_up_is_what_a_fresh_look_finds(tmp_path: Path, name: str) -> None:
-    teller, tests = Collector(tmp_path), list[int]()
+    collector, tests = Collector(tmp_path), list[int]()
 
     def look() -> bool:
-        story = teller.look()
-        assert story == told(tmp_path)
+        story = collector.refresh()
+        assert story == collected(tmp_path)
         json.loads(to_json(story))
         tests.append(sum(len(problem.tests.test) for problem in story.problems))
         return False
 
     with campaign_lock(tmp_path):
         stage = play(tmp_path, CONFIGS[name], look)
-        assert teller.look().state == "running"
+        assert collector.refresh().state == "running"
     assert len(set(tests)) > 2, "some looks saw it in the middle"
     assert tests == sorted(tests)
-    story = teller.look()
+    story = collector.refresh()
     assert (story.state, story.claims, story.composition) == ("stopped", (), None)
     assert story.violations == len(story.counterexamples) > 0
     finish(stage, tmp_path)
-    story = teller.look()
-    assert story == told(tmp_path)
+    story = collector.refresh()
+    assert story == collected(tmp_path)
     assert story.state == "finished"
     assert story.now == story.claims[0].sentence
 
 
 def test_a_look_changes_no_file_and_leaves_none(finished: Path) -> None:
     before = contents(finished)
-    teller = Collector(finished)
-    story = teller.look()
+    collector = Collector(finished)
+    story = collector.refresh()
     for problem in story.problems:
-        teller.scene(problem.name, 0)
+        collector.rollouts_of_test(problem.name, 0)
     assert contents(finished) == before
 
 
 def test_an_empty_log_that_somebody_left_is_left_alone(one: Path) -> None:
     (one / "campaign.db-wal").touch()
     before = contents(one)
-    Collector(one).look()
+    Collector(one).refresh()
     assert contents(one) == before, "no -shm beside it"
 
 
 def test_a_surface_is_worked_out_again_only_after_a_new_test(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    teller = Collector(finished)
-    first = teller.look()
+    collector = Collector(finished)
+    first = collector.refresh()
     monkeypatch.setattr(surfaces, "surface", lambda *_: pytest.fail("nothing is new"))
-    monkeypatch.setattr(rollouts, "scene", lambda *_: pytest.fail("nothing is new"))
-    assert teller.look() == first
+    monkeypatch.setattr(rollouts, "of_test", lambda *_: pytest.fail("nothing is new"))
+    assert collector.refresh() == first
 
 
 def test_after_an_error_the_next_look_starts_over(one: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    teller = Collector(one)
-    first = teller.look()
+    collector = Collector(one)
+    first = collector.refresh()
 
     def spoiled(_: ChangeReader) -> Changes:
         raise JournalError("just now")
@@ -133,19 +133,19 @@ def test_after_an_error_the_next_look_starts_over(one: Path, monkeypatch: pytest
     with monkeypatch.context() as patch:
         patch.setattr(ChangeReader, "look", spoiled)
         with pytest.raises(JournalError, match="just now"):
-            teller.look()
-    assert teller.look() == first
+            collector.refresh()
+    assert collector.refresh() == first
 
 
 def test_another_campaign_in_its_place_is_not_mixed_in(one: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    teller, other = Collector(one), tmp_path_factory.mktemp("other")
-    first = teller.look()
+    collector, other = Collector(one), tmp_path_factory.mktemp("other")
+    first = collector.refresh()
     finish(play(other, a_pair("paper", seed=2)), other)
     for name in ("campaign.db", "certificate.json"):
         (other / name).replace(one / name)
     with pytest.raises(JournalError, match="another campaign"):
-        teller.look()
-    assert teller.look().run != first.run
+        collector.refresh()
+    assert collector.refresh().run != first.run
 
 
 def test_the_certificate_of_another_campaign_is_refused(one: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -153,12 +153,12 @@ def test_the_certificate_of_another_campaign_is_refused(one: Path, tmp_path_fact
     finish(play(other, a_pair("paper", seed=2)), other)
     (other / "certificate.json").replace(one / "certificate.json")
     with pytest.raises(JournalError, match="certificate is that of another campaign"):
-        told(one)
+        collected(one)
 
 
 def test_no_campaign_is_one_clear_error(tmp_path: Path) -> None:
     with pytest.raises(JournalError, match="no campaign here"):
-        told(tmp_path)
+        collected(tmp_path)
 
 
 # Numbers
@@ -170,7 +170,7 @@ def by_name(story: ReportData) -> dict[str, Problem]:
 
 def test_the_numbers_have_the_sign_of_their_objective(finished: Path) -> None:
     facts = read.history(finished)
-    for name, problem in by_name(told(finished)).items():
+    for name, problem in by_name(collected(finished)).items():
         sign = -1 if problem.sense == "min" else 1
         seen, tests = facts[name], problem.tests
         assert numbers(tests.y) == [sign * each.observation.y for each in seen]
@@ -191,7 +191,7 @@ def test_the_numbers_have_the_sign_of_their_objective(finished: Path) -> None:
 def test_a_surface_is_what_the_method_says(tmp_path: Path, name: str) -> None:
     """The method is the campaign's own, which also proposed; the story's has only seen the facts."""
     stage = play(tmp_path, CONFIGS[name])
-    for problem in told(tmp_path).problems:
+    for problem in collected(tmp_path).problems:
         method, surface = stage.ledger.methods[problem.name], problem.surface
         assert surface is not None
         last = stage.ledger.accounts[problem.name].last_bound
@@ -207,7 +207,7 @@ def test_a_surface_is_what_the_method_says(tmp_path: Path, name: str) -> None:
 
 
 def test_the_worst_start_is_where_the_band_is_worst(finished: Path) -> None:
-    for problem in told(finished).problems:
+    for problem in collected(finished).problems:
         surface = problem.surface
         assert surface is not None
         outer = numbers(surface.lower if problem.sense == "min" else surface.upper)
@@ -240,14 +240,14 @@ def test_a_running_problem_of_the_paper_has_no_bound_yet(tmp_path: Path, no_disk
     seen = list[ReportData]()
 
     def look() -> bool:
-        seen.append(told(tmp_path))
+        seen.append(collected(tmp_path))
         return len(seen[-1].problems[0].tests.test) > 3
 
     stage = play(tmp_path, a_pair("paper"), look)
     story = seen[-1]
     assert story.problems[0].probability is None
     assert "not yet a bound" in story.now
-    assert story.now.endswith("The composed claim comes at the end.")
+    assert story.now.endswith("The composed claim follows when all problems have stopped.")
     stage.journal.close()
 
 
@@ -255,7 +255,7 @@ def test_a_running_problem_of_the_others_has_a_bound_at_any_time(tmp_path: Path,
     seen = list[ReportData]()
 
     def look() -> bool:
-        seen.append(told(tmp_path))
+        seen.append(collected(tmp_path))
         return len(seen[-1].problems[0].tests.test) > 3
 
     stage = play(tmp_path, a_list(), look)
@@ -267,8 +267,9 @@ def test_a_running_problem_of_the_others_has_a_bound_at_any_time(tmp_path: Path,
 
 
 def test_the_words_promise_no_more_than_the_numbers(finished: Path) -> None:
-    for claim in told(finished).claims:
-        number = float(claim.sentence.split(f" {claim.sense} ")[1].split()[0])
+    for claim in collected(finished).claims:
+        sign = {">=": "≥", "<=": "≤"}[claim.sense]
+        number = float(claim.sentence.split(f" {sign} ")[1].split()[0])
         assert number <= claim.bound if claim.sense == ">=" else number >= claim.bound
         assert float(claim.sentence.split("at least ")[1].split(".  ")[0].split()[0].rstrip(".")) <= claim.probability
 
@@ -340,7 +341,7 @@ def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
 
 
 def test_a_scene_shows_the_worst_tests_nominal_against_true(finished: Path) -> None:
-    story = told(finished)
+    story = collected(finished)
     for problem in story.problems:
         shown = [scene for scene in story.scenes if scene.problem == problem.name]
         y, x = numbers(problem.tests.y), problem.tests.x
@@ -359,15 +360,15 @@ def test_a_scene_shows_the_worst_tests_nominal_against_true(finished: Path) -> N
 
 
 def test_a_damaged_or_missing_file_leaves_its_curve_out(one: Path) -> None:
-    scene = next(scene for scene in told(one).scenes if scene.problem == "sim_gap")
+    scene = next(scene for scene in collected(one).scenes if scene.problem == "sim_gap")
     first, second = (one / rollout.path for rollout in scene.rollouts)
     first.write_bytes(b"x" + first.read_bytes()[1:])
-    found = Collector(one).scene("sim_gap", scene.test)
+    found = Collector(one).rollouts_of_test("sim_gap", scene.test)
     assert len(found.traces) == len(scene.traces) - 1
     assert found.error is not None
     assert first.name in found.error
     second.unlink()
-    story = told(one)
+    story = collected(one)
     again = next(each for each in story.scenes if (each.problem, each.test) == ("sim_gap", scene.test))
     assert again.traces == ()
     assert again.rollouts == scene.rollouts
@@ -376,34 +377,34 @@ def test_a_damaged_or_missing_file_leaves_its_curve_out(one: Path) -> None:
 
 
 def test_a_file_that_was_mended_is_shown_at_the_next_look(one: Path) -> None:
-    teller = Collector(one)
-    scene = next(scene for scene in told(one).scenes if scene.problem == "sim_gap")
+    collector = Collector(one)
+    scene = next(scene for scene in collected(one).scenes if scene.problem == "sim_gap")
     path = one / scene.rollouts[0].path
     data = path.read_bytes()
     path.unlink()
-    assert teller.scene("sim_gap", scene.test) != scene
+    assert collector.rollouts_of_test("sim_gap", scene.test) != scene
     path.write_bytes(data)
-    assert teller.scene("sim_gap", scene.test) == scene
+    assert collector.rollouts_of_test("sim_gap", scene.test) == scene
 
 
 @pytest.mark.parametrize("problem", ["", "no", "../sim_gap", HOSTILE])
 def test_a_scene_of_no_problem_is_refused(one: Path, problem: str) -> None:
-    with pytest.raises(PerfboundError, match="allowed are nominal_robustness, sim_gap") as error:
-        Collector(one).scene(problem, 0)
+    with pytest.raises(PerfboundError, match="choose one of nominal_robustness, sim_gap") as error:
+        Collector(one).rollouts_of_test(problem, 0)
     assert len(str(error.value)) < 1000
 
 
 @pytest.mark.parametrize("test", [-1, 8, 10**9])
 def test_a_scene_of_no_test_is_refused(one: Path, test: int) -> None:
     with pytest.raises(PerfboundError, match="no test"):
-        Collector(one).scene("sim_gap", test)
+        Collector(one).rollouts_of_test("sim_gap", test)
 
 
 # Counterexamples
 
 
 def test_counterexamples_come_worst_first_with_what_reproduces_them(finished: Path) -> None:
-    story = told(finished)
+    story = collected(finished)
     found = [rollout.robustness for rollout in story.counterexamples]
     assert found == sorted(value for value in found if value is not None)
     assert story.violations == len(found) > 0
@@ -418,7 +419,7 @@ def test_a_directory_with_a_blank_is_quoted(tmp_path: Path, no_disk: None) -> No
     directory = tmp_path / "a b;rm"
     directory.mkdir()
     finish(play(directory, a_list()), directory)
-    story = told(directory)
+    story = collected(directory)
     assert story.counterexamples[0].command.startswith(f"perfbound replay '{directory}' true_risk.")
     assert story.resume == f"perfbound resume '{directory}'"
 
@@ -430,7 +431,7 @@ def test_hostile_names_are_text(one: Path) -> None:
     attempt = {"rollout": "sim_gap.0.true.0", "attempt": 7, "worker": HOSTILE}
     insert(one, "attempts", **attempt, host=HOSTILE, pid=1, session=1, started=0.0)
     insert(one, "outcomes", **attempt, ended=1.0, outcome="lost", cpu_seconds=0.5, wall_seconds=1.5)
-    story = Collector(one).look({HOSTILE: LiveState(HOSTILE, HOSTILE, 1.0)})
+    story = Collector(one).refresh({HOSTILE: LiveState(HOSTILE, HOSTILE, 1.0)})
     text = to_json(story)
     assert "<" not in text
     assert "\u2028" not in text
@@ -442,14 +443,14 @@ def test_hostile_names_are_text(one: Path) -> None:
 def test_a_path_that_leaves_the_run_directory_is_no_link_and_is_not_read(one: Path, path: str) -> None:
     row = {"problem": "sim_gap", "test": 0, "variant": "true", "replicate": 9, "seed": 1}
     insert(one, "rollouts", seq=10**6, **row, sha256="0" * 64, size=1, path=path, robustness=-0.04)
-    scene = Collector(one).scene("sim_gap", 0)
+    scene = Collector(one).rollouts_of_test("sim_gap", 0)
     assert scene.error is not None
     assert "is not a path in the run directory" in scene.error
     assert [each.path for each in scene.rollouts if each.replicate == 9] == [""]
 
 
 def test_a_number_that_is_not_finite_is_refused(one: Path) -> None:
-    story = told(one)
+    story = collected(one)
     with pytest.raises(ValueError, match="not JSON compliant"):
         to_json(replace(story, risk_weight=math.nan))
     with pytest.raises(ValueError, match="not JSON compliant"):
@@ -457,7 +458,7 @@ def test_a_number_that_is_not_finite_is_refused(one: Path) -> None:
 
 
 def test_json_keeps_unix_times_to_the_millisecond(one: Path) -> None:
-    text = to_json(replace(told(one), updated=1795266057.8321, risk_weight=0.123456789))
+    text = to_json(replace(collected(one), updated=1795266057.8321, risk_weight=0.123456789))
     found = json.loads(text)
     assert found["updated"] == 1795266057.8321
     assert found["risk_weight"] == 0.1234568
@@ -467,7 +468,7 @@ def test_json_keeps_unix_times_to_the_millisecond(one: Path) -> None:
 
 
 def test_work_adds_up(finished: Path) -> None:
-    story = told(finished)
+    story = collected(finished)
     assert sum(worker.rollouts for worker in story.workers) == story.rollouts
     assert {worker.state for worker in story.workers} == {"unknown"}
     assert {worker.host for worker in story.workers} == {"memory"}
@@ -477,7 +478,7 @@ def test_work_adds_up(finished: Path) -> None:
 
 
 def test_what_an_orchestrator_tells_is_laid_over(finished: Path) -> None:
-    story = Collector(finished).look(
+    story = Collector(finished).refresh(
         {"puppet-00001": LiveState("busy", "sim_gap.3.true.0", 5.0), "new": LiveState("idle")}, 7.0
     )
     states = {worker.name: (worker.state, worker.rollout, worker.heartbeat) for worker in story.workers}
@@ -488,21 +489,21 @@ def test_what_an_orchestrator_tells_is_laid_over(finished: Path) -> None:
 
 
 def test_a_long_campaign_has_few_points(one: Path) -> None:
-    crew, about = WorkerStatistics(), ChangeReader(one).look().header
+    statistics, about = WorkerStatistics(), ChangeReader(one).look().header
     outcomes = tuple(Outcome("w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
     lost = Outcome("w", "hung", 5000.0, 0.0, 10.0)
-    crew.take(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2))
-    found = crew.throughput()
+    statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2))
+    found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200
     assert (found.recorded[0], found.recorded[-1], found.seconds[-1]) == (1, 5000, 4999.0)
     assert found.rate == pytest.approx(1.0)
-    (worker,) = crew.workers({})
+    (worker,) = statistics.rows({})
     assert (worker.rollouts, worker.failures, worker.busy_seconds, worker.last) == (5000, 1, 5010.0, 5000.0)
 
 
 def test_listed_starts_have_points_and_no_shape(tmp_path: Path, no_disk: None) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
-    story = told(tmp_path)
+    story = collected(tmp_path)
     surface = story.problems[0].surface
     assert isinstance(surface, Surface)
     assert (surface.shape, surface.points[3], set(surface.upper)) == (None, (4.5, 2.0), {None})

@@ -8,12 +8,12 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.collections import PathCollection
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.lines import Line2D
 from rich.console import Console
 
+from perfbound.orchestrator.report import style
 from perfbound.orchestrator.report.paper import figures, study, table
 from perfbound.orchestrator.report.paper.figures import Decay
 from perfbound.orchestrator.store import read as queries
@@ -40,7 +40,7 @@ from tests import campaigns
 
 def planned(tmp_path: Path, *, functions: int = 0, seeds: int = 0, direct: int = 0, ours: bool = False) -> list[str]:
     extent = study.Extent(functions, seeds, direct, ours)
-    return [each.label for each in study.plan(extent, campaigns.FOLDER, tmp_path)]
+    return [each.label for each in study.planned(extent, campaigns.FOLDER, tmp_path)]
 
 
 def test_every_preset_has_its_seeds_and_its_directory(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_every_preset_has_its_seeds_and_its_directory(tmp_path: Path) -> None:
     assert planned(tmp_path, functions=2, seeds=1) == ["test-function-0", "test-function-1", "segway-paper-0"]
     assert planned(tmp_path, direct=2) == ["segway-direct-0", "segway-direct-1"]
     assert planned(tmp_path, ours=True) == ["segway-rigorous-1", "segway-scenario-1"]
-    one = study.plan(study.Extent(0, 4, 0, ours=False), campaigns.FOLDER, tmp_path)[3]
+    one = study.planned(study.Extent(0, 4, 0, ours=False), campaigns.FOLDER, tmp_path)[3]
     assert one.config == campaigns.config("segway-paper", seed=3)
     assert one.directory == tmp_path / "campaigns" / "segway-paper-3"
 
@@ -56,12 +56,12 @@ def test_every_preset_has_its_seeds_and_its_directory(tmp_path: Path) -> None:
 def test_missing_files_and_problems_are_named(tmp_path: Path) -> None:
     extent = study.Extent(1, 0, 0, ours=False)
     with pytest.raises(PerfboundError, match=r"nowhere: no such folder; .* --campaigns"):
-        study.plan(extent, tmp_path / "nowhere", tmp_path)
+        study.planned(extent, tmp_path / "nowhere", tmp_path)
     with pytest.raises(CampaignError, match=r"test-function\.toml: No such file"):
-        study.plan(extent, tmp_path, tmp_path)
+        study.planned(extent, tmp_path, tmp_path)
     shutil.copy(campaigns.FOLDER / "test-function-rigorous.toml", tmp_path / "test-function.toml")
     with pytest.raises(PerfboundError, match=r"the study needs 'maximum' with method 'paper'"):
-        study.plan(extent, tmp_path, tmp_path)
+        study.planned(extent, tmp_path, tmp_path)
 
 
 def test_the_time_left_is_measured_per_cost() -> None:
@@ -69,42 +69,18 @@ def test_the_time_left_is_measured_per_cost() -> None:
     assert study.time_left([(1, 3.0), (3, 9.0)], [2, 5]) == pytest.approx(21)
 
 
-class Heard:
-    """A follower that remembers."""
-
-    def __init__(self) -> None:
-        self.begun: list[tuple[int, str, bool]] = []
-
-    def begin(self, number: int, campaign: study.Planned, left: float | None) -> None:
-        self.begun.append((number, campaign.label, left is not None))
-
-
-def test_what_is_finished_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = study.plan(study.Extent(4, 0, 0, ours=False), campaigns.FOLDER, tmp_path)
-    there = {"test-function-0", "test-function-2"}
-    monkeypatch.setattr(study, "finished", lambda campaign: campaign.label in there)
-    monkeypatch.setattr(study, "_run", lambda campaign, _workers: there.add(campaign.label))
-    for expected in ([(2, "test-function-1", False), (4, "test-function-3", True)], []):
-        heard = Heard()
-        study.conduct(plan, workers=1, follower=heard)
-        assert heard.begun == expected
-    assert len(there) == 4
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_progress_names_the_campaign(tmp_path: Path, terminal: bool) -> None:
-    plan = study.plan(study.Extent(2, 0, 0, ours=False), campaigns.FOLDER, tmp_path)
-    console = Console(file=io.StringIO(), force_terminal=terminal, width=100, color_system=None)
-    with study.following(console, 2) as follower:
-        follower.begin(1, plan[0], None)
-        follower.begin(2, plan[1], 75.0)
-    assert isinstance(console.file, io.StringIO)
-    text = console.file.getvalue()
-    if terminal:
-        assert "test-function-1" in text
-        assert "1/2 , about 1 min 15 s left" in text
-    else:
-        assert text == ("campaign 1 of 2: test-function-0\ncampaign 2 of 2: test-function-1, about 1 min 15 s left\n")
+def test_only_unfinished_campaigns_are_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = study.planned(study.Extent(4, 0, 0, ours=False), campaigns.FOLDER, tmp_path)
+    finished = {"test-function-0", "test-function-2"}
+    monkeypatch.setattr(study.Planned, "finished", property(lambda campaign: campaign.label in finished))
+    monkeypatch.setattr(study, "_run_or_resume", lambda campaign, _workers: finished.add(campaign.label))
+    monkeypatch.setattr(study, "time_left", lambda done, _costs: 75.0 if done else None)
+    first = "campaign 2 of 4: test-function-1\ncampaign 4 of 4: test-function-3, about 1 min 15 s left\n"
+    for expected in (first, ""):
+        out = io.StringIO()
+        study.run_unfinished(plan, workers=1, console=Console(file=out))
+        assert out.getvalue() == expected
+    assert len(finished) == 4
 
 
 # The history of a campaign
@@ -238,7 +214,7 @@ def test_people_read_the_median_and_the_range() -> None:
 
 
 def test_claims_list_what_is_refuted() -> None:
-    rows = list(csv.DictReader(io.StringIO(table.claims_csv(table.claims(FINISHED)))))
+    rows = list(csv.DictReader(io.StringIO(table.claims_csv(table.claim_rows(FINISHED)))))
     assert [(row["source"], row["seed"]) for row in rows] == [
         ("printed in the paper", ""),
         *(("segway-paper", str(seed)) for seed in range(3)),
@@ -252,7 +228,7 @@ def test_claims_list_what_is_refuted() -> None:
 
 
 def test_claims_for_people_promise_no_more() -> None:
-    last = table.claims_markdown(table.claims(FINISHED)).splitlines()[-1]
+    last = table.claims_markdown(table.claim_rows(FINISHED)).splitlines()[-1]
     assert [cell.strip() for cell in last.strip("|").split("|")] == [
         *("segway-scenario", "1", "0.6612", "0.8544", "7", "56", "none"),
     ]
@@ -300,8 +276,8 @@ def ys(line: Line2D) -> list[float]:
 
 def png(figure: Figure) -> tuple[int, ...]:
     """Return height and width of the picture in pixels."""
-    data = figures.png(figure)
-    assert data == figures.png(figure)
+    data = style.png(figure)
+    assert data == style.png(figure)
     return tuple(imread(io.BytesIO(data)).shape[:2])
 
 
@@ -312,25 +288,25 @@ def test_figure_2_draws_every_campaign_its_tests_and_its_bound() -> None:
     curves, tolerance = drawn[:-1], drawn[-1]
     assert [len(xs(line)) for line in curves] == [4, 6, 5, 5]
     assert ys(tolerance) == [0.015, 0.015]
-    assert (tolerance.get_color(), tolerance.get_linestyle()) == (figures.RED, "--")
+    assert (tolerance.get_color(), tolerance.get_linestyle()) == (style.RED, "--")
     dots = function.collections[-1]
     assert isinstance(dots, PathCollection)
     assert np.asarray(dots.get_offsets()).tolist() == [[1.0, 0.0], [1.0, 1.0]]
     assert dots.get_sizes()[0] > dots.get_sizes()[1]
-    bounds = [line for line in bar.lines if line.get_color() == figures.BLUE]
+    bounds = [line for line in bar.lines if line.get_color() == style.BLUE]
     assert [ys(line) for line in bounds] == [[0.52, 0.52]]
     assert bar.get_ylim()[1] > 0.52
     assert [text.get_text() for text in bar.texts] == [r"$\epsilon = 0.520$"]
-    assert png(figure) == (int(4.8 * figures.DPI), int(figures.WIDTH * figures.DPI))
+    assert png(figure) == (int(4.8 * style.DPI), int(style.WIDTH * style.DPI))
 
 
 def test_figure_4_has_a_panel_a_problem_with_one_thick_line() -> None:
     decays = [Decay("true_risk", 0.05, {0: decaying(9)}), Decay("sim_gap", 0.01, RUNS)]
     figure = figures.figure_4(decays)
-    for axes, found, colour in zip(figure.axes, decays, (figures.RED, figures.GREEN), strict=True):
+    for axes, found, colour in zip(figure.axes, decays, (style.RED, style.GREEN), strict=True):
         lines = [line for line in axes.lines if xs(line) and line.get_marker() == "None"]
-        thick = [line for line in lines if line.get_linewidth() == figures.THICK and line.get_linestyle() == "-"]
-        thin = [line for line in lines if line.get_linewidth() == figures.THIN]
+        thick = [line for line in lines if line.get_linewidth() == style.THICK and line.get_linestyle() == "-"]
+        thin = [line for line in lines if line.get_linewidth() == style.THIN]
         dashed = [line for line in lines if line.get_linestyle() == "--"]
         ends = [line for line in axes.lines if line.get_marker() == "o"]
         assert len(thick) == 1
@@ -340,21 +316,12 @@ def test_figure_4_has_a_panel_a_problem_with_one_thick_line() -> None:
         assert [xs(line)[0] for line in ends] == [tests[-1].test for tests in found.runs.values()]
         assert {line.get_color() for line in axes.lines} == {colour}
         assert axes.get_xlim()[1] > 8, "the longest run of all panels fits"
-    assert png(figure)[1] == int(figures.WIDTH * figures.DPI)
-
-
-def test_the_palette_keeps_colours_that_few_pixels_have() -> None:
-    data = figures.png(figures.figure_2(Decay("maximum", 0.015, RUNS)))
-    pixels = imread(io.BytesIO(data))[:, :, :3].reshape(-1, 3)
-    assert pixels[0].tolist() == [1, 1, 1], "the ground is white"
-    greys = figures.GREYS(np.arange(20))[:, :3]
-    for colour in np.vstack([to_rgb(figures.BLUE), to_rgb(figures.RED), greys]):
-        assert np.abs(pixels - colour).max(axis=1).min() < 0.02, colour
+    assert png(figure)[1] == int(style.WIDTH * style.DPI)
 
 
 def test_drawing_leaves_the_style_of_others_alone() -> None:
     before = dict(mpl.rcParams)
-    figures.png(figures.figure_2(Decay("maximum", 0.015, RUNS)))
+    style.png(figures.figure_2(Decay("maximum", 0.015, RUNS)))
     assert dict(mpl.rcParams) == before
 
 

@@ -134,26 +134,28 @@ def damage(directory: Path, rollout: str) -> Path:
 @pytest.mark.parametrize("directory", ["segway", "plain"])
 @pytest.mark.usefixtures("spoil")
 def test_the_same_seed_gives_the_same_bits(request: Any, directory: str, rollout: str) -> None:
-    first, *rest = replay.replay(request.getfixturevalue(directory), rollout)
+    first, *rest = replay.replay_rollout(request.getfixturevalue(directory), rollout)
     assert first.startswith(f"{rollout.replace('-', '.')}: segway, ")
-    assert rest == ["bitwise the same as the recorded trajectory"]
+    assert rest == ["bitwise equal to the recorded trajectory"]
 
 
 @pytest.mark.usefixtures("spoil")
 def test_the_first_line_tells_start_seed_and_robustness(segway: Path, function: Path) -> None:
     found = load_recorded(segway, TRUE)
     x, y = found.request.x
-    line = next(replay.replay(segway, TRUE))
+    line = next(replay.replay_rollout(segway, TRUE))
     assert f"true, x = {x:g} m, y = {y:g} m, seed {found.fact.seed}, robustness {found.fact.robustness:.6g}" in line
-    assert next(replay.replay(function, "maximum.0.true.0")).startswith("maximum.0.true.0: test-function, true, z1 = ")
-    assert " 1," not in next(replay.replay(function, "maximum.0.true.0"))
+    assert next(replay.replay_rollout(function, "maximum.0.true.0")).startswith(
+        "maximum.0.true.0: test-function, true, z1 = "
+    )
+    assert " 1," not in next(replay.replay_rollout(function, "maximum.0.true.0"))
 
 
 def test_a_difference_is_told_by_column_and_refused(segway: Path, spoil: Any, tmp_path: Path) -> None:
     spoil(shifted(1e-6))
     said = []
     with pytest.raises(PerfboundError, match=r"phi differs by up to 1e-06 rad at t = 0\.\d+ s") as fault:
-        said += list(replay.replay(segway, NOMINAL, out=tmp_path / "a.png"))
+        said += list(replay.replay_rollout(segway, NOMINAL, out=tmp_path / "a.png"))
     assert str(fault.value).startswith(f"{NOMINAL}: ")
     assert "\n" not in str(fault.value)
     assert (tmp_path / "a.png").exists(), "it is drawn all the more"
@@ -161,7 +163,7 @@ def test_a_difference_is_told_by_column_and_refused(segway: Path, spoil: Any, tm
 
 def test_another_machine_may_round_differently(segway: Path, spoil: Any) -> None:
     spoil(shifted(1e-12))
-    _, heading, *rows = replay.replay(segway, NOMINAL)
+    _, heading, *rows = replay.replay_rollout(segway, NOMINAL)
     assert heading.split() == ["column", "unit", "largest", "difference", "at", "t", "/", "s"]
     largest = {row.split()[0]: float(row.split()[2]) for row in rows}
     assert largest.pop("phi") == pytest.approx(1e-12, rel=1e-3)
@@ -171,14 +173,14 @@ def test_another_machine_may_round_differently(segway: Path, spoil: Any) -> None
 def test_a_shorter_trajectory_is_refused(segway: Path, spoil: Any) -> None:
     spoil(lambda data: rewritten(data, read(data).trajectory.samples[:-1]))
     with pytest.raises(PerfboundError, match="there are 240 samples, not 241"):
-        list(replay.replay(segway, NOMINAL))
+        list(replay.replay_rollout(segway, NOMINAL))
 
 
 def test_negative_zero_is_not_bitwise_zero() -> None:
     zero, negative = (Trajectory(("t", "x"), np.array([[0.0, value]])) for value in (0.0, -0.0))
     assert compare(zero, zero).bitwise
     found = compare(negative, zero)
-    assert (found.bitwise, found.same) == (False, True)
+    assert (found.bitwise, found.within_tolerance) == (False, True)
 
 
 # Damage
@@ -189,11 +191,11 @@ def test_negative_zero_is_not_bitwise_zero() -> None:
 def test_a_damaged_file_is_made_again(request: Any, directory: str, tmp_path: Path) -> None:
     run_directory = copied(request.getfixturevalue(directory), tmp_path / "run")
     path = damage(run_directory, TRUE)
-    _, hurt, good = replay.replay(run_directory, TRUE)
+    _, hurt, good = replay.replay_rollout(run_directory, TRUE)
     assert hurt.startswith(f"{path}: sha256 ")
-    assert good == "simulated again, the file is bitwise the one that was recorded"
+    assert good == "simulated again, the file is bitwise equal to the recorded one"
     path.unlink()
-    assert list(replay.replay(run_directory, TRUE))[1:] == [
+    assert list(replay.replay_rollout(run_directory, TRUE))[1:] == [
         f"{path}: No such file or directory; restore it from a copy",
         good,
     ]
@@ -207,7 +209,7 @@ def test_a_damaged_file_that_cannot_be_made_again_is_told(
     damage(run_directory, TRUE)
     spoil(shifted(1e-15))
     with pytest.raises(PerfboundError, match=r"the file has the sha256 .*, not the recorded"):
-        list(replay.replay(run_directory, TRUE))
+        list(replay.replay_rollout(run_directory, TRUE))
 
 
 def test_a_file_of_another_request_is_refused(tmp_path: Path) -> None:
@@ -235,12 +237,15 @@ def test_a_path_out_of_the_run_directory_is_not_read(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize(
     ("rollout", "text"),
     [
-        ("", r"'' names no rollout; a name is problem.test.variant.replicate, e.g. nominal_robustness.0.nominal.0"),
+        ("", r"'' names no rollout; use problem.test.variant.replicate, e.g. nominal_robustness.0.nominal.0"),
         ("sim_gap.0.true", "names no rollout"),
         ("sim_gap.x.true.0", "names no rollout"),
-        ("sim_gap.0.true.1", r"no rollout .* is recorded; of its test there are sim_gap.0.nominal.0, sim_gap.0.true.0"),
-        ("sim_gap.2.true.0", "sim_gap has the tests 0 to 1"),
-        ("maximum.0.true.0", "the problems are nominal_robustness, sim_gap"),
+        (
+            "sim_gap.0.true.1",
+            r"no rollout .* is recorded; choose one of its test: sim_gap.0.nominal.0, sim_gap.0.true.0",
+        ),
+        ("sim_gap.2.true.0", "choose a test of sim_gap from 0 to 1"),
+        ("maximum.0.true.0", "choose a problem: nominal_robustness, sim_gap"),
     ],
 )
 def test_a_rollout_that_is_not_there(segway: Path, rollout: str, text: str) -> None:
@@ -259,7 +264,7 @@ def test_the_reason_of_the_child_is_passed_on(segway: Path, monkeypatch: pytest.
 
     monkeypatch.setattr(replay, "ask", ask)
     with pytest.raises(PerfboundError, match="not installed here"):
-        list(replay.replay(segway, NOMINAL, out=tmp_path / "a.png", mcap=tmp_path / "a.mcap"))
+        list(replay.replay_rollout(segway, NOMINAL, out=tmp_path / "a.png", mcap=tmp_path / "a.mcap"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -269,7 +274,7 @@ def test_the_reason_of_the_child_is_passed_on(segway: Path, monkeypatch: pytest.
 @pytest.mark.parametrize("directory", ["segway", "plain"])
 @pytest.mark.usefixtures("spoil")
 def test_the_file_shows_a_person_everything(request: Any, directory: str, tmp_path: Path) -> None:
-    *_, line = replay.replay(request.getfixturevalue(directory), TRUE, mcap=tmp_path / "new" / "a.mcap")
+    *_, line = replay.replay_rollout(request.getfixturevalue(directory), TRUE, mcap=tmp_path / "new" / "a.mcap")
     assert line == f"file: {tmp_path / 'new' / 'a.mcap'}"
     data = (tmp_path / "new" / "a.mcap").read_bytes()
     topics = {channel.topic for _, channel, _ in make_reader(io.BytesIO(data)).iter_messages()}
@@ -284,7 +289,7 @@ def test_equal_rollouts_give_equal_pictures(segway: Path, plain: Path, tmp_path:
     pictures = []
     for number, directory in enumerate((segway, segway, plain)):
         path = tmp_path / f"{number}.png"
-        *_, line = replay.replay(directory, TRUE, out=path)
+        *_, line = replay.replay_rollout(directory, TRUE, out=path)
         assert line == f"picture: {path}"
         pictures.append(path.read_bytes())
     assert len(set(pictures)) == 1
@@ -296,7 +301,7 @@ def test_equal_rollouts_give_equal_pictures(segway: Path, plain: Path, tmp_path:
 
 @pytest.mark.usefixtures("spoil")
 def test_a_system_that_shows_nothing_has_curves(function: Path, tmp_path: Path) -> None:
-    list(replay.replay(function, "maximum.0.true.0", out=tmp_path / "a.png"))
+    list(replay.replay_rollout(function, "maximum.0.true.0", out=tmp_path / "a.png"))
     with Image.open(tmp_path / "a.png") as image:
         assert image.height < 400
 
@@ -305,7 +310,7 @@ def test_a_system_that_shows_nothing_has_curves(function: Path, tmp_path: Path) 
 def test_a_damaged_file_is_drawn_too(segway: Path, tmp_path: Path) -> None:
     run_directory = copied(segway, tmp_path / "run")
     damage(run_directory, TRUE)
-    list(replay.replay(run_directory, TRUE, out=tmp_path / "a.png"))
+    list(replay.replay_rollout(run_directory, TRUE, out=tmp_path / "a.png"))
     with Image.open(tmp_path / "a.png") as image:
         assert image.width == 1500
 

@@ -55,7 +55,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, no_disk: None) -> Path:
 
 @pytest.fixture
 def story(finished: Path) -> ReportData:
-    return write.tell(finished)
+    return write.collected(finished)
 
 
 @pytest.fixture
@@ -113,10 +113,10 @@ def hashes(texts: list[str]) -> list[str]:
 # The page
 
 
-@pytest.mark.parametrize("make", [document.report, document.live])
+@pytest.mark.parametrize("make", [document.standalone_page, document.served_page])
 def test_nothing_runs_but_what_the_policy_names(story: ReportData, make: Any) -> None:
     page = make(story.name, to_json(story))
-    parsed, live = Parsed(page.html), make is document.live
+    parsed, live = Parsed(page.html), make is document.served_page
     assert len(parsed.inline("script")) == 2
     assert len(parsed.inline("style")) == 1
     assert parsed.policy == {
@@ -132,7 +132,7 @@ def test_nothing_runs_but_what_the_policy_names(story: ReportData, make: Any) ->
 
 
 def test_the_page_needs_nothing_from_elsewhere(story: ReportData) -> None:
-    parsed = Parsed(document.report(story.name, to_json(story)).html)
+    parsed = Parsed(document.standalone_page(story.name, to_json(story)).html)
     for tag, attributes in parsed.tags:
         assert tag != "script" or "src" not in attributes
         assert tag != "link" or attributes["href"] == "data:,"
@@ -142,7 +142,7 @@ def test_the_page_needs_nothing_from_elsewhere(story: ReportData) -> None:
 def test_hostile_text_is_text_in_the_page(story: ReportData) -> None:
     worker = replace(story.workers[0], name=HOSTILE, host=HOSTILE)
     hostile = replace(story, name=HOSTILE, doc=HOSTILE, workers=(worker,), now=HOSTILE)
-    page, calm = document.report(HOSTILE, to_json(hostile)), document.report("", to_json(story))
+    page, calm = document.standalone_page(HOSTILE, to_json(hostile)), document.standalone_page("", to_json(story))
     parsed = Parsed(page.html)
     assert page.policy == calm.policy
     assert [tag for tag, _ in parsed.tags] == [tag for tag, _ in Parsed(calm.html).tags]
@@ -156,10 +156,10 @@ def test_hostile_text_is_text_in_the_page(story: ReportData) -> None:
 
 def test_a_report_is_the_same_whenever_it_is_written(finished: Path, story: ReportData) -> None:
     def written(told: ReportData) -> dict[Path, bytes]:
-        paths = (*write.write(finished, told), *write.write_figures(finished, told))
+        paths = (*write.write_page(finished, told), *write.write_figures(finished, told))
         return {path: path.read_bytes() for path in paths}
 
-    first, again = written(story), written(write.tell(finished))
+    first, again = written(story), written(write.collected(finished))
     assert first == again
     names = [str(path.relative_to(finished)) for path in first]
     kinds = [f"figures/{name}-{kind}" for name in ("nominal_robustness", "sim_gap") for kind in ("map", "decay")]
@@ -169,7 +169,7 @@ def test_a_report_is_the_same_whenever_it_is_written(finished: Path, story: Repo
         *(f"{kind}.{end}" for kind in kinds for end in ("svg", "png")),
     ]
     assert len(first[finished / "report.html"]) < 500_000
-    assert Parsed(first[finished / "report.html"].decode()).story == json.loads(to_json(write.here(story)))
+    assert Parsed(first[finished / "report.html"].decode()).story == json.loads(to_json(write.relocatable(story)))
     for path, data in first.items():
         assert path.suffix != ".svg" or not re.search(rb"\d\d:\d\d:\d\d|dc:date", data)
     assert not list(finished.rglob("*.partial"))
@@ -177,7 +177,7 @@ def test_a_report_is_the_same_whenever_it_is_written(finished: Path, story: Repo
 
 @pytest.mark.usefixtures("no_figures")
 def test_all_counterexamples_stand_in_the_table(finished: Path, story: ReportData) -> None:
-    _, path, *_ = write.write(finished, story)
+    _, path, *_ = write.write_page(finished, story)
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == story.violations > 0
@@ -188,7 +188,7 @@ def test_all_counterexamples_stand_in_the_table(finished: Path, story: ReportDat
 @pytest.mark.usefixtures("no_figures")
 def test_a_report_leaves_the_evidence_as_it_is(finished: Path, story: ReportData) -> None:
     before = contents(finished)
-    write.write(finished, story)
+    write.write_page(finished, story)
     after = contents(finished)
     kept = [name for name in before if name.startswith("trajectories") or name in (DATABASE, "certificate.json")]
     assert [before[name] for name in kept] == [after[name] for name in kept]
@@ -223,7 +223,7 @@ def test_a_strange_unit_is_drawn_as_it_is_written(story: ReportData) -> None:
 
 def test_listed_starts_are_drawn(tmp_path: Path, no_disk: None) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
-    paths = write.write_figures(tmp_path, write.tell(tmp_path))
+    paths = write.write_figures(tmp_path, write.collected(tmp_path))
     assert [path.name for path in paths] == [
         f"true_risk-{kind}" for kind in ("map.svg", "map.png", "decay.svg", "decay.png")
     ]
@@ -236,7 +236,7 @@ def test_a_nominal_curve_is_simulated_where_true_ones_are_alone(
     tmp_path: Path, no_disk: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
-    story, asked = write.tell(tmp_path), list[tuple[float, ...]]()
+    story, asked = write.collected(tmp_path), list[tuple[float, ...]]()
 
     def simulated(_: Header, rollout: Rollout) -> Trajectory:
         asked.append(rollout.x)
@@ -254,7 +254,7 @@ def test_another_system_than_that_of_the_campaign_is_not_simulated(
     tmp_path: Path, no_disk: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
-    story, spec = write.tell(tmp_path), load("test-function").spec
+    story, spec = write.collected(tmp_path), load("test-function").spec
     newer = SystemSpec.model_validate({**spec.model_dump(), "doc": "newer"})
     monkeypatch.setattr(nominal, "system_specs", lambda: {spec.name: newer})
     scene = nominal.with_nominal(tmp_path, story).scenes[0]
@@ -280,7 +280,7 @@ def test_the_command_prints_the_files_or_the_story(finished: Path, story: Report
     assert json.loads(printed.stdout) == json.loads(to_json(story))
     assert contents(finished) == before
     printed = CliRunner().invoke(cli, ["report", str(finished)], catch_exceptions=False)
-    assert printed.stdout.splitlines() == [str(path) for path in write.write(finished, story)]
+    assert printed.stdout.splitlines() == [str(path) for path in write.write_page(finished, story)]
     assert printed.stderr == ""
 
 
@@ -304,7 +304,7 @@ def over_soon() -> Any:
 
 @pytest.mark.usefixtures("no_figures")
 def test_a_finished_campaign_gets_its_page_silently(finished: Path, story: ReportData, capsys: Any) -> None:
-    for path in write.write(finished, story):
+    for path in write.write_page(finished, story):
         path.unlink()
     report.draw(finished)
     assert (finished / "report.html").is_file()
@@ -316,7 +316,7 @@ def test_a_report_that_fails_is_one_line_and_no_error(
 ) -> None:
     said = list[str]()
     monkeypatch.setattr(report, "_say", said.append)
-    monkeypatch.setattr(write, "write", lambda *_: 1 / 0)
+    monkeypatch.setattr(write, "write_page", lambda *_: 1 / 0)
     report.draw(finished)
     (line,) = said
     assert "division by zero" in line
@@ -328,6 +328,6 @@ def test_counterexamples_with_a_hostile_path_harm_no_file(tmp_path: Path, no_dis
     finish(play(tmp_path / "run", a_pair("paper")), tmp_path / "run")
     row = {"problem": "sim_gap", "test": 0, "variant": "true", "replicate": 9, "seed": 1}
     insert(tmp_path / "run", "rollouts", seq=10**6, **row, sha256="0" * 64, size=1, path="../../x", robustness=-0.05)
-    for path in write.write(tmp_path / "run", write.tell(tmp_path / "run")):
+    for path in write.write_page(tmp_path / "run", write.collected(tmp_path / "run")):
         assert path.is_relative_to(tmp_path / "run")
     assert [path.name for path in tmp_path.iterdir()] == ["run"]

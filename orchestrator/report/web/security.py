@@ -1,0 +1,53 @@
+"""The checks that every request passes, and the headers of every response.
+
+Every web site that a user opens can send requests to a server on the user's machine. A site whose name is changed to
+resolve to this machine (DNS rebinding) could also read the responses of a server that accepts any Host header. This
+one accepts its own names only.
+"""
+
+import os
+
+from starlette.datastructures import MutableHeaders
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ...run.address import Address
+
+LONGEST = 1000
+"""Bytes of a path with its query."""
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Of every response that does not set its own."""
+
+
+def restricted(application: ASGIApp, address: Address) -> ASGIApp:
+    """Return the application behind the checks; it accepts `localhost`, loopback numbers and the host of `address`."""
+    host = os.uname().nodename if address.everywhere else address.host
+    hosts = ["localhost", "127.0.0.1", "[::1]", f"[{host}]" if ":" in host else host]
+    return _Headers(TrustedHostMiddleware(application, hosts, www_redirect=False))
+
+
+class _Headers:
+    """An application whose responses carry `HEADERS`, also those that refuse a request."""
+
+    def __init__(self, inner: ASGIApp) -> None:
+        self._inner = inner
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        too_long = len(scope["raw_path"]) + len(scope["query_string"]) > LONGEST
+        refusal = PlainTextResponse(f"an address here has at most {LONGEST} bytes\n", 414)
+        await (refusal if too_long else self._inner)(scope, receive, with_headers)
