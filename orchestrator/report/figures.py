@@ -109,4 +109,4 @@ def _array(values: Series) -> Floats:
 
 def _title(problem: Problem) -> str:
     number = len(problem.tests.test)
-    return f"{problem.name}: {number} test{'' if number == 1 else 's'}, method {problem.method}"
+    return f"{problem.name.replace('_', ' ')}: {number} test{'' if number == 1 else 's'}, method {problem.method}"

@@ -6,15 +6,15 @@ from ...schemas import certificate as document
 from ..certificate.text import QUANTITIES, outward
 from .data import Claim, Problem
 
-SIGNS = {">=": "≥", "<=": "≤", " - ": " \u2212 ", "rho": "ρ"}
+SIGNS = {">=": "≥", "<=": "≤", " -": " \u2212", "rho*": "ρ*"}
 """ASCII of certificate and terminal, and the sign that stands for it on the page."""
 
 
 def typeset(text: str) -> str:
     """Return a formula or a sentence of the certificate with real signs.
 
-    >>> typeset("rho* >= 0.17"), typeset("E[robustness] - r sd[robustness]")
-    ('ρ* ≥ 0.17', 'E[robustness] − r sd[robustness]')
+    >>> typeset("rho* >= -0.17"), typeset("E[robustness] - r sd[robustness]")
+    ('ρ* ≥ −0.17', 'E[robustness] − r sd[robustness]')
     """
     for ascii_sign, sign in SIGNS.items():
         text = text.replace(ascii_sign, sign)

@@ -269,7 +269,7 @@ def test_a_running_problem_of_the_others_has_a_bound_at_any_time(tmp_path: Path,
 def test_the_words_promise_no_more_than_the_numbers(finished: Path) -> None:
     for claim in collected(finished).claims:
         sign = {">=": "≥", "<=": "≤"}[claim.sense]
-        number = float(claim.sentence.split(f" {sign} ")[1].split()[0])
+        number = float(claim.sentence.split(f" {sign} ")[1].split()[0].replace("\u2212", "-"))
         assert number <= claim.bound if claim.sense == ">=" else number >= claim.bound
         assert float(claim.sentence.split("at least ")[1].split(".  ")[0].split()[0].rstrip(".")) <= claim.probability
 
