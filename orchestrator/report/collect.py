@@ -12,7 +12,7 @@ from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, RolloutFact
 from ..campaign.plan import plans
 from ..certificate import files
-from ..run.session import resume_command
+from ..run.format import resume_command
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, rollouts_of
 from . import rollouts, wording

@@ -9,8 +9,7 @@ from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory, decode
 from ..fleet.child import system_specs
-from ..store.journal import read_header
-from ..store.read import reading
+from ..store.read import read_header, reading
 from . import curves
 from .data import ReportData, Rollout, RolloutsOfTest
 from .replay.replay import simulate_file

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ...schemas.facts import RECORDED, RESTORED
 from ..store.changes import Changes, Outcome
-from ..store.read import RECENT, rate
+from ..store.progress import RECENT, rate
 from .data import Throughput, WorkerRow
 
 MOST_POINTS = 200

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from ....schemas import atomic
 from ...run import session
-from ...store import files, read
+from ...store import read
 from .. import style
 from . import figures, study, table
 from .study import DIRECT, FUNCTION, PAPER, Planned, Preset

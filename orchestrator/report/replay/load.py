@@ -13,8 +13,8 @@ from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory
 from ...campaign.seeds import rollout_seed
 from ...store import tables
-from ...store.journal import READERS, read_header
-from ...store.read import reading
+from ...store.read import read_header, reading
+from ...store.rows import READERS
 from ..rollouts import read_recorded
 
 _rollouts, _tests = tables.rollouts.c, tables.tests.c
@@ -65,12 +65,12 @@ def _find(connection: Connection, header: Header, directory: Path, text: str) ->
         ) from None
     of_test = (_rollouts.problem == rollout.problem) & (_rollouts.test == rollout.test)
     rows = connection.execute(sa.select(tables.rollouts).where(of_test))
-    found = {fact.rollout: fact for fact in map(READERS[tables.rollouts], rows) if isinstance(fact, RolloutFact)}
+    found = {fact.rollout: fact for fact in map(READERS[tables.rollouts.name], rows) if isinstance(fact, RolloutFact)}
     if rollout not in found:
         existing = _existing(connection, header, rollout, [str(each) for each in sorted(found)])
         raise PerfboundError(f"{directory}: no rollout {rollout} is recorded; {existing}")
     where = (_tests.problem == rollout.problem) & (_tests.test == rollout.test)
-    proposal = READERS[tables.tests](connection.execute(sa.select(tables.tests).where(where)).one())
+    proposal = READERS[tables.tests.name](connection.execute(sa.select(tables.tests).where(where)).one())
     assert isinstance(proposal, ProposalFact), "the reader of that table"
     return found[rollout], proposal
 

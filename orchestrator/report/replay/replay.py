@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from ....schemas import atomic
 from ....schemas.errors import PerfboundError, TrajectoryError
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory, decode

@@ -25,7 +25,6 @@ from perfbound.schemas.campaign_file import parse
 from perfbound.schemas.errors import JournalError
 from tests.campaigns import FOLDER
 from tests.fakes.inmemory import campaign
-from tests.patience import PATIENCE
 
 RECORDED = "trajectories/maximum/0/maximum.0.true.0.mcap"
 
@@ -509,8 +508,8 @@ def test_a_look_that_fails_is_said_once_and_the_page_keeps_what_it_has(stub: Stu
         stub.trouble = None
         await until(lambda: answer.stories)
         stub.trouble = ZeroDivisionError("a fault of ours")
-        looks = stub.looks
-        await until(lambda: stub.looks > looks)
+        refreshes = stub.refreshes
+        await until(lambda: stub.refreshes > refreshes)
         assert (await client.ask("/story.json")).status == 200
         stub.trouble, stub.story = None, replace(stub.story, rollouts=7)
         await until(lambda: len(answer.stories) == 2)
