@@ -4,8 +4,9 @@ from collections.abc import Mapping
 
 from ...schemas.campaign import PaperProblem, RigorousProblem, ScenarioProblem
 from ...schemas.errors import CampaignError
-from ..mathematics.bounds.confidence import mixture
+from ..mathematics.bounds.confidence import Premises, mixture
 from ..mathematics.bounds.paper import PaperMethod
+from ..mathematics.bounds.paper_formulas import PaperParameters
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.bounds.scenario import ScenarioMethod
 from ..mathematics.gp.kernels import Matern
@@ -32,9 +33,7 @@ def method(plan: ProblemPlan) -> ProblemMethod:
     problem = plan.problem
     match problem:
         case PaperProblem():
-            return PaperMethod(
-                _lattice(plan),
-                kernel(problem),
+            parameters = PaperParameters(
                 rkhs_norm=problem.rkhs_norm,
                 noise_scale=plan.noise,
                 delta=problem.delta,
@@ -44,26 +43,29 @@ def method(plan: ProblemPlan) -> ProblemMethod:
                 regulariser=problem.regulariser,
                 sigma=problem.sigma,
                 tail=problem.tail,
-                refine=problem.refine,
             )
+            return PaperMethod(_lattice(plan), kernel(problem), parameters, refine=problem.refine)
         case RigorousProblem():
-            return RigorousMethod(
-                plan.candidates,
-                kernel(problem),
+            premises = Premises(
                 rkhs_norm=problem.rkhs_norm,
                 noise_scale=plan.noise,
                 delta=problem.delta,
-                alpha=problem.alpha,
                 regularisers=_mixture(problem, plan.noise),
-                prior_mean=problem.prior_mean,
-                tau_misspecification=problem.misspecification,
+                tau=problem.misspecification,
                 round_off=problem.round_off,
+            )
+            return RigorousMethod(
+                plan.candidates,
+                kernel(problem),
+                premises,
+                alpha=problem.alpha,
+                prior_mean=problem.prior_mean,
                 slack=problem.slack,
             )
         case ScenarioProblem():
             constants = problem.linearised
             return ScenarioMethod(
-                plan.candidates.nodes,
+                plan.candidates,
                 clip=plan.clip,
                 risk_weight=plan.risk_weight,
                 delta=problem.delta,

@@ -13,11 +13,10 @@ from ..mathematics.bounds.composition import (
     joint_probability,
     least_risk,
     pointwise_mean,
-    round_down,
-    round_up,
 )
 from ..mathematics.bounds.paper import PaperMethod
 from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.rounding import round_down, round_up
 
 Results = Mapping[str, document.ProblemResult]
 PAIR = ("nominal_robustness", "sim_gap")

@@ -6,8 +6,8 @@ from ...schemas import certificate as document
 from ...schemas.campaign import SENSES, PaperProblem, ProblemName, RigorousProblem
 from ..campaign.ledger import Account
 from ..campaign.plan import ProblemPlan
-from ..mathematics.bounds.composition import round_down, round_up
-from ..mathematics.bounds.paper import Tail, mills_probability
+from ..mathematics.bounds.paper_formulas import Tail, mills_probability
+from ..mathematics.bounds.rounding import round_down, round_up
 
 TAILS: tuple[Tail, ...] = ("gaussian", "sub-gaussian")
 OBJECTIVES: dict[ProblemName, str] = {

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod, Regulariser
+from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod
+from perfbound.orchestrator.mathematics.bounds.paper_formulas import PaperParameters, Regulariser
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.benchmarks import data
@@ -46,9 +47,7 @@ def _method(
     nu: float, regulariser: Regulariser, refine: bool, *, rkhs_norm: float = 0.25, noise_scale: float = 0.005
 ) -> PaperMethod:
     box = (data.LOW,) * 2, (data.HIGH,) * 2
-    return PaperMethod(
-        Lattice(*box, data.RESOLUTION),
-        Matern(nu, data.LENGTH_SCALE),
+    parameters = PaperParameters(
         rkhs_norm=rkhs_norm,
         noise_scale=noise_scale,
         delta=0.05,
@@ -56,8 +55,8 @@ def _method(
         c=0.01,
         regulariser=regulariser,
         sigma="std",
-        refine=refine,
     )
+    return PaperMethod(Lattice(*box, data.RESOLUTION), Matern(nu, data.LENGTH_SCALE), parameters, refine=refine)
 
 
 def _distinct(regulariser: Regulariser, refine: bool, peers: Peers) -> list[Row]:
@@ -67,11 +66,11 @@ def _distinct(regulariser: Regulariser, refine: bool, peers: Peers) -> list[Row]
     rows = []
     for n in data.SIZES:
         while method.n < n:
-            method.observe(nodes[method.n], y[method.n])
+            method.observe(*an_observation(nodes[method.n], y[method.n]))
         times, proposed = [], []
         for i in range(n, n + REPEATS):
             start = time.process_time_ns()
-            method.observe(nodes[i], y[i])
+            method.observe(*an_observation(nodes[i], y[i]))
             proposed.append(method.propose().node)
             times.append((time.process_time_ns() - start) / 1e6)
         if regulariser == data.REGULARISER and not refine:

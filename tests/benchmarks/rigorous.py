@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds.confidence import mixture
+from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture
 from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
@@ -44,11 +44,8 @@ class _Campaign:
         self.method = RigorousMethod(
             lattice,
             Matern(nu=10, length_scale=1.0),
-            rkhs_norm=1.5,
-            noise_scale=0.005,
-            delta=0.05,
+            Premises(1.5, 0.005, 0.05, mixture(1.5, 0.005)),
             alpha=1e-3,
-            regularisers=mixture(1.5, 0.005),
         )
 
     def step(self) -> None:

@@ -6,6 +6,7 @@ import time
 import numpy as np
 
 from perfbound.orchestrator.mathematics.bounds.scenario import Risk, ScenarioMethod
+from perfbound.orchestrator.mathematics.gp.points import Points
 from tests.benchmarks.report import Row
 from tests.fakes.observations import an_observation
 
@@ -22,7 +23,7 @@ def main() -> list[Row]:
 
 def _measure(size: int, risk: Risk) -> list[Row]:
     method = ScenarioMethod(
-        np.arange(size, dtype=np.float64)[:, None],
+        Points(tuple((float(k),) for k in range(size))),
         clip=(-0.05, 0.75),
         risk_weight=0.2,
         delta=0.05,

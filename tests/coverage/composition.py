@@ -17,7 +17,7 @@ from perfbound.orchestrator.mathematics.bounds.composition import (
     least_risk,
     pointwise_mean,
 )
-from perfbound.orchestrator.mathematics.bounds.confidence import mixture
+from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture
 from perfbound.orchestrator.mathematics.bounds.rigorous import ExhaustedError, RigorousMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from tests.coverage.functions import Floats, fine_points, maximum, random_function
@@ -85,12 +85,9 @@ class Pair:
             RigorousMethod(
                 self.candidates,
                 Matern(nu, length),
-                rkhs_norm=norm,
-                noise_scale=noise,
-                delta=row.delta,
+                Premises(norm, noise, row.delta, mixture(norm, noise)),
                 alpha=0.02,
                 prior_mean=mean,
-                regularisers=mixture(norm, noise),
             )
             for norm, noise, mean in zip((NOMINAL_NORM, GAP_NORM), noises, (-NOMINAL, GAP), strict=True)
         ]

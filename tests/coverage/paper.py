@@ -13,7 +13,8 @@ import numpy as np
 
 from perfbound.orchestrator.mathematics.bounds import audit
 from perfbound.orchestrator.mathematics.bounds.composition import compose
-from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod, SigmaReading, mills_probability
+from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod
+from perfbound.orchestrator.mathematics.bounds.paper_formulas import PaperParameters, SigmaReading, mills_probability
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from tests.coverage.composition import GAP, GAP_NORM, NOMINAL, NOMINAL_NORM
@@ -71,9 +72,7 @@ class Outcome:
 def problem(row: Paper, rng: np.random.Generator, values: Floats, norm: float, prior_mean: float) -> Outcome:
     """Run Algorithm 1 on J = `values` at the nodes until it stops or its budget ends."""
     told, noise = norm / row.small_b, NOISE * norm
-    method = PaperMethod(
-        lattice(),
-        Matern(NU, LENGTH),
+    parameters = PaperParameters(
         rkhs_norm=told,
         noise_scale=noise,
         delta=DELTA,
@@ -82,6 +81,7 @@ def problem(row: Paper, rng: np.random.Generator, values: Floats, norm: float, p
         prior_mean=prior_mean,
         sigma=row.sigma,
     )
+    method = PaperMethod(lattice(), Matern(NU, LENGTH), parameters)
     proposal = method.propose(int(rng.integers(lattice().size)))
     seen: list[float] = []
     while True:

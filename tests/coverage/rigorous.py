@@ -118,11 +118,8 @@ def method(setting: Setting, premises: Premises, alpha: float) -> RigorousMethod
     return RigorousMethod(
         setting.candidates,
         setting.kernel,
-        rkhs_norm=premises.rkhs_norm,
-        noise_scale=premises.noise_scale,
-        delta=premises.delta,
+        premises,
         alpha=alpha,
-        regularisers=premises.regularisers,
     )
 
 

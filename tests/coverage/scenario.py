@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from perfbound.orchestrator.mathematics.bounds.scenario import Risk, ScenarioMethod
+from perfbound.orchestrator.mathematics.gp.points import Points
 from tests.coverage.laws import CLIP, CONSTANTS, LAWS, RISK_WEIGHT, Law, extreme_risk
 from tests.coverage.oracle import ROUNDING
 from tests.fakes.observations import an_observation
@@ -65,7 +66,7 @@ def campaign(row: Scenario, rng: np.random.Generator, *, told: float | None = No
     """Run one campaign, whose method may be told another delta, and say which of its three claims were ever false."""
     laws, aims = targets(row)
     method = ScenarioMethod(
-        np.arange(row.size, dtype=np.float64)[:, None],
+        Points(tuple((float(k),) for k in range(row.size))),
         clip=CLIP,
         risk_weight=RISK_WEIGHT,
         delta=told or row.delta,
@@ -84,7 +85,9 @@ def campaign(row: Scenario, rng: np.random.Generator, *, told: float | None = No
     bound, least = method.bound(), min(aims)
     found = {
         "ell": bound.ell > least + ROUNDING,
-        "each": any(state.each > aim + ROUNDING for state, aim in zip(bound.scenarios, aims, strict=True)),
+        "each": any(
+            state.simultaneous_lower > aim + ROUNDING for state, aim in zip(bound.scenarios, aims, strict=True)
+        ),
         "upper": bound.upper < least - ROUNDING,
     }
     return {**found, "converged": method.stops(), "tests": method.n, "width": least - bound.ell}

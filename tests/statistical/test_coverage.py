@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-import perfbound.orchestrator.mathematics.bounds.rigorous
+import perfbound.orchestrator.mathematics.bounds.candidate_band
 from perfbound.orchestrator.mathematics.bounds.composition import compose_mean
 from perfbound.orchestrator.mathematics.bounds.confidence import scales_squared
 from tests.coverage import composition, rigorous, scenario
@@ -63,7 +63,9 @@ def test_all_rows_of_one_claim_together(kind: str, claimed: float) -> None:
 @pytest.mark.parametrize("factor", [1.5, 2.0])
 def test_a_band_too_narrow_is_noticed(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        perfbound.orchestrator.mathematics.bounds.rigorous, "scales_squared", lambda *a: scales_squared(*a) / factor**2
+        perfbound.orchestrator.mathematics.bounds.candidate_band,
+        "scales_squared",
+        lambda *a: scales_squared(*a) / factor**2,
     )
     found = Found(row := Rigorous("list", 1, 2.5), one_chunk(row, 0))
     assert min(found.count("band"), found.count("bound")) > found.allowed

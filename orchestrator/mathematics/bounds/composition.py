@@ -1,4 +1,4 @@
-"""Composition of the bounds of two problems to a bound of the true system, and outward rounding.
+"""Composition of the bounds of two problems to a bound of the true system.
 
 | symbol    | name            | meaning                                                         | unit |
 |-----------|-----------------|-----------------------------------------------------------------|------|
@@ -17,22 +17,19 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Literal
 
 from ..gp.lattice import Lattice
-from ..gp.points import Points
+from ..gp.points import Candidates
 from .cover import certified_maximum
 from .envelope import Envelope
-from .risk import bhatia_davis
+from .risk import bhatia_davis, check_clip, check_risk
+from .rounding import STEP, decimal, floor_to_step, round_down
 
 Rule = Literal["product", "sum"]
 GapKind = Literal["signal_sup", "predicate_sup", "robustness"]
 NoiseKind = Literal["nominal_robustness", "signal_sup", "predicate_sup", "robustness"]
 VarianceBound = Literal["popoviciu", "bhatia-davis"]
-
-STEP = 10**9
-"""Bounds are whole multiples of 1/STEP."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +72,13 @@ def compose(
     0.0
 
     """
+    check_risk(clip, risk_weight)
     low, high = clip
-    rho, e, lip, r, m, top = (_decimal(v) for v in (robustness, gap, lipschitz, risk_weight, -low, high))
-    if lip < 0 or r < 0:
-        raise ValueError(f"lipschitz and risk_weight must not be negative, not {lipschitz!r} and {risk_weight!r}")
-    if m + top <= 0:
-        raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end")
+    rho, e, lip, r, m, top = (decimal(v) for v in (robustness, gap, lipschitz, risk_weight, -low, high))
+    if lip < 0:
+        raise ValueError(f"lipschitz must not be negative, not {lipschitz!r}")
     gap_term, spread = lip * e, r * (top + m) / 2
-    ell = _down(rho - gap_term - spread)
+    ell = floor_to_step(rho - gap_term - spread)
     chance = round_down(joint_probability(probabilities, rule))
     return Composition(float(robustness), float(gap_term), float(spread), ell, chance)
 
@@ -133,12 +129,12 @@ def compose_mean(
     0.558
 
     """
-    low, _ = _checked_clip(clip)
-    lip = _decimal(lipschitz)
+    low, _ = check_clip(clip)
+    lip = decimal(lipschitz)
     if lip < 0 or (kind != "signal_sup" and lip != 1):
         raise ValueError(f"lipschitz is {lipschitz!r}; it must not be negative, and only signal_sup has one")
-    exact = _decimal(robustness) - lip * _decimal(gap)
-    return max(round_down(low), _down(exact))
+    exact = decimal(robustness) - lip * decimal(gap)
+    return max(round_down(low), floor_to_step(exact))
 
 
 def least_risk(mean: float, *, risk_weight: float, clip: tuple[float, float], variance: VarianceBound) -> float:
@@ -155,26 +151,25 @@ def least_risk(mean: float, *, risk_weight: float, clip: tuple[float, float], va
     0.478
 
     """
-    low, high = _checked_clip(clip)
-    _check_weight(risk_weight)
+    check_risk(clip, risk_weight)
+    low, high = clip
     if variance == "bhatia-davis":
         return round_down(bhatia_davis(mean, clip, risk_weight) - STEP**-1 / 1000.0)  # round-off of the square root
     if variance == "popoviciu":
-        spread = _decimal(risk_weight) * (_decimal(high) - _decimal(low)) / 2
-        return _down(_decimal(mean) - spread)
+        spread = decimal(risk_weight) * (decimal(high) - decimal(low)) / 2
+        return floor_to_step(decimal(mean) - spread)
     raise ValueError(f"variance is 'popoviciu' or 'bhatia-davis', not {variance!r}")
 
 
 def pointwise_mean(
     robustness: Envelope,
     gap: Envelope,
-    candidates: Lattice | Points,
+    candidates: Candidates,
     *,
     clip: tuple[float, float],
     lipschitz: float = 1.0,
     slack: float,
     extremes: float,
-    max_cells: int = 20_000,
 ) -> float:
     """Return the lower bound of the least expected true robustness from two bands over one Z, rounded down.
     Implements eq. (pointwise) of [PB].
@@ -190,11 +185,11 @@ def pointwise_mean(
     """
     if not (slack > 0 and lipschitz > 0):
         raise ValueError(f"slack and lipschitz must be positive, not {slack!r} and {lipschitz!r}")
-    low, _ = _checked_clip(clip)
+    low, _ = check_clip(clip)
     bands = (robustness, gap.scaled(lipschitz))
     top = float((bands[0].at(candidates.nodes)[0] + bands[1].at(candidates.nodes)[0]).max())
     if isinstance(candidates, Lattice):
-        top = certified_maximum(bands, candidates, nodes=top, slack=slack, max_cells=max_cells).upper
+        top = certified_maximum(bands, candidates, nodes=top, slack=slack).upper
     return max(extremes, round_down(max(low, -top)))
 
 
@@ -220,10 +215,10 @@ def derived_noise_scale(
     0.4
 
     """
-    low, high = _checked_clip(clip)
+    low, high = check_clip(clip)
     if not (math.isfinite(lipschitz) and lipschitz > 0):
         raise ValueError(f"lipschitz must be a positive finite number, not {lipschitz!r}")
-    width = float(_decimal(high) - _decimal(low))
+    width = float(decimal(high) - decimal(low))
     if kind == "nominal_robustness":
         return 0.0 if deterministic_nominal else width / 2.0
     if kind == "signal_sup":
@@ -233,61 +228,3 @@ def derived_noise_scale(
     if kind == "robustness":
         return width / 2.0 if deterministic_nominal else width if common_seeds else width / math.sqrt(2.0)
     raise ValueError(f"no noise scale can be derived for {kind!r}")
-
-
-def _checked_clip(clip: tuple[float, float]) -> tuple[float, float]:
-    low, high = clip
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end, both finite")
-    return low, high
-
-
-def _check_weight(risk_weight: float) -> None:
-    if not (math.isfinite(risk_weight) and risk_weight >= 0):
-        raise ValueError(f"risk_weight must be a finite number >= 0, not {risk_weight!r}")
-
-
-def round_down(x: float) -> float:
-    """Return the largest multiple of 1e-9 that is not above `x`; a multiple stays where it is.
-
-    Raises:
-        ValueError: `x` is not finite.
-
-    >>> round_down(0.1234567899), round_down(0.3)
-    (0.123456789, 0.3)
-
-    """
-    return _down(_decimal(x))
-
-
-def round_up(x: float) -> float:
-    """Return the smallest multiple of 1e-9 that is not below `x`; a multiple stays where it is.
-
-    Raises:
-        ValueError: `x` is not finite.
-
-    >>> round_up(0.1234567891), round_up(-0.3)
-    (0.12345679, -0.3)
-
-    """
-    return -_down(-_decimal(x))
-
-
-def _decimal(x: float) -> Fraction:
-    """Return the shortest decimal that names the double `x`, exactly.
-
-    That is the number a reader of the certificate sees, so 0.46 - 0.38 - 0.08 is 0 here and not -4e-17. The nearest
-    double of a multiple of 1e-9 prints as that multiple, hence rounding leaves it alone.
-    """
-    if not math.isfinite(x):
-        raise ValueError(f"a bound needs finite numbers, not {x!r}")
-    return Fraction(repr(float(x)))
-
-
-def _down(exact: Fraction) -> float:
-    """Return the largest multiple of 1/STEP below or at `exact` as a double that, as printed, is not above it.
-
-    Above 2^23 doubles are further apart than 1/STEP, and the nearest one may be too large.
-    """
-    found = math.floor(exact * STEP) / STEP
-    return found if _decimal(found) <= exact else math.nextafter(found, -math.inf)

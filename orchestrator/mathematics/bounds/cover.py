@@ -21,6 +21,8 @@ from .envelope import Envelope
 
 Integers = NDArray[np.intp]
 
+MAX_CELLS = 20_000
+"""Cells of the box that one observation may cost; beyond it the bound is valid but less tight than `slack`."""
 _CHUNK = 4096
 """Cells per matrix product: bounds the memory."""
 
@@ -35,7 +37,7 @@ class Cover:
 
 
 def certified_maximum(
-    envelopes: Sequence[Envelope], lattice: Lattice, *, nodes: float, slack: float, max_cells: int
+    envelopes: Sequence[Envelope], lattice: Lattice, *, nodes: float, slack: float, max_cells: int = MAX_CELLS
 ) -> Cover:
     """Return a bound of the maximum over the box of the sum of the envelopes' upper bands.
     Implements eq. (cover) of [PB].

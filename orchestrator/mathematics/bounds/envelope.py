@@ -60,8 +60,12 @@ class Envelope:
         Formula: m0 + tau + min_a (mu_a + g_a sigma_a), m0 - tau + max_a (mu_a - g_a sigma_a), never beyond m0 +- (B +
         tau).
         """
-        mu, sd = self.moments(kernel)
+        return self.limits(*self.moments(kernel))
+
+    def limits(self, mu: Floats, sd: Floats) -> tuple[Floats, Floats]:
+        """Return (upper, lower), (N,) each, from the moments (N, A) there: the formula of `band`."""
         reach = self.g * sd
+        # Every a gives a valid band of the same set, so the intersection over a is valid too.
         upper, lower = np.min(mu + reach, axis=1), np.max(mu - reach, axis=1)
         high, low = self.prior_mean + self.tau, self.prior_mean - self.tau
         return high + np.minimum(upper, self.rkhs_norm), low + np.maximum(lower, -self.rkhs_norm)

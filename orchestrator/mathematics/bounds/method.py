@@ -37,7 +37,7 @@ class Method(Protocol):
         """Add an observation, and return the bound that follows from all of them; on an error nothing changes."""
         ...
 
-    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+    def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations whose bounds are known; afterwards only `band` is right."""
         ...
 

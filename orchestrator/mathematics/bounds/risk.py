@@ -8,10 +8,14 @@
 | c, s     | `c`, `s`      | about the mean and the sd of rho; s > 0      | ()    | unit of robustness |
 | X        | `linearised`  | E[X] is not above the risk                   | ()    | unit of robustness |
 | phi      | `bhatia_davis` | phi(E rho) is not above the risk            | ()    | unit of robustness |
+| x        | `unit`        | X, or rho for phi, moved and scaled to [0, 1] | ()   | -                  |
 """
 
 import math
+from dataclasses import dataclass, field
 from fractions import Fraction
+
+from .rounding import STEP
 
 
 def linearised(value: float, risk_weight: float, c: float, s: float) -> float:
@@ -44,11 +48,11 @@ def linearised_range(clip: tuple[float, float], risk_weight: float, c: float, s:
     (-0.684, 0.738222)
 
     """
-    check_range(clip, risk_weight)
+    check_risk(clip, risk_weight)
     if not (math.isfinite(c) and math.isfinite(s) and s > 0):
         raise ValueError(f"constants are finite numbers c and s > 0, not {c!r} and {s!r}")
     low, high, r, centre, spread = (Fraction(repr(float(v))) for v in (*clip, risk_weight, c, s))
-    vertex = (centre + spread / r,) if r else ()
+    vertex = (centre + spread / r,) if r else ()  # for r = 0 X is rho itself: no vertex
     places = [low, high, *(place for place in vertex if low < place < high)]
     found = [rho - r / 2 * ((rho - centre) ** 2 / spread + spread) for rho in places]
     return math.nextafter(float(min(found)), -math.inf), math.nextafter(float(max(found)), math.inf)
@@ -68,26 +72,84 @@ def bhatia_davis(mean: float, clip: tuple[float, float], risk_weight: float) -> 
     0.489667
 
     """
-    check_range(clip, risk_weight)
+    check_risk(clip, risk_weight)
     if not math.isfinite(mean):
         raise ValueError(f"a mean must be finite, not {mean!r}")
     low, high = clip
     centre, half, steep = 0.5 * (high + low), 0.5 * (high - low), math.sqrt(1.0 + risk_weight**2)
     b = min(max(mean, low), high)
+    # Left of its minimum phi falls in b; a law with a larger mean may have a lower risk there, so the minimum counts.
     if b <= centre - half / steep:
         return centre - half * steep
     return b - risk_weight * math.sqrt((high - b) * (b - low))
 
 
-def check_range(clip: tuple[float, float], risk_weight: float) -> None:
-    """Check what every formula here needs.
+def check_risk(clip: tuple[float, float], risk_weight: float) -> None:
+    """Check the parameters of a risk.
 
     Raises:
         ValueError: a number is not finite, the clip is empty, or r is negative.
 
     """
-    low, high = clip
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ValueError(f"clip is [{low!r}, {high!r}]; both ends finite, the lower below the upper")
+    check_clip(clip)
     if not (math.isfinite(risk_weight) and risk_weight >= 0):
         raise ValueError(f"risk_weight must be finite and not negative, not {risk_weight!r}")
+
+
+def check_clip(clip: tuple[float, float]) -> tuple[float, float]:
+    """Return the ends of a clip that is neither empty nor infinite; raises ValueError for any other."""
+    low, high = clip
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise ValueError(f"clip is [{low!r}, {high!r}]; its lower end must be below its upper end, both finite")
+    return low, high
+
+
+@dataclass(frozen=True, slots=True)
+class RiskReading:
+    """How the risk of one law follows from the mean of values x in [0, 1]: by X with `constants`, or by phi without.
+
+    Raises:
+        ValueError: a number is outside its range.
+
+    """
+
+    clip: tuple[float, float]
+    risk_weight: float
+    constants: tuple[float, float] | None
+    """c and s of the linearised risk; None for phi, where x is the robustness itself."""
+    ends: tuple[float, float] = field(init=False)
+    """The values that x = 0 and x = 1 represent, unit of robustness."""
+    least: float = field(init=False)
+    """The least risk that a law on the clip can have, rounded down to 1e-9."""
+
+    def __post_init__(self) -> None:
+        """Compute the range of x and the least risk."""
+        check_risk(self.clip, self.risk_weight)
+        given = self.clip if self.constants is None else linearised_range(self.clip, self.risk_weight, *self.constants)
+        object.__setattr__(self, "ends", given)
+        lowest = bhatia_davis(self.clip[0], self.clip, self.risk_weight)
+        # 1e-12 is far more than phi can lose to rounding.
+        object.__setattr__(self, "least", math.floor(Fraction(lowest - 1e-12) * STEP) / STEP)
+
+    def unit(self, value: float) -> float:
+        """Return x of one robustness within the clip, in [0, 1]."""
+        low, high = self.ends
+        moved = value if self.constants is None else linearised(value, self.risk_weight, *self.constants)
+        return min(max((moved - low) / (high - low), 0.0), 1.0)  # leaves [0, 1] by rounding at most
+
+    def lower(self, mean: Fraction) -> float:
+        """Return the lower bound of the risk for a lower bound of the mean of x, rounded down to 1e-9."""
+        return max(math.floor(self._risk(mean, -1e-12) * STEP) / STEP, self.least)
+
+    def upper(self, mean: Fraction) -> float:
+        """Return the upper bound of the limit of `lower` for an upper bound of the mean of x, rounded up to 1e-9."""
+        # The limit is never below `least` either, because `lower` is not.
+        return max(min(math.ceil(self._risk(mean, 1e-12) * STEP) / STEP, self.clip[1]), self.least)
+
+    def _risk(self, mean: Fraction, round_off: float) -> Fraction:
+        """Return X or phi at a mean of x: exactly, or moved outward by the round-off of phi."""
+        low, high = (Fraction(end) for end in self.ends)
+        value = low + (high - low) * mean
+        if self.constants is None:
+            return Fraction(bhatia_davis(float(value), self.clip, self.risk_weight) + round_off)
+        return value

@@ -11,22 +11,22 @@
 | x       |               | X (or rho, for `bhatia-davis`) moved and scaled to [0, 1] | ()  | -                  |
 | L_k     | `lower`       | betting lower bound of risk_k at the full delta        | (K,)   | unit of robustness |
 | ell     | `ell`         | min_k L_k                                              | ()     | unit of robustness |
-| U       | `upper`       | upper bound of what ell tends to                       | ()     | unit of robustness |
+| U       | `upper`       | upper bound of the limit of ell                        | ()     | unit of robustness |
 | delta   | `delta`       | failure probability                                    | ()     | -                  |
 | alpha   | `alpha`       | tolerance                                              | ()     | unit of robustness |
 
 Assumed: rollouts are independent, those of one scenario have one law, and robustness is clipped. Nothing else.
 
-Three claims, each with its own 1 - delta, each at all times at once (whoever reads two of them pays the sum):
+Three claims, each with its own 1 - delta, each at all times at once (two of them together fail with the sum):
 
 `ell`   rho* >= ell. No union over scenarios [B82]: ell > rho* needs L_k > risk_k for the fixed k that attains rho*.
-`each`  risk_k >= each_k for all k at once, by a union: each_k runs at delta/K.
+`simultaneous_lower`  risk_k >= its value for all k at once, by a union: each runs at delta/K.
 `upper` min_k E[X_k] <= U (phi(min_k E[rho_k]) <= U for `bhatia-davis`). That is what ell tends to with ever more
-        rollouts, and not above rho*; so U says what rollouts can still bring, and is no upper bound of rho* itself.
+        rollouts, and not above rho*; so U limits the gain of further rollouts, and is no upper bound of rho* itself.
         (Neither ell nor U is ever reported below c0 - h sqrt(1 + r^2), the least risk that a law on the clip can have.)
         One wealth for all scenarios: if every mean of 1 - x is at most m, then betting on any of them loses.
 
-Stop when upper - ell <= alpha. `ell` holds at every stopping time, so the stop rule spends nothing of its delta.
+Stop when upper - ell <= alpha. `ell` is valid at every stopping time, so the stop rule spends nothing of its delta.
 """
 
 import math
@@ -38,11 +38,12 @@ from typing import Literal
 import numpy as np
 
 from ....schemas.values import Band, Bound, Observation, Proposal, Verdict
-from ..gp.acquisition import rivals
-from .betting import CAREFUL, GRID, BettingSequence, Floats, Past
-from .composition import STEP
+from ..gp.acquisition import rival_node
+from ..gp.lattice import check_index
+from ..gp.points import Candidates, point_at
+from .betting import CAREFUL, GRID, BettingSequence, Past
 from .method import Method
-from .risk import bhatia_davis, check_range, linearised, linearised_range
+from .risk import RiskReading
 
 Risk = Literal["linearised", "bhatia-davis"]
 
@@ -52,21 +53,22 @@ MAX_SCENARIOS = 1000
 
 @dataclass(frozen=True, slots=True)
 class ScenarioState:
-    """What is known of one scenario; all but `rollouts` in the unit of robustness, bounds rounded down to 1e-9.
+    """The bounds of one scenario; all but `rollouts` in the unit of robustness, bounds rounded down to 1e-9.
 
-    `lower` serves the minimum over scenarios alone, `each` is the claim about this scenario (delta/K). `mean` is the
-    mean of X so far, or of rho for `bhatia-davis`; None without a rollout.
+    `lower` serves the minimum over scenarios alone; `simultaneous_lower` (delta/K) is the claim about this scenario
+    that is valid together with those about all others. `mean` is the mean of X so far, or of rho for `bhatia-davis`;
+    None without a rollout.
     """
 
     rollouts: int
     mean: float | None
     lower: float
-    each: float
+    simultaneous_lower: float
 
 
 @dataclass(frozen=True, slots=True)
 class ScenarioBound:
-    """What holds now: `ell` with probability 1 - delta, `upper` with its own 1 - delta; scenario `worst` has ell."""
+    """The bounds so far: `ell` with probability 1 - delta, `upper` with its own 1 - delta; scenario `worst` has ell."""
 
     ell: float
     upper: float
@@ -75,21 +77,29 @@ class ScenarioBound:
 
     @property
     def gap(self) -> float:
-        """What rollouts can still bring; negative: an assumption is wrong, or an event of probability 2 delta."""
+        """Largest gain of further rollouts; negative: an assumption is wrong, or an event of probability 2 delta."""
         return self.upper - self.ell
+
+    def verdict(self, alpha: float) -> Verdict | None:
+        """Return whether further rollouts can gain at most `alpha`, or whether the two bounds contradict each other."""
+        if self.gap > alpha:
+            return None
+        # Both bounds hold at once with probability 1 - 2 delta, so U < ell speaks against one law per scenario.
+        return "converged" if self.gap >= 0.0 else "refuted"
 
 
 class ScenarioMethod(Method):
-    """Betting bounds of K scenarios, and which of them is to be tested next.
+    """Betting bounds of K scenarios, and the choice of the next one to test.
     Implements eq. (scenario) of [PB].
 
     A test is a batch of true rollouts of one scenario. `constants` are (c, s) and belong to `linearised`.
 
     Raises:
-        ValueError: a parameter is outside its range, constants are missing or too many, scenarios are not finite, are
-            doubled, or are more than MAX_SCENARIOS.
+        ValueError: a parameter is outside its range, constants are missing or too many, or there are more than
+            MAX_SCENARIOS scenarios.
 
-    >>> method = ScenarioMethod(np.array([[0.0], [1.0]]), clip=(-0.05, 0.75), risk_weight=0.2, delta=0.05, alpha=0.02,
+    >>> from perfbound.orchestrator.mathematics.gp.points import Points
+    >>> method = ScenarioMethod(Points(((0.0,), (1.0,))), clip=(-0.05, 0.75), risk_weight=0.2, delta=0.05, alpha=0.02,
     ...                         constants=(0.7, 0.09))
     >>> method.propose().node, method.propose(pending=(0,)).node
     (0, 1)
@@ -103,7 +113,7 @@ class ScenarioMethod(Method):
 
     def __init__(
         self,
-        scenarios: Floats,
+        scenarios: Candidates,
         *,
         clip: tuple[float, float],
         risk_weight: float,
@@ -112,74 +122,60 @@ class ScenarioMethod(Method):
         risk: Risk = "linearised",
         constants: tuple[float, float] | None = None,
     ) -> None:
-        self.scenarios = _checked_scenarios(scenarios)
-        check_range(clip, risk_weight)
         if not (0.0 < delta < 1.0 and math.isfinite(alpha) and alpha > 0):
             raise ValueError(f"delta must lie in (0, 1) and alpha be positive, not {delta!r} and {alpha!r}")
         if risk not in {"linearised", "bhatia-davis"} or (constants is None) == (risk == "linearised"):
             raise ValueError(f"risk is 'linearised' with constants (c, s), or 'bhatia-davis' without; not {risk!r}")
-        size = len(self.scenarios)
-        self._probability = 1.0 - delta
-        self._clip, self._risk_weight, self._alpha, self._constants = clip, risk_weight, alpha, constants
-        self._range = clip if constants is None else linearised_range(clip, risk_weight, *constants)
-        least = bhatia_davis(clip[0], clip, risk_weight)  # no law on the clip has a lower risk
-        self._least = math.floor(Fraction(least - 1e-12) * STEP) / STEP
-        self._lower = [BettingSequence((delta, delta / size)) for _ in range(size)]
-        self._upper = BettingSequence((delta,), CAREFUL)  # of the largest mean of 1 - x, all scenarios together
-        self._above = [Past(imaginary=1) for _ in range(size)]
-        self._below = [Past() for _ in range(size)]
-        self._tests = [0] * size
-        self._states = [self._state(k) for k in range(size)]
+        if scenarios.size > MAX_SCENARIOS:
+            raise ValueError(f"{scenarios.size} scenarios exceed {MAX_SCENARIOS}: shorten the list")
+        self._candidates, self._delta, self._alpha = scenarios, delta, alpha
+        self._reading = RiskReading(clip, risk_weight, constants)
+        self._scenarios = [_Scenario(delta, scenarios.size, self._reading) for _ in range(scenarios.size)]
+        # On the largest mean of 1 - x, all scenarios together.
+        self._upper = BettingSequence((delta,), CAREFUL)
 
     @property
     def n(self) -> int:
         """Number of tests observed."""
-        return sum(self._tests)
+        return sum(scenario.tests for scenario in self._scenarios)
 
     @property
     def size(self) -> int:
         """Number of scenarios."""
-        return len(self.scenarios)
+        return len(self._scenarios)
 
     @property
     def probability(self) -> float:
         """1 - delta."""
-        return self._probability
+        return 1.0 - self._delta
 
     def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:  # noqa: ARG002
-        """Return the scenario of the next test; it changes nothing, and `first` is of no use here.
+        """Return the scenario of the next test; it changes nothing, and `first` has no effect here.
 
         First every scenario once, in order. Then the one whose lower bound is least, a test in flight counting as one
         that brings the bound nearer to the mean: bound = mean - constant/tests. Ties go to the lowest index. `pending`
-        holds the scenarios of the tests in flight, one entry per test.
+        has the scenarios of the tests in flight, one entry per test.
 
         Raises:
             IndexError: an entry of `pending` is no scenario.
 
         """
-        size = self.size
-        for index in pending:
-            _check_index(index, size)
-        flying = [0] * size
-        for index in pending:
-            flying[index] += 1
-        for k in range(size):
-            if not self._tests[k] and not flying[k]:
-                return self._at(k)
-        return self._at(min(range(size), key=lambda k: (self._outlook(k, flying[k]), k)))
+        flying = self._in_flight(pending)
+        for k, scenario in enumerate(self._scenarios):
+            if not scenario.tests and not flying[k]:
+                return self._proposal(k)
+        return self._proposal(min(range(self.size), key=lambda k: (self._scenarios[k].outlook(flying[k]), k)))
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the scenario at `x` (p,) if another CPU could have proposed it."""
-        flying = [pending.count(k) for k in range(len(self._tests))]
-        if not all(tests or flown for tests, flown in zip(self._tests, flying, strict=True)):
+        flying = self._in_flight(pending)
+        pairs = list(zip(self._scenarios, flying, strict=True))
+        # The first round goes by number, without arithmetic that a CPU could round differently.
+        if not all(scenario.tests or flown for scenario, flown in pairs):
             return None
-        outlook = np.array([self._outlook(k, flown) for k, flown in enumerate(flying)])
-        index = rivals(-outlook, self.scenarios, x)
-        return None if index is None else self._at(index)
-
-    def _at(self, index: int) -> Proposal:
-        x = tuple(float(value) for value in self.scenarios[index])
-        return Proposal(index, x, -self._states[index].lower, 0.0, None, None)
+        outlook = np.array([scenario.outlook(flown) for scenario, flown in pairs])
+        index = rival_node(-outlook, self._candidates.nodes, x)
+        return None if index is None else self._proposal(index)
 
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
         """Add the robustness of every rollout of one test and return the bound; on an error nothing changes.
@@ -191,102 +187,98 @@ class ScenarioMethod(Method):
         """
         self.recall([(proposal, observation)])
         found = self.bound()
-        verdict: Verdict | None = None
-        if found.gap <= self._alpha:
-            verdict = "converged" if found.gap >= 0.0 else "refuted"
-        return Bound(-found.ell, -found.upper, verdict)
+        return Bound(-found.ell, -found.upper, found.verdict(self._alpha))
 
-    def recall(self, seen: Sequence[tuple[Proposal, Observation]]) -> None:
+    def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations; raises as `observe`."""
-        for proposal, observation in seen:
+        for proposal, observation in tests:
             self._add(proposal.node, observation.each)
 
-    def _add(self, index: int, values: Sequence[float]) -> None:
-        _check_index(index, len(self._tests))
-        low, high = self._clip
-        if not values or not all(low <= value <= high for value in values):
-            raise ValueError(f"a test needs values within the clip [{low}, {high}], not {list(values)}")
-        for value in values:
-            x = self._scaled(value)
-            self._lower[index].observe(x, self._above[index])
-            self._upper.observe(1.0 - x, self._below[index])
-            self._above[index].add(x)
-            self._below[index].add(1.0 - x)
-        self._tests[index] += 1
-        self._states[index] = self._state(index)
-
-    def band(self, bound: Bound) -> Band:  # noqa: ARG002  (the bounds of the scenarios are at hand)
-        """Return the band; no scenario has a lower bound of its own, and the upper ones hold one by one."""
+    def band(self, bound: Bound) -> Band:  # noqa: ARG002  (the bounds of the scenarios are stored)
+        """Return the band; no scenario has a lower bound of its own, and the upper ones are valid one by one."""
         found = self.bound()
         refuted = found.gap < 0.0
         return Band(
-            mean=tuple(math.nan if each.mean is None else -each.mean for each in found.scenarios),
+            mean=tuple(math.nan if state.mean is None else -state.mean for state in found.scenarios),
             lower=(math.nan,) * self.size,
-            upper=tuple(-each.lower for each in found.scenarios),
-            possible=tuple(refuted or each.each <= found.upper for each in found.scenarios),
+            upper=tuple(-state.lower for state in found.scenarios),
+            possible=tuple(refuted or state.simultaneous_lower <= found.upper for state in found.scenarios),
         )
 
     def bound(self) -> ScenarioBound:
-        """Return what holds now, whenever it is asked for; units as in ScenarioBound.
+        """Return the bounds so far, valid at every time; units as in ScenarioBound.
         Implements eq. (intersection-union) of [B82].
 
         Formula: ell = min_k L_k; {min_k L_k > rho*} lies in {L_k* > risk_k*} for the fixed k* with risk_k* = rho*, so
-        that the full delta serves every scenario. Assumes what the head of this module says.
+        that the full delta serves every scenario. Assumes what the head of this module lists.
         """
-        worst = min(range(len(self._states)), key=lambda k: (self._states[k].lower, k))
-        upper = self._risk_of(GRID - self._upper.rejected(), up=True)
-        return ScenarioBound(self._states[worst].lower, upper, worst, tuple(self._states))
+        states = tuple(scenario.state for scenario in self._scenarios)
+        worst = min(range(self.size), key=lambda k: (states[k].lower, k))
+        # L bounds the largest mean of 1 - x from below, so 1 - L bounds the least mean of x from above.
+        upper = self._reading.upper(Fraction(GRID - self._upper.rejected(), GRID))
+        return ScenarioBound(states[worst].lower, upper, worst, states)
 
     def stops(self) -> bool:
-        """Return whether further rollouts can bring at most alpha: 0 <= upper - ell <= alpha."""
-        return 0.0 <= self.bound().gap <= self._alpha
+        """Return whether further rollouts can gain at most alpha: 0 <= upper - ell <= alpha."""
+        return self.bound().verdict(self._alpha) == "converged"
 
-    @property
-    def refuted(self) -> bool:
-        """Whether upper < ell: at confidence 1 - 2 delta, rollouts are not independent with one law per scenario."""
-        return self.bound().gap < 0.0
+    def _add(self, index: int, values: Sequence[float]) -> None:
+        check_index(index, self.size)
+        low, high = self._reading.clip
+        # Checked before the first bet: half a test would change the state.
+        if not values or not all(low <= value <= high for value in values):
+            raise ValueError(f"a test needs values within the clip [{low}, {high}], not {list(values)}")
+        scenario = self._scenarios[index]
+        for value in values:
+            x = self._reading.unit(value)
+            # The bet is a function of the past alone, so it is made before the past takes the value in.
+            self._upper.observe(1.0 - x, scenario.complement)
+            scenario.observe(x)
+        scenario.close_test()
 
-    def _outlook(self, k: int, flying: int) -> float:
-        """Return the lower bound of x that is to be expected once the tests in flight are in."""
-        past, lower = self._below[k], self._lower[k].lower()
-        mean = 1.0 - past.mean if past.count else 1.0
-        tests = self._tests[k]
-        return mean - (mean - lower) * (tests / (tests + flying)) if flying else lower
+    def _in_flight(self, pending: Sequence[int]) -> list[int]:
+        """Return the number of tests in flight of every scenario."""
+        flying = [0] * self.size
+        for index in pending:
+            check_index(index, self.size)
+            flying[index] += 1
+        return flying
 
-    def _scaled(self, value: float) -> float:
-        low, high = self._range
-        found = value if self._constants is None else linearised(value, self._risk_weight, *self._constants)
-        return min(max((found - low) / (high - low), 0.0), 1.0)  # leaves [0, 1] by rounding at most
-
-    def _state(self, k: int) -> ScenarioState:
-        lower, each = (self._risk_of(self._lower[k].rejected(level), up=False) for level in (0, 1))
-        low, high = self._range
-        mean = high - (high - low) * self._below[k].mean if self._below[k].count else None
-        return ScenarioState(self._below[k].count, mean, lower, each)
-
-    def _risk_of(self, g: int, *, up: bool) -> float:
-        """Return the bound of the risk that the candidate g/G stands for, rounded outward to 1e-9."""
-        low, high = (Fraction(end) for end in self._range)
-        unit = low + (high - low) * Fraction(g, GRID)
-        if self._constants is None:  # 1e-12 is far more than phi can lose to rounding
-            unit = Fraction(bhatia_davis(float(unit), self._clip, self._risk_weight) + (1e-12 if up else -1e-12))
-        bound = min(math.ceil(unit * STEP) / STEP, self._clip[1]) if up else math.floor(unit * STEP) / STEP
-        return max(bound, self._least)  # for the upper bound too: ell never tends to less
+    def _proposal(self, index: int) -> Proposal:
+        lower = self._scenarios[index].state.lower
+        return Proposal(index, point_at(self._candidates, index), -lower, 0.0, None, None)
 
 
-def _checked_scenarios(scenarios: Floats) -> Floats:
-    found = np.array(scenarios, dtype=np.float64)
-    if found.ndim != 2 or not 1 <= len(found) <= MAX_SCENARIOS or not np.isfinite(found).all():
-        raise ValueError(f"scenarios are 1 to {MAX_SCENARIOS} rows of finite numbers, not an array of {found.shape}")
-    seen: dict[tuple[float, ...], int] = {}
-    for k, x in enumerate(tuple(row) for row in (found + 0.0).tolist()):  # + 0.0: -0.0 and 0.0 are one number
-        if x in seen:
-            raise ValueError(f"scenarios {seen[x]} and {k} are the same, {x}; keep one of them")
-        seen[x] = k
-    found.setflags(write=False)
-    return found
+class _Scenario:
+    """The rollouts of one scenario, the bets on them, and the bounds that follow."""
 
+    def __init__(self, delta: float, size: int, reading: RiskReading) -> None:
+        self._reading = reading
+        self.sequence = BettingSequence((delta, delta / size))  # level 0 serves ell, level 1 the simultaneous claim
+        self._past = Past(imaginary=1)  # of x
+        self.complement = Past()  # of 1 - x
+        self.tests = 0
+        self.state = self._state()
 
-def _check_index(index: int, size: int) -> None:
-    if not 0 <= index < size:
-        raise IndexError(f"scenario {index} is outside the {size} scenarios")
+    def observe(self, x: float) -> None:
+        """Bet on one value in [0, 1], then add it to the past."""
+        self.sequence.observe(x, self._past)
+        self._past.add(x)
+        self.complement.add(1.0 - x)
+
+    def close_test(self) -> None:
+        """Count a test whose values have all been observed."""
+        self.tests += 1
+        self.state = self._state()
+
+    def outlook(self, flying: int) -> float:
+        """Return the lower bound of x that is expected after the tests in flight."""
+        lower = self.sequence.lower()
+        mean = 1.0 - self.complement.mean if self.complement.count else 1.0
+        return mean - (mean - lower) * (self.tests / (self.tests + flying)) if flying else lower
+
+    def _state(self) -> ScenarioState:
+        lower, simultaneous = (self._reading.lower(Fraction(self.sequence.rejected(level), GRID)) for level in (0, 1))
+        low, high = self._reading.ends
+        mean = high - (high - low) * self.complement.mean if self.complement.count else None
+        return ScenarioState(self.complement.count, mean, lower, simultaneous)

@@ -117,11 +117,17 @@ class KernelRows:
             IndexError: no node has this index.
 
         """
-        if not 0 <= index < self.size:
-            raise IndexError(f"node {index} is outside the lattice of {self.size} nodes")
+        check_index(index, self.size)
         last = self._shape[0] - 1
         window = tuple(slice(last - i, 2 * last - i + 1) for i in np.unravel_index(index, self._shape))
         return self._table[window].ravel()
+
+
+def check_index(index: int, size: int) -> None:
+    """Raise IndexError if `index` is not one of `size` candidates."""
+    # Python would read a negative index from the end: another candidate than the one that was meant.
+    if not 0 <= index < size:
+        raise IndexError(f"candidate {index} is outside the {size} candidates")
 
 
 def _offset_distances(spacing: Sequence[float], resolution: int) -> Floats:

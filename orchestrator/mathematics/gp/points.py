@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .kernels import Floats
+from .lattice import Lattice, check_index
 
 MAX_POINTS = 5_000
 """The table of kernel rows is quadratic: 200 MB at this many points."""
@@ -69,9 +70,23 @@ class PointRows:
             IndexError: no point has this index.
 
         """
-        if not 0 <= index < self.size:
-            raise IndexError(f"point {index} is outside the list of {self.size} points")
+        check_index(index, self.size)
         return np.asarray(self._table[index], dtype=np.float64)
+
+
+Candidates = Lattice | Points
+"""The set Z that tests are chosen from: a box, represented by the nodes of a lattice, or a finite list."""
+
+
+def point_at(candidates: Candidates, index: int) -> tuple[float, ...]:
+    """Return the parameters of a candidate, shape (p,).
+
+    Raises:
+        IndexError: no candidate has this index.
+
+    """
+    check_index(index, candidates.size)
+    return tuple(candidates.nodes[index].tolist())
 
 
 def _validate(points: tuple[tuple[float, ...], ...]) -> None:
@@ -79,12 +94,13 @@ def _validate(points: tuple[tuple[float, ...], ...]) -> None:
         raise ValueError("a list of points needs at least one point")
     if len(points) > MAX_POINTS:
         raise ValueError(f"{len(points)} points exceed {MAX_POINTS}: shorten the list, or take a box with a lattice")
-    seen: dict[tuple[float, ...], int] = {}
+    numbers: dict[tuple[float, ...], int] = {}
     for number, point in enumerate(points):
         if not point or len(point) != len(points[0]):
             raise ValueError(f"point {number} has {len(point)} coordinates and point 0 has {len(points[0])}")
         if not all(math.isfinite(v) for v in point):
             raise ValueError(f"point {number} is {point}; coordinates must be finite")
-        if point in seen:
-            raise ValueError(f"points {seen[point]} and {number} are the same, {point}: list each one once")
-        seen[point] = number
+        # Two equal points have two equal kernel rows: a singular matrix without noise.
+        if point in numbers:
+            raise ValueError(f"points {numbers[point]} and {number} are the same, {point}: list each one once")
+        numbers[point] = number

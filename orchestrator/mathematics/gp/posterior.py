@@ -25,11 +25,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.blas import dtpsv, dtrsm
+from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpotrf
 
+from .distinct import OffNodeKernel, Point, Rows
 from .kernels import Floats
-from .observations import Anywhere, Observations, Point, Rows
+from .observations import Observations
+from .triangle import Triangle
 
 SMALLEST_PIVOT = 1e-12
 """A squared pivot below this has lost all digits but a few: K + lambda I counts as singular."""
@@ -49,16 +51,16 @@ class SingularKernelError(ValueError):
 
 
 class Posterior:
-    """Mean and variance on every node, given observations at nodes or, with `anywhere`, at any points.
+    """Mean and variance on every node, given observations at nodes or, with `off_nodes`, at any points.
 
     The state is a function of the calls made: the same ones in the same order give the same bits. No jitter is added.
     """
 
-    def __init__(self, rows: Rows, regulariser: float, anywhere: Anywhere | None = None) -> None:
-        self._data = Observations(rows, anywhere)
-        self._regulariser = _checked(regulariser)
+    def __init__(self, rows: Rows, regulariser: float, off_nodes: OffNodeKernel | None = None) -> None:
+        self._data = Observations(rows, off_nodes)
+        self._regulariser = _valid_regulariser(regulariser)
         self._stale = False
-        self._triangle = _Triangle()
+        self._triangle = Triangle()
         self._slots: list[int] = []
         self._weights: list[float] = []
         self._w: list[float] = []
@@ -118,7 +120,7 @@ class Posterior:
 
         """
         self._refresh()
-        kernel, slopes = self._data.toward(np.asarray(z))  # (q,), (q, p)
+        kernel, slopes = self._data.points.gradient(np.asarray(z))  # (q,), (q, p)
         k, slope = kernel[self._slots], slopes[self._slots]
         v, w = self._triangle.solve(k), np.array(self._w)
         mean_weights, gain = self._triangle.solve_transposed(w), self._triangle.solve_transposed(v)
@@ -131,7 +133,7 @@ class Posterior:
             ValueError: `value` is negative or not finite.
 
         """
-        if _checked(value) != self._regulariser:
+        if _valid_regulariser(value) != self._regulariser:
             self._regulariser = value
             self._stale = self.n > 0
 
@@ -151,7 +153,7 @@ class Posterior:
         if not self._stale:
             self._slots.append(position)
             self._weights.append(1.0)
-            if len(self._slots) > max(FEWEST_ROWS, 2 * self._data.q):
+            if len(self._slots) > max(FEWEST_ROWS, 2 * len(self._data.points)):
                 self._merge()
 
     def information(self, eta: float) -> float:
@@ -171,7 +173,7 @@ class Posterior:
             SingularKernelError: the matrix is singular.
 
         """
-        diagonal = _checked(1.0 + eta)
+        diagonal = _valid_regulariser(1.0 + eta)
         if diagonal == self._regulariser:
             self._refresh()
             pivots, weights = self._triangle.pivots, np.array(self._weights)
@@ -184,15 +186,15 @@ class Posterior:
 
     def _extend(self, point: Point, y: float) -> None:
         """Append one row to L and w, and move the moments."""
-        row, among = self._data.row(point)
+        row, among = self._data.points.row(point)
         l = self._triangle.solve(among[self._slots])  # noqa: E741  (the new row of L)
         squared = max(0.0, 1.0 - float(l @ l)) + self._regulariser
         if squared < SMALLEST_PIVOT:
             raise SingularKernelError(self.n, self._regulariser)
         pivot = math.sqrt(squared)
         slots = np.array(self._slots, dtype=np.intp)
-        gain = np.bincount(slots, self._triangle.solve_transposed(l), minlength=self._data.q)  # (q,)
-        v = (row - gain @ self._data.kernel) / pivot
+        gain = np.bincount(slots, self._triangle.solve_transposed(l), minlength=len(self._data.points))  # (q,)
+        v = (row - gain @ self._data.points.kernel) / pivot
         w = (y - float(l @ np.array(self._w))) / pivot
         self._triangle.append(l, pivot)
         self._w.append(w)
@@ -204,25 +206,25 @@ class Posterior:
             return
         factor = self._merge()
         # V' L' = K(X, .)': the transposed views are in the Fortran order that BLAS wants.
-        v = dtrsm(1.0, factor, self._data.kernel.T, side=1, lower=1, trans_a=1).T  # (q, m)
+        v = dtrsm(1.0, factor, self._data.points.kernel.T, side=1, lower=1, trans_a=1).T  # (q, m)
         self._set_moments(np.array(self._w) @ v, np.maximum(1.0 - np.einsum("ij,ij->j", v, v), 0.0))
         self._stale = False
 
     def _merge(self) -> Floats:
         """Rebuild the factor with one row per point, and return it; the moments are the same."""
         factor = self._factor(self._regulariser)
-        self._triangle = _Triangle(factor)
-        self._slots, self._weights = list(range(self._data.q)), self._data.counts.tolist()
+        self._triangle = Triangle(factor)
+        self._slots, self._weights = list(range(len(self._data.points))), self._data.counts.tolist()
         self._w = self._triangle.solve(self._data.means).tolist()
         return factor
 
     def _factor(self, diagonal: float) -> Floats:
         """Return L of K(X, X) + diag(diagonal/c), shape (q, q), in Fortran order; only its lower triangle counts."""
         data = self._data
-        if data.n > data.q and diagonal < SMALLEST_PIVOT:
+        if data.n > len(data.points) and diagonal < SMALLEST_PIVOT:
             raise SingularKernelError(data.first_repeat, diagonal)
-        matrix = data.gram.copy()
-        matrix.flat[:: data.q + 1] += diagonal / data.counts
+        matrix = data.points.gram.copy()
+        matrix.flat[:: len(matrix) + 1] += diagonal / data.counts
         factor, info = dpotrf(matrix.T, lower=1, clean=0, overwrite_a=1) if data.n else (matrix, 0)
         # info > 0 is the order of the first minor that is not positive, counted from 1.
         lost = np.diagonal(factor) ** 2 * data.counts < SMALLEST_PIVOT
@@ -237,48 +239,7 @@ class Posterior:
         self._mean, self._variance = mean, variance
 
 
-class _Triangle:
-    """A lower triangular matrix by rows, packed in one array (BLAS: its transpose, upper, packed), so that it grows."""
-
-    def __init__(self, lower: Floats | None = None) -> None:
-        self.size = 0 if lower is None else len(lower)
-        self._packed = np.empty(16) if lower is None else lower[np.tril_indices(self.size)]
-
-    @property
-    def pivots(self) -> Floats:
-        """The diagonal, shape (N,)."""
-        steps = np.arange(1, self.size + 1)
-        return np.asarray(self._packed[steps * (steps + 1) // 2 - 1], dtype=np.float64)
-
-    def append(self, row: Floats, pivot: float) -> None:
-        """Add a row, shape (N,), and its diagonal entry."""
-        start = self._length
-        self.size += 1
-        if self._length > len(self._packed):
-            self._packed = np.concatenate([self._packed[:start], np.empty(self._length)])
-        self._packed[start : self._length - 1] = row
-        self._packed[self._length - 1] = pivot
-
-    def solve(self, x: Floats) -> Floats:
-        """Return L^-1 x, shape (N,)."""
-        return self._solved(x, transposed=1)
-
-    def solve_transposed(self, x: Floats) -> Floats:
-        """Return L'^-1 x, shape (N,)."""
-        return self._solved(x, transposed=0)
-
-    @property
-    def _length(self) -> int:
-        return self.size * (self.size + 1) // 2
-
-    def _solved(self, x: Floats, *, transposed: int) -> Floats:
-        if not self.size:
-            return np.empty(0)
-        solution = dtpsv(self.size, self._packed[: self._length], x, lower=0, trans=transposed)
-        return np.asarray(solution, dtype=np.float64)
-
-
-def _checked(regulariser: float) -> float:
+def _valid_regulariser(regulariser: float) -> float:
     if not (math.isfinite(regulariser) and regulariser >= 0):
         raise ValueError(f"regulariser must be a finite number >= 0, not {regulariser!r}")
     return regulariser

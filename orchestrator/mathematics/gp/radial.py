@@ -69,7 +69,7 @@ class Radial:
         """Return k'(r)/r, so that the gradient of k(|z - x|) is `slope` (z - x); -inf at r = 0 for nu <= 1."""
         return np.asarray(-(self.rate**2) * self._c * self._bessel(self._nu - 1.0, self.rate * r), dtype=np.float64)
 
-    def climb(self, r: Floats) -> tuple[Floats, Floats]:
+    def value_and_slope(self, r: Floats) -> tuple[Floats, Floats]:
         """Return `value`, and `slope` to about 1e-9 of `rate`^2 (0 at r = 0); quicker: to climb by, not to bound."""
         with np.errstate(divide="ignore", invalid="ignore"):
             if self._nu in _HALF_INTEGER:

@@ -57,7 +57,7 @@ def decompose(data: Observations) -> Spectrum:
     if not data.n:
         return Spectrum(0, np.empty(0), np.empty((0, 0)), np.empty(0), 0.0, 0.0)
     root = np.sqrt(data.counts)
-    matrix = root[:, None] * data.gram * root
+    matrix = root[:, None] * data.points.gram * root
     values, vectors = eigh(matrix, overwrite_a=True, check_finite=False)
     projector = np.ascontiguousarray(vectors.T * root)
     error = ROUND_OFF * max(1.0, float(values[-1]))

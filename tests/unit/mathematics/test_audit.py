@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.mathematics.bounds import audit
-from perfbound.orchestrator.mathematics.bounds.confidence import mixture
+from perfbound.orchestrator.mathematics.bounds.confidence import Premises, mixture
 from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
@@ -67,11 +67,8 @@ class TestRigorous:
         method = RigorousMethod(
             points,
             Matern(10, 1.0),
-            rkhs_norm=0.25,
-            noise_scale=0.005,
-            delta=0.05,
+            Premises(0.25, 0.005, 0.05, mixture(0.25, 0.005)),
             alpha=0.015,
-            regularisers=mixture(0.25, 0.005),
         )
         for z, (x, y) in enumerate(points.nodes):
             method.observe(*an_observation(z, math.sin(x) * math.cos(y) / 2 + rng.normal(0, 0.001)))

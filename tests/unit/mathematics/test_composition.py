@@ -18,12 +18,12 @@ from perfbound.orchestrator.mathematics.bounds.composition import (
     joint_probability,
     least_risk,
     pointwise_mean,
-    round_down,
-    round_up,
 )
-from perfbound.orchestrator.mathematics.bounds.paper import mills_probability
+from perfbound.orchestrator.mathematics.bounds.confidence import Premises
+from perfbound.orchestrator.mathematics.bounds.paper_formulas import mills_probability
 from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
 from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis
+from perfbound.orchestrator.mathematics.bounds.rounding import round_down, round_up
 from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.points import Points
@@ -207,9 +207,7 @@ class TestPointwise:
     LATTICE = Lattice((0.0, 0.0), (5.0, 5.0), 6)
 
     def method(self, candidates: Lattice | Points, kernel: Matern, values: Floats, mean: float) -> RigorousMethod:
-        method = RigorousMethod(
-            candidates, kernel, rkhs_norm=0.3, noise_scale=0.0, delta=0.05, alpha=0.01, regularisers=(), prior_mean=mean
-        )
+        method = RigorousMethod(candidates, kernel, Premises(0.3, 0.0, 0.05, ()), alpha=0.01, prior_mean=mean)
         for z in range(0, 36, 3):
             method.observe(*an_observation(z, float(values[z])))
         return method

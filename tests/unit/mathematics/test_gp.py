@@ -11,10 +11,10 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern as ScikitMatern
 from threadpoolctl import threadpool_limits
 
-from perfbound.orchestrator.mathematics.gp.acquisition import maximiser, refined
+from perfbound.orchestrator.mathematics.gp.acquisition import climb, maximiser
+from perfbound.orchestrator.mathematics.gp.distinct import OffNodeKernel
 from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
 from perfbound.orchestrator.mathematics.gp.lattice import PARTS, Lattice
-from perfbound.orchestrator.mathematics.gp.observations import Anywhere
 from perfbound.orchestrator.mathematics.gp.posterior import Posterior, SingularKernelError
 from perfbound.orchestrator.mathematics.gp.radial import Radial
 
@@ -278,7 +278,7 @@ class TestPosterior:
 places = st.tuples(st.floats(0, 5), st.floats(-1, 1))
 
 
-class TestAnywhere:
+class TestOffNodes:
     """Points that need not be nodes."""
 
     @given(st.lists(st.tuples(places, st.floats(-2, 2)), min_size=1, max_size=20), places, st.sampled_from([None, 0.3]))
@@ -286,7 +286,7 @@ class TestAnywhere:
     def test_equals_a_dense_solve(
         self, data: list[tuple[tuple[float, float], float]], z: tuple[float, float], fixed: float | None
     ) -> None:
-        posterior = Posterior(ROWS, fixed or 3.0, Anywhere(LATTICE.nodes, Radial(KERNEL)))
+        posterior = Posterior(ROWS, fixed or 3.0, OffNodeKernel(LATTICE.nodes, Radial(KERNEL)))
         for n, (x, value) in enumerate(data, start=1):
             posterior.regularise(fixed or 1 + 2 / n)
             posterior.append(x, value)
@@ -307,20 +307,20 @@ class TestAnywhere:
 
     def test_a_kink_has_no_gradient_at_its_point(self) -> None:
         posterior = Posterior(
-            LATTICE.kernel_rows(Matern(0.5, 1.0)), 0.1, Anywhere(LATTICE.nodes, Radial(Matern(0.5, 1.0)))
+            LATTICE.kernel_rows(Matern(0.5, 1.0)), 0.1, OffNodeKernel(LATTICE.nodes, Radial(Matern(0.5, 1.0)))
         )
         posterior.append((1.0, 0.0), 1.0)
         assert all(np.isfinite(slope).all() for slope in posterior.at((1.0, 0.0))[2:])
 
 
-class TestRefined:
+class TestClimb:
     def test_ends_at_a_maximum_of_the_box(self) -> None:
         def hill(z: Floats) -> tuple[float, Floats]:
             return -float((z - 2) @ (z - 2)), -2.0 * (z - 2)
 
-        inside = refined(hill, np.array([1.5, 2.5]), np.array([1.0, 1.0]), np.array([3.0, 3.0]))
+        inside = climb(hill, np.array([1.5, 2.5]), np.array([1.0, 1.0]), np.array([3.0, 3.0]))
         np.testing.assert_allclose(inside, [2.0, 2.0], atol=1e-6)
-        edge = refined(hill, np.array([0.5, 1.5]), np.array([0.0, 1.0]), np.array([1.0, 3.0]))
+        edge = climb(hill, np.array([0.5, 1.5]), np.array([0.0, 1.0]), np.array([1.0, 3.0]))
         np.testing.assert_allclose(edge, [1.0, 2.0], atol=1e-6)
 
     def test_subnodes_stay_in_the_box(self) -> None:

@@ -12,8 +12,9 @@ from scipy.stats import binom
 from sklearn.gaussian_process.kernels import Matern as ScikitMatern
 from threadpoolctl import threadpool_limits
 
-from perfbound.orchestrator.mathematics.bounds.paper import (
-    PaperMethod,
+from perfbound.orchestrator.mathematics.bounds.paper import PaperMethod
+from perfbound.orchestrator.mathematics.bounds.paper_formulas import (
+    PaperParameters,
     Tail,
     beta,
     epsilon,
@@ -27,7 +28,6 @@ from perfbound.orchestrator.mathematics.gp.lattice import PARTS, Lattice
 from perfbound.schemas.values import Proposal
 from tests.fakes.observations import an_observation
 
-PRESET: dict[str, Any] = {"rkhs_norm": 0.25, "noise_scale": 0.005, "delta": 0.05, "alpha": 0.015, "c": 0.01}
 KERNEL = Matern(nu=10, length_scale=1.0)
 SMALL = Lattice((0.0, 0.0), (5.0, 5.0), 11)
 TAILS: tuple[Tail, ...] = ("gaussian", "sub-gaussian")
@@ -39,6 +39,12 @@ def one_thread() -> Iterator[None]:
         yield
 
 
+def preset(**changed: Any) -> PaperParameters:
+    """Return the parameters of the preset `test-function`, some of them changed."""
+    given = {"rkhs_norm": 0.25, "noise_scale": 0.005, "delta": 0.05, "alpha": 0.015, "c": 0.01}
+    return PaperParameters(**{**given, **changed})
+
+
 def objective(lattice: Lattice) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.sin(lattice.nodes[:, 0]) * np.cos(lattice.nodes[:, 1]) / 2
 
@@ -48,7 +54,7 @@ class Run:
 
     def __init__(self, lattice: Lattice, seed: int, shift: float = 0.0, max_tests: int = 200, **options: Any) -> None:
         values, rng = objective(lattice) + shift, np.random.default_rng(seed)
-        self.method = PaperMethod(lattice, KERNEL, **{**PRESET, **options})
+        self.method = PaperMethod(lattice, KERNEL, preset(**options))
         self.proposals = [self.method.propose(int(rng.integers(lattice.size)))]
         self.y = [float(values[self.proposals[0].node] + rng.normal(0, 0.001))]
         while not self.method.stops(self.proposals[-1]) and len(self.y) < max_tests:
@@ -139,8 +145,8 @@ class TestProposals:
     @pytest.mark.parametrize("sigma", ["variance", "std"])
     @pytest.mark.parametrize("regulariser", ["1+eta", 0.01])
     def test_refinement_climbs_between_the_nodes(self, sigma: Any, regulariser: Any) -> None:
-        method = PaperMethod(SMALL, KERNEL, **PRESET, sigma=sigma, regulariser=regulariser, refine=True)
-        plain = PaperMethod(SMALL, KERNEL, **PRESET, sigma=sigma, regulariser=regulariser)
+        method = PaperMethod(SMALL, KERNEL, preset(sigma=sigma, regulariser=regulariser), refine=True)
+        plain = PaperMethod(SMALL, KERNEL, preset(sigma=sigma, regulariser=regulariser))
         data: list[tuple[float, ...]] = []
         proposal, rng, moved = method.propose(17), np.random.default_rng(2), 0
         for i in range(1, 25):
@@ -166,19 +172,19 @@ class TestProposals:
             inside = (np.abs(around - SMALL.nodes[proposal.node]) <= 0.5 + 1e-9).all(axis=1)
             assert mine >= acquisition(around[inside]).max() - 2e-3
         assert moved >= 5
-        assert plain.propose(17) == PaperMethod(SMALL, KERNEL, **PRESET, refine=True).propose(17)
+        assert plain.propose(17) == PaperMethod(SMALL, KERNEL, preset(), refine=True).propose(17)
 
     def test_a_climb_that_leads_down_is_not_followed(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        method = PaperMethod(SMALL, KERNEL, **PRESET, refine=True)
+        method = PaperMethod(SMALL, KERNEL, preset(), refine=True)
         method.observe(*an_observation(60, 0.5, tuple(SMALL.nodes[60].tolist())))
         monkeypatch.setattr(
-            "perfbound.orchestrator.mathematics.bounds.paper.refined", lambda value, start, low, high: low
+            "perfbound.orchestrator.mathematics.bounds.paper.climb", lambda value, start, low, high: low
         )
         proposal = method.propose()
         assert proposal.x == tuple(SMALL.nodes[proposal.node])
 
     def test_the_start_is_the_callers_and_has_no_bound(self) -> None:
-        method = PaperMethod(SMALL, KERNEL, **PRESET, prior_mean=0.3)
+        method = PaperMethod(SMALL, KERNEL, preset(prior_mean=0.3))
         start = method.propose(5)
         assert start == Proposal(5, tuple(SMALL.nodes[5]), 0.3, 1.0, None, None)
         assert not method.stops(start)
@@ -186,7 +192,7 @@ class TestProposals:
             method.epsilon(start, 0.1)
 
     def test_first_index_only_before_the_first_observation(self) -> None:
-        method = PaperMethod(SMALL, KERNEL, **PRESET)
+        method = PaperMethod(SMALL, KERNEL, preset())
         with pytest.raises(ValueError, match="first must be"):
             method.propose()
         with pytest.raises(IndexError):
@@ -197,13 +203,13 @@ class TestProposals:
 
     def test_proposing_changes_nothing_and_a_replay_proposes_the_same(self) -> None:
         run = Run(SMALL, seed=3)
-        replay = PaperMethod(SMALL, KERNEL, **PRESET)
+        replay = PaperMethod(SMALL, KERNEL, preset())
         for proposal, y in zip(run.proposals[:-1], run.y, strict=False):
             replay.observe(*an_observation(proposal.node, y))  # as a resume does: without proposing
         assert replay.propose() == replay.propose() == run.proposals[-1]
 
     def test_a_delayed_proposal_uses_the_observations_so_far(self) -> None:
-        method = PaperMethod(SMALL, KERNEL, **PRESET)
+        method = PaperMethod(SMALL, KERNEL, preset())
         first, second = method.propose(5), method.propose(60)  # a window of two
         assert second.F is None
         method.observe(*an_observation(first.node, 0.1))
@@ -241,11 +247,11 @@ class TestProposals:
     )
     def test_refuses_parameters(self, wrong: dict[str, Any]) -> None:
         with pytest.raises(ValueError, match=next(iter(wrong))):
-            PaperMethod(SMALL, KERNEL, **{**PRESET, **wrong})
+            PaperMethod(SMALL, KERNEL, preset(**wrong))
 
     def test_probability(self) -> None:
-        assert PaperMethod(SMALL, KERNEL, **PRESET).probability == pytest.approx(0.924354, abs=5e-7)
-        assert PaperMethod(SMALL, KERNEL, **PRESET, tail="sub-gaussian").probability < 0.83
+        assert PaperMethod(SMALL, KERNEL, preset()).probability == pytest.approx(0.924354, abs=5e-7)
+        assert PaperMethod(SMALL, KERNEL, preset(tail="sub-gaussian")).probability < 0.83
 
 
 @pytest.fixture(scope="module")
