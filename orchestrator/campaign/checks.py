@@ -4,7 +4,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_check import check_against
 from ...schemas.errors import CampaignError
 from ...schemas.system import SystemSpec
-from ..mathematics.stl.formula import FormulaError, columns, parse
+from ..mathematics.stl.formula import FormulaError, columns, parse_formula
 from ..mathematics.stl.horizon import check_horizon
 
 
@@ -25,7 +25,7 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) 
     if config.specification is None:
         return
     try:
-        formula = parse(config.specification, [column.name for column in spec.columns])
+        formula = parse_formula(config.specification, [column.name for column in spec.columns])
         check_horizon(formula, config.horizon)
         _check_gap(config, columns(formula), source)
     except FormulaError as error:

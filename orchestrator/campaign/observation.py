@@ -9,7 +9,7 @@ from ...schemas.system import SystemSpec
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Observation
 from ..mathematics.bounds.risk import linearised
-from ..mathematics.stl.formula import Formula, parse
+from ..mathematics.stl.formula import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
 from . import objectives
 from .plan import ProblemPlan
@@ -29,7 +29,7 @@ class Observer:
     def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
         self._columns = tuple(column.name for column in spec.columns)
         self._clip = config.clip
-        self._parsed = None if config.specification is None else parse(config.specification, self._columns)
+        self._parsed = None if config.specification is None else parse_formula(config.specification, self._columns)
         self._known: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
         self._objectives: dict[ProblemName, Callable[[ProblemPlan, Trajectories], Observation]] = {
             "nominal_robustness": self._nominal_robustness,

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from ...schemas.campaign import Problem
 from ...schemas.facts import Header
-from ...schemas.trajectory import Trajectory
-from ..mathematics.stl.formula import FormulaError, parse
+from ..mathematics.stl.formula import FormulaError, parse_formula
 from ..mathematics.stl.tree import (
     Absolute,
     Column,
@@ -34,7 +33,7 @@ def formula(header: Header) -> Formula | None:
     """Return the specification; None if there is none, or if its grammar is that of another version."""
     text = header.config.specification
     try:
-        return None if text is None else parse(text, [column.name for column in header.spec.columns])
+        return None if text is None else parse_formula(text, [column.name for column in header.spec.columns])
     except FormulaError:
         return None
 

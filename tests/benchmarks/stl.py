@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.stl.formula import parse
+from perfbound.orchestrator.mathematics.stl.formula import parse_formula
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon
 from perfbound.orchestrator.mathematics.stl.predicates import Floats, predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
@@ -72,11 +72,11 @@ def measured() -> Results:
     differences = [0.0]
     for name, line in {**TIMED, "wide": WIDE}.items():
         ours = _ours(line, samples)
-        theirs = Rtamt(parse(line), samples).robustness if rtamt and name in TIMED else None
+        theirs = Rtamt(parse_formula(line), samples).robustness if rtamt and name in TIMED else None
         times[name] = (_microseconds(ours), theirs and _microseconds(theirs, batch=1, repeats=2))
         if theirs:
             differences.append(abs(theirs() - ours()))
-    tree = parse(TIMED["issue"])
+    tree = parse_formula(TIMED["issue"])
     times["predicate_sup of issue"] = (_microseconds(lambda: predicate_sup(tree, COLUMNS, samples, samples)), None)
     reference = _microseconds(lambda: np.minimum.accumulate(np.abs(samples[:, 1])))
     return {
@@ -115,7 +115,7 @@ def _samples(size: int, seed: int = 0) -> Floats:
 
 
 def _ours(line: str, samples: Floats) -> Callable[[], float]:
-    tree = parse(line, COLUMNS)
+    tree = parse_formula(line, COLUMNS)
     return lambda: robustness(tree, COLUMNS, samples)
 
 
@@ -208,7 +208,7 @@ def _largest_difference() -> float:
 def _draw(rng: random.Random, depth: int) -> Formula:
     if depth == 0:
         signal = rng.choice(["abs(phi)", "x - 2 * y", "x * x + y", "phi / 2 + 1"])
-        return parse(f"{signal} {rng.choice(['<=', '<', '>', '>='])} {rng.randint(0, 9) / 10}")
+        return parse_formula(f"{signal} {rng.choice(['<=', '<', '>', '>='])} {rng.randint(0, 9) / 10}")
     left, right = _draw(rng, rng.randrange(depth)), _draw(rng, rng.randrange(depth))
     low, high = sorted(rng.randrange(8) * STEP / 1000 for _ in range(2))
     interval = rng.choice([REST, Interval(low), Interval(low, high), Interval(low, high)])

@@ -4,7 +4,7 @@
 |------------|---------------|----------------------------------------------------------------------|--------|------|
 | x_i        | `x`           | the i-th value, in [0, 1]; its mean given the past is mu             | ()     | -    |
 | G          | `GRID`        | candidates are g/G, g = 0 .. G; a power of two, so g/G is exact      | ()     | -    |
-| m          | `_candidates` | candidate means, the null hypothesis being mu <= m                   | (G+1,) | -    |
+| m          | `_candidate_means` | candidate means, the null hypothesis being mu <= m              | (G+1,) | -    |
 | lambda_ji  |               | bet of strategy j on x_i at m, from x_1 .. x_(i-1) alone             | (G+1,) | -    |
 | c_j        | `cap`         | share of the wealth that strategy j may lose at once, in (0, 1)      | ()     | -    |
 | w_j        | `share`       | share of the first wealth that strategy j is given; they sum to 1    | ()     | -    |
@@ -172,7 +172,7 @@ class BettingSequence:
         variance, aim = past.variance, past.mean + strategy.optimism * past.standard_error
         end = min(math.ceil(aim * GRID), GRID)  # candidates below the mean aimed at: elsewhere the bet is 0
         if end > start:
-            m, largest = _candidates()[start:end], _largest_bets(strategy.cap)[start:end]
+            m, largest = _candidate_means()[start:end], _largest_bets(strategy.cap)[start:end]
             edge = aim - m
             bet = np.minimum(edge / (variance + edge * edge), largest)
             wealth = self._wealth[j, start:end]
@@ -191,10 +191,10 @@ class BettingSequence:
 
 
 @lru_cache(maxsize=1)
-def _candidates() -> Floats:
+def _candidate_means() -> Floats:
     return np.arange(GRID) / GRID  # (G,)
 
 
 @lru_cache(maxsize=16)
 def _largest_bets(cap: float) -> Floats:
-    return np.concatenate(([0.0], cap / _candidates()[1:]))  # (G,); nothing is bet on candidate 0
+    return np.concatenate(([0.0], cap / _candidate_means()[1:]))  # (G,); nothing is bet on candidate 0

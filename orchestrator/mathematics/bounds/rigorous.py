@@ -103,7 +103,7 @@ class RigorousMethod(Method):
         reach = premises.rkhs_norm + premises.tau
         top = prior_mean + reach
         self._bound = RigorousBound(0, top, prior_mean - reach, top, 0.0, 0.0, "open")
-        self._refresh()
+        self.recall(())
 
     @property
     def n(self) -> int:
@@ -204,7 +204,8 @@ class RigorousMethod(Method):
         """
         for proposal, observation in tests:
             self._data.append(proposal.node, observation.y - self._prior_mean)
-        self._refresh()
+        # Everything that depends on the data alone is computed here, once.
+        self._band = candidate_band(self._data, self.candidates, self._radial, self._premises, self._prior_mean)
 
     def _scores(self, pending: Sequence[int]) -> Scores:
         """Return the acquisition function; without noise, candidates that are observed or pending are excluded."""
@@ -231,10 +232,6 @@ class RigorousMethod(Method):
         if self._bound.status == "refuted" or contradiction:
             return "refuted"
         return "converged" if upper - lower <= self._alpha else "open"
-
-    def _refresh(self) -> None:
-        """Compute everything that depends on the data alone."""
-        self._band = candidate_band(self._data, self.candidates, self._radial, self._premises, self._prior_mean)
 
     def _bound_now(self) -> RigorousBound:
         """Return what the last confidence set alone proves; its `status` is left open."""

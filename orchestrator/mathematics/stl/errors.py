@@ -1,4 +1,4 @@
-"""What is wrong with a specification, on one line."""
+"""The error of a specification, on one line."""
 
 from typing import ClassVar
 
@@ -6,14 +6,14 @@ __all__ = ["FormulaError"]
 
 
 class FormulaError(ValueError):
-    """A specification that cannot be read, or not on this trajectory: what, where, and what to do, on one line.
+    """A specification that is no formula, or that does not fit a trajectory; one line with the place and the remedy.
 
-    `reason` says what is wrong. `position` counts the characters before the place, from the start of the text; it is
-    None where the formula is well written and does not fit the trajectory (its horizon, an interval without sample).
+    `reason` is the message without the place. `position` counts the characters before the place, from the start of the
+    text; None for a formula that does not fit the trajectory (its horizon, an interval without sample).
     """
 
     SHOWN: ClassVar[int] = 60
-    """Characters of the text before and after the place that are shown."""
+    """Characters of the text before and after the place in a message."""
 
     def __init__(self, reason: str, text: str = "", position: int | None = None, length: int = 1) -> None:
         self.reason, self.position = reason, position

@@ -1,4 +1,4 @@
-"""Which samples belong to an interval.
+"""Sample times of a trajectory, and the samples that belong to an interval.
 
 | symbol | name        | meaning                                                                     | shape | unit |
 |--------|-------------|-----------------------------------------------------------------------------|-------|------|
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .errors import FormulaError
 from .horizon import TOLERANCE, check_horizon
-from .text import shown
+from .text import excerpt
 from .tree import REST, Always, Eventually, Formula, Interval, Temporal, Until, operands, walk
 
 __all__ = ["Grid", "Windows"]
@@ -47,14 +47,15 @@ class Windows:
         return bool(self.stop[0] == len(self.stop))
 
     def cover(self, read: Flags) -> Flags:
-        """Return which samples lie in the window of some sample that is `read`."""
+        """Return for every sample if it belongs to the window of some sample that is `read`."""
         size = len(read) + 1
+        # A window adds 1 at its first sample and takes it back at its stop: the running sum counts the windows.
         edges = np.bincount(self.first[read], minlength=size) - np.bincount(self.stop[read], minlength=size)
         return np.cumsum(edges[:-1]) > 0
 
 
 class Grid:
-    """The sample times of a trajectory; they are looked at only if a formula has an interval."""
+    """The sample times of a trajectory; they are checked only if a formula has an interval."""
 
     def __init__(self, times: Floats) -> None:
         self._given = times
@@ -89,13 +90,14 @@ class Grid:
         return Windows(first, stop)
 
     def check(self, tree: Formula) -> None:
-        """Refuse a formula that cannot be read at the first sample.
+        """Raise if a formula cannot be read at the first sample.
 
         Raises:
-            FormulaError: it looks beyond the last sample, or an interval holds no sample where it is read.
+            FormulaError: it reaches beyond the last sample, or an interval holds no sample where it is read.
             ValueError: it has intervals, and the sample times do not increase.
 
         """
+        # A formula without intervals compares no times, so that any grid will do.
         if all(node.interval == REST for node in walk(tree) if isinstance(node, Temporal)):
             return
         check_horizon(tree, float(self._times[-1] - self._times[0]))
@@ -108,7 +110,7 @@ class Grid:
             empty = np.flatnonzero(read & (windows.first >= windows.stop))
             if empty.size:
                 raise FormulaError(
-                    f"the interval of `{shown(tree)}` holds no sample at t = {self._times[empty[0]]:.9g} s: "
+                    f"the interval of `{excerpt(tree)}` holds no sample at t = {self._times[empty[0]]:.9g} s: "
                     "make it at least as long as the time between two samples"
                 )
         for operand, there in zip(operands(tree), self._read(tree, read), strict=True):

@@ -1,4 +1,4 @@
-"""How far into the future a formula looks, and whether a trajectory is long enough for it.
+"""Horizon of a formula: how far into the future its value reaches, and a check that a trajectory is long enough.
 
 | symbol | name       | meaning                                                              | unit |
 |--------|------------|----------------------------------------------------------------------|------|
@@ -10,7 +10,7 @@
 import math
 
 from .errors import FormulaError
-from .text import number, operator, shown
+from .text import excerpt, number, operator
 from .tree import Comparison, Formula, Interval, Temporal, operands
 
 __all__ = ["TOLERANCE", "check_horizon", "horizon"]
@@ -20,14 +20,14 @@ TOLERANCE = 1e-9
 
 
 def horizon(tree: Formula) -> float:
-    """Return how far from now `tree` looks, in s; inf if it looks to the end of the trajectory.
+    """Return how far from now the value of `tree` depends on the trajectory, in s; inf if to its end.
 
     Formula: 0 for a predicate; the largest of its operands' for not, and, or, implies; b + that for an interval [a, b].
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse
-    >>> horizon(parse("always[0,10] (x <= 1 or eventually[2,5] y <= 1)"))
+    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+    >>> horizon(parse_formula("always[0,10] (x <= 1 or eventually[2,5] y <= 1)"))
     15.0
-    >>> horizon(parse("always x <= 1"))
+    >>> horizon(parse_formula("always x <= 1"))
     inf
 
     """
@@ -36,9 +36,9 @@ def horizon(tree: Formula) -> float:
 
 
 def check_horizon(tree: Formula, duration: float) -> None:
-    """Refuse a formula that, read at time 0, looks beyond the end of a trajectory that lasts `duration` seconds.
+    """Raise if a formula, read at time 0, reaches beyond the end of a trajectory that lasts `duration` seconds.
 
-    An operator without an end of its own is read to the end of the trajectory, so its operands may look no further
+    An operator without an end of its own is read to the end of the trajectory, so its operands may reach no further
     than their own time, or to the end.
 
     Raises:
@@ -56,6 +56,7 @@ def _check(tree: Formula, latest: float, duration: float, unbounded: Temporal | 
     if isinstance(tree, Comparison):
         return
     if isinstance(tree, Temporal):
+        # Read until `latest`, the interval needs a sample this late.
         reach = latest + _last(tree.interval)
         if reach > duration + TOLERANCE:
             raise FormulaError(_reason(tree, reach, duration, unbounded))
@@ -65,16 +66,16 @@ def _check(tree: Formula, latest: float, duration: float, unbounded: Temporal | 
 
 
 def _last(interval: Interval) -> float:
-    """Return the time from now at which there must still be a sample."""
+    """Return the time from now at which the last sample is needed."""
     return interval.high if interval.bounded else interval.low
 
 
 def _reason(tree: Temporal, reach: float, duration: float, unbounded: Temporal | None) -> str:
-    looks = f"`{shown(tree)}` looks to {reach:.9g} s, but the trajectory ends at {duration:.9g} s"
+    reaches = f"`{excerpt(tree)}` reaches to {reach:.9g} s, but the trajectory ends at {duration:.9g} s"
     if unbounded is None:
-        return f"{looks}: shorten the interval, or lengthen the horizon of the campaign"
+        return f"{reaches}: shorten the interval, or lengthen the horizon of the campaign"
     end = number(round(max(0.0, duration - _last(tree.interval)), 9))
     return (
-        f"{looks}, to which the operator around it is read (`{shown(unbounded)}`): "
+        f"{reaches}, to which the operator around it is read (`{excerpt(unbounded)}`): "
         f"give that one an interval that ends by {end}, e.g. {operator(unbounded)}[0,{end}]"
     )

@@ -1,4 +1,4 @@
-"""Predicates: comparisons of arithmetic over the columns, and how far two trajectories are apart in them.
+"""Predicates, the comparisons of arithmetic over the columns, and the distance of two trajectories in them.
 
 | symbol   | name      | meaning                                                      | shape  | unit             |
 |----------|-----------|--------------------------------------------------------------|--------|------------------|
@@ -12,13 +12,13 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .text import shown
+from .text import excerpt
 from .tree import Absolute, Arithmetic, Column, Comparison, Expression, Formula, Negative, Number, predicates
 
 __all__ = ["Floats", "Signals", "predicate_sup"]
 
 Floats = NDArray[np.float64]
-Values = Floats | float  # a part without columns stays a number until a predicate spreads it over the samples
+Values = Floats | float  # a part without columns remains a number until a predicate spreads it over the samples
 
 _ARITHMETIC: Mapping[str, Callable[[Values, Values], Values]] = {
     "+": np.add,
@@ -30,24 +30,24 @@ _ARITHMETIC: Mapping[str, Callable[[Values, Values], Values]] = {
 
 
 def predicate_sup(tree: Formula, columns: Sequence[str], a: Floats, b: Floats) -> float:
-    """Return how far two trajectories are apart in the predicates of `tree`, in their unit. It is not clipped.
+    """Return the distance of two trajectories in the predicates of `tree`, in their unit. It is not clipped.
 
     Formula: max over j of max over the samples of |mu_j(a) - mu_j(b)|; `a` and `b` have shape (T, n), T >= 1.
-    |rho(a) - rho(b)| is never more, for every formula: rho is made of these margins by min, max and sign alone.
-    Not in [ARA], which asks for a Lipschitz constant L of rho instead; the proof is in docs/stl.md.
+    |rho(a) - rho(b)| is at most this for every formula: rho is made of these margins by min, max and sign alone.
+    Not in [ARA], which assumes a Lipschitz constant L of rho instead; the proof is in docs/stl.md.
 
     Raises:
         ValueError: the time grids (column 0) differ, or as in `robustness`.
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse
+    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
     >>> a, b = np.array([[0.0, 1.0], [0.1, 2.0]]), np.array([[0.0, -1.5], [0.1, 1.75]])
-    >>> predicate_sup(parse("eventually abs(x) <= 2 and x^2 <= 9"), ("t", "x"), a, b)
+    >>> predicate_sup(parse_formula("eventually abs(x) <= 2 and x^2 <= 9"), ("t", "x"), a, b)
     1.25
 
     """
     one, other = Signals(columns, a), Signals(columns, b)
     check_grids(a, b)
-    return max(_distance(one.margins(predicate), other.margins(predicate)) for predicate in predicates(tree))
+    return max(_largest_difference(one.margins(predicate), other.margins(predicate)) for predicate in predicates(tree))
 
 
 def check_grids(a: Floats, b: Floats) -> None:
@@ -67,8 +67,8 @@ def check_grids(a: Floats, b: Floats) -> None:
         )
 
 
-def _distance(one: Floats, other: Floats) -> float:
-    with np.errstate(over="ignore"):  # what is not finite is refused just below
+def _largest_difference(one: Floats, other: Floats) -> float:
+    with np.errstate(over="ignore"):  # a result that is not finite raises just below
         distance = float(np.max(np.abs(one - other)))
     if not np.isfinite(distance):
         raise ValueError(f"the gap is {distance!r}, not a finite number")
@@ -95,13 +95,13 @@ class Signals:
             ValueError: it names an unknown column, or is not finite at some sample.
 
         """
-        with np.errstate(all="ignore"):  # what is not finite is refused just below
+        with np.errstate(all="ignore"):  # a result that is not finite raises just below
             left, right = self._values(predicate.left), self._values(predicate.right)
             margin = right - left if predicate.operator in {"<=", "<"} else left - right
         margins = margin if isinstance(margin, np.ndarray) else np.full(len(self._samples), margin)
         if not np.isfinite(margins).all():
             sample = int(np.flatnonzero(~np.isfinite(margins))[0])
-            raise ValueError(f"`{shown(predicate)}` is {margins[sample]} at sample {sample}, not a finite number")
+            raise ValueError(f"`{excerpt(predicate)}` is {margins[sample]} at sample {sample}, not a finite number")
         return margins
 
     def _values(self, tree: Expression) -> Values:

@@ -1,4 +1,4 @@
-"""The quantitative semantics of STL on a sampled trajectory, vectorised over the samples.
+"""Quantitative semantics of STL on a sampled trajectory, vectorised over the samples.
 
 | symbol      | name      | meaning                                                             | shape  | unit        |
 |-------------|-----------|---------------------------------------------------------------------|--------|-------------|
@@ -34,16 +34,16 @@ def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
     not x > 0 have the same one).
 
     Raises:
-        FormulaError: `tree` looks beyond the last sample, or an interval holds no sample where it is read.
+        FormulaError: `tree` reaches beyond the last sample, or an interval holds no sample where it is read.
         ValueError: `tree` names a column that is not in `columns`, the shape does not fit, a predicate is not
             finite at some sample (division by zero, root of a negative number, a non-finite trajectory), or the
             formula has intervals and the sample times do not increase.
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse
+    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
     >>> trajectory = np.array([[0.0, 0.0], [0.5, -0.5], [1.0, 0.75]])
-    >>> robustness(parse("always (abs(phi) <= 1)"), ("t", "phi"), trajectory)
+    >>> robustness(parse_formula("always (abs(phi) <= 1)"), ("t", "phi"), trajectory)
     0.25
-    >>> robustness(parse("always[0,0.5] abs(phi) <= 1"), ("t", "phi"), trajectory)
+    >>> robustness(parse_formula("always[0,0.5] abs(phi) <= 1"), ("t", "phi"), trajectory)
     0.5
 
     """
@@ -53,7 +53,7 @@ def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
 
 
 def _margins(tree: Formula, signals: Signals, grid: Grid) -> Floats:
-    """Return the robustness of `tree` at every sample, shape (T,); it means nothing where `tree` is not read."""
+    """Return the robustness of `tree` at every sample, shape (T,); where `tree` is not read it has no meaning."""
     match tree:
         case Comparison():
             return signals.margins(tree)

@@ -4,7 +4,7 @@
 |--------|-----------|----------------------------------------------------------|----------------|
 | W_k    | `windows` | the run of sample k, from first[k] to before stop[k]      | (T,)           |
 | p      | `span`    | length of the blocks of one level: 1, 2, 4, ...          |                |
-|        | `blocks`  | what is known of samples i to i + p - 1                  | (..., T-p+1)   |
+|        | `blocks`  | the join of samples i to i + p - 1                       | (..., T-p+1)   |
 
 A run of p <= n < 2p samples is the union of two blocks of p samples: its first and its last. Each level joins two
 blocks of the level below, so that all runs cost O(T log n) in numpy and O(T) memory, whatever the sample times. min
@@ -25,28 +25,29 @@ Join = Callable[[Floats, Floats], Floats]
 
 
 def minimum(values: Floats, windows: Windows) -> Floats:
-    """Return the smallest of `values` (T,) in each window, shape (T,); what an empty window gives means nothing."""
+    """Return the smallest of `values` (T,) in each window, shape (T,); the value of an empty window has no meaning."""
     return _extremum(np.minimum, values, windows)
 
 
 def maximum(values: Floats, windows: Windows) -> Floats:
-    """Return the largest of `values` (T,) in each window, shape (T,); what an empty window gives means nothing."""
+    """Return the largest of `values` (T,) in each window, shape (T,); the value of an empty window has no meaning."""
     return _extremum(np.maximum, values, windows)
 
 
 def until(left: Floats, right: Floats, windows: Windows) -> Floats:
     """Return the largest over i in each window of min(right_i, min of left from the window's first sample to i).
 
-    What an empty window gives means nothing. Block: (that number, min of left). Two blocks A, B that overlap or
-    touch join to (max(A_0, min(A_1, B_0)), min(A_1, B_1)): what B adds for an i in both is never more than A's.
+    The value of an empty window has no meaning. Block: (that number, min of left). Two blocks A, B that overlap or
+    touch join to (max(A_0, min(A_1, B_0)), min(A_1, B_1)): for an i in both, B's term is at most A's.
     """
-    largest: Floats = _over(_join_until, np.stack([np.minimum(left, right), left]), windows)[0]
+    largest: Floats = _join_windows(_join_until, np.stack([np.minimum(left, right), left]), windows)[0]
     return largest
 
 
 def _extremum(extremum: np.ufunc, values: Floats, windows: Windows) -> Floats:
     if not windows.to_end:
-        return _over(extremum, values, windows)
+        return _join_windows(extremum, values, windows)
+    # Windows that all end with the trajectory need one running extremum from its end.
     rest: Floats = extremum.accumulate(values[::-1])[::-1]
     return np.asarray(rest.take(windows.first, mode="clip"), dtype=np.float64)
 
@@ -55,7 +56,7 @@ def _join_until(a: Floats, b: Floats) -> Floats:
     return np.stack([np.maximum(a[0], np.minimum(a[1], b[0])), np.minimum(a[1], b[1])])
 
 
-def _over(join: Join, blocks: Floats, windows: Windows) -> Floats:
+def _join_windows(join: Join, blocks: Floats, windows: Windows) -> Floats:
     """Return the join of the blocks (..., T) of single samples over each window; `join` may count a sample twice."""
     last = blocks.shape[-1] - 1
     first = np.minimum(windows.first, last)
@@ -66,6 +67,7 @@ def _over(join: Join, blocks: Floats, windows: Windows) -> Floats:
     while 2 * span <= longest:
         blocks = join(blocks[..., :-span], blocks[..., span:])
         span *= 2
+        # Exactly one level has span <= length < 2 span, where two blocks cover the window.
         here = np.flatnonzero((span <= length) & (length < 2 * span))
         result[..., here] = join(blocks[..., first[here]], blocks[..., stop[here] - span])
     return result

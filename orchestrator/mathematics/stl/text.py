@@ -1,4 +1,4 @@
-"""The text of a tree, with no more parentheses than the grammar needs: `parse(text(tree)) == tree`."""
+"""Text of a tree, with the fewest parentheses that the grammar needs: `parse_formula(text(tree)) == tree`."""
 
 from .tree import (
     REST,
@@ -22,9 +22,9 @@ from .tree import (
     Until,
 )
 
-__all__ = ["number", "operator", "shown", "text"]
+__all__ = ["excerpt", "number", "operator", "text"]
 
-_SHOWN = 60
+_EXCERPT = 60
 
 Piece = str | Node
 
@@ -34,15 +34,15 @@ _BINDING = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "^": _POWER}
 
 
 def text(tree: Node) -> str:
-    """Return a text that `parse` reads as `tree`.
+    """Return a text that `parse_formula` reads as `tree`.
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse
-    >>> text(parse("(always[0,15] (abs(phi)<=.95)) and ((x<1) until[2,inf) (y+1)^2>3)"))
+    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+    >>> text(parse_formula("(always[0,15] (abs(phi)<=.95)) and ((x<1) until[2,inf) (y+1)^2>3)"))
     'always[0,15] abs(phi) <= 0.95 and x < 1 until[2,inf) (y + 1)^2 > 3'
 
     """
     written: list[str] = []
-    to_write: list[Piece] = [tree]  # last first; no recursion, for a sum may be 500 nodes deep
+    to_write: list[Piece] = [tree]  # last first; no recursion, because a sum may be 500 nodes deep
     while to_write:
         piece = to_write.pop()
         if isinstance(piece, str):
@@ -52,14 +52,14 @@ def text(tree: Node) -> str:
     return "".join(written)
 
 
-def shown(tree: Node) -> str:
+def excerpt(tree: Node) -> str:
     """Return the text of `tree`, cut where it is too long for a message."""
     whole = text(tree)
-    return whole if len(whole) <= _SHOWN else f"{whole[:_SHOWN]}..."
+    return whole if len(whole) <= _EXCERPT else f"{whole[:_EXCERPT]}..."
 
 
 def number(value: float) -> str:
-    """Return a number as a person writes it: 15, 0.25, 1e-09."""
+    """Return a number in its shortest form: 15, 0.25, 1e-09."""
     return repr(float(value)).removesuffix(".0")
 
 
@@ -81,9 +81,9 @@ def _formula(tree: Formula) -> list[Piece]:
         case Not(operand):
             return ["not ", *_within(operand, _UNARY)]
         case Always(operand, interval) | Eventually(operand, interval):
-            return [f"{operator(tree)}{_interval(interval)} ", *_within(operand, _UNARY)]
+            return [f"{operator(tree)}{_brackets(interval)} ", *_within(operand, _UNARY)]
         case Until(left, right, interval):
-            return [*_within(left, _UNARY), f" {operator(tree)}{_interval(interval)} ", *_within(right, _UNARY)]
+            return [*_within(left, _UNARY), f" {operator(tree)}{_brackets(interval)} ", *_within(right, _UNARY)]
         case And(left, right):
             return [*_within(left, _CONJUNCTION), " and ", *_within(right, _UNTIL)]
         case Or(left, right):
@@ -110,7 +110,7 @@ def _expression(tree: Expression) -> list[Piece]:
 
 
 def _within(tree: Node, binding: int) -> list[Piece]:
-    """Return an operand, in parentheses if it binds more loosely than its place asks."""
+    """Return an operand, in parentheses if it binds more loosely than its place needs."""
     return [tree] if _binding(tree) >= binding else ["(", tree, ")"]
 
 
@@ -134,7 +134,7 @@ def _binding(tree: Node) -> int:
             return _UNARY
 
 
-def _interval(interval: Interval) -> str:
+def _brackets(interval: Interval) -> str:
     if interval == REST:
         return ""
     end = f"{number(interval.high)}]" if interval.bounded else "inf)"

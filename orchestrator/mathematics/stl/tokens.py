@@ -1,4 +1,4 @@
-"""The words and signs of a formula's text."""
+"""Words, numbers and signs of a formula's text."""
 
 import re
 from dataclasses import dataclass
@@ -6,10 +6,10 @@ from typing import Literal, cast
 
 from .errors import FormulaError
 
-__all__ = ["MAX_TOKENS", "Token", "tokens"]
+__all__ = ["MAX_TOKENS", "FormulaToken", "tokens"]
 
 MAX_TOKENS = 1000
-"""Longer text would exhaust Python's stack; no specification written by a person comes near."""
+"""Longer text would exhaust Python's stack; no real specification comes near."""
 
 Kind = Literal["number", "word", "sign", "end"]
 
@@ -22,37 +22,37 @@ _TOKEN = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Token:
-    """A word, number or sign, or the end of the text, and how many characters stand before it."""
+class FormulaToken:
+    """A word, number or sign, or the end of the text, and the number of characters before it."""
 
     kind: Kind
     text: str
     position: int
 
 
-def tokens(text: str) -> list[Token]:
+def tokens(text: str) -> list[FormulaToken]:
     """Return the tokens of `text`; the last one is its end.
 
     Raises:
         FormulaError: a character that no formula has, or more than `MAX_TOKENS` tokens.
 
     """
-    found: list[Token] = []
+    found: list[FormulaToken] = []
     position, end = 0, len(text.rstrip())
     while position < end:
         match = _TOKEN.match(text, position)
         if match is None or match.lastgroup is None:
             start = position + len(text[position:]) - len(text[position:].lstrip())
-            raise FormulaError(_refusal(text[start]), text, start)
+            raise FormulaError(_bad_character(text[start]), text, start)
         kind = cast(Kind, match.lastgroup)
-        found.append(Token(kind, match[kind], match.start(kind)))
+        found.append(FormulaToken(kind, match[kind], match.start(kind)))
         position = match.end()
         if len(found) > MAX_TOKENS:
             raise FormulaError(f"more than {MAX_TOKENS} words and signs", text, match.start(kind))
-    return [*found, Token("end", "", end)]
+    return [*found, FormulaToken("end", "", end)]
 
 
-def _refusal(character: str) -> str:
+def _bad_character(character: str) -> str:
     if character in "=!":
         return "equality has no robustness: use <=, >=, < or >"
     if character in "&|":

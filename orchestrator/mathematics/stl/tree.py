@@ -1,4 +1,4 @@
-"""The tree of an STL formula: frozen nodes, either expressions (numbers) or formulas (conditions)."""
+"""Nodes of an STL formula's tree, frozen: either expressions (numbers) or formulas (conditions)."""
 
 import math
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ class Interval:
 
 
 REST = Interval()
-"""From now to the end of the trajectory: what an operator without interval reads."""
+"""From now to the end of the trajectory: the interval of an operator without one."""
 
 
 @dataclass(frozen=True, slots=True)

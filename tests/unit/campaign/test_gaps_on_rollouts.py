@@ -3,7 +3,7 @@
 import pytest
 
 from perfbound.orchestrator.campaign.objectives import clipped_robustness, signal_sup
-from perfbound.orchestrator.mathematics.stl.formula import parse
+from perfbound.orchestrator.mathematics.stl.formula import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.workers.systems import load
@@ -19,7 +19,7 @@ WIDER = (
 @pytest.mark.parametrize("gains", ["paper", "aggressive"])
 def test_the_gaps_are_ordered_on_every_rollout(gains: str) -> None:
     system = load("segway")
-    formula, wider = parse(SPECIFICATION), parse(WIDER)
+    formula, wider = parse_formula(SPECIFICATION), parse_formula(WIDER)
     for number, start in enumerate(STARTS):
         nominal, true = (
             system.rollout(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perfbound.orchestrator.mathematics.stl.formula import FormulaError, parse
+from perfbound.orchestrator.mathematics.stl.formula import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 
@@ -170,12 +170,12 @@ def test_a_thousand_formulas_equal_the_brute_force() -> None:
     while counts["defined"] < 1000:
         trace = draw_trace(rng)
         formula = draw_formula(rng, rng.randint(1, 4), trace[-1][0] - trace[0][0])
-        tree, samples = parse(render(formula), NAMES), np.array(trace)
+        tree, samples = parse_formula(render(formula), NAMES), np.array(trace)
         try:
             expected = oracle(formula, trace)
         except RefusedError:
             counts["refused"] += 1
-            with pytest.raises(FormulaError, match=r"looks to|holds no sample"):
+            with pytest.raises(FormulaError, match=r"reaches to|holds no sample"):
                 robustness(tree, NAMES, samples)
         else:
             counts["defined"] += 1
@@ -192,7 +192,7 @@ def test_nested_until_equals_the_brute_force(word: str) -> None:
         inner = (word, (round(rng.uniform(0, 2), 2), 5.0), (">=", "x", -1.0), ("<=", "y", 0.0))
         other = (word, (0.0, round(rng.uniform(1.5, 4), 2)), ("<", "y", 1.0), (">", "x", 1.0))
         formula = (word, (rng.uniform(0, 2), 6.5), inner, other)
-        ours = robustness(parse(render(formula), NAMES), NAMES, np.array(trace))
+        ours = robustness(parse_formula(render(formula), NAMES), NAMES, np.array(trace))
         assert ours == oracle(formula, trace)
 
 
@@ -211,7 +211,7 @@ def draw_case(seed: int) -> tuple[str, Trace]:
 @settings(deadline=None, max_examples=200)
 def test_the_robustness_gap_is_never_more_than_predicate_sup(seed: int, noise: int) -> None:
     text, trace = draw_case(seed)
-    tree, a = parse(text), np.array(trace)
+    tree, a = parse_formula(text), np.array(trace)
     b = a.copy()
     b[:, 1:] += np.random.default_rng(noise).normal(scale=0.5, size=a[:, 1:].shape)
     gap = predicate_sup(tree, NAMES, a, b)
@@ -229,9 +229,9 @@ def test_dualities(seed: int) -> None:
     f, trace = draw_case(seed)
     samples = np.array(trace)
     try:
-        rho = robustness(parse(f"always {f}"), NAMES, samples)
+        rho = robustness(parse_formula(f"always {f}"), NAMES, samples)
     except FormulaError:
         return
-    assert rho == robustness(parse(f"not eventually not {f}"), NAMES, samples)
-    until = robustness(parse(f"0 <= 1e9 until {f}"), NAMES, samples)
-    assert robustness(parse(f"eventually {f}"), NAMES, samples) == until
+    assert rho == robustness(parse_formula(f"not eventually not {f}"), NAMES, samples)
+    until = robustness(parse_formula(f"0 <= 1e9 until {f}"), NAMES, samples)
+    assert robustness(parse_formula(f"eventually {f}"), NAMES, samples) == until

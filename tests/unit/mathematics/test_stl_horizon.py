@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from perfbound.orchestrator.mathematics.stl.formula import FormulaError, parse
+from perfbound.orchestrator.mathematics.stl.formula import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon, horizon
 
 
@@ -21,7 +21,7 @@ class TestHorizon:
         ],
     )
     def test_horizon(self, text: str, seconds: float) -> None:
-        assert horizon(parse(text)) == seconds
+        assert horizon(parse_formula(text)) == seconds
 
     @pytest.mark.parametrize(
         ("text", "enough"),
@@ -36,11 +36,11 @@ class TestHorizon:
         ],
     )
     def test_a_long_enough_trajectory(self, text: str, enough: float) -> None:
-        tree = parse(text)
+        tree = parse_formula(text)
         check_horizon(tree, enough)
         check_horizon(tree, enough + 1)
         if enough:
-            with pytest.raises(FormulaError, match="looks to"):
+            with pytest.raises(FormulaError, match="reaches to"):
                 check_horizon(tree, enough - 1e-6)
 
     @pytest.mark.parametrize(
@@ -48,33 +48,33 @@ class TestHorizon:
         [
             (
                 "x <= 1 or always[0,20] x <= 1",
-                "`always[0,20] x <= 1` looks to 20 s, but the trajectory ends at 15 s: shorten the interval, or "
+                "`always[0,20] x <= 1` reaches to 20 s, but the trajectory ends at 15 s: shorten the interval, or "
                 "lengthen the horizon of the campaign",
             ),
             (
                 "always (x <= 1 implies eventually[0,2] y <= 1)",
-                "`eventually[0,2] y <= 1` looks to 17 s, but the trajectory ends at 15 s, to which the operator around "
-                "it is read (`always (x <= 1 implies eventually[0,2] y <= 1)`): give that one an interval that ends by "
-                "13, e.g. always[0,13]",
+                "`eventually[0,2] y <= 1` reaches to 17 s, but the trajectory ends at 15 s, to which the operator "
+                "around it is read (`always (x <= 1 implies eventually[0,2] y <= 1)`): give that one an interval that ends "
+                "by 13, e.g. always[0,13]",
             ),
             (
                 "x <= 1 until (y <= 1 until[0,2] x <= 2)",
-                "`y <= 1 until[0,2] x <= 2` looks to 17 s, but the trajectory ends at 15 s, to which the operator "
-                "around it is read (`x <= 1 until (y <= 1 until[0,2] x <= 2)`): give that one an interval that ends by "
-                "13, e.g. until[0,13]",
+                "`y <= 1 until[0,2] x <= 2` reaches to 17 s, but the trajectory ends at 15 s, to which the operator "
+                "around it is read (`x <= 1 until (y <= 1 until[0,2] x <= 2)`): give that one an interval that ends "
+                "by 13, e.g. until[0,13]",
             ),
         ],
     )
     def test_the_message(self, text: str, message: str) -> None:
         with pytest.raises(FormulaError) as caught:
-            check_horizon(parse(text), 15.0)
+            check_horizon(parse_formula(text), 15.0)
         assert str(caught.value) == caught.value.reason == message
         assert caught.value.position is None
 
     def test_the_remedy_works(self) -> None:
-        check_horizon(parse("always[0,13] (x <= 1 implies eventually[0,2] y <= 1)"), 15.0)
+        check_horizon(parse_formula("always[0,13] (x <= 1 implies eventually[0,2] y <= 1)"), 15.0)
 
     @pytest.mark.parametrize("duration", [-1.0, math.nan, math.inf])
     def test_durations_are_checked(self, duration: float) -> None:
         with pytest.raises(ValueError, match="lasts 0 s or longer"):
-            check_horizon(parse("x <= 1"), duration)
+            check_horizon(parse_formula("x <= 1"), duration)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perfbound.orchestrator.mathematics.stl.formula import FormulaError, columns, parse
+from perfbound.orchestrator.mathematics.stl.formula import FormulaError, columns, parse_formula
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon, horizon
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.orchestrator.mathematics.stl.text import text as text_of
@@ -55,7 +55,7 @@ class TestParser:
         ],
     )
     def test_arithmetic(self, text: str, tree: Comparison) -> None:
-        assert parse(text) == tree
+        assert parse_formula(text) == tree
 
     @pytest.mark.parametrize(
         ("text", "tree"),
@@ -76,7 +76,7 @@ class TestParser:
         ],
     )
     def test_precedence_of_words(self, text: str, tree: Formula) -> None:
-        assert parse(text) == tree
+        assert parse_formula(text) == tree
 
     @pytest.mark.parametrize(
         ("text", "tree"),
@@ -91,10 +91,12 @@ class TestParser:
         ],
     )
     def test_intervals(self, text: str, tree: Formula) -> None:
-        assert parse(text) == tree
+        assert parse_formula(text) == tree
 
     def test_the_example_of_the_issue(self) -> None:
-        tree = parse("always[0,15] (abs(phi) <= 0.95 and (x - 2.5)^2 + (y - 2.5)^2 <= 9)", ("t", "x", "y", "phi"))
+        tree = parse_formula(
+            "always[0,15] (abs(phi) <= 0.95 and (x - 2.5)^2 + (y - 2.5)^2 <= 9)", ("t", "x", "y", "phi")
+        )
         assert columns(tree) == {"phi", "x", "y"}
         assert len(predicates(tree)) == 2
 
@@ -122,9 +124,9 @@ class TestParser:
             ("always[5,2] x <= 1", 9, "needs a <= b"),
             ("always[0,5) x <= 1", 10, "includes both ends"),
             ("always[0,inf] x <= 1", 12, "without end is written"),
-            ("always(0,5) x <= 1", 8, "stands right after always"),
-            ("x <= 1 and[0,5] y <= 1", 10, "stands right after always"),
-            ("x <= inf", 5, "stands right after always"),
+            ("always(0,5) x <= 1", 8, "written right after always"),
+            ("x <= 1 and[0,5] y <= 1", 10, "written right after always"),
+            ("x <= inf", 5, "written right after always"),
             ("until", 0, "unexpected 'until'"),
             ("sin(x) <= 1", 0, "unknown function 'sin'"),
             ("abs x <= 1", 4, r"'\(' expected"),
@@ -139,7 +141,7 @@ class TestParser:
     )
     def test_errors_point_at_the_place(self, text: str, position: int, reason: str) -> None:
         with pytest.raises(FormulaError, match=reason) as caught:
-            parse(text, NAMES)
+            parse_formula(text, NAMES)
         assert caught.value.position == position
         assert caught.value.reason in str(caught.value)
         assert len(str(caught.value).splitlines()) == 1
@@ -164,7 +166,7 @@ class TestParser:
     )
     def test_the_place_is_marked_in_one_line(self, text: str, line: str) -> None:
         with pytest.raises(FormulaError) as caught:
-            parse(text, NAMES)
+            parse_formula(text, NAMES)
         assert str(caught.value) == line
 
     @given(st.text(alphabet="xy01.,<=>()[]+-*/^ andortuilwsmebf_", max_size=40))
@@ -172,25 +174,25 @@ class TestParser:
     def test_any_text_is_read_or_refused(self, text: str) -> None:
         samples = np.column_stack([np.arange(3.0), np.ones((3, 2))])
         with contextlib.suppress(FormulaError):  # any other exception fails the test
-            tree = parse(text, NAMES)
+            tree = parse_formula(text, NAMES)
             robustness(tree, NAMES, samples)
-            assert parse(text_of(tree)) == tree
+            assert parse_formula(text_of(tree)) == tree
 
     def test_the_longest_allowed_text_can_be_evaluated(self) -> None:
-        tree = parse("+".join("x" * 499) + "<1")
+        tree = parse_formula("+".join("x" * 499) + "<1")
         assert robustness(tree, NAMES, np.ones((1, 3))) == -498.0
         assert columns(tree) == {"x"}
-        assert text_of(parse(text_of(tree))) == text_of(tree)
+        assert text_of(parse_formula(text_of(tree))) == text_of(tree)
         with pytest.raises(ValueError, match=r"`x \+ x .*\.\.\.` is nan"):
             robustness(tree, NAMES, np.full((1, 3), np.nan))
-        many = parse(" and ".join(["x<1"] * 250))
+        many = parse_formula(" and ".join(["x<1"] * 250))
         check_horizon(many, 0.0)
         assert robustness(many, NAMES, np.ones((1, 3))) == 0.0
 
     def test_the_deepest_allowed_text_can_be_read(self) -> None:
-        tree = parse("(" * 39 + "always[0,0] x<1" + ")" * 39)
+        tree = parse_formula("(" * 39 + "always[0,0] x<1" + ")" * 39)
         assert tree == Always(A, Interval(0, 0))
-        assert horizon(parse("always[0,1] " * 39 + "x<1")) == 39
+        assert horizon(parse_formula("always[0,1] " * 39 + "x<1")) == 39
 
 
 class TestTree:
@@ -247,7 +249,7 @@ class TestText:
         rng = random.Random(1)
         for _ in range(1000):
             tree = draw_formula(rng, rng.randint(0, 6))
-            assert parse(text_of(tree), NAMES) == tree, text_of(tree)
+            assert parse_formula(text_of(tree), NAMES) == tree, text_of(tree)
 
     @pytest.mark.parametrize(
         "text",
@@ -259,4 +261,4 @@ class TestText:
         ],
     )
     def test_no_more_parentheses_than_needed(self, text: str) -> None:
-        assert text_of(parse(text)) == text
+        assert text_of(parse_formula(text)) == text
