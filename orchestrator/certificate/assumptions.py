@@ -8,7 +8,7 @@ from ...schemas.certificate import Assumption, Status
 from ..campaign.ledger import Account
 from ..campaign.methods import Methods, kernel
 from ..mathematics.bounds import audit
-from ..mathematics.bounds.paper import mills_probability
+from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.gp.lattice import Lattice
 from .claims import PAIR

@@ -20,8 +20,6 @@ import numpy as np
 
 from ..gp.kernels import Matern
 from ..gp.lattice import Lattice
-from .composition import Rule
-from .paper_formulas import Regulariser, SigmaReading, Tail, mills_probability
 
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
 Values = Mapping[str, float | int | str]

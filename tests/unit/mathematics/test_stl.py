@@ -120,23 +120,6 @@ class TestRobustness:
         with pytest.raises(ValueError, match="do not fit"):
             robustness(parse_formula("x <= 1"), NAMES, np.zeros(shape))
 
-    @pytest.mark.parametrize(
-        ("text", "limit"),
-        [
-            ("always (abs(x) <= 0.95)", 50e-6),
-            ("(x <= 2 until[0,3] y >= 1) until[2,8] (y <= 2 until_from[1,4] x <= 0.5)", 5e-3),
-        ],
-    )
-    def test_is_fast(self, text: str, limit: float) -> None:
-        tree, samples = parse_formula(text), np.random.default_rng(0).random((1801, 3))
-        samples[:, 0] = np.arange(1801) / 120
-
-        def evaluate() -> float:
-            return robustness(tree, NAMES, samples)
-
-        seconds = min(timeit.repeat(evaluate, timer=time.process_time, number=20, repeat=30)) / 20
-        assert seconds <= limit
-
 
 class TestPredicateSup:
     def test_is_the_largest_over_predicates_and_samples(self) -> None:
