@@ -7,7 +7,7 @@ from ...schemas.campaign import CampaignConfig, PaperProblem, Problem, RigorousP
 from ...schemas.values import Bound
 
 if TYPE_CHECKING:
-    from .plan import ProblemPlan
+    from .plan import Plans, ProblemPlan
 
 FEWEST = 10
 """Tests before the decay says anything."""
@@ -33,6 +33,11 @@ def tests_left(config: CampaignConfig, problem: Problem, now: float | None, test
     exponent = math.log(max(1.0, now / problem.alpha)) / power
     needed = math.inf if exponent > 50 else tests * math.exp(exponent)
     return max(0, min(math.ceil(min(needed, 1e12)) - tests, budget))
+
+
+def warnings(plans: "Plans") -> list[str]:
+    """Return a line for every problem whose budget cannot reach its tolerance."""
+    return [line for plan in plans.values() if (line := out_of_reach(plan))]
 
 
 def out_of_reach(plan: "ProblemPlan") -> str | None:

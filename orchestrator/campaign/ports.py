@@ -1,4 +1,4 @@
-"""Where a ledger puts facts and files: the run directory, or nowhere when it only verifies."""
+"""The ports of a ledger: stores of facts and of files, in the run directory, in memory, or without effect."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -9,7 +9,7 @@ from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
 
 
 class FactStore(Protocol):
-    """Where facts are written: the journal, or what remembers them while evidence is verified."""
+    """The facts of a campaign in their order: the journal, or a list in memory while evidence is verified."""
 
     header: Header
 
@@ -25,6 +25,10 @@ class FactStore(Protocol):
         """Yield all facts in their order."""
         ...
 
+
+class RecordedRollouts(Protocol):
+    """The recorded rollouts of a campaign, of which a resume checks the files."""
+
     def recorded(self) -> list[RolloutFact]:
         """Return all recorded rollouts, the newest first."""
         ...
@@ -35,7 +39,7 @@ class FactStore(Protocol):
 
 
 class FileStore(Protocol):
-    """Where trajectory files are put."""
+    """The trajectory files of a campaign; written inside a `with` block, durable at its end."""
 
     def write(self, path: Path, data: bytes) -> None:
         """Take a file."""

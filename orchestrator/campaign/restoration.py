@@ -6,25 +6,26 @@ from ...schemas.errors import PerfboundError
 from ...schemas.facts import RolloutFact
 from ...schemas.ids import RolloutId
 from ..store import files as evidence
-from .ports import FactStore, FileStore
+from .ports import FileStore, RecordedRollouts
 
 
 class Restoration:
     """The recorded rollouts whose files are missing or damaged, until each is simulated again."""
 
-    def __init__(self, directory: Path, book: FactStore | None = None) -> None:
-        """Look at every recorded file of `book`, and remove what no fact knows; without a book nothing is damaged."""
+    def __init__(self, directory: Path, recorded: RecordedRollouts | None = None) -> None:
+        """Check every recorded file and remove those without a fact; without `recorded`, nothing is damaged."""
         self._directory = directory
         self._damaged: dict[RolloutId, RolloutFact] = {}
         self._starts: dict[tuple[str, int], tuple[float, ...]] = {}
-        if book is None:
+        if recorded is None:
             return
-        facts = book.recorded()
+        facts = recorded.recorded()
+        # A crash between a file and its commit leaves a file that no fact names: its rollout is simulated again.
         evidence.sweep(directory, {fact.path for fact in facts})
         paths = set(evidence.damaged(directory, ((fact.path, fact.size, fact.sha256) for fact in facts)))
         self._damaged = {fact.rollout: fact for fact in facts if fact.path in paths}
         tests = {rollout[:2] for rollout in self._damaged}
-        self._starts = {test: book.proposal(*test).proposal.x for test in tests}
+        self._starts = {test: recorded.proposal(*test).proposal.x for test in tests}
 
     def __len__(self) -> int:
         return len(self._damaged)

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 
 from ...schemas.campaign import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
 from ...schemas.certificate import Assumption, Status
-from ..campaign.ledger import Account
+from ..campaign.account import Account
 from ..campaign.methods import Methods, kernel
 from ..mathematics.bounds import audit
 from ..mathematics.bounds.paper_formulas import mills_probability

@@ -4,7 +4,7 @@ from typing import Literal
 
 from ...schemas import certificate as document
 from ...schemas.campaign import SENSES, PaperProblem, ProblemName, RigorousProblem
-from ..campaign.ledger import Account
+from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.paper_formulas import Tail, mills_probability
 from ..mathematics.bounds.rounding import round_down, round_up

@@ -226,18 +226,19 @@ def _conduct(
             text = f"waiting for workers: perfbound-worker --connect {transport.endpoint}"
             console.print(Text(text), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
+        from ..campaign import forecast  # noqa: PLC0415
         from ..campaign.ledger import Ledger  # noqa: PLC0415
         from .progress import SystemdStatus, listener  # noqa: PLC0415
         from .service import Interrupted, Service  # noqa: PLC0415
 
         ledger = Ledger(directory, journal)
         ledger.replay()
-        damaged = ledger.check_files() if resumed else 0
+        damaged = ledger.check_files(journal) if resumed else 0
         if not ledger.done:
             terminal = stack.enter_context(listener(console))
             if damaged:
                 terminal.say(f"{damaged} trajectory files are missing or damaged: simulating them again")
-            for line in ledger.warnings():
+            for line in forecast.warnings(ledger.plans):
                 terminal.say(line)
             listeners = (terminal, SystemdStatus(systemd), page)
             service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)

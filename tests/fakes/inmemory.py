@@ -338,7 +338,7 @@ def serve(
         stack.callback(journal.close)
         ledger = Ledger(directory, journal)
         ledger.replay()
-        ledger.check_files()
+        ledger.check_files(journal)
         if not ledger.done:
             port = InMemoryTransport(network)
             stack.callback(port.stop)

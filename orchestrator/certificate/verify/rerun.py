@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ....schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError
-from ....schemas.facts import Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from ....schemas.facts import Fact, Header, ObservationFact, RolloutFact
 from ....schemas.ids import RolloutId
 from ....schemas.trajectory import read
 from ....schemas.values import Proposal
@@ -40,15 +40,6 @@ class MemoryFactStore:
     def facts(self) -> Iterator[Fact]:
         """Yield all facts in their order."""
         return iter(self.written)
-
-    def recorded(self) -> list[RolloutFact]:
-        """Return all recorded rollouts, the newest first."""
-        return [fact for fact in reversed(self.written) if isinstance(fact, RolloutFact)]
-
-    def proposal(self, problem: str, test: int) -> ProposalFact:
-        """Return the proposal of a test that has one."""
-        every = (fact for fact in self.written if isinstance(fact, ProposalFact))
-        return next(fact for fact in every if (fact.problem, fact.test) == (problem, test))
 
 
 class NullFileStore:
