@@ -1,4 +1,4 @@
-"""Admission of a result: everything that is checked before a rollout becomes a fact."""
+"""The admission of a result: every check before a rollout becomes a fact."""
 
 import hashlib
 
@@ -12,22 +12,22 @@ from ...schemas.trajectory import Trajectory, read
 ROUND_OFF = 1e-9
 """Of a time, in seconds."""
 SAMPLES = 50
-"""The last sample is before the horizon by a step, and by a part of it that is this small, at most."""
+"""The last sample may precede the horizon by one step, but by no more than the horizon divided by this."""
 
 
 def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Trajectory:
     """Return the trajectory of the rollout that `request` asks for, from the bytes of its file.
 
-    `columns` are those of the system, `sha256` is the digest that whoever sent the file announces.
+    `columns` are those of the system, `sha256` is the digest that the sender announces or the manifest lists.
 
     Raises:
         RequestError: the file answers another request.
         EvidenceError: the bytes have another digest, are no trajectory, or are not one from 0 to the horizon.
 
     """
-    # First of all: nothing is decoded that was damaged on its way.
+    # Before everything else: a decoder reads no bytes that were damaged on their way.
     if hashlib.sha256(payload).hexdigest() != sha256:
-        raise EvidenceError("the result does not have the sha256 that its header names")
+        raise EvidenceError("the result does not have the sha256 that its sender announces")
     try:
         file = read(payload)
     except TrajectoryError as fault:
@@ -37,17 +37,18 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
         differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
         raise RequestError(f"the trajectory was simulated for another request (other {', '.join(differing)[:200]})")
     _check_whole(file.trajectory, columns, request.horizon)
+    # The metadata name campaign, rollout and seed once more; the columns in it were compared with the system's above.
     if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
-        raise RequestError("the metadata of the trajectory name another rollout")
+        raise RequestError("the metadata of the trajectory are those of another rollout")
     return file.trajectory
 
 
 def _check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float) -> None:
     if trajectory.columns != columns:
         raise EvidenceError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
-    # A trajectory that ends early would be scored on less than the specification speaks of.
+    # A trajectory that starts late or ends early would be scored on a part of what the specification covers.
     t = trajectory.samples[:, 0]
     step = min(float(np.max(np.diff(t), initial=0.0)), horizon / SAMPLES)
     if t[0] > ROUND_OFF or not horizon - step - ROUND_OFF <= t[-1] <= horizon + ROUND_OFF:
         span = f"{t[0]:g} to {t[-1]:g} s"
-        raise EvidenceError(f"the trajectory goes from {span}, the campaign asks for 0 to {horizon:g} s")
+        raise EvidenceError(f"the trajectory covers {span}, the campaign requests 0 to {horizon:g} s")

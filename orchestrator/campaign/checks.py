@@ -1,4 +1,4 @@
-"""Whether a campaign fits its system: everything that neither the file nor the system can say alone."""
+"""The checks of a campaign against its system: those that need both the file and the specification of the system."""
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_check import check_against
@@ -16,7 +16,7 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
 
     """
     if config.system.name != spec.name:
-        raise CampaignError(f"{source}: system.name: the campaign is about {config.system.name!r}, not {spec.name!r}")
+        raise CampaignError(f"{source}: system.name: is {config.system.name!r}, the system here is {spec.name!r}")
     check_against(config, spec, source)
     _check_specification(config, spec, source)
 
@@ -36,8 +36,9 @@ def _check_gap(config: CampaignConfig, read: frozenset[str], source: str) -> Non
     """Refuse a gap in one column where the robustness depends on others."""
     for problem in config.problems:
         gap = config.gap_of(problem) if problem.name == "sim_gap" else None
+        # The composition needs |rho(s) - rho(z)| <= L * gap: a gap in one column bounds nothing that others change.
         if gap is not None and gap.kind == "signal_sup" and read != {gap.column}:
             raise CampaignError(
-                f"{source}: gap.column: {gap.column!r} cannot carry the claim over: the specification reads "
+                f"{source}: gap.column: {gap.column!r} does not bound the robustness: the specification reads "
                 f'{", ".join(sorted(read)) or "no column"}; use kind = "predicate_sup", which fits every specification'
             )

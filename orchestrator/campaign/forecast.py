@@ -1,4 +1,4 @@
-"""How much is left: guesses from the decay so far, and what a budget can never reach. Nothing here is certified."""
+"""The forecast of a problem: its remaining tests, and budgets that cannot suffice. No certificate depends on it."""
 
 import math
 from typing import TYPE_CHECKING
@@ -10,18 +10,18 @@ if TYPE_CHECKING:
     from .plan import Plans, ProblemPlan
 
 FEWEST = 10
-"""Tests before the decay says anything."""
+"""Tests before the decay is worth a guess."""
 
 
 def distance(problem: Problem, last_f: float | None, bound: Bound | None) -> float | None:
-    """Return what has to fall to alpha: F_i in method paper, upper - lower in the others; None before there is one."""
+    """Return the number that has to fall to alpha: F_i in method paper, else upper - lower; None before the first."""
     if isinstance(problem, PaperProblem):
         return last_f
     return None if bound is None or bound.upper is None or bound.lower is None else bound.upper - bound.lower
 
 
 def tests_left(config: CampaignConfig, problem: Problem, now: float | None, tests: int) -> int | None:
-    """Guess the tests until the distance is alpha or the budget ends; None where the decay cannot tell yet.
+    """Guess the tests until the distance is alpha or the budget ends; None where the decay allows no guess yet.
 
     The distance falls roughly like a power of the number of tests; the power is taken from the start until now.
     """
@@ -49,12 +49,14 @@ def out_of_reach(plan: "ProblemPlan") -> str | None:
     if not isinstance(problem, RigorousProblem) or plan.noise == 0:
         return None
     least = 2 * plan.noise * math.sqrt(2 * math.log(1 / problem.delta) / tests)
-    least = min(least, 2 * (problem.rkhs_norm + problem.misspecification))  # what is known before the first test
+    # Without any test |J - m0| <= B + tau: upper and lower are never further apart than this.
+    least = min(least, 2 * (problem.rkhs_norm + problem.misspecification))
     if least <= problem.alpha:
         return None
     return (
         f"{problem.name}: {tests} tests cannot be expected to reach alpha = {problem.alpha:g}: even with all tests "
-        f"at one point, upper and lower bound stay about {least:.3g} apart. The budget then ends the problem"
+        f"at one point, upper and lower bound stay about {least:.3g} apart. The budget ends the problem then; raise "
+        "max_tests or alpha, or continue with the wider bound"
     )
 
 

@@ -1,4 +1,4 @@
-"""The method of each problem, as its plan says."""
+"""The registry of methods: the method of a problem, with the parameters of its plan."""
 
 from collections.abc import Mapping
 
@@ -89,6 +89,7 @@ def _lattice(plan: ProblemPlan) -> Lattice:
 
 
 def _mixture(problem: RigorousProblem, noise: float) -> tuple[tuple[float, float], ...]:
+    # Without noise Q needs no mixture and spends no delta.
     if noise == 0:
         return ()
     if problem.regulariser is None:

@@ -1,4 +1,4 @@
-"""From trajectories to the value y of a test.
+"""The objectives: functions from trajectories to the value y of a test.
 
 | symbol   | name      | meaning                                             | shape  | unit       |
 |----------|-----------|-----------------------------------------------------|--------|------------|
@@ -100,7 +100,7 @@ def risk(values: Sequence[float], risk_weight: float) -> float:
 
 
 def excess(plan: ProblemPlan, robustness: Mapping[tuple[str, int], float], gaps: Sequence[float]) -> float:
-    """Return the most by which the robustness of a pair of rollouts differs beyond L times its gap.
+    """Return the largest excess of a pair's robustness difference over L times its gap.
 
     `robustness` is that of the rollout of each (variant, replicate), `gaps` (replicates,) are those of one test. Above
     0 the gap does not dominate the difference of the robustness, and the composition does not follow.
@@ -108,12 +108,13 @@ def excess(plan: ProblemPlan, robustness: Mapping[tuple[str, int], float], gaps:
     differences = []
     for replicate, value in enumerate(gaps):
         nominal, true = (robustness[plan.replicate(variant, replicate)] for variant in ("nominal", "true"))
+        # The gap `robustness` is one-sided: only a true system that is worse than the nominal one counts.
         signed = nominal - true if plan.gap.kind == "robustness" else abs(nominal - true)
         differences.append(signed - plan.gap.lipschitz * value)
     return max(differences)
 
 
-def _finite(value: float, what: str) -> float:
+def _finite(value: float, name: str) -> float:
     if not math.isfinite(value):
-        raise ValueError(f"{what} is {value!r}, not a finite number")
+        raise ValueError(f"{name} is {value!r}, not a finite number")
     return value

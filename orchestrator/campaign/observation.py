@@ -1,4 +1,4 @@
-"""From the trajectories of a test to its observation: the value y of the maximised objective J, and its parts."""
+"""The observation of a test: the value y of the maximised objective J and its parts, from the trajectories."""
 
 from collections.abc import Callable, Mapping
 from weakref import WeakKeyDictionary
@@ -29,8 +29,8 @@ class Observer:
     def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
         self._columns = tuple(column.name for column in spec.columns)
         self._clip = config.clip
-        self._parsed = None if config.specification is None else parse_formula(config.specification, self._columns)
-        self._known: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
+        self._parsed = None if config.specification is None else parse(config.specification, self._columns)
+        self._scored: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
         self._objectives: dict[ProblemName, Callable[[ProblemPlan, Trajectories], Observation]] = {
             "nominal_robustness": self._nominal_robustness,
             "sim_gap": self._sim_gap,
@@ -53,10 +53,10 @@ class Observer:
         """
         if self._parsed is None or self._clip is None:
             return None
-        found = self._known.get(trajectory)  # needed when it is recorded, and when its test is observed
+        found = self._scored.get(trajectory)  # needed when it is recorded, and when its test is observed
         if found is None:
             found = objectives.clipped_robustness(self._parsed, trajectory.columns, trajectory.samples, self._clip)
-            self._known[trajectory] = found
+            self._scored[trajectory] = found
         return found
 
     def observe(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
@@ -73,8 +73,10 @@ class Observer:
 
     def _true_risk(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         problem, values, weight = plan.problem, self._scores(trajectories), plan.risk_weight
+        # The paper observes the sample risk itself; the replicates are kept for the audit.
         if problem.method == "paper":
             return Observation(-objectives.risk(values, weight), tuple(values))
+        # Bounded below by an expectation whose samples are centred; method `scenario` linearises inside its own bet.
         if problem.linearised is not None and problem.method == "rigorous":
             constants = problem.linearised
             return _mean([-linearised(value, weight, constants.centre, constants.spread) for value in values])
@@ -96,7 +98,7 @@ class Observer:
             found = predicate_sup(self._formula, nominal.columns, true.samples, nominal.samples)
         else:
             found = objectives.signal_sup(self._column(gap.column), true.samples, nominal.samples)
-        # The paper does not clip. Elsewhere a gap above (M + m)/L says no more than that of the clipped robustness.
+        # The paper does not clip. Elsewhere (M + m)/L is enough: no two clipped values differ by more than M + m.
         return found if plan.problem.method == "paper" else min(found, (high - low) / gap.lipschitz)
 
     def _maximum(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:

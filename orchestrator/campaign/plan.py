@@ -1,4 +1,4 @@
-"""The plan of each problem: everything that is fixed before its first test, every default and option resolved."""
+"""The plan of each problem: its parameters before the first test, with every default and option resolved."""
 
 import math
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from ..mathematics.gp.points import Points
 UNBOUNDED = (-math.inf, math.inf)
 """The clip of a campaign that has none."""
 NO_GAP = Gap(kind="robustness")
-"""The gap of a problem that compares no trajectories: of no meaning there."""
+"""The gap of a problem that compares no trajectories, where nothing reads it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class ProblemPlan:
     noise: float
     """R of one test, in the unit of the objective; 0 without noise."""
     noise_per_rollout: float
-    """R of one rollout, as it is given or derived."""
+    """R of one rollout, from the campaign file or derived."""
     hoeffding: float
     """R of one rollout by Hoeffding's lemma, half the range of the clipped objective; infinite without a clip."""
     clip: tuple[float, float]
@@ -86,8 +86,9 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
     noise = _noise(problem, hoeffding)
     if isinstance(problem, RigorousProblem) and noise == 0:
         tests = min(tests, candidates.size)  # without noise a second test at a candidate adds nothing
+    # A deterministic variant gives one trajectory for every seed: one rollout serves all replicates of a test.
     common = problem.name == "sim_gap" and problem.method == "rigorous"
-    # R of the risk in method `paper` is that of the observation itself, mean - r sd, which is no mean.
+    # R / sqrt(replicates) is for means; the paper observes mean - r sd, whose R is in the file as it is.
     mean = not (problem.method == "paper" and problem.name == "true_risk")
     return ProblemPlan(
         problem=problem,
@@ -115,7 +116,7 @@ def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> L
 
 def _noise(problem: Problem, hoeffding: float) -> float:
     if isinstance(problem, ScenarioProblem):
-        return hoeffding  # never used: the bound rests on the clip alone
+        return hoeffding  # not used: the bound depends on the clip alone
     return hoeffding if problem.noise_scale == "derived" else problem.noise_scale
 
 

@@ -1,4 +1,4 @@
-"""Restoration of trajectory files that a crash of the machine damaged: the same seed gives the same file."""
+"""The restoration of trajectory files that a crash of the machine damaged: the same seed gives the same file."""
 
 from pathlib import Path
 
@@ -43,18 +43,19 @@ class Restoration:
         return self._starts[rollout[:2]]
 
     def restore(self, rollout: RolloutId, payload: bytes, sha256: str, files: FileStore) -> None:
-        """Write a file once more.
+        """Write a damaged file again.
 
         Raises:
-            PerfboundError: it is not the one that was recorded.
+            PerfboundError: the new bytes are not the recorded ones.
 
         """
         fact = self._damaged[rollout]
+        # The chain has the recorded digest: other bytes would make the evidence contradict the certificate.
         if sha256 != fact.sha256:
             raise PerfboundError(
                 f"{self._directory / fact.path}: damaged, and simulated again it has the sha256 {sha256[:12]}..., not "
-                f"the recorded {fact.sha256[:12]}...: this machine computes different floating-point results. "
-                "Restore it from a copy"
+                f"the recorded {fact.sha256[:12]}..., so this machine computes different floating-point results; "
+                "restore the file from a copy"
             )
         files.write(self._directory / fact.path, payload)
         del self._damaged[rollout]

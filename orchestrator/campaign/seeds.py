@@ -1,4 +1,4 @@
-"""Every random choice of a campaign, as a function of its seed and of what is chosen; never of when or where."""
+"""The random choices of a campaign: functions of its seed and of the choice alone, never of time or machine."""
 
 import numpy as np
 
@@ -12,6 +12,7 @@ def rollout_seed(config: CampaignConfig, rollout: RolloutId) -> int:
     """Return the seed of a rollout, below 2^53; a retry uses the same one."""
     key = (problem_index(config, rollout.problem), rollout.test, VARIANTS.index(rollout.variant), rollout.replicate)
     state = np.random.SeedSequence(config.seed, spawn_key=key).generate_state(1, np.uint64)
+    # 53 bits: every JSON reader keeps such a number exactly.
     return int(state[0] >> np.uint64(11))
 
 

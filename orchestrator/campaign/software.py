@@ -12,32 +12,30 @@ NUMERICS = ("numpy", "scipy", "scikit-learn")
 
 
 class Version(NamedTuple):
-    """One package whose version here is not that of the campaign; None where it is not installed."""
+    """One package whose installed version is not that of the campaign; None where it is not installed."""
 
     name: str
-    then: str
-    now: str | None
+    recorded: str
+    installed: str | None
 
 
 def software(spec: SystemSpec) -> dict[str, str]:
     """Return name and version of everything that computes trajectories and bounds."""
-    ours = {"perfbound": __version__, "python": platform.python_version()}
-    return ours | {name: version(name) for name in NUMERICS} | spec.versions
+    own = {"perfbound": __version__, "python": platform.python_version()}
+    return own | {name: version(name) for name in NUMERICS} | spec.versions
 
 
 def other_numerics(recorded: Mapping[str, str], spec: SystemSpec) -> list[Version]:
-    """Return the packages that may compute other numbers here than those that were recorded.
-
-    The version of perfbound is none of them: the rules of the campaign decide what it computes. Of Python's version
-    the first two parts count.
-    """
+    """Return the packages whose installed versions may compute other numbers than the recorded ones."""
     here: dict[str, str | None] = {**software(spec)}
     here |= {name: _installed(name) for name in spec.versions}
-    found = (Version(name, then, here.get(name)) for name, then in recorded.items() if name != "perfbound")
-    return [each for each in found if _deciding(each.name, each.then) != _deciding(each.name, each.now)]
+    # Without perfbound: the rules in the header decide what it computes, not its version.
+    found = (Version(name, number, here.get(name)) for name, number in recorded.items() if name != "perfbound")
+    return [each for each in found if _deciding(each.name, each.recorded) != _deciding(each.name, each.installed)]
 
 
 def _deciding(name: str, number: str | None) -> str | None:
+    # A patch release of Python computes the same floating-point results.
     return number if name != "python" or number is None else ".".join(number.split(".")[:2])
 
 

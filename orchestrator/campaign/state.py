@@ -1,7 +1,7 @@
-"""The campaign core: which tests exist, which observation is next, when a problem stops.
+"""The campaign machine: the tests of each problem, the order of their observations, and the end of the problem.
 
-A pure machine: `step(state, event) -> (state, actions)`. It knows no time, no numbers and no files. Each problem owns a
-row of tests, numbered from 0; a test lives through four phases, and this table is the whole of the law:
+A pure machine: `step(state, event) -> (state, actions)`, without time, numbers and files. Each problem has a row of
+tests, numbered from 0; a test goes through four phases, and this table lists every legal transition:
 
     phase      Proposed   Recorded                  Observed
     absent     running    -                         -
@@ -9,13 +9,14 @@ row of tests, numbered from 0; a test lives through four phases, and this table 
     complete   -          (ignored)                 closed
     closed     -          (ignored)                 -
 
-`-` is illegal: `step` raises `IllegalEvent` and nothing has changed. Three rules go beyond the table. Tests are
-proposed and observed in their order. The window is kept full: test i is proposed right after test i-window is
-observed, before any other observation, so that its z depends on the observations 0 .. i-window and never on the speed
-of a worker. A problem that has stopped proposes and observes nothing more; what still runs is withdrawn and counts as
-closed.
+`-` is illegal: `step` raises `IllegalEvent` and nothing has changed. Three rules go beyond the table:
 
-The state holds what is open; closed tests are a counter.
+1. Tests are proposed and observed in their order.
+2. The window is kept full: test i is proposed right after test i-window is observed, before any other observation, so
+   that its z depends on the observations 0 .. i-window and never on the speed of a worker.
+3. A problem that has stopped proposes and observes nothing more; its open tests are withdrawn and count as closed.
+
+The state contains the open tests; closed ones are a counter, so that a step costs the same at the end of a campaign.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +40,7 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is fixed about a problem before its first test."""
+    """The part of a problem's plan that the machine needs; fixed before its first test."""
 
     problem: str
     window: int
@@ -57,13 +58,13 @@ class OpenTest:
 
     @property
     def phase(self) -> Phase:
-        """Where the test stands in the table."""
+        """The phase of the test, as in the table."""
         return "running" if self.missing else "complete"
 
 
 @dataclass(frozen=True, slots=True)
 class ProblemState:
-    """The open tests of a problem, and how many are closed."""
+    """The open tests of a problem, the number of closed ones, and the reason of its end."""
 
     plan: Plan
     observed: int = 0
@@ -77,12 +78,14 @@ class ProblemState:
 
     @property
     def may_propose(self) -> bool:
-        """Whether the next test may be proposed from the observations there are."""
+        """Whether the next test may be proposed from the observations so far."""
+        # Rule 2: a test in flight keeps its place in the window until it is observed, not until it is complete.
         room = self.proposed < min(self.observed + self.plan.window, self.plan.max_tests)
         return self.stopped_by is None and room
 
     def phase(self, test: int) -> Phase:
         """Return the phase of one test."""
+        # Rule 3: withdrawn tests count as closed, so that a rollout that arrives late is ignored.
         if test < self.observed or (self.stopped_by is not None and test < self.proposed):
             return "closed"
         return self.open[test - self.observed].phase if test < self.proposed else "absent"
@@ -117,7 +120,7 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """A test has its y; `verdict` says why the method ends the problem here, if it does."""
+    """A test has its y; `verdict` is the reason why the method ends the problem here, if it does."""
 
     problem: str
     test: int
@@ -137,7 +140,7 @@ class Propose:
 
 @dataclass(frozen=True, slots=True)
 class Simulate:
-    """Have these rollouts simulated."""
+    """Simulate these rollouts."""
 
     rollouts: tuple[RolloutId, ...]
 
@@ -174,7 +177,7 @@ def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
     """Apply one event.
 
     Raises:
-        IllegalEvent: the table does not allow it; `state` is still the truth.
+        IllegalEvent: the table or a rule does not allow it; `state` is unchanged and stays valid.
 
     """
     name, test = (event.rollout[:2]) if isinstance(event, Recorded) else (event.problem, event.test)
@@ -191,11 +194,12 @@ def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
         after, actions = _observe(problem, event)
     problems = (*state.problems[:index], after, *state.problems[index + 1 :])
     state = State(problems)
+    # Only an observation ends a problem: a late rollout of a finished campaign asks for no second certificate.
     return state, (*actions, Certify()) if isinstance(event, Observed) and state.done else actions
 
 
 def outstanding(state: State) -> tuple[Action, ...]:
-    """Return everything that is to be done now: how a campaign starts, and how it goes on after a restart."""
+    """Return every action that is due: the first ones of a campaign, and those after a restart."""
     if state.done:
         return (Certify(),)
     return tuple(action for problem in state.problems for action in _due(problem))
@@ -204,12 +208,14 @@ def outstanding(state: State) -> tuple[Action, ...]:
 def _due(problem: ProblemState) -> tuple[Action, ...]:
     if problem.stopped_by is not None:
         return ()
-    missing = tuple(rollout for test in problem.open for rollout in _ordered(problem.plan, test))
+    # A restart loses every assignment, never a recorded rollout: only the missing ones are simulated.
+    missing = tuple(rollout for test in problem.open for rollout in _missing(problem.plan, test))
     simulate = (Simulate(missing),) if missing else ()
     return (*simulate, *_next(problem))
 
 
 def _propose(problem: ProblemState, event: Proposed) -> tuple[ProblemState, tuple[Action, ...]]:
+    # Rules 1 to 3: the next number, room in the window and the budget, no stop before.
     if event.test != problem.proposed or not problem.may_propose:
         raise IllegalEvent(f"{event} is not allowed: {problem.observed} tests observed, {problem.proposed} proposed")
     opened = OpenTest(event.test, frozenset(_rollouts(problem.plan, event.test)))
@@ -221,30 +227,35 @@ def _record(problem: ProblemState, event: Recorded) -> tuple[ProblemState, tuple
     test = event.rollout.test
     if (event.rollout.variant, event.rollout.replicate) not in problem.plan.rollouts:
         raise IllegalEvent(f"{event} is not allowed: test {test} has no such rollout")
+    # At-least-once delivery: a rollout of a complete or closed test may arrive again, and changes nothing.
     if problem.phase(test) != "running":
         return problem, ()
     position = test - problem.observed
     before = problem.open[position]
     after = OpenTest(test, before.missing - {event.rollout})
     problem = replace(problem, open=(*problem.open[:position], after, *problem.open[position + 1 :]))
+    # Rule 1: only the oldest open test may be observed; a younger one waits for its turn.
     completed = position == 0 and before.missing and not after.missing
     return problem, _next(problem) if completed and not problem.may_propose else ()
 
 
 def _observe(problem: ProblemState, event: Observed) -> tuple[ProblemState, tuple[Action, ...]]:
+    # Rule 2: a proposal that is due comes first, or z would depend on one observation more than in another run.
     if event.test != problem.observed or problem.may_propose:
         due = f"test {problem.observed} is to be observed" if event.test != problem.observed else "a proposal is due"
         raise IllegalEvent(f"{event} is not allowed: {due} before it")
     problem = replace(problem, observed=problem.observed + 1, open=problem.open[1:])
+    # The verdict comes before the budget: a bound that converges with the last test has converged.
     if event.verdict is not None or problem.observed >= problem.plan.max_tests:
         stopped = replace(problem, stopped_by=event.verdict or "budget")
-        left = tuple(rollout for test in problem.open for rollout in _ordered(problem.plan, test))
+        left = tuple(rollout for test in problem.open for rollout in _missing(problem.plan, test))
         return stopped, (Withdraw(left),) if left else ()
     return problem, _next(problem)
 
 
 def _next(problem: ProblemState) -> tuple[Action, ...]:
     """Return the one thing that a problem waits for: a proposal, else the observation of its oldest test."""
+    # The order of rule 2.
     if problem.may_propose:
         return (Propose(problem.plan.problem, problem.proposed),)
     if problem.open and not problem.open[0].missing:
@@ -256,7 +267,8 @@ def _rollouts(plan: Plan, test: int) -> tuple[RolloutId, ...]:
     return tuple(RolloutId(plan.problem, test, variant, replicate) for variant, replicate in plan.rollouts)
 
 
-def _ordered(plan: Plan, test: OpenTest) -> tuple[RolloutId, ...]:
+def _missing(plan: Plan, test: OpenTest) -> tuple[RolloutId, ...]:
+    # In the order of the plan: the order of a set differs from run to run.
     return tuple(rollout for rollout in _rollouts(plan, test.test) if rollout in test.missing)
 
 
@@ -264,15 +276,15 @@ def _index(state: State, name: str) -> int:
     for index, problem in enumerate(state.problems):
         if problem.plan.problem == name:
             return index
-    raise IllegalEvent(f"no problem {name!r} in this campaign")
+    raise IllegalEvent(f"the campaign has no problem {name!r}")
 
 
-def check(state: State) -> None:
+def check_invariants(state: State) -> None:
     """Assert the invariants of the state; tests call it after every step."""
     for problem in state.problems:
         numbers = [test.test for test in problem.open]
         assert numbers == list(range(problem.observed, problem.proposed)), "open tests are consecutive"
         assert len(problem.open) <= problem.plan.window, "no more tests in flight than the window"
-        assert problem.proposed <= problem.plan.max_tests, "the budget holds"
+        assert problem.proposed <= problem.plan.max_tests, "no more tests than the budget"
         for test in problem.open:
             assert test.missing <= set(_rollouts(problem.plan, test.test)), "only planned rollouts are missing"

@@ -131,7 +131,7 @@ def changed(old: str, new: str) -> str:
         ('name = "segway-paper"', 'name = "a\\nb"', "name", r"'a\nb' is not allowed"),
         ("seed = 1\n", 'seed = 1\n"\\n\\u001b[2J" = 1\n', r"\n\x1b[2J", "unknown key"),
         ('column = "phi"', 'column = "x"', "gap.column", 'the specification reads phi; use kind = "predicate_sup"'),
-        ('column = "phi"', 'column = "t"', "gap.column", "cannot carry the claim over"),
+        ('column = "phi"', 'column = "t"', "gap.column", "does not bound the robustness"),
         ('composition = "product"', "", "composition", "this key is required: one of 'product', 'sum', "),
     ],
 )

@@ -243,7 +243,7 @@ def test_a_file_that_comes_out_different_is_not_put_back(tmp_path: Path) -> None
     with (
         Network() as network,
         working(network, run_of(directory), [liar]),
-        pytest.raises(PerfboundError, match=r"computes different floating-point results\. Restore it from a copy"),
+        pytest.raises(PerfboundError, match=r"computes different floating-point results; restore the file from a copy"),
     ):
         serve(directory, network, Log(), resumed=True)
     assert "restored" not in outcomes(directory)
@@ -343,7 +343,7 @@ LIES: dict[str, tuple[Lie, str]] = {
         lambda _, mine: (rewritten(mine, COLUMNS, metadata={"seed": "1"}), True),
         "metadata of the trajectory",
     ),
-    "time": (lambda _, mine: (rewritten(mine, COLUMNS, time=1.0), True), "goes from 1 to 1 s, the campaign asks for 0"),
+    "time": (lambda _, mine: (rewritten(mine, COLUMNS, time=1.0), True), "covers 1 to 1 s, the campaign requests 0"),
     "more": (lambda _, mine: (rewritten(mine, COLUMNS, comment=""), True), "another request (other comment)"),
 }
 
