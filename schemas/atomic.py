@@ -42,7 +42,7 @@ def move(source: Path, path: Path) -> None:
     sync(path.parent)
 
 
-def write(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes) -> None:
     """Write one file in a folder that has one writer; a half-written one of a crash is overwritten by the next write.
 
     Raises:

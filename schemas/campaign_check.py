@@ -69,7 +69,7 @@ def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         elif option.choices:
             if value not in option.choices:
                 faults.append(f"system.{name}: {value!r} is not allowed: choose from {', '.join(option.choices)}")
-        elif not isinstance(value, int | float) or not _within(value, option.low, option.high):
+        elif not isinstance(value, int | float) or not _in_limits(value, option.low, option.high):
             limits = [
                 f"{sign} {limit:g}" for sign, limit in ((">=", option.low), ("<=", option.high)) if limit is not None
             ]
@@ -78,7 +78,7 @@ def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     return faults
 
 
-def _within(value: float, low: float | None, high: float | None) -> bool:
+def _in_limits(value: float, low: float | None, high: float | None) -> bool:
     return (low is None or low <= value) and (high is None or value <= high)
 
 

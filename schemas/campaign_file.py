@@ -50,7 +50,7 @@ Beside = Callable[[str], bytes]
 """Reads a file beside the campaign file; raises OSError."""
 
 
-def parse(data: bytes, source: str, beside: Beside | None = None, **overrides: Any) -> CampaignConfig:
+def parse_campaign(data: bytes, source: str, beside: Beside | None = None, **overrides: Any) -> CampaignConfig:
     """Read the bytes of a campaign file; `overrides` replace top-level keys.
 
     `space.scenarios` may name a CSV file, which `beside` reads; the campaign then holds its numbers.
@@ -78,7 +78,7 @@ def parse(data: bytes, source: str, beside: Beside | None = None, **overrides: A
     try:
         return CampaignConfig.model_validate_json(text)
     except ValidationError as error:
-        raise CampaignError(f"{source}: {_explain(error, table)}") from None
+        raise CampaignError(f"{source}: {_first_fault(error, table)}") from None
 
 
 def _scenarios(name: str, source: str, beside: Beside | None) -> list[list[float]]:
@@ -92,17 +92,17 @@ def _scenarios(name: str, source: str, beside: Beside | None) -> list[list[float
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8"
         raise CampaignError(f"{where}: {reason}; name a CSV file beside the campaign file") from None
     rows = [row for row in csv.reader(lines) if row]
-    if rows and not _numbers(rows[0]):
+    if rows and not _all_numbers(rows[0]):
         rows = rows[1:]
     for number, row in enumerate(rows):
-        if not _numbers(row):
+        if not _all_numbers(row):
             raise CampaignError(
                 f"{where}: row {number} is {','.join(row)[:80]!r}; allowed are numbers, one start a row"
             )
     return [[float(cell) for cell in row] for row in rows]
 
 
-def _numbers(row: list[str]) -> bool:
+def _all_numbers(row: list[str]) -> bool:
     try:
         return all(math.isfinite(float(cell)) for cell in row)
     except ValueError:
@@ -119,7 +119,7 @@ def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
         yield from _leaves(child, f"{key}.{part}" if key else str(part))
 
 
-def _explain(error: ValidationError, table: dict[str, Any]) -> str:
+def _first_fault(error: ValidationError, table: dict[str, Any]) -> str:
     """Return the first fault in one line: key, value, what is allowed; and how many more there are."""
     # A misspelt key makes two faults; the one to read is that it is unknown, not that the right one is missing.
     faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")

@@ -15,7 +15,7 @@ class Signature(Model):
     sig: str = Field(max_length=1000, description="base64; 64 bytes for Ed25519")
 
 
-class Envelope(Model):
+class DsseEnvelope(Model):
     """What is signed, as which type, and by whom."""
 
     payload: str = Field(description="base64 of the exact bytes of certificate.json")

@@ -39,17 +39,17 @@ def live_orchestrator(run: str, orchestrator: str) -> str:
     return f"{ROOT}/{run}/live/orchestrator/{orchestrator}"
 
 
-def request(run: str, worker: str) -> str:
+def request_key(run: str, worker: str) -> str:
     """Return the key of what the orchestrator says to one worker."""
     return f"{ROOT}/{run}/request/{worker}"
 
 
-def state(run: str, worker: str) -> str:
+def state_key(run: str, worker: str) -> str:
     """Heartbeat of one worker; `*` for all."""
     return f"{ROOT}/{run}/up/{worker}/state"
 
 
-def result(run: str, worker: str, rollout: str, attempt: int | str) -> str:
+def result_key(run: str, worker: str, rollout: str, attempt: int | str) -> str:
     """Evidence of one attempt; `*` for all."""
     return f"{ROOT}/{run}/up/{worker}/result/{rollout}/{attempt}"
 

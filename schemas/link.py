@@ -33,7 +33,7 @@ def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
         LinkError: the endpoint is malformed, or open to others without TLS, or a TLS file is missing.
 
     """
-    protocol, host = _checked("--listen", endpoint, tls)
+    protocol, host = _checked_endpoint("--listen", endpoint, tls)
     if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
         raise LinkError(
             f"--listen {endpoint}: anyone who reaches this address could feed the campaign; "
@@ -57,7 +57,7 @@ def connect_config(endpoint: str, tls: Tls | None) -> str:
         LinkError: the endpoint is malformed, or a TLS file is missing.
 
     """
-    _checked("--connect", endpoint, tls)
+    _checked_endpoint("--connect", endpoint, tls)
     retry = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
     return json.dumps(
         {
@@ -92,7 +92,7 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def _checked(option: str, endpoint: str, tls: Tls | None) -> tuple[str, str]:
+def _checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str, str]:
     try:
         protocol, host = split(endpoint)
     except LinkError as error:

@@ -87,7 +87,7 @@ _STATE = TypeAdapter(WorkerState)
 _HEADER = TypeAdapter(ResultHeader)
 
 
-def encode(message: Model) -> bytes:
+def encode_message(message: Model) -> bytes:
     """Return the JSON of a message."""
     return message.model_dump_json(exclude_none=True).encode()
 
@@ -99,20 +99,20 @@ def decode_request(payload: bytes) -> Request:
         MessageError: it is too large or not of the protocol.
 
     """
-    return _decode(_REQUEST, payload)
+    return _validated(_REQUEST, payload)
 
 
 def decode_state(payload: bytes) -> WorkerState:
     """Read a heartbeat; raises `MessageError`."""
-    return _decode(_STATE, payload)
+    return _validated(_STATE, payload)
 
 
 def decode_header(payload: bytes) -> ResultHeader:
     """Read the attachment of a result; raises `MessageError`."""
-    return _decode(_HEADER, payload)
+    return _validated(_HEADER, payload)
 
 
-def _decode(adapter: TypeAdapter[T], payload: bytes) -> T:
+def _validated(adapter: TypeAdapter[T], payload: bytes) -> T:
     if len(payload) > MAX_MESSAGE:
         raise MessageError(f"{len(payload)} bytes are more than the {MAX_MESSAGE} of a message")
     try:

@@ -44,11 +44,11 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
 def page() -> str:
     """Return the page as Markdown."""
     return HEAD + "".join(
-        f"\n## {title}\n\n{note + chr(10) * 2 if note else ''}{_table(model)}" for title, note, model in TABLES
+        f"\n## {title}\n\n{note + chr(10) * 2 if note else ''}{_key_table(model)}" for title, note, model in TABLES
     )
 
 
-def _table(model: type[BaseModel]) -> str:
+def _key_table(model: type[BaseModel]) -> str:
     schema = TypeAdapter(model).json_schema()
     rows = [_row(name, part, name in schema.get("required", ())) for name, part in schema["properties"].items()]
     return "| key | allowed | default | meaning |\n|---|---|---|---|\n" + "".join(rows)
@@ -56,14 +56,14 @@ def _table(model: type[BaseModel]) -> str:
 
 def _row(name: str, part: dict[str, Any], required: bool) -> str:
     default = "required" if required else "-" if part.get("default") is None else f"`{json.dumps(part['default'])}`"
-    allowed = " or ".join(dict.fromkeys(_allowed(part)))
+    allowed = " or ".join(dict.fromkeys(_allowed_values(part)))
     return f"| `{name}` | {allowed} | {default} | {part.get('description', '')} |\n"
 
 
-def _allowed(part: dict[str, Any]) -> Iterator[str]:
+def _allowed_values(part: dict[str, Any]) -> Iterator[str]:
     for each in part.get("anyOf", ()):
         if each.get("type") != "null":
-            yield from _allowed(each)
+            yield from _allowed_values(each)
     if "const" in part or "enum" in part:
         yield ", ".join(f"`{value}`" for value in part.get("enum", [part.get("const")]))
     elif "$ref" in part:
@@ -73,14 +73,14 @@ def _allowed(part: dict[str, Any]) -> Iterator[str]:
     elif part.get("type") == "object":
         yield "tables"
     elif "type" in part:
-        yield f"{_KINDS[part['type']]}{_limits(part)}"
+        yield f"{_KINDS[part['type']]}{_range_text(part)}"
 
 
 _KINDS = {"string": "text", "number": "number", "integer": "whole number", "boolean": "true or false"}
 _LIMITS = (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="), ("exclusiveMaximum", "<"))
 
 
-def _limits(part: dict[str, Any]) -> str:
+def _range_text(part: dict[str, Any]) -> str:
     return "".join(
         f" {sign} {part[key]:g}" if part[key] != 2**53 else f" {sign} 2^53" for key, sign in _LIMITS if key in part
     )

@@ -35,7 +35,7 @@ from .errors import TrajectoryError
 from .rollout import MAX_FILE_BYTES
 from .visual import Floats, Transform, Visual, channels
 
-__all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read"]
+__all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read_mcap"]
 
 LIBRARY = "perfbound"
 FRAME_RATE = 30  # 1/s
@@ -137,10 +137,10 @@ def decode(data: bytes) -> Trajectory:
         TrajectoryError: as `read`.
 
     """
-    return read(data).trajectory
+    return read_mcap(data).trajectory
 
 
-def read(data: bytes) -> File:
+def read_mcap(data: bytes) -> File:
     """Return the evidence in a trajectory's file, without its visual part.
 
     Every byte stands under a checksum that is verified here, and nothing larger than the file is allocated.
@@ -151,7 +151,7 @@ def read(data: bytes) -> File:
     """
     try:
         _check_checksums(data)
-        record, attachments = _evidence(data)
+        record, attachments = _evidence_records(data)
         columns = json.loads(record["columns"])
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
             raise TrajectoryError("the columns are not a list of names")
@@ -230,7 +230,7 @@ def _check_checksums(data: bytes) -> None:
         raise TrajectoryError("the checksum of the data is wrong")
 
 
-def _evidence(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
+def _evidence_records(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     """Return the metadata record and both attachments; they stand before the first chunk, the rest is for eyes only."""
     # Not `validate_crcs`: every byte has been checked, and this reader would add up its checksum read by read.
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=len(data))

@@ -99,8 +99,8 @@ def channels(visual: Visual, rows: Floats, units: Mapping[str, str]) -> tuple[Ch
     times = _nanoseconds(rows[:, 0])
     state = _state(tuple(units))
     return (
-        Channel("/scene", SceneUpdate.DESCRIPTOR, _once(times[0], visual.scene)),
-        *(Channel(topic, VoxelGrid.DESCRIPTOR, _once(times[0], grid)) for topic, grid in _solids(visual.scene)),
+        Channel("/scene", SceneUpdate.DESCRIPTOR, _one_message(times[0], visual.scene)),
+        *(Channel(topic, VoxelGrid.DESCRIPTOR, _one_message(times[0], grid)) for topic, grid in _solids(visual.scene)),
         Channel("/log", Log.DESCRIPTOR, _log_messages(visual.log)),
         Channel("/tf", FrameTransforms.DESCRIPTOR, _transform_messages(times, visual.transforms)),
         Channel("/state", state, _state_messages(times, rows, state), units),
@@ -116,7 +116,7 @@ def _bytes(message: Message) -> bytes:
     return message.SerializeToString(deterministic=True)
 
 
-def _once(time: int, message: Message) -> Messages:
+def _one_message(time: int, message: Message) -> Messages:
     yield time, _bytes(message)
 
 

@@ -89,13 +89,13 @@ def _hold(descriptor: int) -> None:
 def _serve(endpoint: str, name: str, run: str | None, tls: Tls | None) -> None:
     from ..schemas import keys  # noqa: PLC0415
     from .transport import connect  # noqa: PLC0415
-    from .worker import Worker  # noqa: PLC0415
+    from .worker import WorkerProcess  # noqa: PLC0415
 
     started = keys.fresh_id(name)
     with connect(endpoint, tls, _waiting(endpoint)) as uplink:
         while True:
             chosen = _choose(uplink.orchestrators, run, endpoint)
-            worker = Worker(started, uplink)
+            worker = WorkerProcess(started, uplink)
             uplink.join(chosen, worker.name, worker.receive)
             try:
                 worker.serve(_abandoned(uplink.orchestrators, chosen, pinned=run is not None))
@@ -150,13 +150,13 @@ def _abandoned(
 @group.command()
 def systems() -> None:
     """Print the SystemSpec of every installed system as one JSON object, name to spec."""
-    from .systems import available, load  # noqa: PLC0415
+    from .systems import available, load_system  # noqa: PLC0415
 
     specs = {}
     for system in available():
         try:
             with contextlib.redirect_stdout(sys.stderr):  # what a plug-in prints is not our data
-                specs[system] = load(system).spec.model_dump(mode="json")
+                specs[system] = load_system(system).spec.model_dump(mode="json")
         except Exception as error:  # noqa: BLE001  (a broken plug-in must not hide the others)
             click.echo(f"perfbound-worker: system {system!r} cannot be loaded: {error}", err=True)
     click.echo(canonical_json(specs))
@@ -170,10 +170,10 @@ def simulate(request: str, out: Path) -> None:
     from pydantic import ValidationError  # noqa: PLC0415
 
     from ..schemas.rollout import RolloutRequest  # noqa: PLC0415
-    from .simulate import run  # noqa: PLC0415
+    from .simulate import run_request  # noqa: PLC0415
 
     try:
-        data = run(RolloutRequest.model_validate_json(request), lambda _: None)
+        data = run_request(RolloutRequest.model_validate_json(request), lambda _: None)
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")

@@ -4,8 +4,8 @@ from typing import Any
 
 from google.protobuf.json_format import MessageToDict
 
-from ..schemas.trajectory import Transform, read
-from .systems import load
+from ..schemas.trajectory import Transform, read_mcap
+from .systems import load_system
 
 
 def look(data: bytes) -> dict[str, Any] | None:
@@ -18,8 +18,8 @@ def look(data: bytes) -> dict[str, Any] | None:
         UnknownSystemError: its system is not installed.
 
     """
-    file = read(data)
-    visual = load(str(file.request.get("system"))).visual(file.trajectory)
+    file = read_mcap(data)
+    visual = load_system(str(file.request.get("system"))).visual(file.trajectory)
     if visual is None:
         return None
     scene = MessageToDict(visual.scene, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)

@@ -5,11 +5,11 @@ from dataclasses import replace
 from ..schemas.errors import SimulationError
 from ..schemas.rollout import RolloutRequest
 from ..schemas.trajectory import encode
-from .systems import load
+from .systems import load_system
 from .systems.base import Progress, SystemUnderTest
 
 
-def run(request: RolloutRequest, progress: Progress) -> bytes:
+def run_request(request: RolloutRequest, progress: Progress) -> bytes:
     """Simulate what the request asks for with the installed system of that name.
 
     Raises:
@@ -18,10 +18,10 @@ def run(request: RolloutRequest, progress: Progress) -> bytes:
         Cancelled: raised by `progress`.
 
     """
-    return run_on(load(request.system), request, progress)
+    return run_request_on(load_system(request.system), request, progress)
 
 
-def run_on(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> bytes:
+def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> bytes:
     """Simulate what the request asks for on `system`.
 
     Raises:

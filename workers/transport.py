@@ -11,7 +11,7 @@ import zenoh
 from ..schemas import keys
 from ..schemas.errors import MessageError
 from ..schemas.link import Tls, connect_config
-from ..schemas.messages import Request, ResultHeader, WorkerState, decode_request, encode
+from ..schemas.messages import Request, ResultHeader, WorkerState, decode_request, encode_message
 
 Receiver = Callable[[Request], None]
 OPEN_PERIOD = 0.3
@@ -62,8 +62,8 @@ class ZenohUplink:
     def join(self, run: str, worker: str, receive: Receiver) -> None:
         """Subscribe to our requests; the token comes last, because it says that we can be assigned work."""
         self._run, self._worker = run, worker
-        requests = self._session.declare_subscriber(keys.request(run, worker), zenoh.handlers.FifoChannel(1024))
-        self._pump(requests, lambda sample: _read(sample, receive))
+        requests = self._session.declare_subscriber(keys.request_key(run, worker), zenoh.handlers.FifoChannel(1024))
+        self._pump(requests, lambda sample: _pass_request(sample, receive))
         token = self._session.liveliness().declare_token(keys.live_worker(run, worker))
         self._joined = (token, requests)
 
@@ -75,12 +75,12 @@ class ZenohUplink:
 
     def report(self, state: WorkerState) -> None:
         """Put a heartbeat."""
-        self._put(keys.state(self._run, self._worker), encode(state))
+        self._put(keys.state_key(self._run, self._worker), encode_message(state))
 
     def deliver(self, header: ResultHeader, payload: bytes) -> None:
         """Put a result."""
-        key = keys.result(self._run, self._worker, header.rollout, header.attempt)
-        self._put(key, payload, attachment=encode(header))
+        key = keys.result_key(self._run, self._worker, header.rollout, header.attempt)
+        self._put(key, payload, attachment=encode_message(header))
 
     def _put(self, key: str, payload: bytes, attachment: bytes | None = None) -> None:
         block = zenoh.CongestionControl.BLOCK
@@ -138,7 +138,7 @@ def connect(endpoint: str, tls: Tls | None, waiting: Callable[[], None]) -> Iter
             uplink.wait_closed()
 
 
-def _read(sample: zenoh.Sample, receive: Receiver) -> None:
+def _pass_request(sample: zenoh.Sample, receive: Receiver) -> None:
     try:
         receive(decode_request(sample.payload.to_bytes()))
     except MessageError:

@@ -21,8 +21,8 @@ from ..schemas.messages import (
     ResultHeader,
     WorkerState,
 )
-from .simulate import run
-from .systems import available, load
+from .simulate import run_request
+from .systems import available, load_system
 from .systems.base import Cancelled
 from .transport import Uplink
 
@@ -42,7 +42,7 @@ class _Parcel:
     sent_at: float
 
 
-class Worker:
+class WorkerProcess:
     """One worker process: a simulating thread (the caller's) and a heartbeat thread; `receive` is called by a third."""
 
     def __init__(self, name: str, uplink: Uplink) -> None:
@@ -56,7 +56,7 @@ class Worker:
         self._progress: tuple[Key | None, int] = (None, 0)
         self._leaving = False
         self._changed = threading.Event()
-        self._systems = {system: load(system).spec.digest for system in available()}
+        self._systems = {system: load_system(system).spec.digest for system in available()}
 
     def receive(self, message: Request) -> None:
         """Take a message of the orchestrator; called by the transport's thread."""
@@ -95,22 +95,22 @@ class Worker:
             heart.join(timeout=1.0)
 
     def _accept(self, assign: Assign) -> None:
-        key = _key(assign)
+        key = _attempt_key(assign)
         with self._lock:
-            current = self._accepted and _key(self._accepted)
+            current = self._accepted and _attempt_key(self._accepted)
             if key in self._outbox or (current and key[0] == current[0] and key[1] <= current[1]):
                 return  # a repeat, or overtaken by a later attempt
             self._accepted = assign
         self._inbox.put(assign)
 
     def _simulate(self, assign: Assign) -> None:
-        key = _key(assign)
+        key = _attempt_key(assign)
         self._progress = (key, 0)
         self._changed.set()
         cpu, wall = time.process_time(), time.monotonic()
         payload, error = b"", ""
         try:
-            payload = run(assign.request, lambda step: self._advance(key, step))
+            payload = run_request(assign.request, lambda step: self._advance(key, step))
         except Cancelled:
             self._finish(assign)
             return
@@ -167,7 +167,7 @@ class Worker:
             state="busy" if current else "idle",
             rollout=current.request.rollout if current else None,
             attempt=current.attempt if current else None,
-            progress=step if current and running == _key(current) else 0,
+            progress=step if current and running == _attempt_key(current) else 0,
         )
 
     def _deliver_again(self) -> None:
@@ -179,5 +179,5 @@ class Worker:
             self._uplink.deliver(parcel.header, parcel.payload)
 
 
-def _key(assign: Assign) -> Key:
+def _attempt_key(assign: Assign) -> Key:
     return assign.request.rollout, assign.attempt

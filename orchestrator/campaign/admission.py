@@ -7,7 +7,7 @@ import numpy as np
 from ...schemas.base import canonical_json
 from ...schemas.errors import EvidenceError, RequestError, TrajectoryError
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory, read
+from ...schemas.trajectory import Trajectory, read_mcap
 
 ROUND_OFF = 1e-9
 """Of a time, in seconds."""
@@ -29,7 +29,7 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
     if hashlib.sha256(payload).hexdigest() != sha256:
         raise EvidenceError("the result does not have the sha256 that its sender announces")
     try:
-        file = read(payload)
+        file = read_mcap(payload)
     except TrajectoryError as fault:
         raise EvidenceError(f"the result is not a trajectory: {fault}") from None
     wanted = request.model_dump(mode="json")

@@ -163,7 +163,7 @@ class Ledger:
     def _trajectory(self, fact: RolloutFact) -> Trajectory:
         # After a restart the rollouts of a test may be recorded and the test not yet observed: they are read again.
         kept = self._trajectories.pop(fact.rollout, None)
-        return kept or decode(evidence.read(self._directory, fact.path, fact.sha256))
+        return kept or decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
 
     def _write(self, fact: Fact) -> tuple[state.Action, ...]:
         self._store.add(fact)

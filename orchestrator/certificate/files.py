@@ -23,8 +23,8 @@ def write(directory: Path, certificate: Certificate, manifest: str) -> None:
         OSError: the disk is full or the directory cannot be written.
 
     """
-    atomic.write(directory / MANIFEST, manifest.encode())
-    atomic.write(directory / CERTIFICATE, certificate.to_json().encode())
+    atomic.write_whole(directory / MANIFEST, manifest.encode())
+    atomic.write_whole(directory / CERTIFICATE, certificate.to_json().encode())
 
 
 def read(directory: Path) -> Certificate | None:

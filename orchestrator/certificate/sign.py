@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from pydantic import ValidationError
 
 from ...schemas import atomic
-from ...schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, Envelope, Signature
+from ...schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from ...schemas.errors import EvidenceError, SignatureError
 from . import files
 from .keys import key_id, load_private, load_public, new_pair
@@ -56,7 +56,7 @@ def sign(payload: bytes, key: Ed25519PrivateKey, others: Sequence[Signature] = (
     own = key_id(key.public_key())
     made = Signature(keyid=own, sig=_encode(key.sign(pae(PAYLOAD_TYPE, payload))))
     signatures = [made if each.keyid == own else each for each in others]  # an older one by this key keeps its place
-    envelope = Envelope(
+    envelope = DsseEnvelope(
         payload=_encode(payload),
         payloadType=PAYLOAD_TYPE,
         signatures=tuple(signatures if made in signatures else [*signatures, made]),
@@ -99,7 +99,7 @@ def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
     payload, path = _certificate(directory), directory / files.ENVELOPE
     envelope = sign(payload, key, _others(path, payload))
     if not path.exists() or path.read_bytes() != envelope:
-        atomic.write(path, envelope)
+        atomic.write_whole(path, envelope)
     return path
 
 
@@ -138,12 +138,12 @@ def _holds(public_key: Ed25519PublicKey, signature: Signature, message: bytes) -
     return True
 
 
-def _parse(envelope: bytes) -> Envelope:
+def _parse(envelope: bytes) -> DsseEnvelope:
     """Read an envelope, believing nothing."""
     if len(envelope) > MAX_ENVELOPE:
         raise SignatureError(f"more than {MAX_ENVELOPE} bytes; that is no envelope of a certificate")
     try:
-        return Envelope.model_validate(json.loads(envelope.decode(), object_pairs_hook=_once))
+        return DsseEnvelope.model_validate(json.loads(envelope.decode(), object_pairs_hook=_once))
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"])

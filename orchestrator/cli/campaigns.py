@@ -97,7 +97,7 @@ def workers_option(least: int) -> Callable[..., Any]:
 @link_options
 def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, **options: Any) -> None:
     """Run the campaign of a CAMPAIGN file with local workers, and issue its certificate."""
-    _start(campaign, workers, out, seed, **options)
+    _run_new(campaign, workers, out, seed, **options)
 
 
 @cli.command()
@@ -111,7 +111,7 @@ def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, **o
 @link_options
 def orchestrate(*, campaign: Path, out: Path | None, seed: int | None, **options: Any) -> None:
     """Run a campaign with the workers that connect, and none of its own."""
-    _start(campaign, 0, out, seed, **options)
+    _run_new(campaign, 0, out, seed, **options)
 
 
 @cli.command()
@@ -126,14 +126,14 @@ def resume(*, directory: Path, workers: int, sign: Path | None, strict: bool, dr
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
     from ..run import session  # noqa: PLC0415
 
-    key = signing.load(sign) if sign else None
+    key = signing.load_key(sign) if sign else None
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
-        went_on = session.resume(directory, options, STDERR.console)
+        went_on = session.resume_campaign(directory, options, STDERR.console)
         _finish(directory, key, strict=strict, report=went_on)
 
 
-def _start(
+def _run_new(
     campaign: Path,
     workers: int,
     out: Path | None,
@@ -146,13 +146,13 @@ def _start(
 ) -> None:
     from ..run import session  # noqa: PLC0415
 
-    key = signing.load(sign) if sign else None  # before hours of work, and this very key signs
+    key = signing.load_key(sign) if sign else None  # before hours of work, and this very key signs
     overrides = {} if seed is None else {"seed": seed}
-    config = session.load(campaign, **overrides)
+    config = session.load_campaign(campaign, **overrides)
     directory = out or Path("runs") / config.name
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
-        session.start(config, campaign, directory, options, STDERR.console)
+        session.start_campaign(config, campaign, directory, options, STDERR.console)
         _finish(directory, key, strict=strict, report=True)
 
 
@@ -160,9 +160,9 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
     from ..certificate import text  # noqa: PLC0415
     from ..run import session  # noqa: PLC0415
 
-    console, found = data(), session.certificate(directory)
+    console, found = data(), session.finished_certificate(directory)
     if key is not None:
-        signing.sign(directory, key)
+        signing.sign_directory(directory, key)
     text.print_certificate(found, console)
     if report:
         draw(directory)
@@ -177,7 +177,7 @@ def status(directory: Path) -> None:
     """Show how far the campaign in DIRECTORY is, while it runs and afterwards."""
     from . import status as view  # noqa: PLC0415
 
-    view.show(directory, data())
+    view.print_status(directory, data())
 
 
 @cli.group()

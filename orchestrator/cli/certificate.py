@@ -64,7 +64,7 @@ def keygen(*, name: str, out: Path, encrypted: bool) -> None:
 @click.option("--key", type=signing.KEY, required=True, help="Private key, as `perfbound keygen` makes it.")
 def sign(*, directory: Path, key: Path) -> None:
     """Sign the certificate in DIRECTORY, besides those who have signed it already."""
-    click.echo(signing.sign(directory, signing.load(key)))
+    click.echo(signing.sign_directory(directory, signing.load_key(key)))
 
 
 @cli.command()

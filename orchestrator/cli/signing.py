@@ -19,7 +19,7 @@ sign_option = click.option(
 )
 
 
-def load(path: Path) -> "Ed25519PrivateKey":
+def load_key(path: Path) -> "Ed25519PrivateKey":
     """Return the private key that is to sign.
 
     Raises:
@@ -49,7 +49,7 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
     return str(click.prompt(question, hide_input=True, confirmation_prompt=twice, err=True)).encode()
 
 
-def sign(directory: Path, key: "Ed25519PrivateKey") -> str:
+def sign_directory(directory: Path, key: "Ed25519PrivateKey") -> str:
     """Sign the certificate in `directory`; return a line that says so."""
     from ..certificate.sign import key_id, sign_certificate  # noqa: PLC0415
 

@@ -8,12 +8,12 @@ from rich.text import Text
 
 from ..certificate import files, text
 from ..run.format import duration, resume_command
-from ..run.table import progress_table, tests_left
+from ..run.table import progress_table, remaining_tests
 from ..store import lock
 from ..store.progress import CampaignProgress, read_progress
 
 
-def show(directory: Path, console: Console) -> None:
+def print_status(directory: Path, console: Console) -> None:
     """Print problems, workers, rate and state.
 
     Raises:
@@ -29,7 +29,7 @@ def show(directory: Path, console: Console) -> None:
     console.print(title, soft_wrap=True)
     rows = []
     for problem, each in zip(config.problems, found.problems, strict=True):
-        left = tests_left(config, problem, each)
+        left = remaining_tests(config, problem, each)
         rows.append((each, "-" if left is None else f"about {left} tests"))
     console.print(progress_table(config, rows))
     for line in _work(found, running=running):

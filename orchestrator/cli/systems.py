@@ -21,7 +21,7 @@ def simulate(
     """Run one rollout of SYSTEM without workers, and write its trajectory."""
     from ..fleet import single  # noqa: PLC0415
 
-    for line in single.simulate(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
+    for line in single.simulate_once(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
         click.echo(line)
 
 

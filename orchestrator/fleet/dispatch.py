@@ -36,7 +36,6 @@ from ...schemas.ids import Attempt, RolloutId
 from .events import (
     Acknowledge,
     Action,
-    Cancel,
     Delivered,
     Event,
     Fail,
@@ -46,6 +45,7 @@ from .events import (
     Record,
     Reported,
     Resend,
+    Revoke,
     Start,
     Tick,
     Unwanted,
@@ -130,7 +130,7 @@ class Open:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class DispatchState:
     """Workers, open rollouts in order of arrival, and those of them that wait for a worker."""
 
     limits: Limits
@@ -142,15 +142,15 @@ class State:
     recorded: int = 0
 
 
-Outcome = tuple[State, tuple[Action, ...]]
+Outcome = tuple[DispatchState, tuple[Action, ...]]
 
 
-def initial(limits: Limits, hold_until: float = 0.0) -> State:
+def fresh(limits: Limits, hold_until: float = 0.0) -> DispatchState:
     """Return the state before the first event."""
-    return State(limits, hold_until)
+    return DispatchState(limits, hold_until)
 
 
-def step(state: State, event: Event) -> Outcome:
+def advance(state: DispatchState, event: Event) -> Outcome:
     """Apply one event."""
     match event:
         case Wanted():
@@ -171,27 +171,27 @@ def step(state: State, event: Event) -> Outcome:
             return _assign(state, event.at)
 
 
-def under_way(state: State) -> int:
+def under_way(state: DispatchState) -> int:
     """Return the number of attempts that workers have been given and that have not ended."""
     return sum(worker.attempt is not None for worker in state.workers.values())
 
 
-def _want(state: State, event: Wanted) -> Outcome:
+def _want(state: DispatchState, event: Wanted) -> Outcome:
     new = {rollout: Open(attempts) for rollout, attempts in event.rollouts if rollout not in state.open}
     return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
 
 
-def _forget(state: State, event: Unwanted) -> Outcome:
+def _forget(state: DispatchState, event: Unwanted) -> Outcome:
     dropped = frozenset(event.rollouts)
     cancels = []
     for name, worker in state.workers.items():
         if worker.attempt is not None and worker.attempt.rollout in dropped:
-            cancels.append(Cancel(name, worker.attempt))
+            cancels.append(Revoke(name, worker.attempt))
             state = _put(state, name, _shunned(worker, event.at))
-    return _close(state, dropped), tuple(cancels)
+    return _close_rollouts(state, dropped), tuple(cancels)
 
 
-def _up(state: State, event: WorkerUp) -> State:
+def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     worker = state.workers.get(event.worker)
     if worker is None:
         return _put(state, event.worker, Worker("new", progress_at=event.at))
@@ -202,14 +202,14 @@ def _up(state: State, event: WorkerUp) -> State:
     return _put(state, event.worker, back)
 
 
-def _down(state: State, event: WorkerDown) -> State:
+def _down(state: DispatchState, event: WorkerDown) -> DispatchState:
     worker = state.workers.get(event.worker)
     if worker is None or worker.phase == "gone":
         return state
     return _put(state, event.worker, replace(worker, phase="gone", resumes_as=worker.phase, gone_at=event.at))
 
 
-def _report(state: State, event: Reported) -> Outcome:
+def _report(state: DispatchState, event: Reported) -> Outcome:
     worker = state.workers.get(event.worker)
     if worker is None or worker.phase == "gone":
         return state, ()
@@ -220,11 +220,11 @@ def _report(state: State, event: Reported) -> Outcome:
     if worker.phase == "new" and event.attempt.rollout in state.waiting:
         return _adopt(state, event), ()
     if event.attempt.rollout not in state.open or worker.phase in ("new", "shunned"):
-        return state, (Cancel(event.worker, event.attempt),)
+        return state, (Revoke(event.worker, event.attempt),)
     return state, ()
 
 
-def _report_idle(state: State, name: str, worker: Worker) -> State:
+def _report_idle(state: DispatchState, name: str, worker: Worker) -> DispatchState:
     # A worker that is `sent` may say idle because the assignment is still on its way, a `busy` one because its
     # result is: the first is sent again, the second is watched by the clock of progress.
     return _put(state, name, Worker("idle")) if worker.phase in ("new", "shunned") else state
@@ -236,7 +236,7 @@ def _advanced(worker: Worker, event: Reported) -> Worker:
     return replace(worker, phase="busy", progress=event.progress, progress_at=event.at)
 
 
-def _adopt(state: State, event: Reported) -> State:
+def _adopt(state: DispatchState, event: Reported) -> DispatchState:
     assert event.attempt is not None
     rollout = event.attempt.rollout
     worker = Worker("busy", event.attempt, started_at=event.at, progress=event.progress, progress_at=event.at)
@@ -247,7 +247,7 @@ def _adopt(state: State, event: Reported) -> State:
     return replace(state, open={**state.open, rollout: known}, waiting=waiting)
 
 
-def _deliver(state: State, event: Delivered) -> Outcome:
+def _deliver(state: DispatchState, event: Delivered) -> Outcome:
     acknowledge = Acknowledge(event.worker, event.attempt)
     state = _release(state, event.worker, event.attempt)
     if event.attempt.rollout not in state.open:
@@ -256,12 +256,12 @@ def _deliver(state: State, event: Delivered) -> Outcome:
         state, actions = _fail(state, event.worker, event.attempt, event.error)
         return state, (*actions, acknowledge)
     state, cancels = _cancel_others(state, event.attempt.rollout, event.at)
-    state = _close(state, frozenset({event.attempt.rollout}))
+    state = _close_rollouts(state, frozenset({event.attempt.rollout}))
     state = replace(state, recorded=state.recorded + 1)
     return state, (Record(event.worker, event.attempt), acknowledge, *cancels)
 
 
-def _release(state: State, name: str, attempt: Attempt) -> State:
+def _release(state: DispatchState, name: str, attempt: Attempt) -> DispatchState:
     worker = state.workers.get(name)
     if worker is None or worker.attempt != attempt:
         return state
@@ -270,16 +270,16 @@ def _release(state: State, name: str, attempt: Attempt) -> State:
     return _put(state, name, Worker("idle"))
 
 
-def _cancel_others(state: State, rollout: RolloutId, at: float) -> Outcome:
+def _cancel_others(state: DispatchState, rollout: RolloutId, at: float) -> Outcome:
     cancels = []
     for name, worker in state.workers.items():
         if worker.attempt is not None and worker.attempt.rollout == rollout:
-            cancels.append(Cancel(name, worker.attempt))
+            cancels.append(Revoke(name, worker.attempt))
             state = _put(state, name, _shunned(worker, at))
     return state, tuple(cancels)
 
 
-def _tick(state: State, at: float) -> Outcome:
+def _tick(state: DispatchState, at: float) -> Outcome:
     actions: list[Action] = []
     for name, worker in state.workers.items():
         state, more = _watch(state, name, worker, at)
@@ -287,7 +287,7 @@ def _tick(state: State, at: float) -> Outcome:
     return state, tuple(actions)
 
 
-def _watch(state: State, name: str, worker: Worker, at: float) -> Outcome:
+def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcome:
     limits = state.limits
     if worker.phase == "gone":
         if at - worker.gone_at < limits.lost_after:
@@ -308,14 +308,14 @@ def _watch(state: State, name: str, worker: Worker, at: float) -> Outcome:
     return state, ()
 
 
-def _shun(state: State, name: str, worker: Worker, reason: str, at: float) -> Outcome:
+def _shun(state: DispatchState, name: str, worker: Worker, reason: str, at: float) -> Outcome:
     assert worker.attempt is not None
     state = _put(state, name, _shunned(worker, at))
     state, actions = _fail(state, name, worker.attempt, reason)
-    return state, (Cancel(name, worker.attempt), *actions, GiveUp(name))
+    return state, (Revoke(name, worker.attempt), *actions, GiveUp(name))
 
 
-def _fail(state: State, name: str, attempt: Attempt, reason: str) -> Outcome:
+def _fail(state: DispatchState, name: str, attempt: Attempt, reason: str) -> Outcome:
     """Count the failure against the rollout, and queue it again or give it up."""
     known = state.open.get(attempt.rollout)
     if known is None or not _is_current(state, attempt.rollout):
@@ -327,18 +327,18 @@ def _fail(state: State, name: str, attempt: Attempt, reason: str) -> Outcome:
     return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, reason),)
 
 
-def _is_current(state: State, rollout: RolloutId) -> bool:
+def _is_current(state: DispatchState, rollout: RolloutId) -> bool:
     """Whether nothing has been decided on the rollout since the attempt that failed now."""
     poison = len(state.open[rollout].failures) >= state.limits.max_attempts
     held = any(worker.attempt is not None and worker.attempt.rollout == rollout for worker in state.workers.values())
     return not (poison or held or rollout in state.waiting)
 
 
-def _assign(state: State, at: float) -> Outcome:
+def _assign(state: DispatchState, at: float) -> Outcome:
     if at < state.hold_until or not state.waiting:
         return state, ()
     idle = sorted(name for name, worker in state.workers.items() if worker.phase == "idle")
-    starts = tuple(_start(state, *pair) for pair in zip(idle, state.waiting, strict=False))
+    starts = tuple(_next_attempt(state, *pair) for pair in zip(idle, state.waiting, strict=False))
     sent = {
         start.worker: Worker("sent", start.attempt, sent_at=at, started_at=at, progress=-1, progress_at=at)
         for start in starts
@@ -351,7 +351,7 @@ def _assign(state: State, at: float) -> Outcome:
     return replace(state, workers=workers, open=opened, waiting=state.waiting[len(starts) :]), starts
 
 
-def _start(state: State, name: str, rollout: RolloutId) -> Start:
+def _next_attempt(state: DispatchState, name: str, rollout: RolloutId) -> Start:
     return Start(name, Attempt(rollout, state.open[rollout].attempts + 1))
 
 
@@ -362,18 +362,18 @@ def _shunned(worker: Worker, at: float) -> Worker:
     return Worker("shunned", progress_at=at)
 
 
-def _close(state: State, rollouts: frozenset[RolloutId]) -> State:
+def _close_rollouts(state: DispatchState, rollouts: frozenset[RolloutId]) -> DispatchState:
     left = dict(state.open)  # a copy costs a tenth of a comprehension
     for rollout in rollouts:
         left.pop(rollout, None)
     return replace(state, open=left, waiting=tuple(each for each in state.waiting if each in left))
 
 
-def _put(state: State, name: str, worker: Worker) -> State:
+def _put(state: DispatchState, name: str, worker: Worker) -> DispatchState:
     return replace(state, workers={**state.workers, name: worker})
 
 
-def check(state: State) -> None:
+def check_invariants(state: DispatchState) -> None:
     """Assert the invariants of the state; tests call it after every step."""
     held = [worker.attempt.rollout for worker in state.workers.values() if worker.attempt is not None]
     assert len(set(held)) == len(held), "a rollout is on one worker at a time"

@@ -91,7 +91,7 @@ class Resend:
 
 
 @dataclass(frozen=True, slots=True)
-class Cancel:
+class Revoke:
     """Tell a worker to stop an attempt."""
 
     worker: str
@@ -138,4 +138,4 @@ class Poison:
     failures: tuple[str, ...]
 
 
-Action = Start | Resend | Cancel | Record | Acknowledge | Fail | GiveUp | Poison
+Action = Start | Resend | Revoke | Record | Acknowledge | Fail | GiveUp | Poison

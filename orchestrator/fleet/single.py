@@ -12,7 +12,7 @@ from ...schemas.trajectory import decode
 from .child import ask, system_spec, system_specs
 
 
-def simulate(
+def simulate_once(
     system: str, start: str, variant: str, *, seed: int, horizon: float, options: Sequence[str], out: Path
 ) -> Iterator[str]:
     """Run one rollout, write its file, and yield lines that describe it.
@@ -74,13 +74,13 @@ def _options(spec: SystemSpec, texts: Sequence[str]) -> dict[str, OptionValue]:
         if option.choices and value not in option.choices:
             raise PerfboundError(f"--option {text}: allowed are {', '.join(option.choices)}")
         try:
-            chosen[name] = value if option.choices else _finite(value)
+            chosen[name] = value if option.choices else _finite_number(value)
         except ValueError:
             raise PerfboundError(f"--option {text}: {value!r} is not a finite number") from None
     return chosen
 
 
-def _finite(text: str) -> float:
+def _finite_number(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
         raise ValueError(text)

@@ -13,7 +13,15 @@ import zenoh
 from ...schemas import keys
 from ...schemas.errors import LinkError, MessageError, PerfboundError
 from ...schemas.link import Tls, listen_config
-from ...schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState, decode_header, decode_state, encode
+from ...schemas.messages import (
+    MAX_RESULT,
+    Request,
+    ResultHeader,
+    WorkerState,
+    decode_header,
+    decode_state,
+    encode_message,
+)
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
@@ -96,8 +104,8 @@ class ZenohTransport:
         self._run = run
         handler = zenoh.handlers.FifoChannel
         session, liveliness = self._session, self._session.liveliness()
-        states = session.declare_subscriber(keys.state(run, "*"), handler(CHANNEL))
-        results = session.declare_subscriber(keys.result(run, "*", "*", "*"), handler(CHANNEL))
+        states = session.declare_subscriber(keys.state_key(run, "*"), handler(CHANNEL))
+        results = session.declare_subscriber(keys.result_key(run, "*", "*", "*"), handler(CHANNEL))
         tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
         for subscriber, read in ((states, _heartbeat), (results, _result), (tokens, _token)):
             thread = threading.Thread(target=_pump, args=(subscriber, read, sink), daemon=True)
@@ -110,8 +118,8 @@ class ZenohTransport:
     def send(self, worker: str, message: Request) -> None:
         """Put a request; with BLOCK, because DROP, the default, loses messages under load."""
         self._session.put(
-            keys.request(self._run, worker),
-            encode(message),
+            keys.request_key(self._run, worker),
+            encode_message(message),
             congestion_control=zenoh.CongestionControl.BLOCK,
             express=True,
         )

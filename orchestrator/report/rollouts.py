@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 from ...schemas.campaign import Problem
 from ...schemas.errors import EvidenceError, PerfboundError, TrajectoryError
 from ...schemas.facts import Header, RolloutFact
-from ...schemas.trajectory import File, read
+from ...schemas.trajectory import File, read_mcap
 from ..store import files
 from . import curves
 from .data import Curve, Rollout, RolloutsOfTest
@@ -74,7 +74,7 @@ def read_recorded(directory: Path, fact: RolloutFact) -> File:
             "database from a copy"
         )
     try:
-        return read(files.read(directory, fact.path, fact.sha256))
+        return read_mcap(files.read_evidence(directory, fact.path, fact.sha256))
     except TrajectoryError as error:
         raise EvidenceError(f"{directory / fact.path}: {error}; restore it from a copy") from None
 

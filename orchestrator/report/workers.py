@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ...schemas.facts import RECORDED, RESTORED
-from ..store.changes import Changes, Outcome
+from ..store.changes import AttemptOutcome, Changes
 from ..store.progress import RECENT, rate
 from .data import Throughput, WorkerRow
 
@@ -32,7 +32,7 @@ class _Totals:
     cpu_seconds: float = 0.0
     last: float | None = None
 
-    def add(self, outcome: Outcome) -> None:
+    def add(self, outcome: AttemptOutcome) -> None:
         if outcome.outcome == RECORDED:
             self.rollouts += 1
         elif outcome.outcome != RESTORED:

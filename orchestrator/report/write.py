@@ -45,7 +45,7 @@ def write_page(directory: Path, data: ReportData) -> tuple[Path, ...]:
     """
     export.counterexamples(directory, directory / COUNTEREXAMPLES)
     page = html.standalone_page(f"{data.name}: perfbound report", to_json(relocatable(data)))
-    atomic.write(directory / REPORT, page.html.encode())
+    atomic.write_whole(directory / REPORT, page.html.encode())
     return (directory / REPORT, directory / COUNTEREXAMPLES)
 
 
@@ -61,5 +61,5 @@ def write_figures(directory: Path, data: ReportData) -> tuple[Path, ...]:
     written = []
     for name, picture in figures(data):
         written.append(directory / FIGURES / name)
-        atomic.write(written[-1], picture)
+        atomic.write_whole(written[-1], picture)
     return tuple(written)

@@ -74,7 +74,7 @@ def bind(address: Address, *, insecure: bool) -> tuple[socket.socket, Address]:
             )
         listening = _listening(family, host, address.port)
     except (OSError, UnicodeError) as error:  # UnicodeError: a name that cannot be one of a host
-        raise PerfboundError(_explain(address, error)) from None
+        raise PerfboundError(_bind_error(address, error)) from None
     # Inherited by every connection; it covers a client that does not read as well as one that is gone.
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, STALLED_MS)
     return listening, Address(address.host, listening.getsockname()[1])
@@ -91,7 +91,7 @@ def _listening(family: int, host: str, port: int) -> socket.socket:
         time.sleep(PAUSE)
 
 
-def _explain(address: Address, error: Exception) -> str:
+def _bind_error(address: Address, error: Exception) -> str:
     if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
         return f"--web {address}: this port is in use; choose another, or 0 for a free one"
     reason = str(getattr(error, "strerror", None) or error).partition(" (while ")[0]

@@ -78,7 +78,7 @@ class LivePage:
     def __init__(self, directory: Path, console: Console) -> None:
         self.place: tuple[socket.socket, Address] | None = None
         self._directory, self._console = directory, console
-        self._child: _Child | None = None
+        self._child: _PageProcess | None = None
         self._next = 0.0
 
     def start(self) -> None:
@@ -87,7 +87,7 @@ class LivePage:
             return
         listening, address = self.place
         with listening:  # from here on the port is the child's alone
-            self._child = _Child(listening, address, self._directory)
+            self._child = _PageProcess(listening, address, self._directory)
         self._say(f"live page: {address.url}")
 
     def say(self, line: str) -> None:
@@ -119,7 +119,7 @@ class LivePage:
         self._console.print(Text(line), soft_wrap=True)
 
 
-class _Child:
+class _PageProcess:
     """The process, and a socket to its stdin that keeps messages apart."""
 
     def __init__(self, listening: socket.socket, address: Address, directory: Path) -> None:

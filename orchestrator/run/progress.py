@@ -14,7 +14,7 @@ from .format import duration, figure
 from .json_log import JsonLines
 from .service import Listener, RunStatus
 from .systemd import Systemd
-from .table import bound_in_sense, distance, progress_table, tests_left
+from .table import bound_in_sense, progress_table, remaining_distance, remaining_tests
 
 PLAIN_PERIOD = 10.0
 """Seconds between two progress lines where there is no terminal."""
@@ -73,7 +73,7 @@ class Plain:
             self._workers(status, rate)
 
     def _problem(self, problem: Problem, progress: ProblemProgress) -> None:
-        away, bound = distance(problem, progress), bound_in_sense(problem, progress)
+        away, bound = remaining_distance(problem, progress), bound_in_sense(problem, progress)
         if self._json is None:
             name = "F" if problem.method == "paper" else "upper - lower"
             end = f"; stopped by {progress.stopped_by}" if progress.stopped_by else ""
@@ -129,7 +129,7 @@ class Rate:
 
 
 def _time_left(config: CampaignConfig, problem: Problem, progress: ProblemProgress, rate: float) -> str:
-    left = tests_left(config, problem, progress)
+    left = remaining_tests(config, problem, progress)
     if left is None or rate <= 0:
         return "-"
     return f"about {duration(left * progress.rollouts / progress.tests / rate)}"

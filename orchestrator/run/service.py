@@ -106,7 +106,7 @@ class Service:
         )
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
-        self._state = dispatch.initial(limits, hold)
+        self._state = dispatch.fresh(limits, hold)
 
     def run(self) -> None:
         """Serve until every problem has stopped.
@@ -197,7 +197,7 @@ class Service:
     def _settle(self) -> None:
         """Step the dispatch machine until no event is left; an action may add events, which wait for their turn."""
         while self._events:
-            self._state, actions = dispatch.step(self._state, self._events.popleft())
+            self._state, actions = dispatch.advance(self._state, self._events.popleft())
             for action in actions:
                 self._act(action)
         self._results.clear()
@@ -214,7 +214,7 @@ class Service:
                 self._assign(worker, attempt)
             case events.Resend(worker, attempt):
                 self._assign(worker, attempt)
-            case events.Cancel(worker, attempt):
+            case events.Revoke(worker, attempt):
                 self._outgoing.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Acknowledge(worker, attempt):
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_file import differences, parse
+from ...schemas.campaign_file import differences, parse_campaign
 from ...schemas.certificate import Certificate
 from ...schemas.errors import CampaignError, JournalError, PerfboundError
 from ...schemas.facts import Header
@@ -72,7 +72,9 @@ class RunOptions:
     drain: bool = False
 
 
-def start(config: CampaignConfig, source: Path, directory: Path, options: RunOptions, console: Console) -> None:
+def start_campaign(
+    config: CampaignConfig, source: Path, directory: Path, options: RunOptions, console: Console
+) -> None:
     """Run a new campaign, read from the file `source`, to its certificate.
 
     Raises:
@@ -96,7 +98,7 @@ def start(config: CampaignConfig, source: Path, directory: Path, options: RunOpt
         _conduct(directory, journal, transport, page, options=options, console=console, resumed=False)
 
 
-def resume(directory: Path, options: RunOptions, console: Console) -> bool:
+def resume_campaign(directory: Path, options: RunOptions, console: Console) -> bool:
     """Continue a campaign from its database; one that is finished is left as it is: False.
 
     Raises:
@@ -123,7 +125,7 @@ def resume(directory: Path, options: RunOptions, console: Console) -> bool:
     return True
 
 
-def load(path: Path, **overrides: int) -> CampaignConfig:
+def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
     """Read a campaign file.
 
     Raises:
@@ -137,7 +139,7 @@ def load(path: Path, **overrides: int) -> CampaignConfig:
         raise CampaignError(f"{path}: {error.strerror}; name a campaign file, e.g. one of deploy/campaigns") from None
     if len(data) > MAX_CAMPAIGN_FILE:
         raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; name a campaign file")
-    return parse(data, str(path), lambda name: (path.parent / name).read_bytes(), **overrides)
+    return parse_campaign(data, str(path), lambda name: (path.parent / name).read_bytes(), **overrides)
 
 
 def _check_vacant(directory: Path, config: CampaignConfig) -> None:
@@ -274,7 +276,7 @@ def _signals(put: Callable[[int], None]) -> Iterator[None]:
             signal.signal(number, signal.SIG_IGN if taken else old)
 
 
-def certificate(directory: Path) -> Certificate:
+def finished_certificate(directory: Path) -> Certificate:
     """Return the certificate of a finished campaign.
 
     Raises:

@@ -16,14 +16,14 @@ def bound_in_sense(problem: Problem, progress: ProblemProgress) -> float | None:
     return -upper if upper is not None and problem.name in MINIMA else upper
 
 
-def distance(problem: Problem, progress: ProblemProgress) -> float | None:
+def remaining_distance(problem: Problem, progress: ProblemProgress) -> float | None:
     """Return what has to fall to alpha: F_i, or upper - lower."""
     return forecast.distance(problem, progress.F, progress.bound)
 
 
-def tests_left(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> int | None:
+def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> int | None:
     """Guess the tests until a problem ends; None where its decay cannot tell yet."""
-    return forecast.tests_left(config, problem, distance(problem, progress), progress.tests)
+    return forecast.tests_left(config, problem, remaining_distance(problem, progress), progress.tests)
 
 
 def progress_table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress, str]]) -> Table:
@@ -35,7 +35,7 @@ def progress_table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress,
         found.add_row(
             problem.name,
             f"{progress.tests} of {config.max_tests_of(problem)}",
-            figure(distance(problem, progress)),
+            figure(remaining_distance(problem, progress)),
             f"{problem.alpha:g}",
             figure(bound_in_sense(problem, progress)),
             str(progress.rollouts),

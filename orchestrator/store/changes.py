@@ -41,7 +41,7 @@ Decision = ProposalFact | ObservationFact | BoundFact
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class AttemptOutcome:
     """How one attempt ended: `ended` is Unix time, the others are s."""
 
     worker: str
@@ -62,7 +62,7 @@ class Changes:
     decisions: tuple[Decision, ...]
     rollouts: dict[str, int]
     violations: tuple[RolloutFact, ...]
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[AttemptOutcome, ...]
     hosts: dict[str, str]
     sessions: int
 
@@ -101,7 +101,10 @@ class ChangeReader:
             tuple(fact for _, fact in decisions),
             {row.problem: row.number for row in counts},
             tuple(_rollout(row, self._directory) for row in violations),
-            tuple(Outcome(row.worker, row.outcome, row.ended, row.cpu_seconds, row.wall_seconds) for row in outcomes),
+            tuple(
+                AttemptOutcome(row.worker, row.outcome, row.ended, row.cpu_seconds, row.wall_seconds)
+                for row in outcomes
+            ),
             {row.worker: row.host for row in hosts},
             sessions,
         )

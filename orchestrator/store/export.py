@@ -14,7 +14,7 @@ from ...schemas.atomic import replacing
 from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
 from . import export_tables
-from .export_tables import TABLES, Column, Row, Table, Value
+from .export_tables import TABLES, ExportColumn, ExportTable, Row, Value
 from .files import FOLDER
 from .read import read_header, reading
 from .rows import DATABASE
@@ -53,7 +53,7 @@ def export(
     for path in paths:
         _check_place(directory, path)
     write = _writer(form)
-    with _campaign(directory, names) as (connection, header, found), _whole(paths) as files:
+    with _open_campaign(directory, names) as (connection, header, found), _whole(paths) as files:
         return [
             (path, write(file, table, _counted(table, connection, progress), header))
             for path, file, table in zip(paths, files, found, strict=True)
@@ -62,29 +62,29 @@ def export(
 
 def stream(directory: Path, name: str, out: IO[bytes]) -> int:
     """Write one table as CSV to `out`; return its rows. Raises as `export`, and OSError if `out` is closed."""
-    with _campaign(directory, [name]) as (connection, header, (table,)):
+    with _open_campaign(directory, [name]) as (connection, header, (table,)):
         return _csv(out, table, table.rows(connection), header)
 
 
 def counterexamples(directory: Path, path: Path) -> int:
     """Write the rollouts with robustness below 0 as CSV to `path`; return how many. Raises as `export`."""
     _check_place(directory, path)
-    with _campaign(directory, ["counterexamples"]) as (connection, header, (table,)), _whole([path]) as (file,):
+    with _open_campaign(directory, ["counterexamples"]) as (connection, header, (table,)), _whole([path]) as (file,):
         return _csv(file, table, table.rows(connection), header)
 
 
 @contextmanager
-def _campaign(directory: Path, names: Sequence[str]) -> Iterator[tuple[Connection, Header, list[Table]]]:
+def _open_campaign(directory: Path, names: Sequence[str]) -> Iterator[tuple[Connection, Header, list[ExportTable]]]:
     """Open a campaign at one moment, with the named tables."""
     unknown = [name for name in names if name not in TABLES]
     if unknown:
         raise PerfboundError(f"there is no table {unknown[0]!r}; allowed are {', '.join(TABLES)}")
     with reading(directory) as connection:
         header = read_header(connection, directory)
-        yield connection, header, [export_tables.table(name, header) for name in names]
+        yield connection, header, [export_tables.export_table(name, header) for name in names]
 
 
-def _counted(table: Table, connection: Connection, progress: Progress) -> Iterator[Row]:
+def _counted(table: ExportTable, connection: Connection, progress: Progress) -> Iterator[Row]:
     for number, row in enumerate(table.rows(connection)):
         if number % GROUP == 0:
             progress(table.name, number)
@@ -94,7 +94,7 @@ def _counted(table: Table, connection: Connection, progress: Progress) -> Iterat
 # Formats
 
 
-def _writer(form: Format) -> Callable[[IO[bytes], Table, Iterable[Row], Header], int]:
+def _writer(form: Format) -> Callable[[IO[bytes], ExportTable, Iterable[Row], Header], int]:
     if form == "csv":
         return _csv
     try:
@@ -104,12 +104,12 @@ def _writer(form: Format) -> Callable[[IO[bytes], Table, Iterable[Row], Header],
     return _parquet
 
 
-def _csv(out: IO[bytes], table: Table, found: Iterable[Row], _header: Header) -> int:
+def _csv(out: IO[bytes], table: ExportTable, found: Iterable[Row], _header: Header) -> int:
     """Write RFC 4180: UTF-8, CRLF, floats that read back exactly, nothing for NULL; units stand in the first line."""
     text = io.TextIOWrapper(out, encoding="utf-8", newline="")
     try:
         writer, number = csv.writer(text), 0
-        writer.writerow(_title(column) for column in table.columns)
+        writer.writerow(_column_title(column) for column in table.columns)
         for number, row in enumerate(found, 1):  # noqa: B007
             writer.writerow(map(_cell, row))
         text.flush()
@@ -118,7 +118,7 @@ def _csv(out: IO[bytes], table: Table, found: Iterable[Row], _header: Header) ->
     return number
 
 
-def _title(column: Column) -> str:
+def _column_title(column: ExportColumn) -> str:
     return f"{column.name} ({column.unit})" if column.unit else column.name
 
 
@@ -127,7 +127,7 @@ def _cell(value: Value) -> Value:
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
 
 
-def _parquet(out: IO[bytes], table: Table, found: Iterable[Row], header: Header) -> int:
+def _parquet(out: IO[bytes], table: ExportTable, found: Iterable[Row], header: Header) -> int:
     """Write Parquet; the unit of a column is its field's metadata `unit`."""
     import pyarrow as pa  # noqa: PLC0415
     from pyarrow.parquet import ParquetWriter  # noqa: PLC0415

@@ -35,7 +35,7 @@ Row = tuple[Value, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class ExportColumn:
     """One column; `unit` is empty where there is none, or where it differs from row to row."""
 
     name: str
@@ -44,11 +44,11 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ExportTable:
     """One table: its columns, and how they follow from the database."""
 
     name: str
-    columns: tuple[Column, ...]
+    columns: tuple[ExportColumn, ...]
     query: sa.Select[Any]
     expand: Callable[[Any], Iterator[Row]]
     """Makes one or several rows of a row of the database."""
@@ -59,7 +59,7 @@ class Table:
             yield from self.expand(row)
 
 
-def table(name: str, header: Header) -> Table:
+def export_table(name: str, header: Header) -> ExportTable:
     """Return one of `TABLES` of a campaign.
 
     Raises:
@@ -68,13 +68,13 @@ def table(name: str, header: Header) -> Table:
     """
     match name:
         case "tests":
-            return _tests(header)
+            return _tests_table(header)
         case "rollouts":
-            return _rollouts(name, header, _ROLLOUTS)
+            return _rollouts_table(name, header, _ROLLOUTS)
         case "observations":
-            return _observations(header)
+            return _observations_table(header)
         case "counterexamples":
-            return _rollouts(name, header, _ROLLOUTS.where(_r.robustness < 0))
+            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0))
     raise KeyError(name)
 
 
@@ -103,13 +103,13 @@ _TESTS = (
     .outerjoin(tables.bounds, (_b.problem == _t.problem) & (_b.test == _t.test))
     .order_by(_t.seq)
 )
-_TEST = (Column("problem", "text"), Column("test", "integer"))
-_OBJECTIVE = (Column("sense", "text"), Column("unit", "text"), Column("observation"))
-_EXPECTED = (Column("mu"), Column("sigma"), Column("beta"), Column("F"))
-_BOUNDS = (Column("lower"), Column("upper"), Column("stopped_by", "text"))
+_TEST = (ExportColumn("problem", "text"), ExportColumn("test", "integer"))
+_OBJECTIVE = (ExportColumn("sense", "text"), ExportColumn("unit", "text"), ExportColumn("observation"))
+_EXPECTED = (ExportColumn("mu"), ExportColumn("sigma"), ExportColumn("beta"), ExportColumn("F"))
+_BOUNDS = (ExportColumn("lower"), ExportColumn("upper"), ExportColumn("stopped_by", "text"))
 
 
-def _tests(header: Header) -> Table:
+def _tests_table(header: Header) -> ExportTable:
     objectives = _objectives(header)
 
     def expand(row: Any) -> Iterator[Row]:
@@ -121,8 +121,8 @@ def _tests(header: Header) -> Table:
         which = (row.problem, row.test, row.node, *json.loads(row.x))
         yield *which, *objective, *expected, lower, upper, row.stopped_by
 
-    columns = (*_TEST, Column("node", "integer"), *_starts(header), *_OBJECTIVE, *_EXPECTED, *_BOUNDS)
-    return Table("tests", columns, _TESTS, expand)
+    columns = (*_TEST, ExportColumn("node", "integer"), *_starts(header), *_OBJECTIVE, *_EXPECTED, *_BOUNDS)
+    return ExportTable("tests", columns, _TESTS, expand)
 
 
 # rollouts, counterexamples
@@ -140,22 +140,27 @@ _ROLLOUTS = (
     .order_by(_r.seq)
 )
 _ROLLOUT = (
-    Column("rollout", "text"),
+    ExportColumn("rollout", "text"),
     *_TEST,
-    Column("variant", "text"),
-    Column("replicate", "integer"),
-    Column("seed", "integer"),
+    ExportColumn("variant", "text"),
+    ExportColumn("replicate", "integer"),
+    ExportColumn("seed", "integer"),
 )
-_FILE = (Column("path", "text"), Column("size", "integer", "B"), Column("sha256", "text"))
-_ATTEMPT = (Column("worker", "text"), Column("attempts", "integer"), Column("wall", unit="s"), Column("cpu", unit="s"))
+_FILE = (ExportColumn("path", "text"), ExportColumn("size", "integer", "B"), ExportColumn("sha256", "text"))
+_ATTEMPT = (
+    ExportColumn("worker", "text"),
+    ExportColumn("attempts", "integer"),
+    ExportColumn("wall", unit="s"),
+    ExportColumn("cpu", unit="s"),
+)
 
 
-def _rollouts(name: str, header: Header, query: sa.Select[Any]) -> Table:
-    robustness = Column("robustness", unit=robustness_unit(header.config, header.spec))
-    return Table(name, (*_ROLLOUT, *_starts(header), robustness, *_FILE, *_ATTEMPT), query, _rollout)
+def _rollouts_table(name: str, header: Header, query: sa.Select[Any]) -> ExportTable:
+    robustness = ExportColumn("robustness", unit=robustness_unit(header.config, header.spec))
+    return ExportTable(name, (*_ROLLOUT, *_starts(header), robustness, *_FILE, *_ATTEMPT), query, _rollout_row)
 
 
-def _rollout(row: Any) -> Iterator[Row]:
+def _rollout_row(row: Any) -> Iterator[Row]:
     which = (row.id, row.problem, row.test, row.variant, row.replicate, row.seed)
     attempt = (row.worker, row.attempts, row.wall_seconds, row.cpu_seconds)
     yield *which, *json.loads(row.x), row.robustness, row.path, row.size, row.sha256, *attempt
@@ -164,10 +169,10 @@ def _rollout(row: Any) -> Iterator[Row]:
 # observations
 
 _OBSERVATIONS = sa.select(tables.observations).order_by(_o.seq)
-_REPLICATE = (Column("replicate", "integer"), Column("contribution"), Column("chain", "text"))
+_REPLICATE = (ExportColumn("replicate", "integer"), ExportColumn("contribution"), ExportColumn("chain", "text"))
 
 
-def _observations(header: Header) -> Table:
+def _observations_table(header: Header) -> ExportTable:
     objectives = _objectives(header)
     robust = {each.name for each in header.config.problems if _contributes_robustness(each)}
 
@@ -179,7 +184,7 @@ def _observations(header: Header) -> Table:
             part = _minus(value) if turned else value
             yield row.problem, row.test, sense, unit, y, replicate, part, row.chain
 
-    return Table("observations", (*_TEST, *_OBJECTIVE, *_REPLICATE), _OBSERVATIONS, expand)
+    return ExportTable("observations", (*_TEST, *_OBJECTIVE, *_REPLICATE), _OBSERVATIONS, expand)
 
 
 def _contributes_robustness(problem: Problem) -> bool:
@@ -195,10 +200,10 @@ def _objectives(header: Header) -> dict[str, tuple[str, str]]:
     }
 
 
-def _starts(header: Header) -> tuple[Column, ...]:
+def _starts(header: Header) -> tuple[ExportColumn, ...]:
     """Return the parameters; one that is called like a column of ours gets a name that is free."""
     names = ((each.name, each.unit) for each in header.spec.parameters)
-    return tuple(Column(f"start_{name}" if name in _TAKEN else name, unit=unit) for name, unit in names)
+    return tuple(ExportColumn(f"start_{name}" if name in _TAKEN else name, unit=unit) for name, unit in names)
 
 
 _OURS = (*_ROLLOUT, *_FILE, *_ATTEMPT, *_OBJECTIVE, *_EXPECTED, *_BOUNDS, *_REPLICATE)

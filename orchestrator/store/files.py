@@ -75,7 +75,7 @@ class Batch:
         list(self._pool.map(sync, {path.parent for path in paths}))
 
 
-def read(directory: Path, relative: str, sha256: str) -> bytes:
+def read_evidence(directory: Path, relative: str, sha256: str) -> bytes:
     """Return the bytes of a recorded file.
 
     Raises:

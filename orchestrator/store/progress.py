@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from ...schemas.errors import JournalError
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.values import ProblemProgress
-from .readonly import connect, is_still
+from .readonly import is_still, open_readonly
 from .rows import DATABASE, bound_fact, checked_header, existing, header_columns
 
 RECENT = 1000
@@ -57,14 +57,14 @@ def read_progress(directory: Path) -> CampaignProgress:
     """
     path = existing(directory).resolve()
     try:
-        with closing(connect(path, immutable=is_still(directory, path))) as connection:
+        with closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
             connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
-            return _progress(connection, directory)
+            return _campaign_progress(connection, directory)
     except sqlite3.DatabaseError as error:
         raise JournalError(f"{directory / DATABASE}: cannot be read ({error})") from None
 
 
-def _progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
+def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
     version = connection.execute(_VERSION).fetchone()
     columns = ", ".join(header_columns(directory, version and version[0]))
     query = f"SELECT {columns} FROM campaign LIMIT 2"  # noqa: S608  (names of a tuple of constants)
@@ -73,7 +73,7 @@ def _progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgre
     last = {str(row.problem): row for row in _named(connection.execute(_LAST_BOUNDS))}
     return CampaignProgress(
         header,
-        tuple(_of_problem(last.get(each.name), rollouts.get(each.name, 0)) for each in header.config.problems),
+        tuple(_problem_progress(last.get(each.name), rollouts.get(each.name, 0)) for each in header.config.problems),
         tuple((str(row[0]), int(row[1]), float(row[2])) for row in connection.execute(_WORKERS, [RECORDED])),
         int(connection.execute(_FAILURES, [RECORDED, RESTORED]).fetchone()[0]),
         int(connection.execute(_SESSIONS).fetchone()[0]),
@@ -81,7 +81,7 @@ def _progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgre
     )
 
 
-def _of_problem(last: SimpleNamespace | None, rollouts: int) -> ProblemProgress:
+def _problem_progress(last: SimpleNamespace | None, rollouts: int) -> ProblemProgress:
     if last is None:
         return ProblemProgress(0, rollouts, None, None, None)
     fact = bound_fact(last)

@@ -15,7 +15,7 @@ from ...schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalF
 from ...schemas.ids import RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
-from .readonly import connect, is_still
+from .readonly import is_still, open_readonly
 from .rows import DATABASE, READERS, checked_header, existing, header_columns
 
 
@@ -45,7 +45,7 @@ def reading(directory: Path) -> Iterator[Connection]:
     """
     path = existing(directory).resolve()
     try:
-        with _engine(path, immutable=is_still(directory, path)).connect() as connection:
+        with _reading_engine(path, immutable=is_still(directory, path)).connect() as connection:
             connection.exec_driver_sql("BEGIN")  # one snapshot; the driver would begin before a write only
             yield connection
     except sa.exc.DatabaseError as error:
@@ -53,10 +53,12 @@ def reading(directory: Path) -> Iterator[Connection]:
 
 
 @lru_cache(maxsize=16)
-def _engine(path: Path, *, immutable: bool) -> Engine:
+def _reading_engine(path: Path, *, immutable: bool) -> Engine:
     """Return the engine of a database; kept, because it keeps the queries that it has compiled."""
     # NullPool: an open connection would keep -wal and -shm beside a database that is closed meanwhile.
-    return sa.create_engine("sqlite://", creator=partial(connect, path, immutable=immutable), poolclass=sa.NullPool)
+    return sa.create_engine(
+        "sqlite://", creator=partial(open_readonly, path, immutable=immutable), poolclass=sa.NullPool
+    )
 
 
 def read_header(connection: Connection, directory: Path) -> Header:

@@ -10,7 +10,7 @@ LONGEST = 2**26
 """Bytes of one value."""
 
 
-def connect(path: Path, *, immutable: bool) -> sqlite3.Connection:
+def open_readonly(path: Path, *, immutable: bool) -> sqlite3.Connection:
     """Open a database for reading; nothing in the file runs, and no value fills the memory."""
     query = "mode=ro&immutable=1" if immutable else "mode=ro"
     connection = sqlite3.connect(f"file:{quote(str(path))}?{query}", uri=True)

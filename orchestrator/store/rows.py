@@ -63,7 +63,7 @@ def checked_header(directory: Path, rows: Sequence[Any]) -> Header:
 
     """
     try:
-        return _header(directory, rows)
+        return _parsed_header(directory, rows)
     except (ValueError, AttributeError, TypeError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise JournalError(
@@ -71,7 +71,7 @@ def checked_header(directory: Path, rows: Sequence[Any]) -> Header:
         ) from None
 
 
-def _header(directory: Path, rows: Sequence[Any]) -> Header:
+def _parsed_header(directory: Path, rows: Sequence[Any]) -> Header:
     if len(rows) != 1:
         raise ValueError("there are several" if rows else "it is missing")
     row = rows[0]

@@ -137,6 +137,6 @@ def insert_only() -> list[str]:
     ]
 
 
-def columns(table: Table, version: int) -> list[str]:
+def columns_of_version(table: Table, version: int) -> list[str]:
     """Return the columns of a table in a database of this schema version."""
     return [name for name, _ in table.c.items() if version > 1 or (table.name, name) != ("campaign", "rules")]

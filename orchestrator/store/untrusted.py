@@ -58,7 +58,7 @@ def _shape(connection: sa.Connection, directory: Path) -> set[str]:
         if table is not None:
             quoted = name.replace('"', '""')
             columns = connection.exec_driver_sql(f'PRAGMA table_xinfo("{quoted}")').all()
-            expected = [tables.columns(table, version) for version in READ_VERSIONS]
+            expected = [tables.columns_of_version(table, version) for version in READ_VERSIONS]
             if [row.name for row in columns] not in expected or any(row.hidden for row in columns):
                 raise JournalError(f"{directory / DATABASE}: the table {name} has other columns than perfbound's")
     return {name for name, _ in master}

@@ -10,7 +10,7 @@ import pybullet
 
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import decode
-from perfbound.workers.simulate import run_on
+from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems import segway
 from perfbound.workers.systems.segway import SegwaySystem
 from tests.benchmarks.report import Row
@@ -45,8 +45,8 @@ FRESH = {
 
 
 def _with_file(system: SegwaySystem, request: RolloutRequest, label: str, bare: float) -> list[Row]:
-    data = run_on(system, request, _ignore)
-    seconds = cpu_seconds(lambda: run_on(system, request, _ignore))
+    data = run_request_on(system, request, _ignore)
+    seconds = cpu_seconds(lambda: run_request_on(system, request, _ignore))
     return [
         Row(label, 1000 * seconds, "ms", "bare engine", 1000 * bare),
         Row(f"{label}, per core-second", 1 / seconds, "rollouts/s", "bare engine", 1 / bare),

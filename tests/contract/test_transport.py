@@ -23,7 +23,7 @@ from perfbound.schemas.messages import (
     Request,
     ResultHeader,
     WorkerState,
-    encode,
+    encode_message,
 )
 from perfbound.workers.transport import Uplink, connect
 from tests.fakes import inmemory
@@ -164,7 +164,7 @@ def test_another_run_is_not_heard(rig: Rig) -> None:
     heard = listening(rig)
     with joined(rig, "w") as uplink:
         assert heard.next(Token, worker="w").alive
-        rig.put(keys.state("f" * 16, "w"), encode(a_state("w")), None)
+        rig.put(keys.state_key("f" * 16, "w"), encode_message(a_state("w")), None)
         uplink.report(a_state("w", progress=7))
         assert heard.next(Heartbeat, worker="w").state.progress == 7
 
@@ -222,7 +222,7 @@ def test_a_worker_that_has_left_gets_nothing(rig: Rig) -> None:
     assert received == []
 
 
-STATE, RESULT = keys.state(RUN, "w"), keys.result(RUN, "w", "maximum.0.true.0", 1)
+STATE, RESULT = keys.state_key(RUN, "w"), keys.result_key(RUN, "w", "maximum.0.true.0", 1)
 
 
 @pytest.mark.parametrize(
@@ -232,16 +232,16 @@ STATE, RESULT = keys.state(RUN, "w"), keys.result(RUN, "w", "maximum.0.true.0", 
         (STATE, b"\xff\xfe", None),
         (STATE, b"{}", None),
         (STATE, b"[" * 10_000, None),
-        (STATE, encode(a_state("w")).replace(b'"idle"', b'"asleep"'), None),
-        (STATE, encode(a_state("w", version="v" * 300)), None),
-        (STATE, b" " * MAX_MESSAGE + encode(a_state("w")), None),
+        (STATE, encode_message(a_state("w")).replace(b'"idle"', b'"asleep"'), None),
+        (STATE, encode_message(a_state("w", version="v" * 300)), None),
+        (STATE, b" " * MAX_MESSAGE + encode_message(a_state("w")), None),
         (RESULT, b"x", None),
         (RESULT, b"x", b""),
         (RESULT, b"x", b"\xff"),
-        (RESULT, b"x", encode(a_header("w")).replace(b"maximum.0", b"maximum/0")),
-        (RESULT, b"x", encode(a_header("w")).replace(b":1,", b":0,")),
-        (RESULT, b"x", encode(a_header("w")) + b" " * MAX_MESSAGE),
-        (RESULT, b"x" * 1001, encode(a_header("w"))),
+        (RESULT, b"x", encode_message(a_header("w")).replace(b"maximum.0", b"maximum/0")),
+        (RESULT, b"x", encode_message(a_header("w")).replace(b":1,", b":0,")),
+        (RESULT, b"x", encode_message(a_header("w")) + b" " * MAX_MESSAGE),
+        (RESULT, b"x" * 1001, encode_message(a_header("w"))),
     ],
 )
 def test_garbage_is_told_and_harms_nothing(
@@ -269,8 +269,8 @@ def test_a_worker_ignores_garbage(rig: Rig, payload: bytes) -> None:
     received: list[Request] = []
     with joined(rig, "w", received.append):
         heard.next(Token, worker="w")
-        rig.put(keys.request(RUN, "w"), payload, None)
-        rig.put(keys.request(RUN, "w"), encode(Ack(rollout="maximum.0.true.0", attempt=3)), None)
+        rig.put(keys.request_key(RUN, "w"), payload, None)
+        rig.put(keys.request_key(RUN, "w"), encode_message(Ack(rollout="maximum.0.true.0", attempt=3)), None)
         eventually(lambda: received != [])
     assert received == [Ack(rollout="maximum.0.true.0", attempt=3)]
 

@@ -43,12 +43,12 @@ from perfbound.schemas.messages import (
     decode_header,
     decode_request,
     decode_state,
-    encode,
+    encode_message,
 )
 from perfbound.workers import worker as worker_module
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 from perfbound.workers.transport import Receiver, Uplink
-from perfbound.workers.worker import Worker
+from perfbound.workers.worker import WorkerProcess
 
 # The network
 
@@ -156,7 +156,7 @@ class InMemoryTransport:
 
     def send(self, worker: str, message: Request) -> None:
         """Send a request."""
-        self._network.put(keys.request(self.run, worker), encode(message))
+        self._network.put(keys.request_key(self.run, worker), encode_message(message))
 
     def stop(self) -> None:
         """Hear nothing more."""
@@ -232,12 +232,12 @@ class InMemoryUplink:
 
     def report(self, state: WorkerState) -> None:
         """Send a heartbeat."""
-        self._network.put(keys.state(self._run, self._worker), encode(state))
+        self._network.put(keys.state_key(self._run, self._worker), encode_message(state))
 
     def deliver(self, header: ResultHeader, payload: bytes) -> None:
         """Send a result."""
-        key = keys.result(self._run, self._worker, header.rollout, header.attempt)
-        self._network.put(key, payload, encode(header))
+        key = keys.result_key(self._run, self._worker, header.rollout, header.attempt)
+        self._network.put(key, payload, encode_message(header))
 
     def arrive(self, payload: bytes) -> None:
         """Take a request."""
@@ -275,7 +275,7 @@ def working(network: Network, run: str, wraps: Sequence[Wrap]) -> Iterator[list[
     """Run one worker in a thread for each of `wraps`; yield the reasons why workers were refused."""
     refused: list[str] = []
 
-    def live(worker: Worker, uplink: Uplink) -> None:
+    def live(worker: WorkerProcess, uplink: Uplink) -> None:
         uplink.join(run, worker.name, worker.receive)
         try:
             worker.serve(lambda _: False)
@@ -286,7 +286,7 @@ def working(network: Network, run: str, wraps: Sequence[Wrap]) -> Iterator[list[
     threads, workers = [], []
     for number, wrap in enumerate(wraps):
         uplink = wrap(InMemoryUplink(network))
-        worker = Worker(keys.fresh_id(f"worker-{number}"), uplink)
+        worker = WorkerProcess(keys.fresh_id(f"worker-{number}"), uplink)
         threads.append(threading.Thread(target=live, args=(worker, uplink), name=worker.name))
         workers.append(worker)
     for thread in threads:
@@ -311,7 +311,7 @@ def hurry(monkeypatch: pytest.MonkeyPatch, *, tick: float) -> None:
 
 def begin(directory: Path, config: CampaignConfig) -> None:
     """Make the run directory of a campaign."""
-    spec = load(config.system.name).spec
+    spec = load_system(config.system.name).spec
     check_against(config, spec, "test")
     directory.mkdir(parents=True)
     Journal.create(directory, Header.new(config, spec, software(spec))).close()

@@ -31,13 +31,13 @@ from perfbound.schemas.messages import (
     decode_header,
     decode_request,
     decode_state,
-    encode,
+    encode_message,
 )
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory
 from perfbound.schemas.trajectory import encode as encode_file
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 
 RATE = 100
 """Samples of a trajectory per second."""
@@ -94,7 +94,7 @@ class Puppets:
     def beat(self, name: str, attempt: Assign | None = None, progress: int = 0) -> None:
         """Send one heartbeat."""
         with self.own.running():
-            payload = encode(self._state(name, attempt, progress))
+            payload = encode_message(self._state(name, attempt, progress))
         self.beaten += 1
         self._sink(Heartbeat(time.monotonic(), name, decode_state(payload)))
 
@@ -106,7 +106,7 @@ class Puppets:
 
     def send(self, worker: str, message: Request) -> None:
         """Answer an assignment."""
-        payload = encode(message)
+        payload = encode_message(message)
         if not isinstance(message, Assign):
             return
         if self.holding:
@@ -119,7 +119,7 @@ class Puppets:
             sha256 = hashlib.sha256(file).hexdigest()
             rollout = assign.request.rollout
             header = ResultHeader(rollout=rollout, attempt=assign.attempt, worker=worker, outcome="done", sha256=sha256)
-            attachment = encode(header)
+            attachment = encode_message(header)
         for number in range(self._beats):
             self.beat(worker, assign, number + 1)
         self.delivered += 1
@@ -155,7 +155,7 @@ class Stage:
     """A campaign in `directory`, whose workers are puppets."""
 
     def __init__(self, directory: Path, config: CampaignConfig, count: int, *, beats: int = 0) -> None:
-        spec = load(config.system.name).spec
+        spec = load_system(config.system.name).spec
         directory.mkdir(parents=True, exist_ok=True)
         self.journal = Journal.create(directory, Header.new(config, spec, software(spec)))
         self.ledger = Ledger(directory, self.journal)

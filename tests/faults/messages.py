@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 import pytest
 
-from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import Stopped
 from tests.fakes.inmemory import Faults, Log, Network, begin, hurry, run_of, serve, working
 
@@ -32,7 +32,7 @@ class Counting(Network):
 @click.option("--stop-at", type=int, help="Rollouts after which the orchestrator stops, to be resumed.")
 def main(*, campaign: Path, directory: Path, stop_at: int, **faults: float) -> None:
     """Run CAMPAIGN into DIRECTORY with one restart; print how many messages were lost or repeated."""
-    begin(directory, parse(campaign.read_bytes(), str(campaign)))
+    begin(directory, parse_campaign(campaign.read_bytes(), str(campaign)))
     wraps = [lambda uplink: uplink] * 3
     with pytest.MonkeyPatch.context() as patch:
         hurry(patch, tick=0.05)

@@ -15,7 +15,7 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.facts import Header
 from perfbound.schemas.ids import Attempt, RolloutId
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 from tests.campaigns import config
 from tests.end_to_end.processes import processes
 
@@ -25,7 +25,7 @@ ROLLOUT = RolloutId("maximum", 1, "true", 0)
 def test_a_result_that_comes_after_its_attempt_was_given_up_shows_as_recorded(tmp_path: Path) -> None:
     """The database said `worker lost` of the very attempt whose result was kept, and named nobody who simulated it."""
     campaign = config("test-function")
-    with closing(Journal.create(tmp_path, Header.new(campaign, load("test-function").spec, {}))) as journal:
+    with closing(Journal.create(tmp_path, Header.new(campaign, load_system("test-function").spec, {}))) as journal:
         with journal.transaction():
             journal.attempt_ended(Attempt(ROLLOUT, 1), "w", "worker lost for 3 s")
             journal.attempt_ended(Attempt(ROLLOUT, 1), "w", "no progress for 2 s")
@@ -87,7 +87,7 @@ def test_a_full_disk_is_not_taken_for_a_damaged_database(tmp_path: Path) -> None
     disk.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", disk], check=True)
     try:
-        header = Header.new(config("test-function"), load("test-function").spec, {})
+        header = Header.new(config("test-function"), load_system("test-function").spec, {})
         Journal.create(disk, header).close()
         with (disk / "ballast").open("wb") as file, suppress(OSError):
             file.write(bytes(2**21))

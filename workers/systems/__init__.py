@@ -16,7 +16,7 @@ def available() -> tuple[str, ...]:
 
 
 @cache
-def load(name: str) -> SystemUnderTest:
+def load_system(name: str) -> SystemUnderTest:
     """Return the system `name`; one process has one instance of each.
 
     Raises:

@@ -56,7 +56,7 @@ def check_files(directory: Path, entries: Mapping[RolloutId, Entry], progress: C
     faults: list[str] = []
     for number, entry in enumerate(entries.values(), start=1):
         try:
-            files.read(directory, entry.path, entry.sha256)
+            files.read_evidence(directory, entry.path, entry.sha256)
         except EvidenceError as error:
             faults.append(f"{entry.path}: {str(error).partition(': ')[2].partition(';')[0]}")
         progress(number)

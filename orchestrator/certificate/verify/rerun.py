@@ -12,7 +12,7 @@ from pathlib import Path
 from ....schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError
 from ....schemas.facts import Fact, Header, ObservationFact, RolloutFact
 from ....schemas.ids import RolloutId
-from ....schemas.trajectory import read
+from ....schemas.trajectory import read_mcap
 from ....schemas.values import Proposal
 from ...campaign.admission import admit
 from ...campaign.ledger import Ledger, Work
@@ -135,7 +135,7 @@ class Rerun:
 
     def _read(self, entry: Entry) -> bytes:
         try:
-            return files.read(self._directory, entry.path, entry.sha256)
+            return files.read_evidence(self._directory, entry.path, entry.sha256)
         except EvidenceError as error:
             raise CheckFailed("files", str(error)) from None
 
@@ -161,7 +161,7 @@ class Rerun:
             return None
         entry = self._entries[rollout]
         try:
-            found = read(self._read(entry)).request["x"]
+            found = read_mcap(self._read(entry)).request["x"]
             return tuple(float(value) for value in found)
         except (TrajectoryError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise CheckFailed("trajectories", f"{entry.path}: {error}") from None

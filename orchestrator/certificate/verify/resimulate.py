@@ -13,7 +13,7 @@ import numpy as np
 
 from ....schemas.base import canonical_json
 from ....schemas.ids import RolloutId
-from ....schemas.trajectory import Trajectory, read
+from ....schemas.trajectory import Trajectory, read_mcap
 from ...fleet.child import ask
 from ...store import files
 from .checks import CheckFailed
@@ -56,15 +56,15 @@ def resimulate(
 
 
 def _simulate_again(directory: Path, rollout: RolloutId, entry: Entry, folder: Path) -> Resimulation:
-    before = files.read(directory, entry.path, entry.sha256)
-    recorded = read(before)
+    before = files.read_evidence(directory, entry.path, entry.sha256)
+    recorded = read_mcap(before)
     out = folder / f"{rollout}.mcap"
     ask("simulate", "--request", canonical_json(recorded.request), "--out", str(out))
     after = out.read_bytes()
     out.unlink()
     if after == before:
         return Resimulation(rollout, bitwise=True, difference=0.0)
-    distance = _largest_difference(recorded.trajectory, read(after).trajectory)
+    distance = _largest_difference(recorded.trajectory, read_mcap(after).trajectory)
     if not distance <= TOLERANCE:
         raise CheckFailed("resimulation", f"{rollout}: simulated again it differs by up to {distance:.3g}")
     return Resimulation(rollout, bitwise=False, difference=distance)

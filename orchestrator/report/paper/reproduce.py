@@ -29,14 +29,16 @@ def reproduce_paper(extent: study.Extent, folder: Path, out: Path, *, workers: i
     documents = {**_tables(campaigns), **_figure_2(campaigns), **_figure_4(campaigns)}
     out.mkdir(parents=True, exist_ok=True)
     for name, content in documents.items():
-        atomic.write(out / name, content)
+        atomic.write_whole(out / name, content)
     console.print(Text(f"written into {out}: {', '.join(documents)}"), soft_wrap=True)
     yield "Table I\n\n" + documents["table1.md"].decode()
     yield "Claims about the true Segway\n\n" + documents["claims.md"].decode().rstrip("\n")
 
 
 def _tables(campaigns: Sequence[Planned]) -> dict[str, bytes]:
-    finished = [table.Finished(each.preset.name, session.certificate(each.directory).predicate) for each in campaigns]
+    finished = [
+        table.Finished(each.preset.name, session.finished_certificate(each.directory).predicate) for each in campaigns
+    ]
     rows, claims = table.rows(finished), table.claim_rows(finished)
     return {
         "table1.csv": table.table_csv(rows).encode(),

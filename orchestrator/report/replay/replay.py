@@ -51,10 +51,10 @@ def replay_rollout(
             yield from lines(deviation, {column.name: column.unit for column in found.header.spec.columns})
             fault = _fault(found, deviation)
         if mcap is not None:
-            atomic.write(mcap.absolute(), data)
+            atomic.write_whole(mcap.absolute(), data)
             yield f"file: {mcap}"
         if out is not None:
-            atomic.write(out.absolute(), _picture(found, again, path))
+            atomic.write_whole(out.absolute(), _picture(found, again, path))
             yield f"picture: {out}"
     if fault:
         raise PerfboundError(f"{found.fact.rollout}: {fault}")

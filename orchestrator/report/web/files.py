@@ -30,7 +30,7 @@ def recorded_file(directory: Path, path: str) -> bytes | None:
     fact = next((fact for fact in facts if fact.path == path), None)
     if fact is None or not _is_plain(directory, fact.path, fact.size):
         return None
-    return files.read(directory, fact.path, fact.sha256)
+    return files.read_evidence(directory, fact.path, fact.sha256)
 
 
 def certificate(directory: Path, name: str) -> bytes | None:

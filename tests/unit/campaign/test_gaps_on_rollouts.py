@@ -6,7 +6,7 @@ from perfbound.orchestrator.campaign.objectives import clipped_robustness, signa
 from perfbound.orchestrator.mathematics.stl.formula import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 
 STARTS = [(5.0, 0.0), (0.0, 5.0), (4.5, 4.5), (2.5, 2.5)]
 SPECIFICATION = "always (abs(phi) <= 0.95)"
@@ -18,7 +18,7 @@ WIDER = (
 
 @pytest.mark.parametrize("gains", ["paper", "aggressive"])
 def test_the_gaps_are_ordered_on_every_rollout(gains: str) -> None:
-    system = load("segway")
+    system = load_system("segway")
     formula, wider = parse_formula(SPECIFICATION), parse_formula(WIDER)
     for number, start in enumerate(STARTS):
         nominal, true = (

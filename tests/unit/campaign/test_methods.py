@@ -9,10 +9,10 @@ from perfbound.orchestrator.campaign import forecast
 from perfbound.orchestrator.campaign.plan import plan
 from perfbound.schemas.campaign import RigorousProblem, Scenarios
 from perfbound.schemas.campaign_check import check_against
-from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 from tests.campaigns import FOLDER, config
 
 RIGOROUS = (FOLDER / "segway-rigorous.toml").read_text()
@@ -31,7 +31,7 @@ CSV = b"x,y\n0.5,1.0\n1.5,-0.0\n"
 def fault(text: str, old: str, new: str, **files: Any) -> str:
     assert old in text
     with pytest.raises(CampaignError) as caught:
-        check_against(parse(text.replace(old, new).encode(), "c.toml", **files), SPEC, "c.toml")
+        check_against(parse_campaign(text.replace(old, new).encode(), "c.toml", **files), SPEC, "c.toml")
     line = str(caught.value)
     assert "\n" not in line
     assert line.startswith("c.toml: ")
@@ -107,7 +107,7 @@ def from_csv(content: bytes, name: str = "cells.csv") -> str:
 
 
 def test_scenarios_may_stand_in_a_csv_file() -> None:
-    found = parse(from_csv(CSV).encode(), "c.toml", lambda _: CSV)
+    found = parse_campaign(from_csv(CSV).encode(), "c.toml", lambda _: CSV)
     assert isinstance(found.space, Scenarios)
     assert found.space.scenarios == ((0.5, 1.0), (1.5, 0.0))
 
@@ -123,14 +123,14 @@ def test_scenarios_may_stand_in_a_csv_file() -> None:
 )
 def test_a_broken_csv_file_is_one_line(content: bytes, expected: str) -> None:
     with pytest.raises(CampaignError) as caught:
-        parse(from_csv(content).encode(), "c.toml", lambda _: content)
+        parse_campaign(from_csv(content).encode(), "c.toml", lambda _: content)
     assert str(caught.value).startswith(f"c.toml: {expected}")
 
 
 @pytest.mark.parametrize("name", ["../cells.csv", "/etc/passwd", ".hidden"])
 def test_a_csv_file_elsewhere_is_refused(name: str) -> None:
     with pytest.raises(CampaignError, match="stands beside the campaign file"):
-        parse(from_csv(CSV, name).encode(), "c.toml", lambda _: CSV)
+        parse_campaign(from_csv(CSV, name).encode(), "c.toml", lambda _: CSV)
 
 
 # The forecast
@@ -138,7 +138,7 @@ def test_a_csv_file_elsewhere_is_refused(name: str) -> None:
 
 def test_a_budget_that_cannot_reach_its_tolerance_is_said() -> None:
     chosen = config("segway-rigorous")
-    gap = plan(chosen, load(chosen.system.name).spec, chosen.problems[1])
+    gap = plan(chosen, load_system(chosen.system.name).spec, chosen.problems[1])
     sentence = forecast.out_of_reach(gap)
     assert sentence is not None
     assert "100 tests cannot be expected to reach alpha = 0.02" in sentence

@@ -5,9 +5,9 @@ import platform
 import pytest
 
 from perfbound.orchestrator.campaign.software import other_numerics, software
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 
-SPEC = load("test-function").spec
+SPEC = load_system("test-function").spec
 NOW = software(SPEC)
 
 

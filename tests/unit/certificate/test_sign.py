@@ -25,7 +25,7 @@ from perfbound.orchestrator.certificate.keys import key_id, load_private, load_p
 from perfbound.orchestrator.cli import signing
 from perfbound.orchestrator.cli.group import cli
 from perfbound.schemas.certificate import CampaignId, Certificate, Claim, Evidence, Predicate, Subject
-from perfbound.schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, Envelope, Signature
+from perfbound.schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from perfbound.schemas.errors import EvidenceError, PerfboundError, SignatureError
 from tests.campaigns import FOLDER
 
@@ -175,7 +175,7 @@ def test_another_type_is_refused_although_its_signature_holds() -> None:
 
 
 def test_of_several_signatures_one_has_to_be_by_the_key() -> None:
-    both = sign.sign(PAYLOAD, OTHER, Envelope.model_validate(json.loads(ENVELOPE)).signatures)
+    both = sign.sign(PAYLOAD, OTHER, DsseEnvelope.model_validate(json.loads(ENVELOPE)).signatures)
     assert sign.verify(both, KEY.public_key()) == sign.verify(both, OTHER.public_key()) == PAYLOAD
     with pytest.raises(SignatureError, match="no signature by key"):
         sign.verify(both, Ed25519PrivateKey.generate().public_key())

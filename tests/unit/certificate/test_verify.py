@@ -37,7 +37,7 @@ from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.facts import Fact, RolloutFact
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.trajectory import Trajectory, encode, read
+from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from tests.campaigns import table
 from tests.fakes.puppets import Stage
 
@@ -322,7 +322,7 @@ def test_a_flipped_bit_under_digests_that_were_made_again(campaign: Path) -> Non
 
 def altered(path: Path, **request: Any) -> None:
     """Write a file anew, with good checksums, for another request or with other numbers."""
-    file = read(path.read_bytes())
+    file = read_mcap(path.read_bytes())
     numbers = request.pop("numbers", lambda samples: samples)
     samples = numbers(file.trajectory.samples.copy())
     units = dict.fromkeys(file.trajectory.columns, "1")

@@ -12,11 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.fleet import dispatch
-from perfbound.orchestrator.fleet.dispatch import KNOWN, LEGAL, SIDE_EFFECTS, Limits, State, check, initial
+from perfbound.orchestrator.fleet.dispatch import (
+    KNOWN,
+    LEGAL,
+    SIDE_EFFECTS,
+    DispatchState,
+    Limits,
+    check_invariants,
+    fresh,
+)
 from perfbound.orchestrator.fleet.events import (
     Acknowledge,
     Action,
-    Cancel,
     Delivered,
     Event,
     Fail,
@@ -26,6 +33,7 @@ from perfbound.orchestrator.fleet.events import (
     Record,
     Reported,
     Resend,
+    Revoke,
     Start,
     Tick,
     Unwanted,
@@ -39,22 +47,22 @@ LIMITS = Limits(resend_after=1.5, lost_after=3.0, hung_after=10.0, deadline=60.0
 R = [RolloutId("p", test, "true", 0) for test in range(6)]
 
 
-def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
+def step(state: DispatchState, event: Event) -> tuple[DispatchState, tuple[Action, ...]]:
     """A turn of the service with one message."""
     before = state
-    state, actions = dispatch.step(state, event)
-    check(state)
+    state, actions = dispatch.advance(state, event)
+    check_invariants(state)
     keeps_the_table(before, event, state)
     before = state
-    state, starts = dispatch.step(state, HandOut(event.at))
-    check(state)
+    state, starts = dispatch.advance(state, HandOut(event.at))
+    check_invariants(state)
     assert all(isinstance(start, Start) and before.workers[start.worker].phase == "idle" for start in starts)
     return state, (*actions, *starts)
 
 
-def after(*events: Event, limits: Limits = LIMITS, hold_until: float = 0.0) -> tuple[State, list[Action]]:
+def after(*events: Event, limits: Limits = LIMITS, hold_until: float = 0.0) -> tuple[DispatchState, list[Action]]:
     """The state after some events, and the actions of the last one."""
-    state, actions = initial(limits, hold_until), tuple[Action, ...]()
+    state, actions = fresh(limits, hold_until), tuple[Action, ...]()
     for event in events:
         state, actions = step(state, event)
     return state, list(actions)
@@ -113,7 +121,7 @@ def test_the_printed_table_is_the_data() -> None:
     assert {key for key in TRANSITIONS if key[1] != "HandOut"} <= set(TABLE)
 
 
-def keeps_the_table(before: State, event: Event, state: State) -> None:
+def keeps_the_table(before: DispatchState, event: Event, state: DispatchState) -> None:
     """Assert that every worker went where the table allows."""
     for name in {*before.workers, *state.workers}:
         worker, now = before.workers.get(name), state.workers.get(name)
@@ -157,8 +165,8 @@ def test_every_cell_of_the_table(phase: str, name: str) -> None:
     for event, more in itertools.product(VARIANTS[name], waiting):
         state, _ = after(*BEFORE[phase], *more)
         assert (state.workers["w"].phase if "w" in state.workers else "unknown") == phase
-        now, actions = dispatch.step(state, event)
-        check(now)
+        now, actions = dispatch.advance(state, event)
+        check_invariants(now)
         keeps_the_table(state, event, now)
         reached.add(now.workers["w"].phase if "w" in now.workers else "unknown")
         if TABLE[phase, name] == "(ignored)":
@@ -191,7 +199,7 @@ def test_a_new_worker_gets_nothing_before_it_says_what_it_does() -> None:
     _, actions = after(want(R[0]), WorkerUp(0, "w"))
     assert actions == []
     _, actions = after(want(R[0]), WorkerUp(0, "w"), busy(R[5]))
-    assert actions == [Cancel("w", first(R[5]))]
+    assert actions == [Revoke("w", first(R[5]))]
     _, actions = after(want(R[0]), WorkerUp(0, "w"), idle())
     assert actions == [Start("w", first(R[0]))]
 
@@ -244,7 +252,7 @@ def test_a_valid_result_is_recorded_once_and_acknowledged_always() -> None:
 def test_the_first_valid_result_wins_and_the_other_worker_is_cancelled() -> None:
     history = [*up("a"), want(R[0]), busy(R[0], worker="a"), WorkerDown(1, "a"), Tick(4), *up("b", 4)]
     state, actions = after(*history, done(R[0], worker="a", at=5))
-    assert actions == [Record("a", first(R[0])), Acknowledge("a", first(R[0])), Cancel("b", first(R[0], 2))]
+    assert actions == [Record("a", first(R[0])), Acknowledge("a", first(R[0])), Revoke("b", first(R[0], 2))]
     assert state.workers["b"].phase == "shunned"
     assert step(state, idle("b", 6))[0].workers["b"].phase == "idle"
 
@@ -282,10 +290,10 @@ def test_a_hung_worker_is_shunned(at: float, reason: str) -> None:
     if at == 60.0:
         history += [busy(R[0], at=second, progress=second) for second in range(1, 60)]
     state, actions = after(*history, Tick(at))
-    assert actions == [Cancel("w", first(R[0])), Fail("w", first(R[0]), reason), GiveUp("w")]
+    assert actions == [Revoke("w", first(R[0])), Fail("w", first(R[0]), reason), GiveUp("w")]
     assert after(*history, Tick(at - 0.1))[1] == []
     # A heartbeat without progress is no sign of life, and a lost cancel is sent again.
-    assert step(state, busy(R[0], at=at, progress=99))[1] == (Cancel("w", first(R[0])),)
+    assert step(state, busy(R[0], at=at, progress=99))[1] == (Revoke("w", first(R[0])),)
     assert step(state, idle(at=at))[1] == (Start("w", first(R[0], 2)),)
 
 
@@ -299,7 +307,7 @@ def test_a_hung_worker_is_shunned(at: float, reason: str) -> None:
 )
 def test_a_worker_that_does_not_heed_a_cancel_is_given_up(history: list[Event]) -> None:
     state, actions = after(*history, busy(R[0], 9, at=9.9))
-    assert actions == [Cancel("w", first(R[0], 9))]
+    assert actions == [Revoke("w", first(R[0], 9))]
     assert GiveUp("w") not in step(state, Tick(9.9))[1]
     state, actions = after(*history, Tick(10))
     assert GiveUp("w") in actions
@@ -331,7 +339,7 @@ def test_a_short_silence_costs_nothing() -> None:
 def test_what_is_withdrawn_is_cancelled_and_forgotten() -> None:
     history: list[Event] = [*up(), want(R[0], R[1]), busy(R[0])]
     state, actions = after(*history, Unwanted(1, (R[0], R[1])))
-    assert actions == [Cancel("w", first(R[0]))]
+    assert actions == [Revoke("w", first(R[0]))]
     assert (state.open, state.waiting, state.workers["w"].phase) == ({}, (), "shunned")
     assert step(state, done(R[0]))[1] == (Acknowledge("w", first(R[0])),)
     back, _ = after(*history, WorkerDown(1, "w"), Unwanted(1, (R[0],)), WorkerUp(1, "w"))
@@ -351,7 +359,7 @@ def test_check_finds_a_broken_state() -> None:
         replace(good, workers={"w": free}, waiting=(R[0], R[1])),
     ):
         with pytest.raises(AssertionError):
-            check(broken)
+            check_invariants(broken)
 
 
 # A world
@@ -471,7 +479,7 @@ class World:
         attempts: dict[RolloutId, int] = {}
         for attempt in self.started:
             attempts[attempt.rollout] = max(attempts.get(attempt.rollout, 0), attempt.number)
-        self.state = initial(self.limits, self.now + 2.5 if self.generation > 1 else 0.0)
+        self.state = fresh(self.limits, self.now + 2.5 if self.generation > 1 else 0.0)
         self.tokens = {process.name for process in self.processes.values() if process.alive and process.linked}
         self.known: set[str] = set()
         missing = [each for each in self.rollouts if each not in self.recorded and each not in self.poison]
@@ -499,7 +507,7 @@ class World:
         for action in actions:
             self._act(action, before, event)
 
-    def _act(self, action: Action, before: State, event: Event) -> None:
+    def _act(self, action: Action, before: DispatchState, event: Event) -> None:
         match action:
             case Start(worker, attempt):
                 assert attempt not in self.started, "attempt numbers never repeat"
@@ -512,7 +520,7 @@ class World:
                 self._send(worker, self._assigned, attempt)
             case Resend(worker, attempt):
                 self._send(worker, self._assigned, attempt)
-            case Cancel(worker, attempt):
+            case Revoke(worker, attempt):
                 self._send(worker, self._cancel, attempt)
             case Acknowledge(worker, attempt):
                 self._send(worker, lambda process, acked: process.outbox.pop(acked, None), attempt)

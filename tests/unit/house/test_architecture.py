@@ -59,11 +59,11 @@ def an_event(luck: random.Random, at: float) -> events.Event:
 
 def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
     luck, at, seen = random.Random(0), 0.0, set()
-    state = dispatch.initial(dispatch.Limits(max_attempts=10**9))
+    state = dispatch.fresh(dispatch.Limits(max_attempts=10**9))
     for _ in range(STEPS):
         at += luck.choice([0.1, 0.5, 5.0])
         event = an_event(luck, at)
-        after, _ = dispatch.step(state, event)
+        after, _ = dispatch.advance(state, event)
         for name in WORKERS:
             one, other = (each.workers[name].phase if name in each.workers else "unknown" for each in (state, after))
             if one != other:

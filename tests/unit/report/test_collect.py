@@ -21,13 +21,13 @@ from perfbound.orchestrator.report.data import Problem, ReportData, Surface, to_
 from perfbound.orchestrator.report.workers import LiveState, WorkerStatistics
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
-from perfbound.orchestrator.store.changes import ChangeReader, Changes, Outcome
+from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes
 from perfbound.orchestrator.store.export_tables import unit
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import Header, ObservationFact, ProposalFact
 from perfbound.schemas.values import Band, Proposal
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 from tests.campaigns import config
 from tests.fakes.finished import a_list, a_pair, contents, finish, insert, play
 
@@ -314,7 +314,7 @@ def test_a_thinned_curve_keeps_ends_and_extremes(size: int, seed: int) -> None:
 
 
 def header(specification: str, name: str = "segway-paper") -> Header:
-    return Header.new(config(name, specification=specification), load("segway").spec, {})
+    return Header.new(config(name, specification=specification), load_system("segway").spec, {})
 
 
 @pytest.mark.parametrize(
@@ -490,8 +490,8 @@ def test_what_an_orchestrator_tells_is_laid_over(finished: Path) -> None:
 
 def test_a_long_campaign_has_few_points(one: Path) -> None:
     statistics, about = WorkerStatistics(), ChangeReader(one).look().header
-    outcomes = tuple(Outcome("w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
-    lost = Outcome("w", "hung", 5000.0, 0.0, 10.0)
+    outcomes = tuple(AttemptOutcome("w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
+    lost = AttemptOutcome("w", "hung", 5000.0, 0.0, 10.0)
     statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2))
     found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200

@@ -24,10 +24,10 @@ from perfbound.schemas.errors import EvidenceError, JournalError, PerfboundError
 from perfbound.schemas.facts import Header
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import Trajectory, decode, encode, read
+from perfbound.schemas.trajectory import Trajectory, decode, encode, read_mcap
 from perfbound.workers.look import look
-from perfbound.workers.simulate import run
-from perfbound.workers.systems import load
+from perfbound.workers.simulate import run_request
+from perfbound.workers.systems import load_system
 from tests import campaigns
 
 Spoil = Callable[[bytes], bytes]
@@ -36,14 +36,14 @@ TRUE = "sim_gap.0.true.0"
 
 
 def simulated(request: RolloutRequest) -> bytes:
-    return run(request, lambda _: None)
+    return run_request(request, lambda _: None)
 
 
 def a_run(directory: Path, name: str, payload: Callable[[RolloutRequest], bytes] = simulated, **changes: Any) -> Path:
     """Run a whole campaign in this process."""
     config = campaigns.config(name, max_tests=2, resolution=3, **changes)
     directory.mkdir()
-    journal = Journal.create(directory, Header.new(config, load(config.system.name).spec, {}))
+    journal = Journal.create(directory, Header.new(config, load_system(config.system.name).spec, {}))
     ledger = Ledger(directory, journal)
     with ledger.transaction():
         wanted = ledger.outstanding().wanted
@@ -95,7 +95,7 @@ def shifted(by: float) -> Spoil:
     """Return a change of phi from the tenth sample on."""
 
     def spoil(data: bytes) -> bytes:
-        file = read(data)
+        file = read_mcap(data)
         samples = file.trajectory.samples.copy()
         samples[10:, file.trajectory.columns.index("phi")] += by
         return rewritten(data, samples)
@@ -104,7 +104,7 @@ def shifted(by: float) -> Spoil:
 
 
 def rewritten(data: bytes, samples: Any) -> bytes:
-    file = read(data)
+    file = read_mcap(data)
     units = dict.fromkeys(file.trajectory.columns, "1")
     metadata = {key: value for key, value in file.metadata.items() if key != "columns"}
     return encode(Trajectory(file.trajectory.columns, samples), request=file.request, metadata=metadata, units=units)
@@ -171,7 +171,7 @@ def test_another_machine_may_round_differently(segway: Path, spoil: Any) -> None
 
 
 def test_a_shorter_trajectory_is_refused(segway: Path, spoil: Any) -> None:
-    spoil(lambda data: rewritten(data, read(data).trajectory.samples[:-1]))
+    spoil(lambda data: rewritten(data, read_mcap(data).trajectory.samples[:-1]))
     with pytest.raises(PerfboundError, match="there are 240 samples, not 241"):
         list(replay.replay_rollout(segway, NOMINAL))
 
@@ -281,7 +281,7 @@ def test_the_file_shows_a_person_everything(request: Any, directory: str, tmp_pa
     assert {"/" + topic.split("/")[1] for topic in topics} == {"/scene", "/solids", "/tf", "/state", "/log"}
     before = load_recorded(request.getfixturevalue(directory), TRUE).trajectory
     assert before is not None
-    assert read(data).trajectory.samples.tobytes() == before.samples.tobytes()
+    assert read_mcap(data).trajectory.samples.tobytes() == before.samples.tobytes()
 
 
 @pytest.mark.usefixtures("spoil")
@@ -316,7 +316,7 @@ def test_a_damaged_file_is_drawn_too(segway: Path, tmp_path: Path) -> None:
 
 
 def test_what_a_system_shows_is_json() -> None:
-    segway = load("segway")
+    segway = load_system("segway")
     request = {"system": "segway"}
     rollout = segway.rollout((0, 0), variant="nominal", seed=0, horizon=0.1, options={}, progress=lambda _: None)
     units = {column.name: column.unit for column in segway.spec.columns}

@@ -27,7 +27,7 @@ from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.facts import Header
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 from tests.fakes.finished import a_list, a_pair, contents, finish, insert, play
 
 HOSTILE = (
@@ -243,7 +243,7 @@ def test_a_nominal_curve_is_simulated_where_true_ones_are_alone(
         return Trajectory(("t", "value"), np.array([[0.0, 0.25], [0.1, 0.5]]))
 
     monkeypatch.setattr(nominal, "_simulated", simulated)
-    monkeypatch.setattr(nominal, "system_specs", lambda: {"test-function": load("test-function").spec})
+    monkeypatch.setattr(nominal, "system_specs", lambda: {"test-function": load_system("test-function").spec})
     scenes = nominal.with_nominal(tmp_path, story).scenes
     assert [scene.traces[1:] for scene in scenes] == [scene.traces for scene in story.scenes]
     assert {(scene.traces[0].label, scene.traces[0].values) for scene in scenes} == {(nominal.LABEL, (0.25, 0.5))}
@@ -254,7 +254,7 @@ def test_another_system_than_that_of_the_campaign_is_not_simulated(
     tmp_path: Path, no_disk: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
-    story, spec = write.collected(tmp_path), load("test-function").spec
+    story, spec = write.collected(tmp_path), load_system("test-function").spec
     newer = SystemSpec.model_validate({**spec.model_dump(), "doc": "newer"})
     monkeypatch.setattr(nominal, "system_specs", lambda: {spec.name: newer})
     scene = nominal.with_nominal(tmp_path, story).scenes[0]

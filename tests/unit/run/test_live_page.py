@@ -15,7 +15,7 @@ from perfbound.orchestrator.run import live_page as live
 from perfbound.orchestrator.run.address import Address, bind
 from perfbound.orchestrator.run.live_page import LivePage, live_page, message
 from perfbound.orchestrator.run.service import RunStatus
-from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError
 from tests.campaigns import FOLDER, config
 from tests.fakes.inmemory import Log, campaign
@@ -73,7 +73,7 @@ def test_a_host_that_is_not_here(host: str) -> None:
 def looks(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     """What the page of a short campaign was told, look by look."""
     found: list[bytes] = []
-    chosen = parse((FOLDER / "test-function.toml").read_bytes(), "test", resolution=5, max_tests=5)
+    chosen = parse_campaign((FOLDER / "test-function.toml").read_bytes(), "test", resolution=5, max_tests=5)
     campaign(tmp_path_factory.mktemp("feed") / "run", chosen, log=_Told(found))
     return found
 

@@ -147,9 +147,9 @@ def test_a_replay_of_a_long_campaign_ends_where_it_was(tmp_path: Path) -> None:
 # The dispatch core
 
 
-def crowd(workers: int, rollouts: int) -> dispatch.State:
+def crowd(workers: int, rollouts: int) -> dispatch.DispatchState:
     """Return so many idle workers, and rollouts that wait."""
-    state = dispatch.initial(Limits())
+    state = dispatch.fresh(Limits())
     wanted = tuple((RolloutId("p", number, "true", 0), 0) for number in range(rollouts))
     arrivals: list[events.Event] = [
         *(WorkerUp(0.0, f"w{number}") for number in range(workers)),
@@ -157,14 +157,14 @@ def crowd(workers: int, rollouts: int) -> dispatch.State:
         Wanted(0.0, wanted),
     ]
     for event in arrivals:
-        state, _ = dispatch.step(state, event)
+        state, _ = dispatch.advance(state, event)
     return state
 
 
 @pytest.mark.parametrize(("workers", "rollouts"), [(3, 5), (5, 3), (4, 4), (0, 2), (2, 0)])
 def test_all_idle_workers_get_the_oldest_rollouts_at_once(workers: int, rollouts: int) -> None:
-    state, actions = dispatch.step(crowd(workers, rollouts), HandOut(1.0))
-    dispatch.check(state)
+    state, actions = dispatch.advance(crowd(workers, rollouts), HandOut(1.0))
+    dispatch.check_invariants(state)
     starts = [(each.worker, each.attempt.rollout.test) for each in actions if isinstance(each, Start)]
     assert starts == [(f"w{number}", number) for number in range(min(workers, rollouts))]
     assert [each.test for each in state.waiting] == list(range(len(starts), rollouts))
@@ -172,6 +172,6 @@ def test_all_idle_workers_get_the_oldest_rollouts_at_once(workers: int, rollouts
 
 def test_a_heartbeat_of_an_idle_worker_changes_nothing() -> None:
     state = crowd(1000, 0)
-    after, actions = dispatch.step(state, Reported(1.0, "w500", None, 0))
+    after, actions = dispatch.advance(state, Reported(1.0, "w500", None, 0))
     assert after is state
     assert actions == ()

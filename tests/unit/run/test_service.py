@@ -23,16 +23,16 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas import __version__
 from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped
 from perfbound.schemas.messages import MAX_RESULT, PROTOCOL, Assign, Request, ResultHeader, WorkerState
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.schemas.trajectory import Trajectory, encode, read
+from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers import worker as module
-from perfbound.workers.simulate import run
-from perfbound.workers.systems import load
+from perfbound.workers.simulate import run_request
+from perfbound.workers.systems import load_system
 from perfbound.workers.transport import Receiver
-from perfbound.workers.worker import Worker
+from perfbound.workers.worker import WorkerProcess
 from tests.fakes.inmemory import (
     Faults,
     InMemoryUplink,
@@ -53,7 +53,7 @@ ATTEMPTS = 3
 
 def a_config(**changes: Any) -> CampaignConfig:
     base = {"resolution": 11, "max_tests": 12, "replicates": 3, "max_attempts": ATTEMPTS}
-    return parse(PRESET.read_bytes(), "test", **{**base, **changes})
+    return parse_campaign(PRESET.read_bytes(), "test", **{**base, **changes})
 
 
 LOSSY = a_config(max_attempts=1000)
@@ -94,7 +94,7 @@ def check_evidence(directory: Path, rollouts: int = 36) -> None:
     assert len(lines) == len(set(lines)) == rollouts
     for line in lines:
         sha256, path = line.split("  ")
-        evidence.read(directory, path, sha256)
+        evidence.read_evidence(directory, path, sha256)
     assert sorted(path.name for path in directory.rglob("*.mcap")) == sorted(Path(line).name for line in lines)
 
 
@@ -318,7 +318,7 @@ def rewritten(
     **request: Any,
 ) -> bytes:
     """The file of a worker that changes columns, metadata or request, with true checksums."""
-    file = read(payload)
+    file = read_mcap(payload)
     trajectory = Trajectory(columns, np.array([[time, *[0.5] * (len(columns) - 1)]]))
     changed = {**file.request, **request}
     record = {name: text for name, text in file.metadata.items() if name != "columns"} | (metadata or {})
@@ -423,7 +423,7 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
 ) -> None:
     directory, config = tmp_path / "run", SMALL
     begin(directory, config)
-    monkeypatch.setattr(module, "run", failing(fault))
+    monkeypatch.setattr(module, "run_request", failing(fault))
     with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]):
         with pytest.raises(PerfboundError) as end:
             serve(directory, network, Log())
@@ -432,7 +432,7 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
         assert "then resume" in str(end.value)
         assert not (directory / files.CERTIFICATE).exists()
         assert outcomes(directory).count("recorded") == 0
-        monkeypatch.setattr(module, "run", run)
+        monkeypatch.setattr(module, "run_request", run_request)
         assert serve(directory, network, Log(), resumed=True) == calm(config)
     check_evidence(directory, 8)
 
@@ -493,7 +493,7 @@ class Puppets:
             worker=worker,
             host="h",
             pid=1,
-            systems={"test-function": load("test-function").spec.digest},
+            systems={"test-function": load_system("test-function").spec.digest},
             state="busy" if assign else "idle",
             rollout=assign.request.rollout if assign else None,
             attempt=assign.attempt if assign else None,
@@ -502,7 +502,7 @@ class Puppets:
         self._sink(Heartbeat(self._clock.monotonic(), worker, state))
 
     def finish(self, worker: str, assign: Assign) -> None:
-        payload = run(assign.request, lambda _: None)
+        payload = run_request(assign.request, lambda _: None)
         header = ResultHeader(rollout=assign.request.rollout, attempt=assign.attempt, worker=worker, outcome="done")
         self._sink(Result(self._clock.monotonic(), worker, *with_digest(header, payload)))
 
@@ -570,14 +570,14 @@ def an_assign(test: int, attempt: int = 1) -> Assign:
         replicate=0,
         seed=0,
         system="test-function",
-        spec_sha256=load("test-function").spec.digest,
+        spec_sha256=load_system("test-function").spec.digest,
         x=(0.0, 0.0),
         horizon=0.0,
     )
     return Assign(attempt=attempt, request=request)
 
 
-def served(worker: Worker, uplink: Deaf, results: int) -> None:
+def served(worker: WorkerProcess, uplink: Deaf, results: int) -> None:
     """Let the worker work until it has delivered so much."""
     worker.serve(lambda _: len(uplink.results) >= results)
 
@@ -585,7 +585,7 @@ def served(worker: Worker, uplink: Deaf, results: int) -> None:
 def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the clock of progress of the next one stands still until it has caught up, and the worker seems to hang."""
     uplink = Deaf()
-    worker = Worker("w", uplink)
+    worker = WorkerProcess("w", uplink)
 
     def work(request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
         progress(900 if request.test == 0 else 1)
@@ -596,7 +596,7 @@ def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch
                 time.sleep(0.005)
         return b"done"
 
-    monkeypatch.setattr(module, "run", work)
+    monkeypatch.setattr(module, "run_request", work)
     worker.receive(an_assign(0))
     served(worker, uplink, 2)
     told = {state.progress for state in uplink.states if state.rollout == "maximum.1.true.0"}
@@ -606,7 +606,7 @@ def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch
 
 def test_an_assignment_is_taken_once_and_never_an_older_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
     uplink, ran = Deaf(), []
-    worker = Worker("w", uplink)
+    worker = WorkerProcess("w", uplink)
 
     def work(request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
         ran.append(request.test)
@@ -616,7 +616,7 @@ def test_an_assignment_is_taken_once_and_never_an_older_attempt(monkeypatch: pyt
             worker.receive(an_assign(1))
         return b"done"
 
-    monkeypatch.setattr(module, "run", work)
+    monkeypatch.setattr(module, "run_request", work)
     worker.receive(an_assign(0, 2))
     served(worker, uplink, 2)
     assert [(header.rollout, header.attempt) for header in uplink.results] == [

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from perfbound.schemas.campaign import SENSES, CampaignConfig, PaperProblem
 from perfbound.schemas.campaign_check import check_against
-from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
 from tests.campaigns import FOLDER, config, table
@@ -18,7 +18,7 @@ PAPER = (FOLDER / "segway-paper.toml").read_text()
 
 def fault_of(text: str, **overrides: Any) -> str:
     with pytest.raises(CampaignError) as caught:
-        parse(text.encode(), "c.toml", **overrides)
+        parse_campaign(text.encode(), "c.toml", **overrides)
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith("c.toml: ")
@@ -35,12 +35,12 @@ def changed(old: str, new: str) -> str:
 
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.toml")), ids=lambda file: file.stem)
 def test_the_shipped_files_are_campaigns_of_their_own_name(file: Path) -> None:
-    assert parse(file.read_bytes(), str(file)).name == file.stem
+    assert parse_campaign(file.read_bytes(), str(file)).name == file.stem
 
 
 def test_what_a_file_leaves_out_has_a_default() -> None:
     lines = [line for line in PAPER.splitlines() if not line.startswith(("resolution", "max_tests", "visual", "risk_"))]
-    found = parse("\n".join(lines).encode(), "c.toml")
+    found = parse_campaign("\n".join(lines).encode(), "c.toml")
     assert (found.window, found.replicates, found.resolution, found.max_tests) == (1, 1, 21, 2000)
     assert (found.risk_weight, found.visual, found.max_attempts) == (0.2, "all", 5)
     assert (found.hung_after, found.deadline) == (10.0, 600.0)
@@ -71,15 +71,15 @@ def test_a_problem_overrides_what_the_campaign_says() -> None:
 
 
 def test_an_override_of_the_command_line_replaces_a_key_and_is_checked() -> None:
-    assert parse(PAPER.encode(), "c.toml", seed=7).seed == 7
+    assert parse_campaign(PAPER.encode(), "c.toml", seed=7).seed == 7
     assert fault_of(PAPER, seed=-1).startswith("seed: -1 is not allowed: allowed is a whole number >= 0")
     assert fault_of("", seed=7).startswith("the file is empty")
 
 
 def test_the_digest_tells_content_from_layout() -> None:
-    one = parse(PAPER.encode(), "one.toml")
-    assert one.digest == parse(("# another comment\n" + PAPER).encode(), "two.toml").digest
-    assert one.digest != parse(PAPER.encode(), "one.toml", seed=2).digest
+    one = parse_campaign(PAPER.encode(), "one.toml")
+    assert one.digest == parse_campaign(("# another comment\n" + PAPER).encode(), "two.toml").digest
+    assert one.digest != parse_campaign(PAPER.encode(), "one.toml", seed=2).digest
 
 
 # What is wrong with a file
@@ -162,12 +162,12 @@ SPEC = SystemSpec(
 
 def refused(text: str) -> str:
     with pytest.raises(CampaignError) as caught:
-        check_against(parse(text.encode(), "c.toml"), SPEC, "c.toml")
+        check_against(parse_campaign(text.encode(), "c.toml"), SPEC, "c.toml")
     return str(caught.value)
 
 
 def test_a_file_that_suits_its_system() -> None:
-    check_against(parse(PAPER.encode(), "c.toml"), SPEC, "c.toml")
+    check_against(parse_campaign(PAPER.encode(), "c.toml"), SPEC, "c.toml")
 
 
 def test_an_option_without_limits_takes_any_number_and_no_text() -> None:
@@ -175,7 +175,7 @@ def test_an_option_without_limits_takes_any_number_and_no_text() -> None:
     assert refused(changed("noise_variance = 0.05", 'mass = "heavy"')).endswith(
         "'heavy' is not allowed: allowed is a number"
     )
-    check_against(parse(changed("noise_variance = 0.05", "mass = -1e9").encode(), "c.toml"), SPEC, "c.toml")
+    check_against(parse_campaign(changed("noise_variance = 0.05", "mass = -1e9").encode(), "c.toml"), SPEC, "c.toml")
 
 
 def test_a_column_is_named_where_it_stands() -> None:
@@ -263,4 +263,4 @@ def test_a_campaign_survives_the_way_through_json(values: dict[str, Any]) -> Non
 @given(st.binary() | st.text().map(str.encode))
 def test_any_bytes_are_a_campaign_or_one_fault(data: bytes) -> None:
     with pytest.raises(CampaignError, match=r"^c\.toml: "):
-        parse(data, "c.toml")
+        parse_campaign(data, "c.toml")

@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 
 from perfbound.schemas.__main__ import FOLDER, REFERENCE, texts
-from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.reference import page
 
 CAMPAIGNS = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.toml"))
@@ -24,7 +24,7 @@ def test_reference_page_is_current() -> None:
 
 @pytest.mark.parametrize("path", CAMPAIGNS, ids=lambda path: path.stem)
 def test_every_campaign_file_is_valid(path: Path) -> None:
-    assert parse(path.read_bytes(), path.name).name == path.stem
+    assert parse_campaign(path.read_bytes(), path.name).name == path.stem
     schema = json.loads((FOLDER / "campaign.json").read_text())
     jsonschema.validate(tomllib.loads(path.read_text()), schema)
 

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from perfbound.schemas.rollout import RolloutRequest
-from perfbound.workers.simulate import run_on
+from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems.segway import SegwaySystem
 
 LAYOUT = json.loads((Path(__file__).parents[3] / "deploy" / "foxglove" / "segway.json").read_text())
@@ -39,7 +39,7 @@ def topics() -> Messages:
         horizon=0.1,
         visual=True,
     )
-    file = io.BytesIO(run_on(segway, request, lambda _: None))
+    file = io.BytesIO(run_request_on(segway, request, lambda _: None))
     reader = make_reader(file, decoder_factories=[DecoderFactory()])
     found: Messages = {}
     for _, channel, _, message in reader.iter_decoded_messages():

@@ -37,7 +37,7 @@ from perfbound.schemas.facts import (
 from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.values import Bound, Observation, Proposal
-from perfbound.workers.systems import load
+from perfbound.workers.systems import load_system
 from tests.campaigns import cheap, config, table
 from tests.fakes.puppets import Stage
 
@@ -164,7 +164,7 @@ def test_counterexamples_are_the_rollouts_below_zero(tmp_path: Path) -> None:
     assert [number(row["robustness (rad)"]) for row in found["rollouts"]] == list(values)
 
 
-SEGWAY = load("segway").spec
+SEGWAY = load_system("segway").spec
 
 
 def journal_of(directory: Path, settings: CampaignConfig, spec: SystemSpec = SEGWAY) -> Journal:
@@ -203,7 +203,7 @@ ITSELF = {"observation": -0.7, "mu": -0.6, "lower": -0.9, "upper": -0.5}
 def test_signs(tmp_path: Path, preset: str, problem: str, expected: dict[str, float], each: list[float]) -> None:
     """`each` holds J, which is turned; but for a risk it holds robustness, which stays."""
     settings = config(preset)
-    journal = journal_of(tmp_path, settings, load(settings.system.name).spec)
+    journal = journal_of(tmp_path, settings, load_system(settings.system.name).spec)
     add(
         journal,
         ProposalFact(problem, 0, Proposal(7, (1.0, 2.0), J["mu"], 0.1, 2.0, 0.2)),

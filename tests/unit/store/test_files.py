@@ -13,7 +13,7 @@ from perfbound.orchestrator.store import files
 from perfbound.schemas import atomic
 from perfbound.schemas.errors import EvidenceError, TrajectoryError
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.trajectory import Trajectory, encode, read
+from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 
 DATA = b"evidence" * 1000
 NAME = "trajectories/p/0/p.0.true.0.mcap"
@@ -32,9 +32,9 @@ def test_a_thousand_tests_a_folder() -> None:
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    atomic.write(tmp_path / NAME, b"before")
-    atomic.write(tmp_path / NAME, DATA)
-    assert files.read(tmp_path, NAME, sha256(DATA)) == DATA
+    atomic.write_whole(tmp_path / NAME, b"before")
+    atomic.write_whole(tmp_path / NAME, DATA)
+    assert files.read_evidence(tmp_path, NAME, sha256(DATA)) == DATA
     assert names(tmp_path) == [NAME]
 
 
@@ -47,7 +47,7 @@ def test_every_new_folder_is_made_durable(tmp_path: Path, monkeypatch: pytest.Mo
         real(descriptor)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    atomic.write(tmp_path / NAME, DATA)
+    atomic.write_whole(tmp_path / NAME, DATA)
     folder = (tmp_path / NAME).parent
     assert synced == [
         str(tmp_path),
@@ -91,28 +91,28 @@ def test_a_full_disk_leaves_nothing_half_written(
         path.write_bytes(before)
     monkeypatch.setattr(owner, name, disk_full)
     with pytest.raises(OSError, match="No space left"):
-        atomic.write(path, DATA)
+        atomic.write_whole(path, DATA)
     assert names(tmp_path) == ([] if before is None else ["file.mcap"])
     assert before is None or path.read_bytes() == before
 
 
 @pytest.mark.parametrize("change", [lambda data: data[:-1], lambda data: data + b"\0", lambda data: b"E" + data[1:]])
 def test_changed_bytes_are_refused(tmp_path: Path, change: Any) -> None:
-    atomic.write(tmp_path / NAME, DATA)
+    atomic.write_whole(tmp_path / NAME, DATA)
     (tmp_path / NAME).write_bytes(change(DATA))
     with pytest.raises(EvidenceError, match=r"is not the recorded .* restore it from a copy"):
-        files.read(tmp_path, NAME, sha256(DATA))
+        files.read_evidence(tmp_path, NAME, sha256(DATA))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(EvidenceError, match=r"p\.0\.true\.0\.mcap: No such file"):
-        files.read(tmp_path, NAME, sha256(DATA))
+        files.read_evidence(tmp_path, NAME, sha256(DATA))
 
 
 def test_a_crash_is_swept_away(tmp_path: Path) -> None:
-    atomic.write(tmp_path / NAME, DATA)
+    atomic.write_whole(tmp_path / NAME, DATA)
     (tmp_path / (NAME + atomic.TEMPORARY)).write_bytes(b"half")
-    atomic.write(tmp_path / "trajectories/p/0/unknown.mcap", DATA)
+    atomic.write_whole(tmp_path / "trajectories/p/0/unknown.mcap", DATA)
     files.sweep(tmp_path, {NAME})
     assert names(tmp_path) == [NAME]
 
@@ -126,7 +126,7 @@ def a_file(request: dict[str, Any]) -> bytes:
 
 
 def test_a_file_names_its_request() -> None:
-    file = read(a_file({"seed": 7, "x": [0.1, -0.0]}))
+    file = read_mcap(a_file({"seed": 7, "x": [0.1, -0.0]}))
     assert file.request == {"seed": 7, "x": [0.1, -0.0]}
     assert file.metadata == {"seed": "7", "columns": '["t", "x"]'}
     assert file.trajectory.samples.tolist() == [[0.0, 1.0]]
@@ -142,4 +142,4 @@ def test_a_request_that_is_no_object_is_refused(text: bytes, monkeypatch: pytest
 
     monkeypatch.setattr(module, "canonical_json", lambda _: Text())
     with pytest.raises(TrajectoryError):
-        read(a_file({}))
+        read_mcap(a_file({}))

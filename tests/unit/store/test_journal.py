@@ -23,15 +23,15 @@ from perfbound.orchestrator.store.lock import campaign_lock, is_held
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE, SCHEMA_VERSION
 from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.campaign_file import parse
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import decode
 from perfbound.schemas.values import Bound, Observation, Proposal
-from perfbound.workers.simulate import run
-from perfbound.workers.systems import load
+from perfbound.workers.simulate import run_request
+from perfbound.workers.systems import load_system
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 R0 = RolloutId("maximum", 0, "true", 0)
@@ -46,11 +46,11 @@ FACTS: list[Fact] = [
 
 def a_config(**changes: Any) -> CampaignConfig:
     settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **changes}
-    return parse(PRESET.read_bytes(), "test", **settings)
+    return parse_campaign(PRESET.read_bytes(), "test", **settings)
 
 
 def a_header() -> Header:
-    spec = load("test-function").spec
+    spec = load_system("test-function").spec
     return Header.new(a_config(), spec, software(spec))
 
 
@@ -242,7 +242,7 @@ def test_a_directory_without_campaign_is_named(tmp_path: Path) -> None:
 
 
 def simulated(request: RolloutRequest) -> bytes:
-    return run(request, lambda _: None)
+    return run_request(request, lambda _: None)
 
 
 @pytest.fixture

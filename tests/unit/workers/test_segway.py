@@ -16,7 +16,7 @@ from perfbound.schemas.system import OptionValue
 from perfbound.schemas.trajectory import Floats, Trajectory, decode, encode
 from perfbound.workers.systems.base import Cancelled
 from perfbound.workers.systems.segway import SegwaySystem, bullet, controller
-from perfbound.workers.systems.segway.bullet import Start, World
+from perfbound.workers.systems.segway.bullet import StartPose, World
 from perfbound.workers.systems.segway.controller import GAINS, GOAL, State, voltages
 
 SYSTEM = SegwaySystem()
@@ -29,7 +29,7 @@ def rollout(
     return SYSTEM.rollout(x, variant=variant, seed=seed, horizon=horizon, options=options, progress=lambda _: None)
 
 
-def from_start(start: Start, *, seconds: float = 15.0, gains: str = "paper") -> Floats:
+def from_start(start: StartPose, *, seconds: float = 15.0, gains: str = "paper") -> Floats:
     return WORLD.rollout(start, round(120 * seconds), GAINS[gains], lambda _: None)
 
 
@@ -86,7 +86,7 @@ def test_the_columns_are_those_of_the_axle(corner: Trajectory) -> None:
 
 
 def test_a_tilted_start_turns_about_the_axle() -> None:
-    samples = from_start(Start(1.0, 2.0, 0.3, -0.4), seconds=0)
+    samples = from_start(StartPose(1.0, 2.0, 0.3, -0.4), seconds=0)
     assert samples[0, 1:8] == pytest.approx([1.0, 2.0, 0.3, 0, 0, -0.4, 0], abs=1e-12)
 
 
@@ -185,15 +185,15 @@ def test_trap_1_a_start_that_is_not_finite_never_reaches_the_engine(
     with pytest.raises(SimulationError, match="y = "):
         rollout(1.0, bad)
     with pytest.raises(SimulationError, match="not finite"):
-        WORLD.rollout(Start(1.0, 2.0, phi=bad), 1, GAINS["paper"], lambda _: None)
+        WORLD.rollout(StartPose(1.0, 2.0, phi=bad), 1, GAINS["paper"], lambda _: None)
 
 
 def test_trap_1_a_poisoned_client_is_rebuilt(free: World, corner: Trajectory) -> None:
-    free._build(Start(math.nan, 0.0))
+    free._build(StartPose(math.nan, 0.0))
     for _ in range(10):
         free._bullet.stepSimulation(free._client)
     assert math.isnan(free._state()[0])
-    assert free.rollout(Start(5.0, 0.0), 1800, GAINS["paper"], lambda _: None).tobytes() == corner.samples.tobytes()
+    assert free.rollout(StartPose(5.0, 0.0), 1800, GAINS["paper"], lambda _: None).tobytes() == corner.samples.tobytes()
 
 
 @pytest.mark.parametrize(("place", "value"), [(controller.PHI, math.nan), (0, math.inf), (0, 1e200)])
@@ -223,7 +223,7 @@ def test_trap_2_a_nan_inside_the_engine_is_no_score(monkeypatch: pytest.MonkeyPa
 
 
 def test_trap_3_every_setting_arrived(free: World) -> None:
-    free._build(Start(1.0, 1.0))
+    free._build(StartPose(1.0, 1.0))
     info = [free._bullet.getDynamicsInfo(free._segway, link, free._client) for link in (-1, 0, 1)]
     assert [link[0] for link in info] == [44.798, 2.485, 2.485]
     assert [link[1] for link in info] == [0.5, 0.9, 0.9]  # the body keeps the engine's default and touches nothing
@@ -233,7 +233,7 @@ def test_trap_3_every_setting_arrived(free: World) -> None:
 
 
 def test_trap_3_nothing_damps_a_free_flight(free: World) -> None:
-    free._build(Start(1.0, 1.0))
+    free._build(StartPose(1.0, 1.0))
     position = free._bullet.getBasePositionAndOrientation(free._segway, free._client)[0]
     free._bullet.resetBasePositionAndOrientation(free._segway, (*position[:2], 50.0), (0, 0, 0, 1), free._client)
     free._bullet.resetBaseVelocity(free._segway, (1.0, 0, 0), (0, 0, 0.5), free._client)
@@ -250,11 +250,11 @@ def test_trap_3_a_setting_that_did_not_arrive_is_an_error(free: World, monkeypat
 
     monkeypatch.setattr(free, "_bullet", Deaf())
     with pytest.raises(SimulationError, match="friction"):
-        free.rollout(Start(1.0, 1.0), 1, GAINS["paper"], lambda _: None)
+        free.rollout(StartPose(1.0, 1.0), 1, GAINS["paper"], lambda _: None)
 
 
 def test_trap_4_a_fallen_segway_stays_where_it_fell() -> None:
-    samples = from_start(Start(5.0, 0.0, phi=0.99, heading=0.3), gains="aggressive")
+    samples = from_start(StartPose(5.0, 0.0, phi=0.99, heading=0.3), gains="aggressive")
     fallen = int(np.argmax(np.abs(samples[:, PHI]) > 1.0))
     assert 0 < fallen < 200
     assert rho(samples) == -0.05
@@ -265,20 +265,20 @@ def test_trap_4_a_fallen_segway_stays_where_it_fell() -> None:
 
 @pytest.mark.parametrize("phi", [-0.95, -0.8, 0.8, 0.95])
 def test_trap_4_a_tilted_start_recovers(phi: float) -> None:
-    samples = from_start(Start(2.0, 1.0, phi=phi), seconds=4)
+    samples = from_start(StartPose(2.0, 1.0, phi=phi), seconds=4)
     assert rho(samples) == pytest.approx(0.95 - abs(phi), abs=1e-9)
     assert abs(samples[-1, PHI]) < 0.2
 
 
 @pytest.mark.parametrize("phi", [-3.0, -1.1, 1.1])
 def test_trap_4_a_start_on_the_ground_has_fallen(phi: float) -> None:
-    samples = from_start(Start(2.0, 1.0, phi=phi), seconds=1)
+    samples = from_start(StartPose(2.0, 1.0, phi=phi), seconds=1)
     assert rho(samples) == -0.05
     assert (samples[:, 1:] == samples[0, 1:]).all()
 
 
 def test_trap_5_too_little_friction_falls(monkeypatch: pytest.MonkeyPatch) -> None:
-    start = Start(5.0, 0.0, heading=0.2, phi=0.8)
+    start = StartPose(5.0, 0.0, heading=0.2, phi=0.8)
     assert rho(from_start(start, seconds=5)) == pytest.approx(0.15)
     monkeypatch.setattr(bullet, "WHEEL_FRICTION", 0.3)
     assert rho(from_start(start, seconds=5)) == -0.05
@@ -286,7 +286,7 @@ def test_trap_5_too_little_friction_falls(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_trap_6_a_second_client_does_not_disturb(free: World, corner: Trajectory) -> None:
     """Rendering happens in a client of its own, with bodies of its own, also between two steps."""
-    free._build(Start(5.0, 0.0))
+    free._build(StartPose(5.0, 0.0))
 
     def render(step: int) -> None:
         shape = free._bullet.createCollisionShape(free._bullet.GEOM_SPHERE, 0.1, physicsClientId=free._client)
@@ -298,13 +298,13 @@ def test_trap_6_a_second_client_does_not_disturb(free: World, corner: Trajectory
 
 
 def test_trap_7_a_goal_exactly_behind() -> None:
-    scores = [rho(from_start(Start(4.5, 2.5 + offset))) for offset in (-1e-9, 0.0, 1e-9)]
+    scores = [rho(from_start(StartPose(4.5, 2.5 + offset))) for offset in (-1e-9, 0.0, 1e-9)]
     assert scores == pytest.approx([scores[1]] * 3, abs=5e-4)
 
 
 def test_trap_8_equal_in_one_process_whatever_ran_before(corner: Trajectory) -> None:
     rollout(3.0, 4.0, variant="true", seed=9, horizon=2)
-    from_start(Start(1.0, 1.0, phi=1.2), seconds=0.1)
+    from_start(StartPose(1.0, 1.0, phi=1.2), seconds=0.1)
     assert digest(rollout(5.0, 0.0)) == digest(corner)
     assert rollout(5.0, 0.0).samples == pytest.approx(corner.samples, abs=0)
 
@@ -329,7 +329,7 @@ def test_trap_9_the_mirror_image_scores_the_same(x: tuple[float, float], gains: 
 
 def test_trap_9_the_place_in_the_world_does_not_matter(corner: Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(controller, "GOAL", (GOAL[0] + 3.3, GOAL[1] - 1.7))
-    moved = from_start(Start(8.3, -1.7))
+    moved = from_start(StartPose(8.3, -1.7))
     assert rho(moved) == pytest.approx(rho(corner.samples), abs=1e-12)
     moved[:, 1:3] -= (3.3, -1.7)
     assert moved[:, 1:8] == pytest.approx(corner.samples[:, 1:8], abs=5e-12)
@@ -352,7 +352,7 @@ def test_the_visual_follows_the_trajectory() -> None:
 
 
 def test_the_log_says_that_it_fell() -> None:
-    fallen = Trajectory(rollout(1.0, 1.0, horizon=0).columns, from_start(Start(1.0, 1.0, phi=1.2), seconds=1))
+    fallen = Trajectory(rollout(1.0, 1.0, horizon=0).columns, from_start(StartPose(1.0, 1.0, phi=1.2), seconds=1))
     assert [text for _, text in SYSTEM.visual(fallen).log][-1].startswith("fallen")
     assert len(SYSTEM.visual(rollout(1.0, 1.0, horizon=1)).log) == 2
 

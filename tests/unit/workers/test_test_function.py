@@ -85,23 +85,23 @@ def test_a_horizon_outside_the_spec_is_refused(horizon: float) -> None:
 
 def test_the_registry_names_what_is_there() -> None:
     assert {"segway", "test-function"} <= set(systems.available())
-    assert isinstance(systems.load("test-function"), TestFunctionSystem)
-    assert systems.load("test-function") is systems.load("test-function")
+    assert isinstance(systems.load_system("test-function"), TestFunctionSystem)
+    assert systems.load_system("test-function") is systems.load_system("test-function")
     with pytest.raises(UnknownSystemError, match=r"'unicycle'.*segway, test-function"):
-        systems.load("unicycle")
+        systems.load_system("unicycle")
 
 
 def test_a_request_becomes_a_file() -> None:
     request = a_request()
-    data = simulate.run(request, lambda _: None)
-    assert data == simulate.run(request, lambda _: None)
+    data = simulate.run_request(request, lambda _: None)
+    assert data == simulate.run_request(request, lambda _: None)
     assert decode(data).columns == ("t", "value")
     assert decode(data).samples[0, 1] == rollout(1.0, 2.0, variant="true", seed=2**53 - 1).samples[0, 1]
 
 
 def test_a_system_without_visual_shows_nothing() -> None:
-    seen = decode(simulate.run(a_request(visual=True), lambda _: None))
-    assert (seen.samples == decode(simulate.run(a_request(), lambda _: None)).samples).all()
+    seen = decode(simulate.run_request(a_request(visual=True), lambda _: None))
+    assert (seen.samples == decode(simulate.run_request(a_request(), lambda _: None)).samples).all()
 
 
 def test_the_rollout_has_a_name_and_metadata() -> None:
@@ -132,7 +132,7 @@ def test_a_bad_request_is_refused(changes: dict[str, Any]) -> None:
 
 def test_another_build_of_the_system_is_refused() -> None:
     with pytest.raises(SimulationError, match="another build of test-function"):
-        simulate.run(a_request(spec_sha256="1" * 64), lambda _: None)
+        simulate.run_request(a_request(spec_sha256="1" * 64), lambda _: None)
 
 
 def test_a_system_that_returns_other_columns_is_refused() -> None:
@@ -141,7 +141,7 @@ def test_a_system_that_returns_other_columns_is_refused() -> None:
             return Trajectory(("t", "other"), np.zeros((1, 2)))
 
     with pytest.raises(SimulationError, match="columns"):
-        simulate.run_on(Liar(), a_request(), lambda _: None)
+        simulate.run_request_on(Liar(), a_request(), lambda _: None)
 
 
 def test_a_cancelled_rollout_stops() -> None:
@@ -149,12 +149,13 @@ def test_a_cancelled_rollout_stops() -> None:
         raise Cancelled
 
     with pytest.raises(Cancelled):
-        simulate.run(a_request(), cancel)
+        simulate.run_request(a_request(), cancel)
 
 
 def test_specs_cost_no_simulator() -> None:
     import subprocess
 
-    code = "import sys; from perfbound.workers.systems import available, load; [load(n).spec for n in available()]; "
+    code = "import sys; from perfbound.workers.systems import available, load_system as load; "
+    code += "[load(name).spec for name in available()]; "
     code += "sys.exit(any(m in sys.modules for m in ('pybullet', 'scipy', 'sklearn', 'sqlalchemy', 'zenoh')))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

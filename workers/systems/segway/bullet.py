@@ -35,7 +35,7 @@ _BODY, _WHEELS = -1, (0, 1)  # links of the model
 _UNUSED = (0.0, 0.0)  # targets and gains, which torque control ignores: keyword arguments would cost a rollout 3 %
 
 
-class Start(NamedTuple):
+class StartPose(NamedTuple):
     """Where a rollout starts, at rest: m, m, rad, rad."""
 
     x: float
@@ -52,7 +52,7 @@ class World:
         self._client: int = self._bullet.connect(self._bullet.DIRECT)
         self._segway = -1
 
-    def rollout(self, start: Start, steps: int, gains: Gains, progress: Progress) -> Floats:
+    def rollout(self, start: StartPose, steps: int, gains: Gains, progress: Progress) -> Floats:
         """Simulate `steps` control steps and return one row per step and one for the end, shape (steps + 1, 10).
 
         From the step at which it has fallen on, the last state is held.
@@ -79,7 +79,7 @@ class World:
             step_simulation(client)
         return _held(np.frombuffer(rows).reshape(-1, len(state + volts)), steps)
 
-    def _build(self, start: Start) -> None:
+    def _build(self, start: StartPose) -> None:
         bullet, client = self._bullet, self._client
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(0, 0, -9.81, physicsClientId=client)

@@ -61,9 +61,9 @@ def voltages(state: State, gains: Gains) -> tuple[float, float]:
     v = vx * math.cos(heading) + vy * math.sin(heading)
     forward = -(k_speed * (v - v_ref) + k_tilt * phi + k_tilt_rate * phidot)
     turn = YAW_GAIN * (w_ref - heading_rate)
-    return _clip(forward - turn), _clip(forward + turn)
+    return _limited(forward - turn), _limited(forward + turn)
 
 
-def _clip(voltage: float) -> float:
+def _limited(voltage: float) -> float:
     """Return `voltage` within its limits; a NaN stays one, which min and max would turn into a voltage."""
     return MAX_VOLTAGE if voltage > MAX_VOLTAGE else -MAX_VOLTAGE if voltage < -MAX_VOLTAGE else voltage

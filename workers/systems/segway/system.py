@@ -11,7 +11,7 @@ from ....schemas.errors import SimulationError
 from ....schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ....schemas.trajectory import Trajectory, Visual
 from ..base import Progress, SystemUnderTest, checked_options
-from .bullet import CONTROL_RATE, Start, World
+from .bullet import CONTROL_RATE, StartPose, World
 from .controller import GAINS
 from .visual import visual
 
@@ -82,7 +82,7 @@ class SegwaySystem(SystemUnderTest):
 
         """
         chosen = checked_options(self.spec, x, variant=variant, horizon=horizon, options=options)
-        start = Start(*x)
+        start = StartPose(*x)
         if variant == "true":
             start = _disturbed(start, math.sqrt(float(chosen["noise_variance"])), seed)
         if self._world is None:
@@ -99,6 +99,6 @@ class SegwaySystem(SystemUnderTest):
         return visual(trajectory)
 
 
-def _disturbed(start: Start, sd: float, seed: int) -> Start:
+def _disturbed(start: StartPose, sd: float, seed: int) -> StartPose:
     noise = np.random.default_rng(seed).normal(0.0, sd, len(start))
-    return Start(*(value + float(error) for value, error in zip(start, noise, strict=True)))
+    return StartPose(*(value + float(error) for value, error in zip(start, noise, strict=True)))

@@ -32,7 +32,7 @@ def visual(trajectory: Trajectory) -> Visual:
     axle = np.column_stack([x, y, np.full(len(rows), WHEEL_RADIUS)])
     base = Transform("world", "base_link", axle, _rotation(heading, axis=2))
     pendulum = Transform("base_link", "pendulum", np.zeros((len(rows), 3)), _rotation(phi, axis=1))
-    return Visual(_scene(), (base, pendulum), _log(trajectory))
+    return Visual(_scene(), (base, pendulum), _log_lines(trajectory))
 
 
 def _rotation(angle: Floats, *, axis: int) -> Floats:
@@ -42,7 +42,7 @@ def _rotation(angle: Floats, *, axis: int) -> Floats:
     return quaternions
 
 
-def _log(trajectory: Trajectory) -> tuple[tuple[float, str], ...]:
+def _log_lines(trajectory: Trajectory) -> tuple[tuple[float, str], ...]:
     t, phi = trajectory.column("t"), np.abs(trajectory.column("phi"))
     worst = int(np.argmax(phi))
     lines = [(float(t[0]), "start"), (float(t[worst]), f"largest tilt {phi[worst]:.4f} rad")]
@@ -52,10 +52,10 @@ def _log(trajectory: Trajectory) -> tuple[tuple[float, str], ...]:
 
 
 def _scene() -> SceneUpdate:
-    ground = _cube((2.5, 2.5, -0.01), (10.0, 10.0, 0.02), _GREY)
-    goal = _cylinder((*GOAL, 0.005), 0.4, 0.01, _UPRIGHT, _GREEN)
-    wheels = [_cylinder((0.0, side, 0.0), 2 * WHEEL_RADIUS, 0.06, _ALONG_AXLE, _STEEL) for side in (0.25, -0.25)]
-    body = _cube((0.0, 0.0, CENTRE_OF_MASS), (0.1, 0.3, 0.7), _BLUE)
+    ground = _solid_cube((2.5, 2.5, -0.01), (10.0, 10.0, 0.02), _GREY)
+    goal = _solid_cylinder((*GOAL, 0.005), 0.4, 0.01, _UPRIGHT, _GREEN)
+    wheels = [_solid_cylinder((0.0, side, 0.0), 2 * WHEEL_RADIUS, 0.06, _ALONG_AXLE, _STEEL) for side in (0.25, -0.25)]
+    body = _solid_cube((0.0, 0.0, CENTRE_OF_MASS), (0.1, 0.3, 0.7), _BLUE)
     return SceneUpdate(
         entities=[
             _entity("ground", "world", cubes=[ground]),
@@ -70,13 +70,13 @@ def _entity(name: str, frame: str, **solids: Any) -> SceneEntity:
     return SceneEntity(id=name, frame_id=frame, frame_locked=True, timestamp=Timestamp(), lifetime=Duration(), **solids)
 
 
-def _cube(centre: Vector, size: Vector, color: Vector) -> CubePrimitive:
-    return CubePrimitive(pose=_pose(centre, _UPRIGHT), size=_vector(size), color=_color(color))
+def _solid_cube(centre: Vector, size: Vector, color: Vector) -> CubePrimitive:
+    return CubePrimitive(pose=_pose_message(centre, _UPRIGHT), size=_vector(size), color=_color(color))
 
 
-def _cylinder(centre: Vector, diameter: float, length: float, turn: Vector, color: Vector) -> CylinderPrimitive:
+def _solid_cylinder(centre: Vector, diameter: float, length: float, turn: Vector, color: Vector) -> CylinderPrimitive:
     return CylinderPrimitive(
-        pose=_pose(centre, turn),
+        pose=_pose_message(centre, turn),
         size=_vector((diameter, diameter, length)),
         color=_color(color),
         bottom_scale=1.0,
@@ -84,7 +84,7 @@ def _cylinder(centre: Vector, diameter: float, length: float, turn: Vector, colo
     )
 
 
-def _pose(position: Vector, orientation: Vector) -> Pose:
+def _pose_message(position: Vector, orientation: Vector) -> Pose:
     return Pose(position=_vector(position), orientation=Quaternion(**dict(zip("xyzw", orientation, strict=True))))
 
 
