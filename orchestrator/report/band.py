@@ -1,13 +1,13 @@
 """The band of a method over D, reduced for a map: few nodes, two axes, the sign of the objective."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.campaign import SENSES, PaperProblem, Problem, RigorousProblem, ScenarioProblem
-from ...schemas.values import Band, Bound
+from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan
 from ..mathematics.gp.lattice import Lattice
@@ -26,17 +26,20 @@ def surface(plan: ProblemPlan, method: ProblemMethod, bound: Bound) -> Surface:
         ValueError: the method has no observation, or its kernel matrix is singular.
 
     """
-    problem, space, band = plan.problem, plan.candidates, _Arrays.of(method.band(bound))
-    kept, shape = _thinned(_projected(band, space)) if isinstance(space, Lattice) else (band, None)
+    problem, space, found = plan.problem, plan.candidates, method.band(bound)
+    band = _Arrays(*map(np.array, (found.mean, found.lower, found.upper, found.possible)))
+    shape = None
+    if isinstance(space, Lattice):
+        band, shape = _thinned(_projected(band, space))
     minimum = SENSES[problem.name] == "min"
-    lower, upper = _series(kept.lower, minimum=minimum), _series(kept.upper, minimum=minimum)
+    mean, lower, upper = (_series(each, minimum=minimum) for each in (band.mean, band.lower, band.upper))
     return Surface(
         shape=shape,
         points=() if isinstance(space, Lattice) else space.points,
-        mean=_series(kept.mean, minimum=minimum),
+        mean=mean,
         lower=upper if minimum else lower,
         upper=lower if minimum else upper,
-        worst=tuple(kept.possible.ravel().tolist()),
+        worst=tuple(band.possible.ravel().tolist()),
         band=_meaning(problem, method),
     )
 
@@ -60,8 +63,7 @@ def _meaning(problem: Problem, method: ProblemMethod) -> str:
             )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Arrays:
+class _Arrays(NamedTuple):
     """A band as arrays of equal shape."""
 
     mean: Floats
@@ -69,18 +71,13 @@ class _Arrays:
     upper: Floats
     possible: NDArray[np.bool_]
 
-    @classmethod
-    def of(cls, band: Band) -> "_Arrays":
-        return cls(np.array(band.mean), np.array(band.lower), np.array(band.upper), np.array(band.possible))
-
 
 def _projected(band: _Arrays, lattice: Lattice) -> _Arrays:
     """Return the worst over all axes but the first two, each array of shape (resolution,) or (resolution,) * 2."""
     shape = (lattice.resolution,) * lattice.dimension
     others = tuple(range(2, lattice.dimension))
-    fields = (band.mean, band.lower, band.upper)
-    mean, lower, upper = (np.max(each.reshape(shape), axis=others) for each in fields)
-    return _Arrays(mean, lower, upper, np.any(band.possible.reshape(shape), axis=others))
+    # max for all fields, any for the flags: J is maximised, so the projection hides no bad start
+    return _Arrays(*(np.max(each.reshape(shape), axis=others) for each in band))
 
 
 def _thinned(band: _Arrays) -> tuple[_Arrays, tuple[int, ...]]:
@@ -89,6 +86,7 @@ def _thinned(band: _Arrays) -> tuple[_Arrays, tuple[int, ...]]:
     count = _kept(size, int(MOST_NODES ** (1 / axes) + 1e-9))
     taken = np.rint(np.linspace(0, size - 1, count)).astype(np.intp)
     nearest = np.rint(np.arange(size) * (count - 1) / (size - 1)).astype(np.intp)
+    # Every dropped node passes its flag on to the nearest kept one: a map must not rule out what the band does not.
     possible = np.zeros((count,) * axes, dtype=np.bool_)
     where = np.ix_(*(nearest,) * axes)
     np.logical_or.at(possible, where, band.possible)

@@ -61,7 +61,7 @@ class Surface:
     lower: Series
     upper: Series
     worst: tuple[bool, ...]
-    """Whether the band leaves it possible that the worst start is here."""
+    """Whether the worst start may be at this node: the band does not rule it out."""
     band: str = ""
     """Meaning and probability of `lower` and `upper`, in words."""
 

@@ -51,6 +51,7 @@ def _check_system(header: Header) -> None:
 
 
 def _simulated(header: Header, rollout: Rollout) -> Trajectory:
+    # Without noise the nominal rollout does not depend on the seed; that of a true one serves.
     nominal = RolloutId(rollout.problem, rollout.test, "nominal", 0)
     request = replace(header.template, visual=False).request(nominal, rollout.x, rollout.seed)
     with tempfile.TemporaryDirectory() as folder:

@@ -36,7 +36,7 @@ class ProblemCollector:
         self._proposals: dict[int, ProposalFact] = {}
         self._values: dict[int, ObservationFact] = {}
         self._pending: list[tuple[Proposal, Observation]] = []
-        """Observations that the method has not seen yet."""
+        """Observations not yet passed to the method."""
         self._surface: Surface | None = None
         self._tests = self._columns()
 
@@ -102,7 +102,7 @@ class ProblemCollector:
         """Return the probability of the current bound; None where there is no valid one."""
         if last is None or last.stopped_by == "refuted":
             return None
-        # Lemma and theorem of method paper hold for the test at which F_i reaches alpha, and for no earlier one.
+        # Method paper claims its bound only for the test at which it stops.
         if self.problem.method == "paper" and last.stopped_by is None:
             return None
         return self._method.probability

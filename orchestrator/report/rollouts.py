@@ -46,18 +46,14 @@ def of_test(
 
 def described(directory: Path, fact: RolloutFact, x: tuple[float, ...]) -> Rollout:
     """Return the data of a recorded rollout, whose start is `x`."""
-    name = fact.rollout
     return Rollout(
-        id=str(name),
-        problem=name.problem,
-        test=name.test,
-        variant=name.variant,
-        replicate=name.replicate,
+        id=str(fact.rollout),
+        **fact.rollout._asdict(),
         seed=fact.seed,
         x=x,
         robustness=fact.robustness,
         path=fact.path if _is_inside(fact.path) else "",
-        command=shlex.join(["perfbound", "replay", str(directory), str(name)]),
+        command=shlex.join(["perfbound", "replay", str(directory), str(fact.rollout)]),
     )
 
 

@@ -7,7 +7,7 @@ from ..certificate.text import QUANTITIES, outward
 from .data import Claim, Problem
 
 SIGNS = {">=": "≥", "<=": "≤", " -": " \u2212", "rho*": "ρ*"}
-"""ASCII of certificate and terminal, and the sign that stands for it on the page."""
+"""ASCII of certificate and terminal, and its sign on the page."""
 
 
 def typeset(text: str) -> str:
@@ -51,14 +51,14 @@ def current_bound(problems: Sequence[Problem], claims: Sequence[Claim]) -> str:
 
 def _problem_bound(problem: Problem) -> str:
     sense = ">=" if problem.sense == "min" else "<="
-    # The quantity of a claim, where the problem is a claim by itself.
+    # true_risk and maximum are claims by themselves; the others are terms of a composition
     direct = {"true_risk": "rho_star", "maximum": "J_star"}.get(problem.name)
     quantity = QUANTITIES[direct] if direct else problem.objective.partition(", through")[0]
     if problem.stopped_by == "refuted":
         return f"{problem.name}: its assumptions are refuted, so its bound is worth nothing."
     if problem.bound is None:
         return f"{problem.name}: no bound yet."
-    if problem.probability is None:
+    if problem.probability is None:  # method paper before it stops
         would_be = typeset(f"{quantity} {sense} {outward(problem.bound, sense)}")
         return (
             f"{problem.name}: not yet a bound. Method {problem.method} claims one only where it stops; if its budget "

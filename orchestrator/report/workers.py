@@ -2,7 +2,7 @@
 
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
 
 from ...schemas.facts import RECORDED, RESTORED
@@ -19,9 +19,6 @@ class LiveState(NamedTuple):
     state: str
     rollout: str | None = None
     heartbeat: float | None = None
-
-
-UNKNOWN = LiveState("unknown")
 
 
 @dataclass(slots=True)
@@ -62,24 +59,15 @@ class WorkerStatistics:
 
     def rows(self, live: Mapping[str, LiveState]) -> tuple[WorkerRow, ...]:
         """Return every worker by name; the state of one that `live` lacks is unknown."""
-        found = []
-        for name in sorted({*self._totals, *self._hosts, *live}):
-            totals, now = self._totals.get(name, _Totals()), live.get(name, UNKNOWN)
-            found.append(
-                WorkerRow(
-                    name=name,
-                    host=self._hosts.get(name, ""),
-                    rollouts=totals.rollouts,
-                    failures=totals.failures,
-                    busy_seconds=totals.busy_seconds,
-                    cpu_seconds=totals.cpu_seconds,
-                    last=totals.last,
-                    state=now.state,
-                    rollout=now.rollout,
-                    heartbeat=now.heartbeat,
-                )
+        return tuple(
+            WorkerRow(
+                name=name,
+                host=self._hosts.get(name, ""),
+                **asdict(self._totals.get(name, _Totals())),
+                **live.get(name, LiveState("unknown"))._asdict(),
             )
-        return tuple(found)
+            for name in sorted({*self._totals, *self._hosts, *live})
+        )
 
     def throughput(self) -> Throughput:
         """Return the rollouts recorded over time."""

@@ -16,7 +16,7 @@ def test_a_rollout_is_simulated_again(started: Processes, calm: Path, tmp_path: 
         ended = started.run("perfbound", "replay", calm, ROLLOUT, *files)
         assert (ended.code, ended.err) == (0, "")
         assert ended.out.splitlines()[1:] == [
-            "bitwise equal to the recorded trajectory",
+            "bitwise the same as the recorded trajectory",
             f"file: {tmp_path / name}.mcap",
             f"picture: {tmp_path / name}.png",
         ]
@@ -33,7 +33,7 @@ def test_a_damaged_file_is_said_to_be_damaged(started: Processes, calm: Path, tm
     assert (ended.code, ended.err) == (0, "")
     _, damage, good = ended.out.splitlines()
     assert damage.startswith(f"{directory / FILE}: sha256 ")
-    assert good == "simulated again, the file is bitwise equal to the recorded one"
+    assert good == "simulated again, the file is bitwise the same as the recorded one"
 
 
 def test_known_faults_are_one_line(started: Processes, calm: Path, tmp_path: Path) -> None:

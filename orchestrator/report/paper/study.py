@@ -96,8 +96,8 @@ def planned(extent: Extent, folder: Path, out: Path) -> tuple[Planned, ...]:
 
 
 def _planned(preset: Preset, source: Path, out: Path, seed: int | None) -> Planned:
-    config = session.load_campaign(source) if seed is None else session.load_campaign(source, seed=seed)
-    for name in preset.problems:
+    config = session.load(source) if seed is None else session.load(source, seed=seed)
+    for name in preset.problems:  # --campaigns may name any folder
         if not any((each.name, each.method) == (name, preset.method) for each in config.problems):
             raise PerfboundError(
                 f"{source}: problems: the study needs {name!r} with method {preset.method!r}; add it, or take the file "
@@ -159,7 +159,7 @@ def time_left(done: Sequence[tuple[float, float]], costs: Iterable[float]) -> fl
 def _run_or_resume(campaign: Planned, workers: int) -> None:
     options, console = session.RunOptions(workers, session.Link(LOCAL)), Console(quiet=True, force_terminal=False)
     directory = campaign.directory
-    if (directory / DATABASE).exists():
-        session.resume_campaign(directory, options, console)
+    if (directory / DATABASE).exists():  # interrupted: its facts stay, so its certificate is that of a calm run
+        session.resume(directory, options, console)
     else:
         session.start_campaign(campaign.config, campaign.source, directory, options, console)

@@ -1,4 +1,4 @@
-"""The paper's Table I and its claims beside those of our campaigns, read from their certificates."""
+"""The paper's Table I and its claims beside those of the study, read from the certificates of its campaigns."""
 
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
@@ -87,6 +87,7 @@ def rows(finished: Sequence[Finished]) -> tuple[Row, ...]:
     """Return Table I, with a row also for problems that were not run."""
     found: dict[str, list[Outcome]] = {name: [] for name in TABLE}
     for each in finished:
+        # The scenario method bounds the linearised risk, another quantity than that of Table I.
         if each.preset in (FUNCTION.name, PAPER.name, DIRECT.name):
             for name, outcome in _outcomes(each):
                 found[name].append(outcome)
@@ -149,7 +150,7 @@ def _spread(values: Sequence[float], form: str) -> str:
 
 
 def claim_rows(finished: Iterable[Finished]) -> list[dict[str, object]]:
-    """Return every claim about the true Segway with the columns of claims.csv, the printed ones before ours.
+    """Return every claim about the true Segway with the columns of claims.csv, the printed ones first.
 
     The claim of a campaign is its first one, which is fixed before the campaign.
     """
@@ -196,6 +197,6 @@ def claims_markdown(found: Iterable[dict[str, object]]) -> str:
 def _claim_text(claim: dict[str, object], column: str) -> str:
     value = claim[column]
     if column == "refuted":
-        # Of a printed claim, which has no seed, nothing is known.
+        # The assumptions of a printed claim, which has no seed, are unknown.
         return ", ".join(str(value).split()) or ("" if claim["seed"] == "" else "none")
     return outward(value, ">=") if isinstance(value, float) else str(value)

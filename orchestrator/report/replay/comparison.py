@@ -56,7 +56,7 @@ def compare(again: Trajectory, recorded: Trajectory) -> Deviation:
 def lines(deviation: Deviation, units: Mapping[str, str]) -> Iterator[str]:
     """Yield the comparison as text; `units` names the unit of every column."""
     if deviation.bitwise:
-        yield "bitwise equal to the recorded trajectory"
+        yield "bitwise the same as the recorded trajectory"
         return
     if deviation.mismatch:
         yield f"cannot be compared with the recorded trajectory: {deviation.mismatch}"

@@ -46,8 +46,9 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     request = header.template.request(fact.rollout, proposal.proposal.x, rollout_seed(header.config, fact.rollout))
     try:
         file = read_recorded(directory, fact)
-    except EvidenceError as error:
+    except EvidenceError as error:  # a replay can restore a damaged file
         return RecordedRollout(header, fact, request, None, str(error))
+    # The digest proves that this is the recorded file, not that its worker simulated this request.
     if file.request != request.model_dump(mode="json"):
         raise EvidenceError(
             f"{directory / fact.path}: it belongs to another request than the one that follows from the facts; "

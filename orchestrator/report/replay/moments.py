@@ -31,13 +31,13 @@ def at_each_moment(tree: Formula) -> Formula | None:
         case And(left, right):
             one, other = at_each_moment(left), at_each_moment(right)
             return And(one, other) if one is not None and other is not None else None
-        case Always(operand, interval) if interval == REST and not any(map(_looks_ahead, walk(operand))):
+        case Always(operand, interval) if interval == REST and not any(map(_is_temporal, walk(operand))):
             return operand
         case _:
             return None
 
 
-def _looks_ahead(node: Node) -> bool:
+def _is_temporal(node: Node) -> bool:
     return hasattr(node, "interval")
 
 

@@ -53,12 +53,12 @@ def drawn(picture: Picture) -> bytes:
     """Return the picture as PNG; equal pictures give equal bytes."""
     out = io.BytesIO()
     with mpl.rc_context(STYLE):
-        figure = _composed(picture)
+        figure = _figure_of(picture)
         figure.savefig(out, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
     return out.getvalue()
 
 
-def _composed(picture: Picture) -> Figure:
+def _figure_of(picture: Picture) -> Figure:
     strip = None if picture.film is None else _strip(picture.film, picture.moments)
     above = 0.0 if strip is None else strip.height
     below = (1.9 if len(picture.panels) == 1 else 1.4) * len(picture.panels) + 0.3
@@ -92,6 +92,7 @@ class _Strip:
 
 def _strip(film: Film, moments: Sequence[Moment]) -> _Strip:
     seen = tuple(tuple(film.outlines(moment.frame)) for moment in moments)
+    # Solids that never move (a floor) may be much larger than the window.
     points = np.concatenate([each.polygon for outlines in seen for each in outlines if each.frame in film.moving])
     (left, _), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     border = BORDER * max(right - left, top)
@@ -126,6 +127,7 @@ def _draw_outline(axes: Axes, outline: Outline, colour: Any) -> None:
 
 
 def _draw_panel(axes: Axes, picture: Picture, panel: Panel) -> None:
+    # A single sample has no line.
     marker = "o" if len(picture.again.samples) == 1 else "-"
     if picture.recorded is not None:
         t, values = picture.recorded.samples[:, 0], picture.recorded.column(panel.column)
@@ -137,7 +139,7 @@ def _draw_panel(axes: Axes, picture: Picture, panel: Panel) -> None:
     for moment in picture.moments if picture.film else ():
         axes.axvline(moment.t, color=RED if moment.worst else GREY, linewidth=0.5, alpha=0.6, zorder=0)
     for moment in picture.moments:
-        if moment.worst:
+        if moment.worst:  # the sample, not the frame of the film: it is the one that the robustness comes from
             axes.plot([moment.t], [values[int(np.argmin(np.abs(t - moment.t)))]], "o", color=RED, markersize=5)
     axes.set_ylabel(with_unit(panel.column, panel.unit))
     axes.spines[["top", "right"]].set_visible(False)

@@ -45,7 +45,7 @@ def replay_rollout(
         if found.trajectory is None:
             yield found.damage
             fault = _digest_fault(found, data, Path(folder))
-            yield fault or "simulated again, the file is bitwise equal to the recorded one"
+            yield fault or "simulated again, the file is bitwise the same as the recorded one"
         else:
             deviation = compare(again, found.trajectory)
             yield from lines(deviation, {column.name: column.unit for column in found.header.spec.columns})

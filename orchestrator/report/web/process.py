@@ -25,7 +25,7 @@ LONGEST = 1024 * 1024
 """Bytes of a message."""
 
 
-def serve(arguments: list[str]) -> None:
+def serve_run(arguments: list[str]) -> None:
     """Serve until the feed ends."""
     descriptor, address, directory = arguments
     server = Server(Path(directory), Address.parse(address), _print_line)
@@ -39,7 +39,7 @@ def _follow(feed: socket.socket, server: Server) -> None:
     while message := feed.recv(LONGEST):
         server.snapshots.live = {name: LiveState(*state) for name, state in json.loads(message).items()}
     signal.alarm(DEADLINE)  # the default action of SIGALRM ends the process even if its threads hang
-    server.snapshots.live = {}
+    server.snapshots.live = {}  # without the orchestrator the state of the workers is unknown
     server.should_exit = True
 
 
@@ -48,4 +48,4 @@ def _print_line(line: str) -> None:
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1:])
+    serve_run(sys.argv[1:])

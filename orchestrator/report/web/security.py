@@ -31,6 +31,7 @@ def restricted(application: ASGIApp, address: Address) -> ASGIApp:
     """Return the application behind the checks; it accepts `localhost`, loopback numbers and the host of `address`."""
     host = os.uname().nodename if address.everywhere else address.host
     hosts = ["localhost", "127.0.0.1", "[::1]", f"[{host}]" if ":" in host else host]
+    # Outermost: also a refusal must not be framed, cached or read by another site.
     return _Headers(TrustedHostMiddleware(application, hosts, www_redirect=False))
 
 

@@ -69,12 +69,12 @@ def numbers(values: tuple[float | None, ...]) -> list[float]:
     return found
 
 
-# Looks
+# Refreshes
 
 
 @pytest.mark.usefixtures("no_disk")
 @pytest.mark.parametrize("name", CONFIGS)
-def test_what_was_added_up_is_what_a_fresh_look_finds(tmp_path: Path, name: str) -> None:
+def test_incremental_refreshes_equal_a_fresh_one(tmp_path: Path, name: str) -> None:
     collector, tests = Collector(tmp_path), list[int]()
 
     def look() -> bool:
@@ -99,7 +99,7 @@ def test_what_was_added_up_is_what_a_fresh_look_finds(tmp_path: Path, name: str)
     assert story.now == story.claims[0].sentence
 
 
-def test_a_look_changes_no_file_and_leaves_none(finished: Path) -> None:
+def test_a_refresh_changes_no_file_and_leaves_none(finished: Path) -> None:
     before = contents(finished)
     collector = Collector(finished)
     story = collector.refresh()
@@ -108,7 +108,7 @@ def test_a_look_changes_no_file_and_leaves_none(finished: Path) -> None:
     assert contents(finished) == before
 
 
-def test_an_empty_log_that_somebody_left_is_left_alone(one: Path) -> None:
+def test_an_empty_log_is_not_touched(one: Path) -> None:
     (one / "campaign.db-wal").touch()
     before = contents(one)
     Collector(one).refresh()
@@ -123,7 +123,7 @@ def test_a_surface_is_worked_out_again_only_after_a_new_test(finished: Path, mon
     assert collector.refresh() == first
 
 
-def test_after_an_error_the_next_look_starts_over(one: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_an_error_the_next_refresh_starts_over(one: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     collector = Collector(one)
     first = collector.refresh()
 
@@ -189,7 +189,7 @@ def test_the_numbers_have_the_sign_of_their_objective(finished: Path) -> None:
 @pytest.mark.usefixtures("no_disk")
 @pytest.mark.parametrize("name", CONFIGS)
 def test_a_surface_is_what_the_method_says(tmp_path: Path, name: str) -> None:
-    """The method is the campaign's own, which also proposed; the story's has only seen the facts."""
+    """The method of the campaign also proposed; that of the collector was fed with the facts alone."""
     stage = play(tmp_path, CONFIGS[name])
     for problem in collected(tmp_path).problems:
         method, surface = stage.ledger.methods[problem.name], problem.surface
@@ -337,7 +337,7 @@ def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
     assert unit(about.config.problems[0], header("always (phi^2 <= 0.95)").config, about.spec) == ""
 
 
-# Scenes
+# Rollouts of a test
 
 
 def test_a_scene_shows_the_worst_tests_nominal_against_true(finished: Path) -> None:
@@ -376,7 +376,7 @@ def test_a_damaged_or_missing_file_leaves_its_curve_out(one: Path) -> None:
     assert second.name in again.error
 
 
-def test_a_file_that_was_mended_is_shown_at_the_next_look(one: Path) -> None:
+def test_a_restored_file_is_read_again(one: Path) -> None:
     collector = Collector(one)
     scene = next(scene for scene in collected(one).scenes if scene.problem == "sim_gap")
     path = one / scene.rollouts[0].path
@@ -424,7 +424,7 @@ def test_a_directory_with_a_blank_is_quoted(tmp_path: Path, no_disk: None) -> No
     assert story.resume == f"perfbound resume '{directory}'"
 
 
-# What strangers write
+# Untrusted text
 
 
 def test_hostile_names_are_text(one: Path) -> None:
@@ -477,7 +477,7 @@ def test_work_adds_up(finished: Path) -> None:
     assert story.throughput.sessions == 1
 
 
-def test_what_an_orchestrator_tells_is_laid_over(finished: Path) -> None:
+def test_the_live_state_of_workers_is_added(finished: Path) -> None:
     story = Collector(finished).refresh(
         {"puppet-00001": LiveState("busy", "sim_gap.3.true.0", 5.0), "new": LiveState("idle")}, 7.0
     )

@@ -1,4 +1,4 @@
-"""A recorded rollout, simulated again: what is said, what is written, and what is refused."""
+"""Replay of a recorded rollout: output, files and refusals."""
 
 import hashlib
 import io
@@ -127,7 +127,7 @@ def damage(directory: Path, rollout: str) -> Path:
     return path
 
 
-# What is said
+# Output
 
 
 @pytest.mark.parametrize("rollout", [NOMINAL, TRUE, TRUE.replace(".", "-")])
@@ -136,7 +136,7 @@ def damage(directory: Path, rollout: str) -> Path:
 def test_the_same_seed_gives_the_same_bits(request: Any, directory: str, rollout: str) -> None:
     first, *rest = replay.replay_rollout(request.getfixturevalue(directory), rollout)
     assert first.startswith(f"{rollout.replace('-', '.')}: segway, ")
-    assert rest == ["bitwise equal to the recorded trajectory"]
+    assert rest == ["bitwise the same as the recorded trajectory"]
 
 
 @pytest.mark.usefixtures("spoil")
@@ -193,7 +193,7 @@ def test_a_damaged_file_is_made_again(request: Any, directory: str, tmp_path: Pa
     path = damage(run_directory, TRUE)
     _, hurt, good = replay.replay_rollout(run_directory, TRUE)
     assert hurt.startswith(f"{path}: sha256 ")
-    assert good == "simulated again, the file is bitwise equal to the recorded one"
+    assert good == "simulated again, the file is bitwise the same as the recorded one"
     path.unlink()
     assert list(replay.replay_rollout(run_directory, TRUE))[1:] == [
         f"{path}: No such file or directory; restore it from a copy",
@@ -231,7 +231,7 @@ def test_a_path_out_of_the_run_directory_is_not_read(tmp_path: Path, monkeypatch
     assert "is not a path in the run directory" in found.damage
 
 
-# What is refused
+# Refusals
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_the_reason_of_the_child_is_passed_on(segway: Path, monkeypatch: pytest.
     assert list(tmp_path.iterdir()) == []
 
 
-# What is written
+# Files
 
 
 @pytest.mark.parametrize("directory", ["segway", "plain"])

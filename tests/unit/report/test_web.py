@@ -1,4 +1,4 @@
-"""The live page as a web application, asked directly: who may ask, for what, and when the page is told."""
+"""The live page as a web application, called directly: access, routes and events."""
 
 import asyncio
 import json
@@ -66,7 +66,7 @@ class Answer:
 
     @property
     def stories(self) -> list[Any]:
-        """What the events of a stream tell."""
+        """The data in the events of a stream."""
         events = [event for event in self.text.split("\n\n") if event.startswith("event: story\n")]
         return [json.loads(event.partition("\ndata: ")[2]) for event in events]
 
@@ -100,7 +100,7 @@ def scope(path: str, method: str = "GET", query: str = "", headers: tuple[tuple[
 
 
 class Client:
-    """One that asks an application in the event loop of the test."""
+    """A client of an application in the event loop of the test."""
 
     def __init__(self, application: Any) -> None:
         self._application = application
@@ -156,7 +156,7 @@ def get(directory: Path, path: str, **asked: Any) -> Answer:
 def watching(
     stub: Stub, test: Callable[[Client, SnapshotCache], Coroutine[Any, Any, None]], said: list[str] | None = None
 ) -> None:
-    """Run a test with an application that tells what the stub tells."""
+    """Run a test with an application that serves the data of the stub."""
 
     async def whole() -> None:
         snapshots = SnapshotCache(stub, pytest.fail if said is None else said.append)
@@ -178,7 +178,7 @@ async def gone(*streams: "asyncio.Task[None]") -> None:
             await stream
 
 
-# Who may ask
+# Access
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8000", "localhost", "LOCALHOST:1", "[::1]:8000"])
@@ -194,8 +194,8 @@ def test_the_page_answers_to_its_own_names(finished: Path, host: str) -> None:
     ],
 )
 @pytest.mark.parametrize("path", ["/", "/events", "/story.json", f"/{RECORDED}", "/nowhere"])
-def test_and_to_no_other(finished: Path, host: str, path: str) -> None:
-    """A web site whose name is made to lead here (DNS rebinding) reads nothing."""
+def test_another_host_is_refused(finished: Path, host: str, path: str) -> None:
+    """A web site whose name is changed to resolve to this machine (DNS rebinding) reads nothing."""
     answer = get(finished, path, headers=(("host", host),))
     assert answer.status == 400
     assert b"segway" not in answer.body
@@ -236,7 +236,7 @@ def test_an_address_has_an_end(finished: Path) -> None:
     ("path", "headers"),
     [("/", HOST), ("/story.json", HOST), ("/nowhere", HOST), (f"/{RECORDED}", HOST), ("/", (("host", "evil"),))],
 )
-def test_what_browsers_are_told_with_every_answer(
+def test_every_response_has_the_security_headers(
     finished: Path, path: str, headers: tuple[tuple[str, str], ...]
 ) -> None:
     told = get(finished, path, headers=headers).headers
@@ -250,7 +250,7 @@ def test_what_browsers_are_told_with_every_answer(
     assert not [name for name in told if name.startswith("access-control")]
 
 
-# For what
+# Routes
 
 
 def test_the_page_has_the_story_and_asks_for_events(finished: Path) -> None:
@@ -358,7 +358,7 @@ def test_a_file_that_was_changed_is_not_served(directory: Path) -> None:
     assert get(directory, f"/{RECORDED}").status == 404
     (directory / RECORDED).unlink()
     assert get(directory, f"/{RECORDED}").status == 404
-    os.mkfifo(directory / RECORDED)  # who reads it waits for ever
+    os.mkfifo(directory / RECORDED)  # its reader would block
     assert get(directory, f"/{RECORDED}").status == 404
 
 
@@ -384,7 +384,7 @@ def test_the_counterexamples(finished: Path) -> None:
     assert answer.headers["content-type"].startswith("text/csv")
 
 
-def test_a_fault_of_ours_is_said_and_is_no_end(stub: Stub) -> None:
+def test_an_internal_error_is_reported_and_does_not_end_the_page(stub: Stub) -> None:
     said: list[str] = []
 
     async def test(client: Client, _: SnapshotCache) -> None:
@@ -398,7 +398,7 @@ def test_a_fault_of_ours_is_said_and_is_no_end(stub: Stub) -> None:
     assert said == ["/scene: ZeroDivisionError('a fault of ours')"]
 
 
-# When the page is told
+# Events
 
 
 def test_an_event_when_something_changes_and_not_otherwise(stub: Stub) -> None:
@@ -419,7 +419,7 @@ def test_an_event_when_something_changes_and_not_otherwise(stub: Stub) -> None:
     watching(stub, test)
 
 
-def test_silence_is_told(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_quiet_stream_is_kept_alive(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(app, "KEEP_ALIVE", 0.02)
 
     async def test(client: Client, _: SnapshotCache) -> None:
@@ -431,7 +431,7 @@ def test_silence_is_told(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
     watching(stub, test)
 
 
-def test_nobody_looks_while_nobody_watches(stub: Stub) -> None:
+def test_nothing_is_refreshed_without_clients(stub: Stub) -> None:
     async def test(client: Client, _: SnapshotCache) -> None:
         await asyncio.sleep(0.1)
         assert stub.refreshes == 0
@@ -446,7 +446,7 @@ def test_nobody_looks_while_nobody_watches(stub: Stub) -> None:
     watching(stub, test)
 
 
-def test_many_who_watch_share_one_look(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clients_share_one_refresh(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(snapshots_module, "SHORTEST_PAUSE", 60.0)
     monkeypatch.setattr(snapshots_module, "LONGEST_PAUSE", 60.0)
 
@@ -461,7 +461,7 @@ def test_many_who_watch_share_one_look(stub: Stub, monkeypatch: pytest.MonkeyPat
     watching(stub, test)
 
 
-def test_so_many_may_watch_and_no_more(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_streams_is_limited(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(app, "MOST_STREAMS", 2)
 
     async def test(client: Client, _: SnapshotCache) -> None:
@@ -495,7 +495,7 @@ def test_a_client_that_takes_nothing_holds_nobody_up(stub: Stub) -> None:
     watching(stub, test)
 
 
-def test_a_look_that_fails_is_said_once_and_the_page_keeps_what_it_has(stub: Stub) -> None:
+def test_a_failed_refresh_is_reported_once_and_the_page_keeps_its_data(stub: Stub) -> None:
     said: list[str] = []
 
     async def test(client: Client, _: SnapshotCache) -> None:
@@ -519,7 +519,7 @@ def test_a_look_that_fails_is_said_once_and_the_page_keeps_what_it_has(stub: Stu
     assert said == ["the disk is gone", "the page could not be refreshed: ZeroDivisionError('a fault of ours')"]
 
 
-def test_at_the_end_everybody_is_told_how_it_ended(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_stream_ends_with_the_last_snapshot(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(snapshots_module, "SHORTEST_PAUSE", 60.0)
     monkeypatch.setattr(snapshots_module, "LONGEST_PAUSE", 60.0)
 
@@ -535,7 +535,7 @@ def test_at_the_end_everybody_is_told_how_it_ended(stub: Stub, monkeypatch: pyte
     watching(stub, test)
 
 
-def test_what_the_workers_do_is_told(finished: Path) -> None:
+def test_the_state_of_the_workers_is_served(finished: Path) -> None:
     async def whole() -> dict[str, Any]:
         snapshots = SnapshotCache(Collector(finished), pytest.fail)
         snapshots.live = {"<b>new</b>": LiveState("busy", "maximum.0.true.0", 1.5e9)}
