@@ -21,12 +21,12 @@ DISTANCES = {"F_i": "$F_i$", "U - L": "$U - L$"}
 def figures(data: ReportData) -> Iterator[tuple[str, bytes]]:
     """Yield (name, bytes) of every figure, as SVG and PNG, for the problems that have tests."""
     for problem in data.problems:
-        for kind, figure in _of_problem(data, problem):
+        for kind, figure in _figures_of(data, problem):
             yield f"{problem.name}-{kind}.svg", style.svg(figure)
             yield f"{problem.name}-{kind}.png", style.png(figure)
 
 
-def _of_problem(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:
+def _figures_of(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:
     if problem.surface is not None:
         yield "map", _map(data.axes, problem, problem.surface)
     if any(value is not None and value > 0 for value in problem.tests.distance):  # the scale is logarithmic
