@@ -10,7 +10,7 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types imports unit explore faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
+.PHONY: help setup run test test-all smoke announce lint types imports unit explore faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -32,7 +32,17 @@ run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORK
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
 	else $(BIN)/perfbound run $(CAMPAIGN) --workers $(WORKERS) --out $(RUN_DIR); fi
 
-test: $(VENV)/.installed-dev lint types imports unit ## All checks: ruff, mypy, import rules, pytest
+test: announce lint types imports unit ## All checks: ruff, mypy, import rules, pytest; about 10 minutes
+
+test-all: announce lint types imports unit ## All checks, and the tests that take longer still
+
+test-all: NOT_SLOW :=
+
+smoke: $(VENV)/.installed-dev ## Two minutes: real workers, kills, the contract of the transports, golden rollouts; no browser
+	$(BIN)/python -m pytest -q -m smoke
+
+announce:
+	@echo "About 10 minutes on two quiet cores, after the installation; \`make smoke\` takes two."
 
 lint: $(VENV)/.installed-dev ## Style
 	$(BIN)/ruff check .
@@ -55,9 +65,11 @@ build/backend/.installed: pyproject.toml $(VENV)/.installed
 	$(INSTALL) --target build/backend "$$(sed -n 's/^requires = \["\(.*\)"\]$$/\1/p' pyproject.toml)"
 	touch $@
 
+NOT_SLOW := -m "not slow"
+OUR_DOCTESTS := tests/architecture/source.py tests/golden/record.py
 unit: $(VENV)/.installed-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
-	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas $(OUR_DOCTESTS)
+	$(BIN)/python -m pytest --durations=10 $(NOT_SLOW)
 
 explore: $(VENV)/.installed-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit

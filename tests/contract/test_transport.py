@@ -30,6 +30,7 @@ from tests.fakes import inmemory
 from tests.fakes.inmemory import InMemoryTransport, InMemoryUplink, Network
 from tests.patience import PATIENCE
 
+pytestmark = pytest.mark.smoke
 RUN = "0123456789abcdef"
 T = TypeVar("T")
 

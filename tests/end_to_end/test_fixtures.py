@@ -9,6 +9,7 @@ import pytest
 
 from tests.end_to_end.processes import Processes, query
 
+pytestmark = pytest.mark.smoke
 RULES_1 = Path(__file__).parents[1] / "fixtures" / "rules-1"
 FINISHED = ("paper-pair", "rigorous-pair", "scenario-list")
 DECIDED = ("claims", "problems", "composition", "evidence")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.end_to_end import processes
 from tests.end_to_end.processes import (
     ROLLOUTS,
     Processes,
@@ -23,16 +24,25 @@ from tests.end_to_end.processes import (
 OLDER = Path(__file__).parents[1] / "fixtures" / "schema-1"
 
 
+@pytest.fixture(scope="module")
+def killed_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory as the kill of its orchestrator in mid-run left it."""
+    folder = tmp_path_factory.mktemp("killed")
+    directory = folder / "run"
+    with processes.processes(folder) as started:
+        process = started.start("perfbound", "run", write_campaign(folder / "c.toml"), "--out", directory)
+        wait_for(lambda: len(list(directory.rglob("*.mcap"))) >= 10)
+        process.popen.kill()
+        assert process.wait().code == -signal.SIGKILL
+        wait_for(lambda: not of_run(directory))
+    return directory
+
+
 @pytest.fixture
-def killed(started: Processes) -> Path:
-    """A run directory whose orchestrator was killed in mid-run."""
-    directory = started.folder / "run"
-    process = started.start("perfbound", "run", write_campaign(started.folder / "c.toml"), "--out", directory)
-    wait_for(lambda: recorded(directory) >= 9)
-    process.popen.kill()
-    assert process.wait().code == -signal.SIGKILL
-    wait_for(lambda: not of_run(directory))
-    assert 9 <= recorded(directory) < ROLLOUTS
+def killed(killed_once: Path, tmp_path: Path) -> Path:
+    """A copy of it, with its times."""
+    directory = Path(shutil.copytree(killed_once, tmp_path / "run"))
+    assert 0 < recorded(directory) < ROLLOUTS
     return directory
 
 

@@ -32,6 +32,7 @@ from tests.golden.record import (
     record,
 )
 
+pytestmark = pytest.mark.smoke
 GOLDEN = on_record()
 SYSTEM = SegwaySystem()
 

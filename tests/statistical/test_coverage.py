@@ -46,13 +46,11 @@ def together(campaign: Callable[..., dict[str, float]], row: Row, count: int, **
     return {name: sum(bool(each[name]) for each in found) for name in found[0]}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(JUDGED)), ids=[str(row) for row in JUDGED])
 def test_no_statement_fails_more_often_than_it_claims(number: int) -> None:
     assert not first(number).fails
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "claimed"), KINDS)
 def test_all_rows_of_one_claim_together(kind: str, claimed: float) -> None:
     rows = [first(number) for number, row in enumerate(JUDGED) if (row.kind, row.claimed) == (kind, claimed)]
