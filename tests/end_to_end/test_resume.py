@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from perfbound.orchestrator.store.rows import SCHEMA_VERSION
 from tests.end_to_end import processes
 from tests.end_to_end.processes import (
     ROLLOUTS,
@@ -134,8 +135,9 @@ def test_a_database_of_a_newer_perfbound_is_refused(started: Processes, tmp_path
     (directory / "certificate.json").unlink()
     with closing(sqlite3.connect(directory / "campaign.db", isolation_level=None)) as connection:
         connection.execute("DROP TRIGGER schema_no_update")
-        connection.execute("UPDATE schema SET version = 2")
+        connection.execute("UPDATE schema SET version = ?", (SCHEMA_VERSION + 1,))
     for command in ("status", "resume"):
         ended = started.run("perfbound", command, directory)
         assert ended.code == 1
-        assert "schema version 2, this perfbound reads 1; use the perfbound that wrote it" in ended.fault
+        numbers = f"schema version {SCHEMA_VERSION + 1}, this perfbound reads {SCHEMA_VERSION}"
+        assert f"{numbers}; use the perfbound that wrote it" in ended.fault

@@ -54,8 +54,8 @@ class TestHorizon:
             (
                 "always (x <= 1 implies eventually[0,2] y <= 1)",
                 "`eventually[0,2] y <= 1` reaches to 17 s, but the trajectory ends at 15 s, to which the operator "
-                "around it is read (`always (x <= 1 implies eventually[0,2] y <= 1)`): give that one an interval that ends "
-                "by 13, e.g. always[0,13]",
+                "around it is read (`always (x <= 1 implies eventually[0,2] y <= 1)`): give that one an interval that "
+                "ends by 13, e.g. always[0,13]",
             ),
             (
                 "x <= 1 until (y <= 1 until[0,2] x <= 2)",

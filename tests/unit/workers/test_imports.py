@@ -8,6 +8,7 @@ import pytest
 
 import perfbound
 import perfbound.systems
+from tests.patience import PATIENCE
 
 FORBIDDEN = ("sqlalchemy", "scipy", "sklearn", "perfbound.orchestrator")
 REPORT = "import atexit, json, sys; atexit.register(lambda: print(json.dumps(sorted(sys.modules)), file=sys.stderr))"
@@ -18,7 +19,7 @@ def loaded(*lines: str, arguments: tuple[str, ...] = ()) -> list[str]:
     """Return the modules that a fresh interpreter has loaded at the end of these lines."""
     code = "\n".join((REPORT, *lines))
     command = [sys.executable, "-P", "-c", code, *arguments]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     return list(json.loads(ended.stderr.splitlines()[-1]))
 
 
