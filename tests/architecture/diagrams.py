@@ -5,7 +5,7 @@ from pathlib import Path
 
 from perfbound.orchestrator.fleet.dispatch import KNOWN
 from tests.architecture.drawing import FRAME, Bend, Layout, Pair, svg
-from tests.architecture.rooms import DIVIDED, ROOT, imports
+from tests.architecture.source import arrows_of_rooms
 from tests.architecture.transitions import BESIDE_CAMPAIGN, Transition, of_campaign, of_dispatch, of_legal
 
 FOLDER = Path(__file__).parents[2] / "docs" / "images"
@@ -39,7 +39,7 @@ CAMPAIGN = Layout(
     bends={("running", "closed"): Bend(120, 0.5)},
 )
 ROOMS = Layout(
-    size=(770, 600),
+    size=(670, 600),
     places={
         "cli": (330, 60),
         "report": (520, 105),
@@ -51,9 +51,7 @@ ROOMS = Layout(
         "fleet": (510, 430),
         "schemas": (330, 570),
         "workers": (520, 570),
-        "perfbound": (700, 570),
     },
-    bends={("perfbound", "schemas"): Bend(-70)},
     frame=(20, 24, 650, 494),
     ports={(FRAME, "schemas"): ((330, 494), (330, 553))},
 )
@@ -81,14 +79,10 @@ def merged(transitions: Set[Transition]) -> dict[Pair, list[str]]:
 
 def between_rooms() -> dict[Pair, list[str]]:
     """Return the arrows between the rooms; an import that all rooms of the orchestrator share is one at the frame."""
-    found = imports()
-    inside = [room for room in found if (ROOT / DIVIDED / room).is_dir()]
-    shared = set.intersection(*(found[room] for room in inside))
-    return {
-        (FRAME if target in shared and room in inside else room, target): []
-        for room, targets in found.items()
-        for target in targets
-    }
+    found = arrows_of_rooms()
+    inside = {room for pair in found for room in pair} - {"schemas", "workers"}
+    shared = {target for _, target in found if {(room, target) for room in inside} <= found}
+    return {(FRAME if source in inside and target in shared else source, target): [] for source, target in found}
 
 
 def texts() -> dict[str, str]:
