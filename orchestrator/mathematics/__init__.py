@@ -1,1 +1,1 @@
-"""The mathematics: arrays in, arrays out; of perfbound it imports `schemas.values` alone."""
+"""Mathematics: arrays in, arrays out; of perfbound it imports `schemas.values` alone."""

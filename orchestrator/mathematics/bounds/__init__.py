@@ -1,1 +1,1 @@
-"""The bounds: from observations to bounds, from bounds to claims, and the audit of their assumptions."""
+"""Bounds from observations, their composition, and the audit of their assumptions."""

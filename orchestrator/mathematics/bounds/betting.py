@@ -34,15 +34,15 @@ Floats = NDArray[np.float64]
 
 GRID = 4096
 ROUND_OFF = 1e-4
-"""A candidate falls only when W exceeds 1/delta by this share. A value costs at most 2e-11 of it in rounding, at the
-least candidate, so that millions of values cannot make up a rejection."""
+"""A candidate is rejected only when W exceeds 1/delta by this share. A value costs at most 2e-11 of it in rounding, at
+the least candidate, so that the rounding of millions of values causes no rejection."""
 RICHEST = 1e300
-"""Wealth above this is thrown away (which no supermartingale minds), so that nothing overflows."""
+"""Wealth above this is discarded, so that nothing overflows: less wealth keeps a supermartingale one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Strategy:
-    """How a bet follows from the past: Kelly's bet to second order, for the mean that the past suggests.
+    """A rule of betting: Kelly's bet to second order, for the mean that the past suggests.
 
     `share` of the first wealth, `cap` on what may be lost at once, and `optimism`: the mean is taken that many standard
     errors above the past one, so that a short unlucky past does not end the betting.
@@ -63,13 +63,13 @@ class Strategy:
 
 BOLD_AND_CAREFUL = (Strategy(0.7, 0.95, 1.0), Strategy(0.3, 0.5))
 """For some hundred values far from 0 the largest bets are best, so most of the wealth bets boldly. Where values at 0
-(a fall) are not rare that is ruinous, and the careful part carries on at the price of a factor .3 in W."""
+(a fall) are not rare that is ruinous, and the careful part continues at the price of a factor .3 in W."""
 
 CAREFUL = (Strategy(1.0, 0.5),)
 
 
 class Past:
-    """Count, mean and variance of the values so far; `imaginary` values at 1 count along in bets, not in `count`.
+    """Count, mean and variance of the values so far; `imaginary` values at 1 count in bets, not in `count`.
 
     Raises:
         ValueError: `imaginary` is negative.
@@ -150,11 +150,11 @@ class BettingSequence:
         return self._rejected[level] / GRID
 
     def wealth(self) -> Floats:
-        """Return W at the candidates g/G, g = 0 .. G-1; those rejected at every level are no longer kept up."""
+        """Return W at the candidates g/G, g = 0 .. G-1; those rejected at every level are no longer updated."""
         return np.asarray(np.add.reduce(self._wealth, axis=0))
 
     def observe(self, x: float, past: Past) -> None:
-        """Add a value; `past` is what was known before it and does not contain it.
+        """Add a value; `past` contains the values before it and not itself.
 
         Raises:
             ValueError: `x` is outside [0, 1].
@@ -162,6 +162,7 @@ class BettingSequence:
         """
         if not 0.0 <= x <= 1.0:
             raise ValueError(f"a value must lie in [0, 1], not {x!r}")
+        # A candidate that is rejected at every level remains so: no wealth is needed there.
         start = 1 + min(self._rejected)
         ends = [self._bet(j, strategy, start, x, past) for j, strategy in enumerate(self._strategies)]
         if (end := max(ends)) > start:
@@ -174,6 +175,7 @@ class BettingSequence:
         if end > start:
             m, largest = _candidate_means()[start:end], _largest_bets(strategy.cap)[start:end]
             edge = aim - m
+            # The cap keeps every factor of the wealth at least 1 - cap > 0, even for x = 0.
             bet = np.minimum(edge / (variance + edge * edge), largest)
             wealth = self._wealth[j, start:end]
             np.minimum(wealth * (1.0 + bet * (x - m)), RICHEST, out=wealth)
@@ -185,8 +187,9 @@ class BettingSequence:
         self._reach = max(self._reach, end)
         for level, threshold in enumerate(self._levels):
             g = self._rejected[level] + 1
-            standing = self._peak[g : self._reach] < threshold
-            passed = int(standing.argmax()) if standing.any() else len(standing)
+            # L needs *all* of 1 .. g rejected: count on from the last one to the first that is not.
+            accepted = self._peak[g : self._reach] < threshold
+            passed = int(accepted.argmax()) if accepted.any() else len(accepted)
             self._rejected[level] = g + passed - 1
 
 

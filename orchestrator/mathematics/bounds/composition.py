@@ -1,4 +1,4 @@
-"""Composition of the bounds of two problems to a bound of the true system.
+"""Composition of the bounds of two problems into a bound of the true system.
 
 | symbol    | name            | meaning                                                         | unit |
 |-----------|-----------------|-----------------------------------------------------------------|------|
@@ -34,7 +34,7 @@ VarianceBound = Literal["popoviciu", "bhatia-davis"]
 
 @dataclass(frozen=True, slots=True)
 class Composition:
-    """A composed lower bound with its terms: ell = robustness - gap - spread, and the probability that it holds.
+    """A composed lower bound with its terms: ell = robustness - gap - spread, and the probability that it is valid.
 
     `robustness` is rho~, `gap` is L e~, `spread` is r (M + m)/2, all in the unit of robustness.
     """
@@ -84,12 +84,12 @@ def compose(
 
 
 def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
-    """Return a lower bound of the probability that all bounds hold at once.
+    """Return a lower bound of the probability that all bounds are valid at once.
     Implements eq. (calculated_bound) of [ARA].
     Implements eq. (accounting) of [PB].
 
     Formula: product: prod Delta_j. sum: max(0, 1 - sum (1 - Delta_j)).
-    Assumes for the product that no problem's proposals or stopping saw the other's data; the sum assumes nothing.
+    Assumes for the product that no problem's proposals or stopping depend on the other's data; the sum assumes nothing.
 
     Raises:
         ValueError: a probability is outside [0, 1], none is given, or the rule is unknown.
@@ -108,6 +108,7 @@ def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
     if rule == "product":
         return math.prod(probabilities)
     if rule == "sum":
+        # fsum of the complements: 1 - p is exact for p in [1/2, 1], a sum of the p is not.
         return max(0.0, 1.0 - math.fsum(1.0 - p for p in probabilities))
     raise ValueError(f"rule is 'product' or 'sum', not {rule!r}")
 
@@ -115,7 +116,7 @@ def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
 def compose_mean(
     robustness: float, gap: float, *, kind: GapKind, clip: tuple[float, float], lipschitz: float = 1.0
 ) -> float:
-    """Return the lower bound of the least expected true robustness that follows from two extremes, rounded down.
+    """Return the lower bound of the least expected true robustness from two extremes, rounded down.
     Implements eq. (gap) of [PB].
 
     Formula: b = rho~ - L e~ for `signal_sup`; rho~ - e~ for `predicate_sup`, since min/max robustness is 1-Lipschitz in
@@ -133,6 +134,7 @@ def compose_mean(
     lip = decimal(lipschitz)
     if lip < 0 or (kind != "signal_sup" and lip != 1):
         raise ValueError(f"lipschitz is {lipschitz!r}; it must not be negative, and only signal_sup has one")
+    # The clip ends at -m, so no expected robustness is lower, however large the gap.
     exact = decimal(robustness) - lip * decimal(gap)
     return max(round_down(low), floor_to_step(exact))
 
@@ -175,9 +177,9 @@ def pointwise_mean(
     Implements eq. (pointwise) of [PB].
 
     Formula: min_d [LCB_rho(d) - L UCB_gap(d)] = -max_d [U_1(d) + L U_2(d)], U_1 being the upper band of J = -rho; over
-    a box the maximum is certified to within `slack`. `extremes` (`compose_mean`) holds on the same event, so the larger
-    one counts.
-    Assumes that both bands hold: their deltas add up as in `confidence`.
+    a box the maximum is certified to within `slack`. `extremes` (`compose_mean`) is valid on the same event, so the
+    larger one counts.
+    Assumes that both bands are valid: their deltas add up as in `confidence`.
 
     Raises:
         ValueError: slack or L is not positive, or the clip is empty.
@@ -188,6 +190,7 @@ def pointwise_mean(
     low, _ = check_clip(clip)
     bands = (robustness, gap.scaled(lipschitz))
     top = float((bands[0].at(candidates.nodes)[0] + bands[1].at(candidates.nodes)[0]).max())
+    # Between the nodes the sum of the two bands may be higher than at any node.
     if isinstance(candidates, Lattice):
         top = certified_maximum(bands, candidates, nodes=top, slack=slack).upper
     return max(extremes, round_down(max(low, -top)))
@@ -221,10 +224,12 @@ def derived_noise_scale(
     width = float(decimal(high) - decimal(low))
     if kind == "nominal_robustness":
         return 0.0 if deterministic_nominal else width / 2.0
+    # Hoeffding: a variable in an interval of length w is (w/2)-sub-Gaussian.
     if kind == "signal_sup":
         return width / (2.0 * lipschitz)
     if kind == "predicate_sup":
         return width / 2.0
     if kind == "robustness":
+        # A difference: two independent parts add squares, two dependent ones have twice the range.
         return width / 2.0 if deterministic_nominal else width if common_seeds else width / math.sqrt(2.0)
     raise ValueError(f"no noise scale can be derived for {kind!r}")

@@ -1,4 +1,4 @@
-"""The confidence set of method `rigorous`: its radius Q and the scale g_a of its bands.
+"""Confidence set of method `rigorous`: its radius Q and the scale g_a of its bands.
 
 | symbol   | name           | meaning                                                            | shape | unit     |
 |----------|----------------|--------------------------------------------------------------------|-------|----------|
@@ -11,11 +11,11 @@
 | e, u, S, n | `spectrum`   | see `gp.spectrum`                                                  |       |          |
 | Gamma    | `information`  | ln det(I + K/lambda)                                               | ()    | -        |
 | Q        | `radius`       | sum_i (f(z_i) - y_i)^2 <= Q for f in the set                       | ()    | unit J^2 |
-| a        | `a`            | any positive number, chosen after seeing the data                  | (A,)  | -        |
+| a        | `a`            | any positive number, which may depend on the data                  | (A,)  | -        |
 | g_a^2    | `scales_squared` | |f(z) - mu_a(z)| <= g_a sigma_a(z) for f in the set; < 0 if empty | (A,)  | unit J^2 |
 
-The set C_n = {f : sum (f(z_i) - y_i)^2 <= Q and ||f||_k <= B} holds J - m0 for all n at once with probability 1 - delta
-([FR], Gaussian mixture), for any predictable choice of the points. For every a > 0, every f in it has
+The set C_n = {f : sum (f(z_i) - y_i)^2 <= Q and ||f||_k <= B} contains J - m0 for all n at once with probability
+1 - delta ([FR], Gaussian mixture), for any predictable choice of the points. For every a > 0, every f in it has
 ||f||^2 + sum (f(z_i) - y_i)^2/a <= B^2 + Q/a, and the left side is y'(K + aI)^-1 y plus the squared distance of f
 from mu_a in the norm ||h||^2 + sum h(z_i)^2/a, in which |h(z)| <= sigma_a(z) ||h||.
 """
@@ -38,7 +38,7 @@ SMALLEST_A = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Premises:
-    """What is assumed about J and the noise, fixed before the first observation.
+    """The assumptions about J and the noise, fixed before the first observation.
 
     Raises:
         ValueError: a number is outside its range, or the mixture is empty although R > 0.
@@ -53,7 +53,7 @@ class Premises:
     round_off: float = 1e-9
 
     def __post_init__(self) -> None:
-        """Refuse what makes no statement."""
+        """Check that every number is in the range where the theorem applies."""
         if not (math.isfinite(self.rkhs_norm) and self.rkhs_norm > 0):
             raise ValueError(f"rkhs_norm must be a positive finite number, not {self.rkhs_norm!r}")
         for name in ("noise_scale", "tau", "round_off"):
@@ -69,6 +69,7 @@ class Premises:
 
         It is fixed beforehand only for convenience: the theorem lets a depend on the data.
         """
+        # The best a balances g_a and sigma_a and, like the best lambda (see `mixture`), is seldom below (R/B)^2.
         noise = self.noise_scale**2 + self.tau**2 + self.round_off**2
         start = max(SMALLEST_A, 0.01 * noise / self.rkhs_norm**2)
         decades = np.linspace(0.0, DECADES, 2 * DECADES + 1)
@@ -84,7 +85,7 @@ def mixture(rkhs_norm: float, noise_scale: float) -> Mixture:
     >>> mixture(1.0, 0.1)[2]
     (1.0, 0.25)
     """
-    if noise_scale == 0:
+    if noise_scale == 0:  # then Q needs no mixture: n tau0^2
         return ()
     ratio = (noise_scale / rkhs_norm) ** 2
     return tuple((_two_digits(max(SMALLEST_A, ratio) * 10.0**power), 0.25) for power in range(4))
@@ -111,9 +112,11 @@ def radius(spectrum: Spectrum, premises: Premises) -> float:
     """
     n, tau = spectrum.n, premises.tau
     if premises.noise_scale == 0:
+        # Without noise each residual is at most tau0 + tau, surely.
         return n * (premises.round_off + tau) ** 2
     parts = _excess(spectrum, premises)
     q = parts.base + parts.reference * spectrum.energy(parts.reference) + spectrum.within
+    # f differs from J - m0 by at most tau at each of n points: the triangle inequality for the residuals.
     return (math.sqrt(q) + tau * math.sqrt(n)) ** 2
 
 
@@ -136,6 +139,7 @@ def scales_squared(spectrum: Spectrum, premises: Premises, a: Floats) -> Floats:
     """
     e, u2 = spectrum.values[:, None], spectrum.u[:, None] ** 2  # (q, 1)
     q, n, tau = radius(spectrum, premises), spectrum.n, premises.tau
+    # d/de of sum u^2/(e + a): what an error of the matrix may change, to first order.
     rounding = np.sum(u2 / (e + a) ** 2, axis=0)
     if premises.noise_scale == 0:
         excess = q - spectrum.within - a * np.sum(u2 / (e + a), axis=0)
@@ -143,6 +147,7 @@ def scales_squared(spectrum: Spectrum, premises: Premises, a: Floats) -> Floats:
         parts = _excess(spectrum, premises)
         l = parts.reference  # noqa: E741  (as in the formula)
         drift = 2.0 * tau * math.sqrt(n) * (math.sqrt(q) - tau * math.sqrt(n)) + n * tau**2
+        # S cancels here by algebra; subtracting two numbers of size S/a would lose all digits.
         excess = parts.base + drift + (l - a) * np.sum(u2 * e / ((e + l) * (e + a)), axis=0)
         rounding = rounding + l / a * spectrum.energy(l, 2)
     return np.asarray(premises.rkhs_norm**2 + excess / a + 2.0 * spectrum.error * rounding, dtype=np.float64)
@@ -162,12 +167,14 @@ def _excess(spectrum: Spectrum, premises: Premises) -> _Excess:
         - (value - l) / twice * float(np.sum(u2 * e / ((e + value) * (e + l))))
         for j, (value, weight) in enumerate(premises.regularisers)
     ]
+    # log-sum-exp: the terms span hundreds of units, and exp of the largest would overflow.
     top = max(terms)
     log_sum = top + math.log(math.fsum(math.exp(term - top) for term in terms))
     return _Excess(twice * (-math.log(premises.delta) + information[best] / 2.0 - log_sum), l)
 
 
 def _check_mixture(regularisers: Mixture, *, needed: bool) -> None:
+    # Weights that sum to at most 1 make the mixture a supermartingale that starts at most at 1.
     if needed and not regularisers:
         raise ValueError("regularisers: observations with noise (R > 0) need at least one pair (lambda, weight)")
     for value, weight in regularisers:

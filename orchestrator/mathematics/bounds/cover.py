@@ -1,11 +1,11 @@
-"""A certified maximum over a box: cells are split until no point between the candidates can matter.
+"""Certified maximum over a box: branch and bound over the cells between the nodes.
 
 | symbol | name       | meaning                                                           | shape  | unit   |
 |--------|------------|-------------------------------------------------------------------|--------|--------|
 | U(z)   |            | upper bound of the objective at z: the sum of the bands           |        | unit J |
 |        | `nodes`    | max of U over the nodes of the lattice                            | ()     | unit J |
 | h      | `half`     | half side lengths of the cells of one generation                  | (p,)   | m      |
-|        | `slack`    | how far the certified maximum may lie above the best U(z) found   | ()     | unit J |
+|        | `slack`    | allowed excess of the certified maximum over the best U(z) found  | ()     | unit J |
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ _CHUNK = 4096
 
 @dataclass(frozen=True, slots=True)
 class Cover:
-    """A number that no point of the box exceeds, the largest U(z) found, and the cells that it took."""
+    """A number that U(z) exceeds at no point of the box, the largest U(z) found, and the cells examined."""
 
     upper: float
     found: float
@@ -44,8 +44,8 @@ def certified_maximum(
 
     Formula: branch and bound. The cells between the nodes are bounded by corner values and a rest (see
     `bounds.envelope`); those above the best U(z) found so far + `slack` are split in 2^p; a child is never worse than
-    its parent. After `max_cells` cells it stops with what it has: the bound stays valid, only its distance to the best
-    U(z) found may exceed `slack`. Deterministic: breadth first, in the order of the lattice.
+    its parent. After `max_cells` cells it stops: the bound remains valid, only its distance to the best U(z) found may
+    exceed `slack`. Deterministic: breadth first, in the order of the lattice.
     """
     sides = lattice.resolution - 1
     cells = np.stack(np.unravel_index(np.arange(sides**lattice.dimension), (sides,) * lattice.dimension), axis=1)
@@ -54,10 +54,12 @@ def certified_maximum(
     parents, best, closed, count = np.full(len(cells), np.inf), nodes, -np.inf, 0
     while len(cells):
         bounds, found = _over(envelopes, cells, grid)
+        # A child is a part of its parent, so the parent's bound is valid for it too.
         bounds, best, count = np.minimum(bounds, parents), max(best, found), count + len(cells)
+        # The other cells cannot raise the result by more than `slack`: they are closed with their bounds.
         split = bounds > best + slack
         if count + len(offsets) * int(split.sum()) > max_cells:
-            split[:] = False
+            split[:] = False  # out of budget: every open cell is closed with its bound
         closed = max(closed, float(np.max(bounds, where=~split, initial=-np.inf)))
         cells = (2 * cells[split][:, None, :] + offsets).reshape(-1, lattice.dimension)
         parents = np.repeat(bounds[split], len(offsets))
@@ -78,9 +80,10 @@ class _Grid:
         return np.asarray(self.low + self.spacing * (cells + 0.5), dtype=np.float64)
 
     def corners(self, cells: Integers) -> tuple[Floats, Integers]:
-        """Return the distinct corners (C, p) of the cells, and which of them are those of each cell (N, 2^p)."""
+        """Return the distinct corners (C, p) of the cells, and the numbers of those of each cell (N, 2^p)."""
         shape = (self.sides + 1,) * cells.shape[1]
         corners = (cells[:, None, :] + self.offsets).reshape(-1, cells.shape[1])
+        # Neighbouring cells share corners, and a corner costs a product with all observed points.
         keys, inverse = np.unique(np.ravel_multi_index(tuple(corners.T), shape), return_inverse=True)
         places = np.stack(np.unravel_index(keys, shape), axis=1)
         return self.low + self.spacing * places, inverse.reshape(len(cells), -1)
@@ -103,6 +106,7 @@ def _over(envelopes: Sequence[Envelope], cells: Integers, grid: _Grid) -> tuple[
 def _bounded(envelope: Envelope, cells: Integers, grid: _Grid) -> tuple[Floats, Floats | float, Floats]:
     """Return (corner values, rest, upper value at the centres) of one envelope."""
     centres, half = grid.centres(cells), grid.spacing / 2.0
+    # nu <= 2: a function of the ball need not have a second derivative, but the edge of the band has a bound.
     if not np.isfinite(envelope.radial.bend):
         return envelope.over(centres, half, np.where(grid.offsets > 0, 1.0, -1.0))
     points, inverse = grid.corners(cells)

@@ -1,4 +1,4 @@
-"""The band of one confidence set: upper and lower bounds of J at points and over cells.
+"""Band of one confidence set: upper and lower bounds of J at points and over cells.
 
 | symbol     | name        | meaning                                                        | shape  | unit    |
 |------------|-------------|----------------------------------------------------------------|--------|---------|
@@ -116,11 +116,14 @@ class Envelope:
         grad_k = np.einsum("qn,qnp->np", b * slope, difference)
         rest_mu = np.einsum("qn,qn->n", np.abs(w), remainder)
         rest_k = np.einsum("qn,qn->n", np.abs(b), remainder)
+        # (1): linear in z, with a rest quadratic in h.
         top = mu + g * sd
         tilt = grad_mu - (g / sd)[:, None] * grad_k
         smooth = rest_mu + g / sd * rest_k
+        # (2): the square root bounded whole, for cells near the data.
         near = np.abs(grad_mu) @ half + rest_mu
         near += g * (np.sqrt(sd**2 + 2.0 * (np.abs(grad_k) @ half + rest_k)) - sd)
+        # (3): B d_k(|h|) needs no data, and no value of the ball exceeds B.
         flat = np.minimum(np.minimum(near, self.rkhs_norm * self.radial.distance(reach)), self.rkhs_norm - top)
         linear = np.abs(tilt) @ half + smooth < flat
         corners = top[:, None] + np.where(linear[:, None], (tilt * half) @ signs.T, 0.0)

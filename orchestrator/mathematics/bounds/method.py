@@ -1,4 +1,4 @@
-"""The port of the three methods: the next test, and what the observations so far prove about max J."""
+"""Port of the three methods: the next test, and the bound of max J that the observations so far prove."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -23,14 +23,14 @@ class Method(Protocol):
         ...
 
     def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:
-        """Return the next test, given the candidates of the tests in flight; it changes nothing.
+        """Return the next test, given the candidates of the tests in flight (`pending`); it changes nothing.
 
         `first` is the candidate of a problem's first test, given then and only then.
         """
         ...
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
-        """Return the proposal of `x` (p,) if another CPU, which rounds otherwise, could have chosen it."""
+        """Return the proposal of `x` (p,) if another CPU, which rounds differently, could have chosen it."""
         ...
 
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
@@ -38,7 +38,7 @@ class Method(Protocol):
         ...
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
-        """Add observations whose bounds are known; afterwards only `band` is right."""
+        """Add observations whose bounds are known; afterwards `band` is current, and a stored bound may not be."""
         ...
 
     def band(self, bound: Bound) -> Band:

@@ -1,1 +1,1 @@
-"""Gaussian-process regression on a lattice: kernel, candidates, posterior, acquisition."""
+"""Gaussian-process regression: kernel, candidates, observations, posterior, maximisers."""

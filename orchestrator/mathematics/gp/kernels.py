@@ -1,4 +1,7 @@
-"""Stationary kernels of unit amplitude.
+"""The Matern kernel of unit amplitude, evaluated by scikit-learn.
+
+This kernel decides at the candidates, where all kernel rows are made of its values; `gp.radial` repeats it with slope
+and curvature, for points and cells between the candidates.
 
 | symbol | name           | meaning                                    | shape | unit |
 |--------|----------------|--------------------------------------------|-------|------|
@@ -37,7 +40,7 @@ class Matern:
     length_scale: float
 
     def __post_init__(self) -> None:
-        """Refuse parameters for which there is no kernel."""
+        """Check that a kernel with these parameters exists."""
         for name in ("nu", "length_scale"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
@@ -50,7 +53,7 @@ class Matern:
             ValueError: a distance is negative or not finite, or the Bessel function overflows (nu far above 10).
 
         """
-        # scikit-learn takes over a second to import: only who evaluates a kernel pays for it.
+        # scikit-learn takes over a second to import, and most commands evaluate no kernel.
         from sklearn.gaussian_process.kernels import Matern as ScikitMatern  # noqa: PLC0415
 
         r = np.asarray(distances, dtype=np.float64)

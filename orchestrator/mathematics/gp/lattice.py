@@ -46,7 +46,7 @@ class Lattice:
         self._validate()
         axes = [np.linspace(a, b, self.resolution) for a, b in zip(self.low, self.high, strict=True)]
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.dimension)  # (m, p)
-        nodes.flags.writeable = False
+        nodes.flags.writeable = False  # frozen like the lattice itself
         object.__setattr__(self, "nodes", nodes)
 
     def _validate(self) -> None:
@@ -85,11 +85,12 @@ class Lattice:
     def subnode(self, z: Floats) -> tuple[float, ...]:
         """Return the point nearest to `z` (p,) on the lattice with `PARTS` times as many intervals per axis.
 
-        Points that are sought between nodes are taken from it, so that a campaign that returns to a place returns to
-        the same point, and its observations merge.
+        Points between nodes are taken from it: a campaign that returns to a place then returns to the same point, and
+        its observations merge.
         """
         low, step = np.array(self.low), np.array(self.spacing) / PARTS
         point = low + np.rint((z - low) / step) * step
+        # low + k step may round to more than the upper edge.
         return tuple(np.clip(point, low, self.high).tolist())
 
     def kernel_rows(self, kernel: Callable[[Floats], Floats]) -> "KernelRows":
@@ -98,7 +99,7 @@ class Lattice:
 
 
 class KernelRows:
-    """Kernel rows of a lattice, each a copied window of one table.
+    """Kernel rows of a lattice, each a copy of a window of one table.
 
     A stationary kernel depends on two nodes only through |index offset| per axis. The table holds every offset from
     -(resolution - 1) to resolution - 1, mirrored, so that row i is a contiguous window and k(z_i, z_j) = k(z_j, z_i)
@@ -140,6 +141,7 @@ def _offset_distances(spacing: Sequence[float], resolution: int) -> Floats:
 def _mirrored(table: Floats) -> Floats:
     """Extend a table over non-negative offsets to negative ones, along every axis."""
     for axis in range(table.ndim):
+        # The same numbers on both sides make k(z_i, z_j) = k(z_j, z_i) to the bit.
         negative = np.flip(np.delete(table, 0, axis=axis), axis=axis)
         table = np.concatenate([negative, table], axis=axis)
     return table

@@ -1,4 +1,4 @@
-"""A finite list of candidate points, on which maxima are exact, and kernel rows over it.
+"""Finite lists of candidate points, on which maxima are exact, and kernel rows over them.
 
 | symbol   | name       | meaning                              | shape  | unit      |
 |----------|------------|--------------------------------------|--------|-----------|
@@ -23,7 +23,7 @@ MAX_POINTS = 5_000
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """The points of a finite D; the same interface as `Lattice` where the methods need one.
+    """The points of a finite D; with the part of the interface of `Lattice` that the methods use.
 
     Raises:
         ValueError: no point, too many, differing lengths, a coordinate that is not finite, or a point listed twice.
@@ -37,7 +37,7 @@ class Points:
     nodes: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Validate the list and lay it out as an array."""
+        """Validate the list and store it as an array."""
         points = tuple(tuple(float(v) for v in point) for point in self.points)
         _validate(points)
         object.__setattr__(self, "points", points)

@@ -1,4 +1,4 @@
-"""The posterior of a Gaussian process over all nodes, by a Cholesky factor that grows by rows.
+"""Posterior of a Gaussian process over all nodes, by a Cholesky factor that grows by rows.
 
 | symbol   | name           | meaning                                              | shape  | unit   |
 |----------|----------------|------------------------------------------------------|--------|--------|
@@ -8,14 +8,14 @@
 | lambda   | `regulariser`  | added to the diagonal of K                           | ()     | -      |
 | N        |                | rows of the factor, q <= N <= n                      | ()     | -      |
 | s        | `_slots`       | position in X of each row                            | (N,)   | -      |
-| b        | `_weights`     | observations that a row stands for                   | (N,)   | -      |
+| b        | `_weights`     | observations that a row represents                   | (N,)   | -      |
 | L        | `_factor`      | lower Cholesky factor of K(X, X)[s, s] + diag(lambda/b) | (N, N) | -   |
 | w        | `_w`           | L^-1 (mean observation of each row)                  | (N,)   | unit J |
 | mu       | `mean`         | K(X[s], .)' L'^-1 w                                  | (m,)   | unit J |
 | sigma^2  | `variance`     | 1 - column sums of (L^-1 K(X[s], .))^2               | (m,)   | -      |
 
-A row may stand for several observations of a point: their mean, with noise lambda/b, says exactly what they say one by
-one. A new observation appends a row of its own; rows are merged once there are twice as many as points.
+A row may represent several observations of a point: their mean, with noise lambda/b, gives exactly the same posterior.
+A new observation appends a row of its own; rows are merged once there are twice as many as points.
 
 Cost of an observation: O(q m + q^2), amortised; of a changed lambda: one factorisation, O(q^3/3 + q^2 m). Memory:
 O(q (m + q)).
@@ -127,7 +127,7 @@ class Posterior:
         return float(v @ w), max(0.0, 1.0 - float(v @ v)), mean_weights @ slope, -2.0 * (gain @ slope)
 
     def regularise(self, value: float) -> None:
-        """Change lambda; the factor is rebuilt when a moment is next asked for.
+        """Change lambda; the factor is rebuilt when a moment is next needed.
 
         Raises:
             ValueError: `value` is negative or not finite.
@@ -146,6 +146,7 @@ class Posterior:
             SingularKernelError: K + lambda I would be singular.
 
         """
+        # Every error of `y` and of the pivot comes before the first change.
         self._data.check(y)
         if not self._stale:
             self._extend(point, y)
@@ -153,6 +154,7 @@ class Posterior:
         if not self._stale:
             self._slots.append(position)
             self._weights.append(1.0)
+            # A merge costs O(q^3) and needs at least q new rows, hence O(q^2) per observation.
             if len(self._slots) > max(FEWEST_ROWS, 2 * len(self._data.points)):
                 self._merge()
 
@@ -174,6 +176,7 @@ class Posterior:
 
         """
         diagonal = _valid_regulariser(1.0 + eta)
+        # Under "1+eta" the factor of the posterior is the one needed here; otherwise a second one is made.
         if diagonal == self._regulariser:
             self._refresh()
             pivots, weights = self._triangle.pivots, np.array(self._weights)
@@ -192,12 +195,14 @@ class Posterior:
         if squared < SMALLEST_PIVOT:
             raise SingularKernelError(self.n, self._regulariser)
         pivot = math.sqrt(squared)
+        # L^-1 K(X[s], .) is not stored: its next row follows from the kernel rows by one transposed solve.
         slots = np.array(self._slots, dtype=np.intp)
         gain = np.bincount(slots, self._triangle.solve_transposed(l), minlength=len(self._data.points))  # (q,)
         v = (row - gain @ self._data.points.kernel) / pivot
         w = (y - float(l @ np.array(self._w))) / pivot
         self._triangle.append(l, pivot)
         self._w.append(w)
+        # Only subtraction: at one lambda a variance never grows, in floating point either.
         self._set_moments(self._mean + w * v, np.maximum(self._variance - v * v, 0.0))
 
     def _refresh(self) -> None:
@@ -221,6 +226,7 @@ class Posterior:
     def _factor(self, diagonal: float) -> Floats:
         """Return L of K(X, X) + diag(diagonal/c), shape (q, q), in Fortran order; only its lower triangle counts."""
         data = self._data
+        # With repeats K has two equal rows, which lambda alone keeps apart.
         if data.n > len(data.points) and diagonal < SMALLEST_PIVOT:
             raise SingularKernelError(data.first_repeat, diagonal)
         matrix = data.points.gram.copy()

@@ -1,5 +1,8 @@
 """The Matern kernel as a function of distance: value, slope, and bounds on its curvature.
 
+`gp.kernels` decides at the candidates; this module is for points and cells between them, where slope and curvature are
+needed, and its values agree with that kernel within `error`.
+
 | symbol  | name           | meaning                                          | shape | unit  |
 |---------|----------------|--------------------------------------------------|-------|-------|
 | nu, l   | `kernel`       | smoothness, length scale                         | ()    | -, m  |
@@ -12,8 +15,7 @@
 | k''(r)  |                | (2 nu/l^2) c (s^2 P_{nu-2}(s) - P_{nu-1}(s))     | any   | 1/m^2 |
 
 All from d/ds s^mu K_mu(s) = -s^mu K_{mu-1}(s). Half-integer orders have closed forms. For other orders a Bessel
-function costs half a microsecond, so P is tabulated by cubics that match value and slope; `error` bounds what that
-loses.
+function costs half a microsecond, so P is tabulated by cubics that match value and slope; `error` bounds the loss.
 """
 
 import math
@@ -62,6 +64,7 @@ class Radial:
 
     def value(self, r: Floats) -> Floats:
         """Return k(r), in the shape of `r`."""
+        # Cubics may exceed k(0) = 1 by `error`; a covariance above 1 would give a negative variance.
         values = np.minimum(self._c * self._bessel(self._nu, self.rate * r), 1.0)
         return np.asarray(np.where(r == 0, 1.0, values), dtype=np.float64)
 
@@ -70,13 +73,14 @@ class Radial:
         return np.asarray(-(self.rate**2) * self._c * self._bessel(self._nu - 1.0, self.rate * r), dtype=np.float64)
 
     def value_and_slope(self, r: Floats) -> tuple[Floats, Floats]:
-        """Return `value`, and `slope` to about 1e-9 of `rate`^2 (0 at r = 0); quicker: to climb by, not to bound."""
+        """Return `value`, and `slope` to about 1e-9 of `rate`^2 (0 at r = 0): faster, but too coarse for a bound."""
         with np.errstate(divide="ignore", invalid="ignore"):
             if self._nu in _HALF_INTEGER:
                 value, slope = self.value(r), self.slope(r)
             else:
                 value, derivative = self._table(self._nu).with_derivative(self.rate * r)
                 value, slope = np.minimum(self._c * value, 1.0), self._c * self.rate * derivative / r
+        # At r = 0 a smooth kernel has slope 0 and a rough one a kink, where a climb may take 0 as well.
         return value, np.where(r > 0, slope, 0.0)
 
     def curvature(self, low: Floats, high: Floats) -> Floats:
@@ -88,6 +92,7 @@ class Radial:
         s_low, s_high = self.rate * low, self.rate * high
         radial = s_high**2 * self._bessel(self._nu - 2.0, s_low)
         tangential = self._bessel(self._nu - 1.0, s_low)
+        # P decreases in s, so its largest value over the interval is the one at s_low.
         largest = self._c * np.maximum(tangential, radial) + (1.0 + s_high**2) * self.error
         return np.asarray(self.rate**2 * largest, dtype=np.float64)
 
@@ -107,7 +112,7 @@ class Radial:
 
 
 class _Table:
-    """P_order by cubics from `_start` on; Bessel functions below, where P may be singular; 0 where it is < 1e-20.
+    """P_order by cubics from `_start` on; Bessel functions below, where P may be singular; 0 where P is < 1e-20.
 
     A cubic misses h^4/384 of the fourth derivative, which near 0 is 3/(4 (order - 1) (order - 2)) of P(0).
     """
@@ -124,7 +129,7 @@ class _Table:
         low, high = slope[:-1], slope[1:]
         columns = [value[:-1], low, 3.0 * rise - 2.0 * low - high, low + high - 2.0 * rise]
         self._cubics = np.ascontiguousarray(np.stack(columns, axis=1))  # (cells, 4)
-        self._cubics[-1] = 0.0
+        self._cubics[-1] = 0.0  # the cell of everything beyond the table
 
     def __call__(self, s: Floats) -> Floats:
         """Return P(s), in the shape of `s`."""
@@ -147,7 +152,7 @@ class _Table:
         return result, derivative
 
     def _cell(self, s: Floats) -> tuple[Floats, Floats]:
-        """Return the place within its cell and the cubic of each of `s`."""
+        """Return the position within its cell and the cubic of each of `s`."""
         t = np.clip((s - self._start) / self.STEP, 0.0, len(self._cubics) - 1.0)
         cell = t.astype(np.intp)
         return t - cell, self._cubics[cell]

@@ -56,9 +56,11 @@ def decompose(data: Observations) -> Spectrum:
     """
     if not data.n:
         return Spectrum(0, np.empty(0), np.empty((0, 0)), np.empty(0), 0.0, 0.0)
+    # Symmetric scaling: the eigenvalues of the n x n matrix of all observations that are not 0.
     root = np.sqrt(data.counts)
     matrix = root[:, None] * data.points.gram * root
     values, vectors = eigh(matrix, overwrite_a=True, check_finite=False)
     projector = np.ascontiguousarray(vectors.T * root)
     error = ROUND_OFF * max(1.0, float(values[-1]))
+    # K is positive semidefinite: eigenvalues below 0 are round-off, which `error` bounds.
     return Spectrum(data.n, np.maximum(values, 0.0), projector, projector @ data.means, data.within, error)

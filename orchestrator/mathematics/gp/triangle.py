@@ -49,7 +49,7 @@ class Triangle:
         return self.size * (self.size + 1) // 2
 
     def _solve(self, x: Floats, *, transposed: int) -> Floats:
-        if not self.size:  # LAPACK's wrapper refuses an empty matrix
+        if not self.size:  # BLAS refuses a matrix of order 0
             return np.empty(0)
         solution = dtpsv(self.size, self._packed[: self._length], x, lower=0, trans=transposed)
         return np.asarray(solution, dtype=np.float64)
