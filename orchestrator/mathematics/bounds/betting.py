@@ -131,7 +131,7 @@ class BettingSequence:
 
     def __init__(self, deltas: Sequence[float], strategies: Sequence[Strategy] = BOLD_AND_CAREFUL) -> None:
         if not deltas or not all(0.0 < delta < 1.0 for delta in deltas):
-            raise ValueError(f"every delta must lie in (0, 1), at least one is needed; not {list(deltas)}")
+            raise ValueError(f"every delta must be in (0, 1), at least one is needed; not {list(deltas)}")
         if not math.isclose(math.fsum(strategy.share for strategy in strategies), 1.0, abs_tol=1e-12):
             raise ValueError("the shares of the strategies must sum to 1")
         self._levels = tuple((1.0 + ROUND_OFF) / delta for delta in deltas)
@@ -161,7 +161,7 @@ class BettingSequence:
 
         """
         if not 0.0 <= x <= 1.0:
-            raise ValueError(f"a value must lie in [0, 1], not {x!r}")
+            raise ValueError(f"a value must be in [0, 1], not {x!r}")
         # A candidate that is rejected at every level remains so: no wealth is needed there.
         start = 1 + min(self._rejected)
         ends = [self._bet(j, strategy, start, x, past) for j, strategy in enumerate(self._strategies)]

@@ -104,7 +104,7 @@ def joint_probability(probabilities: Sequence[float], rule: Rule) -> float:
         raise ValueError("a composition needs at least one probability")
     for p in probabilities:
         if not 0.0 <= p <= 1.0:
-            raise ValueError(f"a probability must lie in [0, 1], not {p!r}")
+            raise ValueError(f"a probability must be in [0, 1], not {p!r}")
     if rule == "product":
         return math.prod(probabilities)
     if rule == "sum":

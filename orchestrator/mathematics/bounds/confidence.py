@@ -61,7 +61,7 @@ class Premises:
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be a finite number >= 0, not {value!r}")
         if not 0.0 < self.delta < 1.0:
-            raise ValueError(f"delta must lie in (0, 1), not {self.delta!r}")
+            raise ValueError(f"delta must be in (0, 1), not {self.delta!r}")
         _check_mixture(self.regularisers, needed=self.noise_scale > 0)
 
     def grid(self) -> Floats:
@@ -181,7 +181,7 @@ def _check_mixture(regularisers: Mixture, *, needed: bool) -> None:
         if not (math.isfinite(value) and value >= SMALLEST_A):
             raise ValueError(f"regularisers: lambda = {value!r} must be finite and at least {SMALLEST_A:g}")
         if not 0.0 < weight <= 1.0:
-            raise ValueError(f"regularisers: weight {weight!r} of lambda = {value!r} must lie in (0, 1]")
+            raise ValueError(f"regularisers: weight {weight!r} of lambda = {value!r} must be in (0, 1]")
     if math.fsum(weight for _, weight in regularisers) > 1.0 + 1e-12:
         raise ValueError(f"regularisers: the weights {[w for _, w in regularisers]} add up to more than 1")
 

@@ -19,7 +19,7 @@ class Method(Protocol):
 
     @property
     def probability(self) -> float:
-        """Probability with which the bound holds, rounding apart."""
+        """Probability with which the bound is valid, before its outward rounding."""
         ...
 
     def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:

@@ -79,7 +79,7 @@ class PaperMethod(Method):
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:  # noqa: ARG002  (sequential)
         """Return the proposal of `x` (p,) if another CPU could have chosen it as maximiser; of nodes only."""
-        # The end of a climb depends on the last bits, so no tolerance tells a rival from any other point.
+        # The end of a climb depends on the last bits, so no tolerance separates a rival from other points.
         if self.n == 0 or self._refine:
             return None
         acquisition = self._acquisition()

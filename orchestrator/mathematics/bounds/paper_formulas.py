@@ -201,4 +201,4 @@ class PaperParameters:
 
 def _check_probability(delta: float) -> None:
     if not 0.0 < delta < 1.0:
-        raise ValueError(f"delta must lie in (0, 1), not {delta!r}")
+        raise ValueError(f"delta must be in (0, 1), not {delta!r}")

@@ -1,4 +1,4 @@
-"""Method `rigorous`: an upper and a lower bound of max J that hold at every moment, from one confidence set.
+"""Method `rigorous`: an upper and a lower bound of max J, valid at every moment, from one confidence set.
 
 | symbol      | name           | meaning                                                            | shape  | unit   |
 |-------------|----------------|--------------------------------------------------------------------|--------|--------|
@@ -45,15 +45,15 @@ class ExhaustedError(ValueError):
 
     def __init__(self, size: int) -> None:
         super().__init__(
-            f"all {size} candidates have been observed without noise and the bound is still wider than alpha: what is "
-            "left lies between the candidates. Raise the resolution or alpha; a repeat would make the kernel matrix "
-            "singular and teach nothing"
+            f"all {size} candidates have been observed without noise and the bound is still wider than alpha: the "
+            "rest is between the candidates. Raise the resolution or alpha; a repeat would make the kernel matrix "
+            "singular and add nothing"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class RigorousBound:
-    """What n observations prove: lower <= J* <= upper with probability at least 1 - delta, `slack` included.
+    """The bound that n observations prove: lower <= J* <= upper with probability at least 1 - delta, `slack` included.
 
     `upper` is the running minimum of U_n and `lower` the running maximum of L_n. At the n that set `upper`, the maximum
     over the candidates alone was `candidates_upper`, and `slack` = upper - candidates_upper is what the rest of the box
@@ -92,7 +92,7 @@ class RigorousMethod(Method):
         if not (math.isfinite(alpha) and alpha > 0):
             raise ValueError(f"alpha must be a positive finite number, not {alpha!r}")
         if slack is not None and not 0 < slack <= alpha:
-            raise ValueError(f"slack must lie in (0, alpha = {alpha!r}], not {slack!r}")
+            raise ValueError(f"slack must be in (0, alpha = {alpha!r}], not {slack!r}")
         if not math.isfinite(prior_mean):
             raise ValueError(f"prior_mean must be finite, not {prior_mean!r}")
         self.candidates, self._premises, self._radial = candidates, premises, Radial(kernel)
@@ -138,7 +138,7 @@ class RigorousMethod(Method):
         return Band(*(tuple(values.tolist()) for values in (mean, lower, upper, possible)))
 
     def bound(self) -> RigorousBound:
-        """Return what the observations so far prove; it costs nothing."""
+        """Return the bound that the observations so far prove; it is stored, so the call costs nothing."""
         return self._bound
 
     def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:
@@ -146,7 +146,7 @@ class RigorousMethod(Method):
         Implements eq. (proposal) of [PB].
 
         Formula: argmax over the candidates of min_a (mu_a + g_a sigma_a), ties to the lowest index. With `pending`
-        nodes, whose observations are not known, mu + g sigma' at one a, sigma' being the standard deviation as if they
+        nodes, whose observations are missing, mu + g sigma' at one a, sigma' being the standard deviation as if they
         were observed: that needs their places alone, so the proposal stays predictable and the theorem applies. Without
         noise no node is observed twice. Without observations and pending tests the caller chooses `first`.
 
@@ -234,14 +234,14 @@ class RigorousMethod(Method):
         return "converged" if upper - lower <= self._alpha else "open"
 
     def _bound_now(self) -> RigorousBound:
-        """Return what the last confidence set alone proves; its `status` is left open."""
+        """Return the bound that the last confidence set alone proves, its `status` left open."""
         old, b_min = self._bound, self._band.b_min
         # False premises prove nothing: the running extremes keep the bounds from before the contradiction.
         if old.status == "refuted" or b_min > self._premises.rkhs_norm:
             return RigorousBound(self.n, math.inf, -math.inf, math.inf, 0.0, b_min, "refuted")
         upper, lower = self._band.limits()
         nodes, low = float(upper.max()), float(lower.max())
-        if isinstance(self.candidates, Points):  # Z is the list itself: nothing lies between
+        if isinstance(self.candidates, Points):  # Z is the list itself: nothing is between
             return RigorousBound(self.n, nodes, low, nodes, 0.0, b_min, "open")
         # L may come from the nodes alone: any J(z) is below J*. U must cover the whole box.
         slack = _needed_slack(nodes - max(low, old.lower), self._alpha, self._slack)
@@ -250,7 +250,7 @@ class RigorousMethod(Method):
 
 
 def _needed_slack(width: float, alpha: float, slack: float) -> float:
-    """Return how closely the box is searched: a tenth of a wide bound; near the stop, what is left to alpha."""
+    """Return how closely the box is searched: a tenth of a wide bound; near the stop, the rest to alpha."""
     room = alpha - width
     # Any slack gives a valid bound; this one spends cells only where they can end the campaign.
     return max(slack, 0.1 * width) if room <= 0 else max(min(slack, 0.9 * room), alpha / 64.0)

@@ -84,7 +84,7 @@ class ScenarioBound:
         """Return whether further rollouts can gain at most `alpha`, or whether the two bounds contradict each other."""
         if self.gap > alpha:
             return None
-        # Both bounds hold at once with probability 1 - 2 delta, so U < ell speaks against one law per scenario.
+        # Both bounds are valid at once with probability 1 - 2 delta, so U < ell contradicts one law per scenario.
         return "converged" if self.gap >= 0.0 else "refuted"
 
 
@@ -123,7 +123,7 @@ class ScenarioMethod(Method):
         constants: tuple[float, float] | None = None,
     ) -> None:
         if not (0.0 < delta < 1.0 and math.isfinite(alpha) and alpha > 0):
-            raise ValueError(f"delta must lie in (0, 1) and alpha be positive, not {delta!r} and {alpha!r}")
+            raise ValueError(f"delta must be in (0, 1) and alpha be positive, not {delta!r} and {alpha!r}")
         if risk not in {"linearised", "bhatia-davis"} or (constants is None) == (risk == "linearised"):
             raise ValueError(f"risk is 'linearised' with constants (c, s), or 'bhatia-davis' without; not {risk!r}")
         if scenarios.size > MAX_SCENARIOS:

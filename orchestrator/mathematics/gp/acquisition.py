@@ -18,7 +18,7 @@ def maximiser(values: Floats) -> int:
     """Return the lowest index whose value is within `TIE` of the maximum.
 
     Raises:
-        ValueError: `values` is empty or holds a NaN.
+        ValueError: `values` is empty or contains a NaN.
 
     >>> maximiser(np.array([0.5, 1.0, 1.0 + 1e-13]))
     1
