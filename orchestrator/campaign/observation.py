@@ -29,7 +29,7 @@ class Observer:
     def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
         self._columns = tuple(column.name for column in spec.columns)
         self._clip = config.clip
-        self._parsed = None if config.specification is None else parse(config.specification, self._columns)
+        self._parsed = None if config.specification is None else parse_formula(config.specification, self._columns)
         self._scored: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
         self._objectives: dict[ProblemName, Callable[[ProblemPlan, Trajectories], Observation]] = {
             "nominal_robustness": self._nominal_robustness,

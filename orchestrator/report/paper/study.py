@@ -96,7 +96,7 @@ def planned(extent: Extent, folder: Path, out: Path) -> tuple[Planned, ...]:
 
 
 def _planned(preset: Preset, source: Path, out: Path, seed: int | None) -> Planned:
-    config = session.load(source) if seed is None else session.load(source, seed=seed)
+    config = session.load_campaign(source) if seed is None else session.load(source, seed=seed)
     for name in preset.problems:  # --campaigns may name any folder
         if not any((each.name, each.method) == (name, preset.method) for each in config.problems):
             raise PerfboundError(
@@ -160,6 +160,6 @@ def _run_or_resume(campaign: Planned, workers: int) -> None:
     options, console = session.RunOptions(workers, session.Link(LOCAL)), Console(quiet=True, force_terminal=False)
     directory = campaign.directory
     if (directory / DATABASE).exists():  # interrupted: its facts stay, so its certificate is that of a calm run
-        session.resume(directory, options, console)
+        session.resume_campaign(directory, options, console)
     else:
         session.start_campaign(campaign.config, campaign.source, directory, options, console)
