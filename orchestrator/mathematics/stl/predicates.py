@@ -47,7 +47,7 @@ def predicate_sup(tree: Formula, columns: Sequence[str], a: Floats, b: Floats) -
     """
     one, other = Signals(columns, a), Signals(columns, b)
     check_grids(a, b)
-    return max(_largest_difference(one.margins(predicate), other.margins(predicate)) for predicate in predicates(tree))
+    return max(_margin_difference(one.margins(predicate), other.margins(predicate)) for predicate in predicates(tree))
 
 
 def check_grids(a: Floats, b: Floats) -> None:
@@ -67,7 +67,7 @@ def check_grids(a: Floats, b: Floats) -> None:
         )
 
 
-def _largest_difference(one: Floats, other: Floats) -> float:
+def _margin_difference(one: Floats, other: Floats) -> float:
     with np.errstate(over="ignore"):  # a result that is not finite raises just below
         distance = float(np.max(np.abs(one - other)))
     if not np.isfinite(distance):
