@@ -21,7 +21,7 @@ Scheme = Literal["light", "dark"]
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """A page, and what went wrong or went out while it was open."""
+    """An open page with its errors and requests."""
 
     page: Page
     errors: list[str] = field(default_factory=list)
@@ -30,11 +30,11 @@ class Watched:
     """URLs, the page itself included."""
 
     def shown(self) -> None:
-        """Wait until the page has drawn a story."""
+        """Wait until the page has drawn report data."""
         self.page.wait_for_selector("html[data-drawn]")
 
     def drawn(self) -> int:
-        """Return how often the page has drawn a story."""
+        """Return how often the page has drawn report data."""
         return int(self.page.evaluate("Number(document.documentElement.dataset.drawn || 0)"))
 
     def overflow(self) -> int:

@@ -20,8 +20,8 @@ from tests.patience import PATIENCE
 
 browser = chromium.browser
 TESTS = 20
-SHOWN = "page.story.problems.reduce((sum, each) => sum + each.tests.test.length, 0)"
-STATE = "page.story.state"
+SHOWN = "page.report.problems.reduce((sum, each) => sum + each.tests.test.length, 0)"
+STATE = "page.report.state"
 """Tests and state that the page shows. Its policy lets nobody evaluate a text in it, so we ask again and again."""
 
 

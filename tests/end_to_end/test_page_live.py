@@ -1,4 +1,4 @@
-"""The live page in a real browser; its server is played by the test."""
+"""The live page in a real browser; the test simulates its server."""
 
 from collections.abc import Iterator
 
@@ -8,7 +8,7 @@ from playwright.sync_api import Browser, Route
 from perfbound.orchestrator.report import html
 from perfbound.orchestrator.report.data import to_json
 from tests.end_to_end import browser as chromium
-from tests.end_to_end import stories
+from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Watched
 
 browser = chromium.browser
@@ -17,28 +17,32 @@ ORIGIN = "http://campaign.test"
 
 
 class Campaign:
-    """The server of a live page: every look at `/events` ends after one story, and the browser comes again."""
+    """The server of a live page: every answer of `/events` ends after one event, and the browser reconnects."""
 
     def __init__(self, watch: Watched) -> None:
-        self.watch, self.tests, self.looks, self.refusing = watch, 4, 0, 0
-        self.scenes: list[str] = []
+        self.watch, self.tests, self.refusing = watch, 4, 0
+        self.fetched: list[str] = []
         watch.page.route(f"{ORIGIN}/**", self._answer)
 
     def _answer(self, route: Route) -> None:
         path = route.request.url.removeprefix(ORIGIN)
         if path == "/":
-            route.fulfill(content_type="text/html", body=html.served_page("live", to_json(stories.begun())).html)
+            route.fulfill(
+                content_type="text/html", body=html.served_page("live", to_json(example_reports.begun())).html
+            )
         elif path == "/events" and self.refusing:
             self.refusing -= 1
             route.fulfill(status=503)
         elif path == "/events":
-            self.looks += 1
-            text = f"retry: 20\n\nevent: story\ndata: {to_json(stories.running(self.tests))}\n\n"
+            text = f"retry: 20\n\nevent: story\ndata: {to_json(example_reports.running(self.tests))}\n\n"
             route.fulfill(content_type="text/event-stream", body=text)
         else:
-            self.scenes.append(path)
+            self.fetched.append(path)
             number = int(path.rpartition("=")[2])
-            route.fulfill(content_type="application/json", body=to_json(stories.scene("nominal_robustness", number)))
+            route.fulfill(
+                content_type="application/json",
+                body=to_json(example_reports.rollouts_of_test("nominal_robustness", number)),
+            )
 
     def wait_for_tests(self, tests: int) -> None:
         self.watch.page.wait_for_selector(f"#map-0[data-tests='{tests}']")
@@ -53,11 +57,11 @@ def campaign(browser: Browser) -> Iterator[Campaign]:
         yield found
 
 
-def test_a_live_page_follows_and_keeps_what_the_reader_chose(campaign: Campaign) -> None:
+def test_a_live_page_follows_and_keeps_the_choices_of_the_reader(campaign: Campaign) -> None:
     page = campaign.watch.page
     page.click("#problem-0 [data-series=lower]")
     page.click('[data-test="nominal_robustness:2"]')
-    page.wait_for_selector("#scene[data-test='2'][data-curves='3']")
+    page.wait_for_selector("#test[data-test='2'][data-curves='3']")
     page.locator("#assumptions details").last.locator("summary").click()
     page.evaluate("window.kept = [document.getElementById('map-0'), document.querySelector('#decay-0 .uplot')]")
     page.evaluate("window.scrollTo({top: 700, behavior: 'instant'})")
@@ -66,29 +70,29 @@ def test_a_live_page_follows_and_keeps_what_the_reader_chose(campaign: Campaign)
     for tests in range(5, 12):
         campaign.tests = tests
         campaign.wait_for_tests(tests)
-    assert page.locator("#scene").get_attribute("data-test") == "2"
+    assert page.locator("#test").get_attribute("data-test") == "2"
     assert page.locator("#map-0").get_attribute("data-series") == "lower"
     assert page.locator("#assumptions details").last.get_attribute("open") is not None
     assert page.evaluate("kept[0] === document.getElementById('map-0') && kept[1].isConnected")
     assert page.evaluate("document.activeElement.dataset.series") == "lower"
     assert page.evaluate("scrollY") == where
     assert page.locator(".uplot").count() == charts == page.evaluate("charts.size")
-    assert len([path for path in campaign.scenes if path.endswith("test=2")]) == 1
+    assert len([path for path in campaign.fetched if path.endswith("test=2")]) == 1
     assert campaign.watch.errors == []
 
 
-def test_a_live_page_asks_for_the_scene_of_the_worst_test(campaign: Campaign) -> None:
-    worst = stories.worst(stories.running(4).problems[0])
-    campaign.watch.page.wait_for_selector(f"#scene[data-test='{worst}'][data-curves='3']")
-    assert campaign.scenes[0] == f"/scene?problem=nominal_robustness&test={worst}"
+def test_a_live_page_fetches_the_rollouts_of_the_worst_test(campaign: Campaign) -> None:
+    worst = example_reports.worst(example_reports.running(4).problems[0])
+    campaign.watch.page.wait_for_selector(f"#test[data-test='{worst}'][data-curves='3']")
+    assert campaign.fetched[0] == f"/scene?problem=nominal_robustness&test={worst}"
 
 
-def test_a_live_page_comes_back_after_its_server_was_away(campaign: Campaign) -> None:
-    """A refusal ends an EventSource for good; the page opens a new one."""
+def test_a_live_page_reconnects_after_its_server_was_away(campaign: Campaign) -> None:
+    """An HTTP error closes an EventSource; the page opens a new one."""
     page = campaign.watch.page
     campaign.refusing = 1
     page.wait_for_selector("#live[data-connection=lost]")
-    assert "connection lost, trying again; last look at " in page.locator("#live").inner_text()
+    assert "connection lost, retrying; updated at " in page.locator("#live").inner_text()
     campaign.tests = 9
     campaign.wait_for_tests(9)
     assert campaign.refusing == 0

@@ -1,162 +1,157 @@
-"use strict";
-// What is claimed, what it rests on, and how it comes about. What is refuted is said first.
+// Sections of the claims, their composition and their assumptions; refuted assumptions come first.
 
-const GROUPS = ["refuted", "not refuted", "assumed", "derived"];
+/** Status of an assumption -> its meaning, in the order of the section. */
 const MEANING = {
-  refuted: "by this campaign\u2019s own data or by derivation",
-  "not refuted": "tested against this campaign\u2019s data, which is not evidence for it",
-  assumed: "not tested",
-  derived: "follows from the campaign",
+  refuted: "by the data of this campaign or by derivation",
+  "not refuted": "checked against the data of this campaign, which is not evidence for it",
+  assumed: "not checked",
+  derived: "follows from the campaign file and the recorded data",
+  "for further claims": "the first claim does not depend on them",
 };
-const LONGEST_SENTENCE = 1200;
 
-/** Name, state and what was tested. */
-function titleSection(story) {
+function titleSection(report) {
   const facts = [
-    ["System", named(story.system, 60)],
-    ["Specification", story.specification === null ? null : el("code", {}, short(story.specification, 300))],
-    ["Starting conditions", spaceWords(story)],
-    ["Horizon", `${num(story.horizon)} s`],
-    ["Robustness clipped to", story.clip === null ? null : `[${num(story.clip[0])}, ${num(story.clip[1])}]`],
-    ["Risk weight r", num(story.risk_weight)],
-    ["Seed", String(story.seed)],
-    ["Rollouts", count(story.rollouts)],
+    ["System", nameElement(report.system, 60)],
+    ["Specification", report.specification === null ? null : el("code", short(report.specification, 300))],
+    ["Starting conditions", spaceText(report)],
+    ["Horizon", `${num(report.horizon)} s`],
+    ["Robustness clipped to", report.clip === null ? null : `[${num(report.clip[0])}, ${num(report.clip[1])}]`],
+    ["Risk weight r", num(report.risk_weight)],
+    ["Seed", report.seed],
+    ["Rollouts", count(report.rollouts)],
   ];
-  const shown = facts.filter(([, value]) => value !== null && value !== "");
   return el(
     "header#title",
-    {},
-    el("p.kind", {}, "perfbound campaign"),
-    el("h1", {}, named(story.name, 120), el("span.state", { "data-state": story.state }, short(story.state, 20))),
-    story.doc ? el("p.muted", {}, short(story.doc, 300)) : null,
-    el("dl.facts", {}, shown.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value)))),
+    el("p.kind", "perfbound campaign"),
+    el("h1", nameElement(report.name, 120), el("span.state", { "data-state": report.state }, short(report.state, 20))),
+    report.doc ? el("p.muted", short(report.doc, 300)) : null,
+    definitions(".facts", facts),
   );
 }
 
-function spaceWords(story) {
-  const starts = story.problems.find((each) => each.surface?.points.length)?.surface.points.length;
-  const box = story.axes.map((axis) => {
-    const range = `${num(axis.low)} to ${quantity(axis.high, axis.unit)}`;
-    return `${short(axis.name, 24)} ${range}`;
-  });
-  return (starts ? `${plural(starts, "start")} listed: ` : "") + box.join(", ");
+function spaceText(report) {
+  const starts = report.problems.find((each) => each.surface?.points.length)?.surface.points.length;
+  const box = report.axes.map(({ name, low, high, unit }) => `${short(name, 24)} from ${num(low)} to ${quantity(high, unit)}`);
+  return (starts ? `${plural(starts, "start")} with ` : "") + box.join(", ");
 }
 
 /** The refutation, the claim in words, the other claims. */
-function claimSection(story) {
-  const [first, ...others] = story.claims;
+function claimSection(report) {
+  const [first, ...others] = report.claims;
   return el(
     "section#verdict",
     { "aria-label": "Claim" },
-    refutation(story),
-    el("p.kind", {}, first ? (others.length ? "First claim, chosen beforehand" : "Claim") : "What holds right now"),
-    el("p.claim#claim", {}, short(first ? first.sentence : story.now, LONGEST_SENTENCE)),
-    first ? el("p.muted", {}, claimBasis(first)) : null,
+    refutation(report),
+    el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "Claim") : "Bounds so far"),
+    el("p.claim#claim", sentence(first ? first.sentence : report.now)),
+    first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
     others.length ? otherClaims(others) : null,
   );
 }
 
-function claimBasis(claim) {
+function claimBasis(claim, unit) {
   const rule = claim.rule === "single" ? "" : `, ${words(claim.rule)} rule`;
-  return `Method ${words(claim.method)}${rule}. It rests on ${plural(claim.assumptions.length, "assumption")}.`;
+  return `${unit && `Bound in ${unit}. `}Method ${words(claim.method)}${rule}. Depends on ${plural(claim.assumptions.length, "assumption")}.`;
 }
 
-/** What the first claim rests on and the data refute; without a claim, everything that is refuted. */
-function refutedOf(story) {
-  const broken = story.assumptions.filter((each) => each.status === "refuted");
-  const first = story.claims[0];
+/** The refuted assumptions of the first claim; without a claim, all that are refuted. */
+function refutedOf(report) {
+  const broken = report.assumptions.filter((each) => each.status === "refuted");
+  const first = report.claims[0];
   return first ? broken.filter((each) => first.refuted.includes(each.id) || first.assumptions.includes(each.id)) : broken;
 }
 
-function refutation(story) {
-  const broken = refutedOf(story);
-  const missing = (story.claims[0]?.refuted ?? []).filter((id) => !broken.some((each) => each.id === id));
-  const stopped = story.problems.filter((each) => each.stopped_by === "refuted");
+function refutation(report) {
+  const broken = refutedOf(report);
+  const missing = (report.claims[0]?.refuted ?? []).filter((id) => !broken.some((each) => each.id === id));
+  const stopped = report.problems.filter((each) => each.stopped_by === "refuted");
   const number = broken.length + missing.length;
   if (number + stopped.length === 0) return null;
-  const [what, rest] = story.claims.length ? ["claim", "rests"] : ["bounds", "rest"];
+  const [subject, depend] = report.claims.length ? ["claim", "depends"] : ["bounds", "depend"];
   const those = number === 1 ? "an assumption that is" : "assumptions that are";
   return el(
     "div.refuted#refuted",
     { role: "alert" },
-    el("p.shout", {}, `REFUTED${number ? `: ${plural(number, "assumption")}` : ""}. Do not rely on the ${what} below.`),
-    number ? el("p", {}, `The ${what} ${rest} on ${those} refuted ${MEANING.refuted}.`) : null,
-    el("dl", {}, broken.map(assumptionItem), missing.map((id) => el("div", {}, el("dt", {}, named(id))))),
-    stopped.map((each) => el("p", {}, `The data of ${words(each.name)} contradict its assumptions: its bound is worth nothing.`)),
+    el("p.shout", `REFUTED${number ? `: ${plural(number, "assumption")}` : ""}. Do not rely on the ${subject} below.`),
+    number ? el("p", `The ${subject} ${depend} on ${those} refuted ${MEANING.refuted}.`) : null,
+    definitions("", [...broken.map(assumptionRow), ...missing.map((id) => [nameElement(id), "no detail recorded"])]),
+    stopped.map((each) => el("p", `The data of ${words(each.name)} contradict its assumptions: its bound is invalid.`)),
   );
 }
 
-function assumptionItem(each) {
-  return el("div", {}, el("dt", {}, named(each.id)), el("dd", {}, short(each.detail, LONGEST_SENTENCE)));
+function assumptionRow(each) {
+  return [nameElement(each.id), sentence(each.detail)];
 }
 
 function otherClaims(claims) {
-  const broken = (claim) => (claim.refuted.length ? el("strong.bad", {}, `${claim.refuted.length} REFUTED`) : "none");
+  const broken = (claim) => (claim.refuted.length ? el("strong.bad", claim.refuted.length) : 0);
   const rows = claims.map((claim) => [
-    short(claim.sentence, LONGEST_SENTENCE), words(claim.method), words(claim.rule), plural(claim.assumptions.length, "assumption"), broken(claim),
+    sentence(claim.sentence), words(claim.method), words(claim.rule), claim.assumptions.length, broken(claim),
   ]);
   return el(
     "details.more",
     { open: true },
-    el("summary", {}, plural(claims.length, "further claim")),
-    table(["Claim", "Method", "Rule", "Rests on", "Refuted"], rows),
-    el("p.muted", {}, "Each claim holds with its own probability; to choose the best of them afterwards costs the sum of what their probabilities lack to 1."),
+    el("summary", plural(claims.length, "further claim")),
+    table(["Claim", "Method", "Rule", "#Assumptions", "#Refuted"], rows),
+    el("p.muted", "Each claim holds with its own probability; if you pick the best claim afterwards, its failure probability is the sum of all their failure probabilities."),
   );
 }
 
-/** The assumptions of the first claim by status; those of other claims alone come last. */
-function assumptionSection(story) {
-  const first = story.claims[0];
-  const ours = story.assumptions.filter((each) => !first || first.assumptions.includes(each.id));
-  const others = story.assumptions.filter((each) => !ours.includes(each));
-  const groups = GROUPS.map((status) => [status, ours.filter((each) => each.status === status)]).filter(([, list]) => list.length);
+/** The assumptions of the first claim by status, then those of further claims only. */
+function assumptionSection(report) {
+  const [first] = report.claims;
+  const groupOf = (each) => (!first || first.assumptions.includes(each.id) ? each.status : "for further claims");
   return el(
     "section#assumptions",
-    { hidden: story.assumptions.length === 0 },
-    el("h2", {}, first ? "What the claim rests on" : "What the bounds rest on"),
-    groups.map(([status, list]) => assumptionGroup(status, MEANING[status], list)),
-    others.length ? assumptionGroup("more", "on which other claims alone rest", others) : null,
+    { hidden: report.assumptions.length === 0 },
+    el("h2", "Assumptions"),
+    Object.keys(MEANING).map((group) => assumptionGroup(group, report.assumptions.filter((each) => groupOf(each) === group))),
   );
 }
 
-/** A group that folds; what is refuted is open. */
-function assumptionGroup(status, meaning, list) {
-  const item = (each) => (status === "more" ? { ...each, detail: `${each.status}: ${each.detail}` } : each);
+function assumptionGroup(group, list) {
+  if (list.length === 0) return null;
+  const row = (each) => assumptionRow(each.status === group ? each : { ...each, detail: `${each.status}: ${each.detail}` });
   return el(
     "details.group",
-    { open: status === "refuted", "data-status": status },
-    el("summary", {}, el("span.status", {}, `${list.length} ${status}`), el("span.muted", {}, ` ${meaning}`)),
-    el("dl", {}, list.map((each) => assumptionItem(item(each)))),
+    { open: group === "refuted", "data-status": group },
+    el("summary", el("span.status", `${list.length} ${group}`), el("span.muted", ` ${MEANING[group]}`)),
+    definitions("", list.map(row)),
   );
 }
 
-/** From the nominal bound down to ell, term by term. */
-function compositionSection(story) {
-  const found = story.composition;
+/** The effect of a subtracted term on the bound. */
+function change(term) {
+  return (term < 0 ? "+" : "") + outward(-term, ">="); // pointwise rule: a gap term below zero raises the bound
+}
+
+/** From the nominal bound to the bound of the claim, term by term. */
+function compositionSection(report) {
+  const found = report.composition;
   if (!found) return el("section#composition", { hidden: true });
-  const { nominal_bound: top, gap_term: gap, risk_term: risk, bound } = found;
-  const unit = story.problems[0]?.unit ?? "";
+  const { nominal_bound: nominal, gap_term: gap, risk_term: risk, bound } = found;
+  const unit = unitText(report.problems[0]?.unit);
   const rows = [
-    ["Nominal bound \u03c1\u0303", 0, top, "whole", outward(top, ">=")],
-    ["minus gap term", top - gap, top, "less", `\u2212${outward(gap, "<=")}`],
-    ["minus risk term", top - gap - risk, top - gap, "less", `\u2212${outward(risk, "<=")}`],
+    ["Nominal bound \u03c1\u0303", 0, nominal, "whole", outward(nominal, ">=")],
+    ["minus gap term", nominal - gap, nominal, "less", change(gap)],
+    ["minus risk term", nominal - gap - risk, nominal - gap, "less", change(risk)],
     ["Bound \u2113", 0, bound, "whole", outward(bound, ">=")],
   ];
-  const range = extent(rows.flatMap(([, from, to]) => [from, to]), story.clip ?? [], [0]);
-  const marks = [[0, "0", "zero"], ...(story.clip ?? []).map((value) => [value, `clip ${num(value)}`, "clip"])];
+  const range = extent(rows.flatMap(([, from, to]) => [from, to]), report.clip ?? [], [0]);
+  const marks = [[0, "0", "zero"], ...(report.clip ?? []).map((value) => [value, `clip ${num(value)}`, "clip"])];
   return el(
     "section#composition",
-    {},
-    el("h2", {}, "How the claim comes about"),
-    el("div.bars.waterfall", {}, rows.map(([label, from, to, kind, text]) => barRow(el("span", {}, label), [[from, to, kind]], text, range, marks))),
+    el("h2", "How the bound is composed"),
+    el("div.bars.waterfall", rows.map(([label, from, to, kind, text]) => barRow(label, [[from, to, kind]], text.replace("-", "\u2212"), range, marks))),
     barScale(range, marks),
-    el("p.muted", {}, `All numbers${unitText(unit) ? ` in ${unitText(unit)}` : ""}, rounded so that they promise no more; combined with the ${words(found.rule)} rule.`),
+    el("p.muted", `All numbers${unit && ` in ${unit}`}, rounded to the safe side; ${words(found.rule)} rule.`),
   );
 }
 
-/** A row: what, a bar with marks, a number. */
+
+/** A row: label, bars with marks, number. */
 function barRow(label, bars, text, range, marks) {
-  return [el("span.what", {}, label), barPicture(bars, range, marks), el("span.value", {}, text)];
+  return [el("span", label), barPicture(bars, range, marks), el("span.value", text)];
 }
 
 /** Bars [from, to, kind] and marks [at, label, kind] over a range. */
@@ -168,8 +163,8 @@ function barPicture(bars, range, marks) {
   return svg("svg", { viewBox: "0 0 1000 20", preserveAspectRatio: "none", "aria-hidden": "true" }, ...bars.map(bar), ...marks.map(mark));
 }
 
-/** The names of the marks, under the bars; the list says them in order. */
+/** The names of the marks below the bars, from left to right. */
 function barScale(range, marks) {
-  const names = [...marks].sort((a, b) => a[0] - b[0]).map(([, label, kind]) => el("li", {}, el(`span.key.${kind}`), label));
-  return el("ul.legend", {}, el("li", {}, `scale ${num(range[0])} to ${num(range[1])}`), names);
+  const names = [...marks].sort((a, b) => a[0] - b[0]).map(([, label, kind]) => legendItem(`key.${kind}`, label));
+  return el("ul.legend", el("li", `scale ${num(range[0])} to ${num(range[1])}`), names);
 }

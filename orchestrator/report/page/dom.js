@@ -1,13 +1,12 @@
-"use strict";
-// Building and updating the document. Text from a story is only ever text: there is no innerHTML on this page.
+// Building and updating the document. Text of the report data becomes text nodes only: this page has no innerHTML.
 
-/** Control characters and those that turn the direction of writing: a name could pretend to be another with them. */
-const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u200e\u200f\u202a-\u202e\u2066-\u2069]/g;
+/** Control characters and those that change the direction of text: with them one name could imitate another. */
+const CONTROLS = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u200e\u200f\u202a-\u202e\u2066-\u2069]/g;
 const LONGEST = 80;
 
-/** Text that a person can see as it is. */
+/** Text with a replacement character for every control character. */
 function visible(value) {
-  return String(value).replace(UNSEEN, "\ufffd");
+  return String(value).replace(CONTROLS, "\ufffd");
 }
 
 /** A name, cut where it would break the layout. */
@@ -17,25 +16,26 @@ function short(value, longest = LONGEST) {
 }
 
 /**
- * Build an element: el("p.note#id", {title: "..."}, "text", child, null).
- * @param {string} what tag, classes and id
- * @param {Object<string, unknown>} attributes null, undefined and false leave one out, true sets it empty
+ * Build an element: el("p.note#id", {title: "..."}, "text", child, null) or el("p", "text").
+ * @param {string} selector tag, classes and id
+ * @param {...unknown} rest attributes (null, undefined and false leave one out, true sets it empty), then children
  */
-function el(what, attributes = {}, ...children) {
-  const [tag] = what.match(/^[a-z0-9]+/);
+function el(selector, ...rest) {
+  const attributes = rest[0]?.constructor === Object ? rest.shift() : {};
+  const [tag] = selector.match(/^[a-z0-9]+/);
   const node = document.createElement(tag);
-  for (const [part] of what.slice(tag.length).matchAll(/[.#][\w-]+/g)) {
+  for (const [part] of selector.slice(tag.length).matchAll(/[.#][\w-]+/g)) {
     if (part[0] === ".") node.classList.add(part.slice(1));
     else node.id = part.slice(1);
   }
   for (const [name, value] of Object.entries(attributes)) {
     if (value !== null && value !== undefined && value !== false) node.setAttribute(name, value === true ? "" : value);
   }
-  node.append(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== ""));
+  node.append(...rest.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== ""));
   return node;
 }
 
-/** Build an SVG element; the attributes are numbers and words of ours. */
+/** Build an SVG element; its attributes must not come from the report data. */
 function svg(tag, attributes = {}, ...children) {
   const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
@@ -43,44 +43,55 @@ function svg(tag, attributes = {}, ...children) {
   return node;
 }
 
-/** A name in the page; the whole of it shows when the pointer rests on it. */
-function named(value, longest = LONGEST) {
+/** A name, cut where it is long; its tooltip has the first 1000 characters. */
+function nameElement(value, longest = LONGEST) {
   const text = short(value, longest);
   return el("span.name", { title: text.endsWith("\u2026") ? visible(value).slice(0, 1000) : null }, text);
 }
 
 /**
- * Make `now` look like `next` and keep what did not change: focus, selection of text, open details, scroll position.
- * An element with data-keep belongs to who drew it: neither its attributes nor its children are touched.
+ * Turn `current` into `next` and keep unchanged nodes, and with them focus, text selection, open details and scroll
+ * position. An element with data-keep is skipped: canvases and charts draw themselves.
  */
-function morph(now, next) {
-  if (now.dataset && "keep" in now.dataset) return;
-  if (now.nodeType === Node.TEXT_NODE) {
-    if (now.nodeValue !== next.nodeValue) now.nodeValue = next.nodeValue;
+function morph(current, next) {
+  if (current.dataset && "keep" in current.dataset) return;
+  if (current.nodeType === Node.TEXT_NODE) {
+    // Assigning the same text again would end a text selection.
+    if (current.nodeValue !== next.nodeValue) current.nodeValue = next.nodeValue;
     return;
   }
-  morphAttributes(now, next);
-  const wanted = [...next.childNodes];
-  wanted.forEach((child, k) => {
-    const present = now.childNodes[k];
-    if (present === undefined) now.append(child);
-    else if (alike(present, child)) morph(present, child);
+  morphAttributes(current, next);
+  const children = [...next.childNodes];
+  children.forEach((child, k) => {
+    const present = current.childNodes[k];
+    if (present === undefined) current.append(child);
+    else if (sameElement(present, child)) morph(present, child);
     else present.replaceWith(child);
   });
-  while (now.childNodes.length > wanted.length) now.lastChild.remove();
+  while (current.childNodes.length > children.length) current.lastChild.remove();
 }
 
-function alike(a, b) {
-  return a.nodeName === b.nodeName && a.id === b.id && a.dataset?.keep === b.dataset?.keep;
+function sameElement(a, b) {
+  return a.nodeName === b.nodeName && a.id === b.id;
 }
 
-/** Whether a <details> is open is for the reader to say. */
-function morphAttributes(now, next) {
-  const ours = (name) => name !== "open";
-  for (const name of now.getAttributeNames()) if (ours(name) && !next.hasAttribute(name)) now.removeAttribute(name);
-  for (const name of next.getAttributeNames()) {
-    if (ours(name) && now.getAttribute(name) !== next.getAttribute(name)) now.setAttribute(name, next.getAttribute(name));
+function morphAttributes(current, next) {
+  const names = (node) => node.getAttributeNames().filter((name) => name !== "open"); // the reader folds <details>
+  for (const name of names(current)) if (!next.hasAttribute(name)) current.removeAttribute(name);
+  for (const name of names(next)) {
+    if (current.getAttribute(name) !== next.getAttribute(name)) current.setAttribute(name, next.getAttribute(name));
   }
+}
+
+/** An entry of a legend: the mark of a class, and its meaning. */
+function legendItem(mark, text) {
+  return el("li", el(`span.${mark}`), text);
+}
+
+/** A list of definitions; rows without a value are left out. */
+function definitions(kind, rows, attributes = {}) {
+  const shown = rows.filter(([, value]) => value !== null && value !== "");
+  return el(`dl${kind}`, attributes, shown.map(([name, value]) => el("div", el("dt", name), el("dd", value))));
 }
 
 /**
@@ -88,58 +99,56 @@ function morphAttributes(now, next) {
  * @param {string[]} heads names of the columns; one that begins with "#" holds numbers
  * @param {Array<Array<unknown>>} rows
  */
-function table(heads, rows, attributes = {}) {
+function table(heads, rows) {
   const label = (head) => head.replace(/^#/, "");
   const kind = (head) => (head.startsWith("#") ? "number" : null);
   const cell = (value, k) => el("td", { class: kind(heads[k]), "data-label": label(heads[k]) }, value);
   return el(
     "table",
-    attributes,
-    el("thead", {}, el("tr", {}, heads.map((head) => el("th", { scope: "col", class: kind(head) }, label(head))))),
-    el("tbody", {}, rows.map((row) => el("tr", {}, row.map(cell)))),
+    el("thead", el("tr", heads.map((head) => el("th", { scope: "col", class: kind(head) }, label(head))))),
+    el("tbody", rows.map((row) => el("tr", row.map(cell)))),
   );
 }
 
 /**
- * The address of a file of the run directory, or null if the path could lead anywhere else.
- * @param {string} path as the story says it
+ * The URL of a trajectory file relative to the run directory, or null for a path to anywhere else.
+ * @param {string} path from the database, which may be forged
  */
-function address(path) {
+function trajectoryUrl(path) {
   const parts = String(path).split("/");
-  const strange = (part) => part === "" || part === "." || part === ".." || /[\\\u0000-\u001f]/.test(part);
-  if (parts[0] !== "trajectories" || parts.some(strange)) return null;
+  const unsafe = (part) => part === "" || part === "." || part === ".." || /[\\\u0000-\u001f]/.test(part);
+  if (parts[0] !== "trajectories" || parts.some(unsafe)) return null;
   return parts.map(encodeURIComponent).join("/");
 }
 
-/** A link to a trajectory file; only its name where the path is not one of ours. */
+/** A link to a trajectory file; its name alone where the path is unsafe. */
 function fileLink(path) {
-  const href = address(path);
-  const name = named(String(path).split("/").pop(), 60);
+  const href = trajectoryUrl(path);
+  const name = nameElement(String(path).split("/").pop(), 60);
   return href === null ? name : el("a", { href, download: true }, name);
 }
 
 /** A command with a button that copies it. */
 function commandLine(command) {
-  return el("div.command", {}, el("code", {}, visible(command)), el("button.copy", { type: "button", "data-copy": command }, "Copy"));
+  return el("div.command", el("code", visible(command)), el("button.copy", { "data-copy": command }, "Copy"));
 }
 
-/** Copy a text and say so on the button; pages from a disk or without TLS have the old way only. */
+/** Copy the text of a button and show the result on it. */
 async function copy(button) {
-  const done = (await copied(button.dataset.copy)) ? "Copied" : "Select it by hand";
-  button.textContent = done;
+  button.textContent = (await copyText(button.dataset.copy)) ? "Copied" : "Copying failed";
   setTimeout(() => (button.textContent = "Copy"), 1500);
 }
 
-async function copied(text) {
+async function copyText(text) {
   try {
     await navigator.clipboard.writeText(text);
     return true;
   } catch {
-    return copiedBySelection(text);
+    return copyBySelection(text); // a page without TLS has no clipboard
   }
 }
 
-function copiedBySelection(text) {
+function copyBySelection(text) {
   const area = el("textarea.offscreen", { readonly: true, "aria-hidden": "true" });
   area.value = text;
   document.body.append(area);

@@ -1,4 +1,3 @@
-"use strict";
 // Numbers, units and times as text.
 
 /** Four significant digits; a dash where there is no number. */
@@ -21,10 +20,10 @@ function quantity(value, unit) {
 
 /** "phi (rad)". */
 function withUnit(name, unit) {
-  return unitText(unit) ? `${short(name, 40)} (${unitText(unit)})` : short(name, 40);
+  return short(name, 40) + (unitText(unit) && ` (${unitText(unit)})`);
 }
 
-/** Four decimals, rounded so that the text promises no more than the bound: down for ">=", up for "<=". */
+/** Four decimals, rounded to the safe side: down for ">=", up for "<=". */
 function outward(value, sense) {
   if (value === null || value === undefined) return num(value);
   const scaled = value * 1e4;
@@ -32,6 +31,11 @@ function outward(value, sense) {
   const exact = Math.abs(scaled - nearest) < 1e-6;
   const kept = exact ? nearest : sense === ">=" ? Math.floor(scaled) : Math.ceil(scaled);
   return (kept / 1e4).toFixed(4);
+}
+
+/** A bound with its unit, rounded to the safe side. */
+function boundText(value, sense, unit) {
+  return `${outward(value, sense)} ${unitText(unit)}`.trimEnd();
 }
 
 /** A count, "6,000". */
@@ -49,13 +53,13 @@ function place(x, axes) {
   return x.map((value, k) => `${axes[k] ? `${short(axes[k].name, 24)} = ` : ""}${quantity(value, axes[k]?.unit)}`).join(", ");
 }
 
-/** "95 s", "12 min", "3.4 h": a duration for eyes. */
+/** A duration: "95 s", "12 min", "3.4 h". */
 function duration(seconds) {
   if (seconds < 120) return `${num(seconds, 3)} s`;
   return seconds < 7200 ? `${num(seconds / 60, 3)} min` : `${num(seconds / 3600, 3)} h`;
 }
 
-/** How long before `now` something was, both Unix times. */
+/** The age of a Unix time at `now`. */
 function ago(time, now) {
   return time === null ? "never" : `${Math.max(0, Math.round(now - time))} s ago`;
 }
@@ -63,6 +67,14 @@ function ago(time, now) {
 /** A Unix time as UTC to the second. */
 function utc(time) {
   return time === null ? num(null) : `${new Date(time * 1000).toISOString().slice(0, 19).replace("T", " ")} UTC`;
+}
+
+/** ASCII notation of sentences in a certificate, and its typeset form. */
+const NOTATION = [["rho*", "\u03c1*"], [" -+", " \u2213"], [" -", " \u2212"], [">= ", "\u2265\u00a0"], ["<= ", "\u2264\u00a0"], ["F_i", "F\u1d62"]];
+
+/** A sentence in typeset form, cut where it is too long. */
+function sentence(text, longest = 1200) {
+  return NOTATION.reduce((found, [ascii, typeset]) => found.replaceAll(ascii, typeset), short(text, longest));
 }
 
 /** A name of a schema as words: "nominal_robustness" -> "nominal robustness". */

@@ -1,140 +1,136 @@
-"use strict";
-// The page: a story comes in, everything is drawn from it. What the reader chose stays.
+// State and drawing of the page, input of the reader, event stream of a live page.
 
 const page = {
-  story: null,
-  live: null, // address of the events, null in a report
-  chosen: null, // {problem, test} that the reader selected; null follows the worst test of the first problem
-  series: new Map(), // problem -> what its map shows
-  hover: new Map(), // index of a problem -> [x, y] on its map
-  scenes: new Map(), // "problem:test" -> scene, null (there is none) or undefined (on its way)
+  report: null,
+  live: null, // URL of the event stream, null in a report
+  chosen: null, // {problem, test} selected by the reader; null: the worst test of the first problem
+  series: new Map(), // problem -> series on its map
+  pointer: new Map(), // index of a problem -> [x, y] on its map
+  fetched: new Map(), // "problem:test" -> rollouts of that test, null (there are none) or undefined (being loaded)
   connection: "connecting",
-  seen: null, // Date.now() when the last story came
-  drawn: 0,
+  updated: null, // Date.now() of the last event
+  drawn: 0, // number of drawings
   width: 0, // of the page, in CSS pixels
 };
-const MOST_SCENES = 40;
+const MOST_FETCHED = 40;
 const [RETRY, LONGEST_RETRY] = [1000, 15_000]; // milliseconds
 
-/** Draw everything again; cheap where nothing changed. */
+/** Draw the whole page; unchanged elements and charts are kept. */
 function draw() {
-  const { story } = page;
-  if (story === null) return;
+  const { report } = page;
+  if (report === null) return;
   const selected = selection();
-  const scene = selected && sceneOf(selected);
-  morph(document.getElementById("page"), tree(story, selected, scene));
-  story.problems.forEach((problem, index) => {
+  const data = selected && rolloutsOf(selected);
+  morph(document.getElementById("page"), tree(report, selected, data));
+  report.problems.forEach((problem, index) => {
     redrawMap(index);
     drawProblemCharts(problem, index);
   });
-  drawScene(scene);
-  drawThroughput(story.throughput);
+  drawCurves(data);
+  drawThroughput(report.throughput);
   tidyCharts();
   page.drawn += 1;
   document.documentElement.dataset.drawn = page.drawn;
 }
 
-function tree(story, selected, scene) {
+function tree(report, selected, data) {
   return el(
     "main#page",
-    {},
     page.live === null ? null : statusLine(),
-    titleSection(story),
-    claimSection(story),
-    compositionSection(story),
-    assumptionSection(story),
-    story.problems.map((problem, index) => problemSection(story, index, shownSeries(problem), selected)),
-    sceneSection(story, selected, scene, page.live !== null),
-    counterexampleSection(story),
-    fleetSection(story),
-    softwareSection(story),
+    titleSection(report),
+    claimSection(report),
+    compositionSection(report),
+    assumptionSection(report),
+    report.problems.map((problem, index) => problemSection(report, index, shownSeries(problem), selected)),
+    testSection(report, selected, data, page.live !== null),
+    counterexampleSection(report),
+    workerSection(report),
+    outputSection(report),
   );
 }
 
-/** What the map of a problem shows: what the reader chose, else the mean, of starts the bound that counts. */
+/** The series on the map of a problem: the choice of the reader, else the mean; of listed starts the claimed bound. */
 function shownSeries(problem) {
   const bound = problem.sense === "max" ? "upper" : "lower";
   return page.series.get(problem.name) ?? (problem.surface?.shape === null ? bound : "mean");
 }
 
-/** The test that the panel shows: what the reader chose, else the worst of the first problem that has one. */
+/** The selected test: the choice of the reader, else the worst of the first problem that has one. */
 function selection() {
   if (page.chosen !== null) return page.chosen;
-  for (const problem of page.story.problems) {
-    const [worst] = worstFirst(page.story, problem);
+  for (const problem of page.report.problems) {
+    const [worst] = worstFirst(page.report, problem);
     if (worst !== undefined) return { problem: problem.name, test: problem.tests.test[worst] };
   }
   return null;
 }
 
-/** The scene of a test: from the story, from what was fetched, or on its way. */
-function sceneOf(selected) {
-  const found = page.story.scenes.find((each) => each.problem === selected.problem && each.test === selected.test);
+/** The rollouts of a test: from the report data, or fetched once. */
+function rolloutsOf(selected) {
+  const found = page.report.scenes.find((each) => each.problem === selected.problem && each.test === selected.test);
   if (found || page.live === null) return found ?? null;
   const key = `${selected.problem}:${selected.test}`;
-  if (!page.scenes.has(key)) fetchScene(key, selected);
-  return page.scenes.get(key);
+  if (!page.fetched.has(key)) fetchRollouts(key, selected);
+  return page.fetched.get(key);
 }
 
-async function fetchScene(key, selected) {
-  page.scenes.set(key, undefined);
+async function fetchRollouts(key, selected) {
+  page.fetched.set(key, undefined);
   const query = new URLSearchParams({ problem: selected.problem, test: selected.test });
   try {
     const answer = await fetch(`scene?${query}`);
-    page.scenes.set(key, answer.ok ? await answer.json() : null);
+    page.fetched.set(key, answer.ok ? await answer.json() : null);
   } catch {
-    page.scenes.delete(key); // the next drawing asks again
+    page.fetched.delete(key); // no connection: the next drawing tries again
     return;
   }
-  if (page.scenes.size > MOST_SCENES) page.scenes.delete(page.scenes.keys().next().value);
+  if (page.fetched.size > MOST_FETCHED) page.fetched.delete(page.fetched.keys().next().value);
   draw();
 }
 
 function redrawMap(index) {
-  const { story } = page;
+  const { report } = page;
   const canvas = document.getElementById(`map-${index}`);
   if (!(canvas instanceof HTMLCanvasElement)) return;
-  const problem = story.problems[index];
+  const problem = report.problems[index];
   const selected = selection();
   drawMap(canvas, {
-    story, problem,
-    kind: mapKind(story, problem),
+    report, problem,
+    kind: mapKind(report, problem),
     series: shownSeries(problem),
     selected: selected?.problem === problem.name ? selected.test : null,
-    hover: page.hover.get(index) ?? null,
+    pointer: page.pointer.get(index) ?? null,
   });
-  canvas.dataset.updated = page.drawn + 1;
 }
 
-/** Select "problem:test"; the name of a problem may hold a colon, a number cannot. `go`: bring its panel into view. */
-function select(text, go) {
+/** Select "problem:test" (a problem's name may contain colons, a number none), and scroll to its section on request. */
+function select(text, scroll) {
   const cut = text.lastIndexOf(":");
   page.chosen = { problem: text.slice(0, cut), test: Number(text.slice(cut + 1)) };
   draw();
-  if (!go) return;
-  const panel = document.getElementById("scene");
-  const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  panel.focus({ preventScroll: true });
-  panel.scrollIntoView({ behavior: calm ? "auto" : "smooth", block: "start" });
+  if (!scroll) return;
+  const section = document.getElementById("test");
+  section.focus({ preventScroll: true });
+  section.scrollIntoView();
 }
 
-// What the reader does ------------------------------------------------------------------------------------------------
+// Input of the reader ------------------------------------------------------------------------------------------------
 
-function clicked(event) {
+function onClick(event) {
   const target = event.target.closest("[data-select], [data-series], [data-copy], canvas[data-index]");
   if (target === null) return;
-  if (target instanceof HTMLCanvasElement) clickedMap(target, [event.offsetX, event.offsetY]);
+  if (target instanceof HTMLCanvasElement) selectOnMap(target, [event.offsetX, event.offsetY]);
   else if (target.dataset.copy !== undefined) copy(target);
-  else if (target.dataset.select !== undefined) select(target.dataset.select, target.closest("#scene") === null);
+  else if (target.dataset.select !== undefined) select(target.dataset.select, target.closest("#test") === null);
   else {
     page.series.set(target.dataset.problem, target.dataset.series);
     draw();
   }
 }
 
-/** Show the worst test of the dot that was clicked; another click shows the next one there. */
-function clickedMap(canvas, pixel) {
-  const view = views.get(canvas);
+/** Select the worst test of the dot at a pixel; repeated, the next test there. */
+function selectOnMap(canvas, pixel) {
+  const view = mapModels.get(canvas);
   const dot = view && dotNear(view, pixel);
   if (!dot) return;
   const tests = dot.rows.map((k) => view.problem.tests.test[k]);
@@ -142,33 +138,33 @@ function clickedMap(canvas, pixel) {
   select(`${view.problem.name}:${next}`, true);
 }
 
-function pointed(event) {
-  if (event.target instanceof HTMLCanvasElement && event.target.dataset.index !== undefined) point(event.target, [event.offsetX, event.offsetY]);
+function onPointer(event) {
+  if (mapModels.has(event.target)) movePointer(event.target, [event.offsetX, event.offsetY]);
 }
 
-/** Read a map at a pixel, or at none. */
-function point(canvas, pixel) {
+/** Draw the crosshair of a map at a pixel (none for null), and write the values there. */
+function movePointer(canvas, pixel) {
   const index = Number(canvas.dataset.index);
-  page.hover.set(index, pixel);
+  page.pointer.set(index, pixel);
   redrawMap(index);
-  const said = pixel === null ? "" : readout(views.get(canvas), pixel);
-  if (said) document.getElementById(`read-${index}`).textContent = said;
+  const text = pixel === null ? "" : readout(mapModels.get(canvas), pixel);
+  if (text) document.getElementById(`read-${index}`).textContent = text;
 }
 
-function left(event) {
-  if (event.target instanceof HTMLCanvasElement && event.target.dataset.index !== undefined) point(event.target, null);
+function onPointerOut(event) {
+  if (mapModels.has(event.target)) movePointer(event.target, null);
 }
 
-/** On a map the arrows go from test to test, Enter shows one. */
-function pressed(event) {
+/** On a map the arrow keys move between tests, Enter selects one. */
+function onKey(event) {
   const canvas = event.target;
-  if (!(canvas instanceof HTMLCanvasElement) || !views.has(canvas)) return;
+  if (!mapModels.has(canvas)) return;
   const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
-  const view = views.get(canvas);
-  if (event.key === "Enter" && view.hover) clickedMap(canvas, view.hover);
+  const view = mapModels.get(canvas);
+  if (event.key === "Enter" && view.pointer) selectOnMap(canvas, view.pointer);
   else if (step && view.dots.length) {
-    const at = view.hover ? view.dots.indexOf(dotNear(view, view.hover)) : step < 0 ? 0 : -1;
-    point(canvas, dotAt(view, view.dots[(at + step + view.dots.length) % view.dots.length]));
+    const at = view.pointer ? view.dots.indexOf(dotNear(view, view.pointer)) : step < 0 ? 0 : -1;
+    movePointer(canvas, view.dots[(at + step + view.dots.length) % view.dots.length].at);
   } else return;
   event.preventDefault();
 }
@@ -176,62 +172,57 @@ function pressed(event) {
 // The live page -------------------------------------------------------------------------------------------------------
 
 function statusLine() {
-  const time = page.seen === null ? null : new Date(page.seen).toTimeString().slice(0, 8);
-  const said = {
-    connecting: "connecting",
-    live: `live; last look at ${time}`,
-    lost: `connection lost, trying again${time ? `; last look at ${time}` : ""}`,
-    ended: `the campaign has ended; last look at ${time}`,
-  }[page.connection];
-  return el("p#live", { role: "status", "data-connection": page.connection }, said);
+  const time = page.updated === null ? null : new Date(page.updated).toTimeString().slice(0, 8);
+  const text = { connecting: "connecting", live: "live", lost: "connection lost, retrying", ended: "the campaign has finished" }[page.connection];
+  return el("p#live", { role: "status", "data-connection": page.connection }, time ? `${text}; updated at ${time}` : text);
 }
 
-function connected(state) {
+function setConnection(state) {
   page.connection = state;
-  if (page.story !== null) morph(document.getElementById("live"), statusLine());
+  if (page.report !== null) morph(document.getElementById("live"), statusLine());
 }
 
-/** Listen to the orchestrator. A browser tries again by itself unless the server refused: then we do, ever slower. */
-function listen(wait = RETRY) {
+/** Follow the event stream. EventSource reconnects by itself, except after an HTTP error: then with growing pauses. */
+function follow(wait = RETRY) {
   const source = new EventSource(page.live);
   source.addEventListener("story", (event) => {
     wait = RETRY;
     page.connection = "live";
-    page.seen = Date.now();
+    page.updated = Date.now();
     show(JSON.parse(event.data));
   });
-  source.onopen = () => connected("live");
+  source.onopen = () => setConnection("live");
   source.onerror = () => {
-    if (page.story?.state === "finished") {
-      source.close(); // nothing more will come
-      connected("ended");
+    if (page.report?.state === "finished") {
+      source.close(); // a finished campaign has no further events
+      setConnection("ended");
       return;
     }
-    connected("lost");
+    setConnection("lost");
     if (source.readyState !== EventSource.CLOSED) return;
     source.close();
-    setTimeout(() => listen(Math.min(2 * wait, LONGEST_RETRY)), wait);
+    setTimeout(() => follow(Math.min(2 * wait, LONGEST_RETRY)), wait);
   };
 }
 
-let waiting = null;
+let waiting = null; // the newest undrawn report data
 
-/** Draw a story at the next picture of the screen; of several that wait, the newest. */
-function show(story) {
-  if (waiting === null) requestAnimationFrame(() => ((page.story = waiting), (waiting = null), draw()));
-  waiting = story;
+/** Draw report data at the next frame of the screen, the newest if several wait. */
+function show(report) {
+  if (waiting === null) requestAnimationFrame(() => ((page.report = waiting), (waiting = null), draw()));
+  waiting = report;
 }
 
-/** Draw again if the page became wider or narrower; it becomes longer by itself. */
-function widened([{ contentRect }]) {
+/** Draw again after a change of width; drawing itself changes the height. */
+function onResize([{ contentRect }]) {
   if (contentRect.width !== page.width) draw();
   page.width = contentRect.width;
 }
 
 let unfolded = [];
 
-/** Draw in the colours and about the width of paper, with everything unfolded. */
-function paper(begins) {
+/** Draw in the colours and width of paper with every <details> open, and afterwards as before. */
+function setPrinting(begins) {
   printing = begins;
   document.body.classList.toggle("paper", begins);
   if (begins) unfolded = [...document.querySelectorAll("details:not([open])")];
@@ -242,18 +233,15 @@ function paper(begins) {
 function start() {
   page.live = document.body.dataset.live ?? null;
   const text = document.getElementById("story").textContent.trim();
-  document.addEventListener("click", clicked);
-  document.addEventListener("pointermove", pointed);
-  document.addEventListener("pointerdown", pointed);
-  document.addEventListener("pointerout", left);
-  document.addEventListener("keydown", pressed);
-  window.addEventListener("beforeprint", () => paper(true));
-  window.addEventListener("afterprint", () => paper(false));
+  const listeners = { click: onClick, pointermove: onPointer, pointerdown: onPointer, pointerout: onPointerOut, keydown: onKey };
+  for (const [name, listener] of Object.entries(listeners)) document.addEventListener(name, listener);
+  window.addEventListener("beforeprint", () => setPrinting(true));
+  window.addEventListener("afterprint", () => setPrinting(false));
   for (const query of [dark, onPaper]) query.addEventListener("change", draw);
-  new ResizeObserver(widened).observe(document.getElementById("page"));
-  if (text !== "") page.story = JSON.parse(text);
+  new ResizeObserver(onResize).observe(document.getElementById("page"));
+  if (text !== "") page.report = JSON.parse(text);
   draw();
-  if (page.live !== null) listen();
+  if (page.live !== null) follow();
 }
 
 document.addEventListener("DOMContentLoaded", start);

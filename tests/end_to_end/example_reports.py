@@ -1,4 +1,4 @@
-"""Small stories for the page: two problems over a lattice, listed starts, one parameter, hostile names."""
+"""Small report data for the page: two problems over a lattice, listed starts, one parameter, hostile names."""
 
 import math
 from dataclasses import replace
@@ -50,7 +50,7 @@ def small(tests: int = 6) -> ReportData:
             Assumption(id="accounting", status="assumed", detail="the failure probabilities are added."),
         ),
         problems=problems,
-        scenes=tuple(scene(each.name, test) for each in problems for test in (worst(each), 0)),
+        scenes=tuple(rollouts_of_test(each.name, test) for each in problems for test in (worst(each), 0)),
         counterexamples=(),
         violations=0,
         rollouts=4 * tests,
@@ -70,48 +70,53 @@ def worst(problem: Problem) -> int:
 
 def calm() -> ReportData:
     """The same without anything refuted."""
-    story = small()
-    claims = tuple(replace(claim, refuted=()) for claim in story.claims)
-    kept = tuple(each for each in story.assumptions if each.status != "refuted")
-    return replace(story, claims=claims, assumptions=kept)
+    report = small()
+    claims = tuple(replace(claim, refuted=()) for claim in report.claims)
+    kept = tuple(each for each in report.assumptions if each.status != "refuted")
+    return replace(report, claims=claims, assumptions=kept)
 
 
 def running(tests: int, scenes: tuple[RolloutsOfTest, ...] = ()) -> ReportData:
     """A running campaign at one moment."""
     workers = (WorkerRow("local-1", "vm", tests, 0, 9.0, 8.5, STARTED, "busy", "sim_gap.3.true.0", STARTED + 1),)
-    story = replace(small(tests), state="running", updated=STARTED + tests, claims=(), composition=None)
-    return replace(story, scenes=scenes, workers=workers)
+    report = replace(small(tests), state="running", updated=STARTED + tests, claims=(), composition=None)
+    return replace(report, scenes=scenes, workers=workers)
 
 
 def begun() -> ReportData:
     """A running campaign before its first test is observed."""
-    story = running(1)
+    report = running(1)
     none = TestSeries((), (), (), (), (), ())
-    problems = tuple(replace(each, tests=none, surface=None, bound=None, stopped_by=None) for each in story.problems)
+    problems = tuple(replace(each, tests=none, surface=None, bound=None, stopped_by=None) for each in report.problems)
     return replace(
-        story, problems=problems, assumptions=(), workers=(), throughput=Throughput(0.0, None, (), (), 1, 0), rollouts=0
+        report,
+        problems=problems,
+        assumptions=(),
+        workers=(),
+        throughput=Throughput(0.0, None, (), (), 1, 0),
+        rollouts=0,
     )
 
 
 def starts() -> ReportData:
     """Listed starts; no start has an upper bound of its own."""
-    story = small()
+    report = small()
     surface = _surface(shape=None)
     listed = replace(surface, points=NODES, upper=(None,) * len(NODES))
-    problem = replace(story.problems[0], method="scenario", distance="U - L", surface=listed)
-    return replace(story, problems=(problem,))
+    problem = replace(report.problems[0], method="scenario", distance="U - L", surface=listed)
+    return replace(report, problems=(problem,))
 
 
 def profile() -> ReportData:
     """A system with one parameter."""
-    story = small()
-    problem = story.problems[0]
+    report = small()
+    problem = report.problems[0]
     line = replace(problem, surface=_surface(shape=(20,)), tests=replace(problem.tests, x=((0.5,), (1.5,)) * 3))
-    return replace(story, axes=AXES[:1], problems=(line,))
+    return replace(report, axes=AXES[:1], problems=(line,))
 
 
 def hostile() -> ReportData:
-    """Every text that a stranger may have chosen tries to run, to lead away, or to break the layout."""
+    """Every text that an attacker may have chosen tries to run, to lead away, or to break the layout."""
     script = '<script>window.pwned=1</script><img src=x onerror="window.pwned=1">'
     long, strange = "a" * 10_000, "evil\u0000\u001b[31m\u202etxt\u2066" + script
     bad = Rollout(script, script, 0, script, 0, 1, (1.0, 2.0), -0.2, "../../etc/passwd", f"rm -rf {long}")
@@ -123,24 +128,24 @@ def hostile() -> ReportData:
         "https://e.example",
     )
     rollouts = (bad, *(replace(bad, path=path) for path in paths))
-    story = small()
-    problem = replace(story.problems[0], name=script, objective=long, method=strange, unit=strange, stopped_by=strange)
-    trace = replace(scene("x", 0).traces[0], label=script, column=long, unit=strange)
-    stage = replace(scene(script, worst(problem)), traces=(trace,), rollouts=rollouts, error=strange)
+    report = small()
+    problem = replace(report.problems[0], name=script, objective=long, method=strange, unit=strange, stopped_by=strange)
+    trace = replace(rollouts_of_test("x", 0).traces[0], label=script, column=long, unit=strange)
+    stage = replace(rollouts_of_test(script, worst(problem)), traces=(trace,), rollouts=rollouts, error=strange)
     return replace(
-        story,
+        report,
         name=strange,
         system=long,
         doc=script,
         specification=long,
         run=script,
         axes=(Axis(script, strange, 0.0, 4.0), Axis(long, long, 0.0, 3.0)),
-        claims=(replace(story.claims[0], sentence=script + long, method=long, rule=strange),),
+        claims=(replace(report.claims[0], sentence=script + long, method=long, rule=strange),),
         assumptions=(
             Assumption(id="rkhs_norm/sim_gap", status="refuted", detail=script + long),
             Assumption(id=long, status="assumed", detail=strange),
         ),
-        problems=(problem, replace(story.problems[1], name=long, left=script)),
+        problems=(problem, replace(report.problems[1], name=long, left=script)),
         scenes=(stage,),
         counterexamples=rollouts,
         violations=len(rollouts),
@@ -150,7 +155,7 @@ def hostile() -> ReportData:
     )
 
 
-def scene(problem: str, test: int) -> RolloutsOfTest:
+def rollouts_of_test(problem: str, test: int) -> RolloutsOfTest:
     """The rollouts of a test: one nominal, two true."""
     t = tuple(0.1 * k for k in range(21))
     variants = (("nominal", 0), ("true", 0), ("true", 1))

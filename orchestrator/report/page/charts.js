@@ -1,0 +1,96 @@
+// Colours of maps and charts; uPlot charts that get new data instead of being rebuilt.
+
+/** Colours of Okabe and Ito, distinct in colour blindness too; lighter ones on a dark page. */
+const LIGHT = {
+  ink: "#1a1d21", muted: "#555c66", line: "#d9dde2", paper: "#ffffff", empty: "#e9ebee",
+  blue: "#0072b2", red: "#c24f00",
+};
+const DARK = {
+  ink: "#e8eaed", muted: "#a9b1ba", line: "#353b43", paper: "#15181c", empty: "#2a2f36",
+  blue: "#56b4e9", red: "#f28e4b",
+};
+const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
+const onPaper = window.matchMedia("print");
+const dark = window.matchMedia("(prefers-color-scheme: dark)");
+let printing = false;
+
+/** The current colours; paper is light. */
+function theme() {
+  return dark.matches && !onPaper.matches && !printing ? DARK : LIGHT;
+}
+
+const charts = new Map(); // element -> {plot, key}
+
+/**
+ * Draw a chart in its element. A present chart of the same spec and colours gets the new data only.
+ * @param {HTMLElement} host
+ * @param {{height: number, x: string, y: {label: string, log?: boolean},
+ *   series: Array<{label: string, colour: string, dash?: number[], width?: number, points?: boolean, unit?: string, sense?: string}>,
+ *   legend?: boolean}} spec colours are names of the theme
+ * @param {Array<Array<number|null>>} data x first
+ * @param {(plot: object) => void} [onPointer] called when the pointer moves
+ */
+function chart(host, spec, data, onPointer) {
+  const colours = theme();
+  const key = JSON.stringify([spec, colours.paper]);
+  const present = charts.get(host);
+  if (present?.key === key) {
+    present.plot.setData(data);
+    return;
+  }
+  present?.plot.destroy();
+  const plot = new uPlot({ ...chartOptions(host, spec, colours), hooks: { setCursor: onPointer ? [onPointer] : [] } }, data, host);
+  charts.set(host, { plot, key });
+}
+
+function chartOptions(host, spec, colours) {
+  const axis = (extra) => ({
+    stroke: colours.ink, font: FONT, labelFont: FONT, labelSize: 18, labelGap: 0,
+    grid: { stroke: colours.line, width: 1 }, ticks: { stroke: colours.line, width: 1, size: 4 }, ...extra,
+  });
+  const names = (plot, splits) => splits.map((value) => (value === null ? "" : num(value)));
+  return {
+    width: Math.max(host.clientWidth, 200),
+    height: spec.height,
+    cursor: { drag: { x: false, y: false }, points: { size: 7 } },
+    legend: { show: spec.legend !== false },
+    scales: { x: { time: false }, y: { distr: spec.y.log ? 3 : 1 } },
+    axes: [axis({ label: spec.x, size: 30, values: names }), axis({ label: spec.y.label, size: 52, values: names })],
+    series: [{ label: spec.x, colour: "ink" }, ...spec.series].map((each) => chartSeries(each, colours)),
+  };
+}
+
+function chartSeries(each, colours) {
+  return {
+    label: each.label,
+    stroke: colours[each.colour],
+    width: each.width ?? 1.5,
+    dash: each.dash,
+    spanGaps: true,
+    paths: each.points ? () => null : undefined,
+    points: { show: each.points === true, size: 3, width: 0, fill: colours[each.colour] },
+    value: (plot, value, k, row) => legendText(row === null || row === undefined ? plot.data[k].at(-1) : value, each),
+  };
+}
+
+/** The value at the pointer, without a pointer the last one; that of a bound is rounded to the safe side. */
+function legendText(value, { sense, unit }) {
+  return sense ? boundText(value, sense, unit) : quantity(value, unit);
+}
+
+/** Fit the charts to their elements, and destroy those without one: uPlot keeps listeners on the window. */
+function tidyCharts() {
+  for (const [host, { plot }] of charts) {
+    if (!host.isConnected) {
+      plot.destroy();
+      charts.delete(host);
+    } else if (host.clientWidth > 0 && plot.width !== host.clientWidth) {
+      plot.setSize({ width: host.clientWidth, height: plot.height });
+    }
+  }
+}
+
+/** A figure with an element for a chart; `chart` draws into it. */
+function chartFigure(id, title, ...more) {
+  return el("figure", el("figcaption", title), el("div.chart", { id, "data-keep": true, role: "img", "aria-label": title }), more);
+}

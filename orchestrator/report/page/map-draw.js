@@ -1,0 +1,235 @@
+// Drawing of a map of D on a canvas, from its model in map-model.js.
+
+const mapModels = new WeakMap(); // canvas -> model
+const [WHITE, BLACK, WORST] = ["#ffffff", "#000000", "#d55e00"]; // on viridis, in both colour schemes
+
+/** Draw a map over the width of its canvas; `view` as in `mapModel`. */
+function drawMap(canvas, view) {
+  const width = canvas.clientWidth;
+  if (width === 0) return; // hidden
+  const model = mapModel(view, width);
+  const context = canvasContext(canvas, width, model.height);
+  ({ lattice: drawLattice, starts: drawStarts, profile: drawProfile })[model.kind](context, model);
+  drawAxes(context, model);
+  drawDots(context, model);
+  drawCrosshair(context, model);
+  mapModels.set(canvas, model);
+  const { problem, series } = model;
+  Object.assign(canvas.dataset, { tests: problem.tests.test.length, series, problem: problem.name });
+}
+
+/** Give a canvas `width` by `height` CSS pixels, sharp on this screen; returns its cleared context. */
+function canvasContext(canvas, width, height) {
+  const ratio = Math.min(window.devicePixelRatio || 1, 3);
+  canvas.style.aspectRatio = `${width} / ${height}`; // paper may be narrower than the screen
+  // Assigning a size clears and reallocates a canvas, even if it is the same.
+  if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
+  if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  context.font = FONT;
+  return context;
+}
+
+function drawLattice(context, model) {
+  const { box, scale, problem } = model;
+  context.fillStyle = theme().empty;
+  context.fillRect(box.left, box.top, box.width, box.height);
+  if (scale === null) return;
+  const [columns, rows] = problem.surface.shape;
+  const cells = new OffscreenCanvas(columns, rows);
+  const pixels = new ImageData(columns, rows);
+  scale.values.forEach((value, n) => {
+    if (value === null) return;
+    const [i, j] = [Math.floor(n / rows), n % rows];
+    // Rows of an image run downwards, the second parameter upwards.
+    pixels.data.set([...scale.colour(value), 255], 4 * ((rows - 1 - j) * columns + i));
+  });
+  cells.getContext("2d").putImageData(pixels, 0, 0);
+  context.imageSmoothingEnabled = false;
+  context.drawImage(cells, box.left, box.top, box.width, box.height);
+  if (model.region !== null) drawRegion(context, box, model.region, columns, rows);
+  drawColourBar(context, model);
+}
+
+/** Hatch the cells that may contain the worst start, and draw the edges around them. */
+function drawRegion(context, box, { cells, edges }, columns, rows) {
+  const { toX, toY } = frame(box, [0, columns], [0, rows]);
+  const [inside, border] = [new Path2D(), new Path2D()];
+  for (const [i, j] of cells) inside.rect(toX(i), toY(j + 1), box.width / columns, box.height / rows);
+  for (const [i, j, nextI, nextJ] of edges) {
+    border.moveTo(toX(i), toY(j));
+    border.lineTo(toX(nextI), toY(nextJ));
+  }
+  hatch(context, inside, box);
+  strokeOutlined(context, 2, () => context.stroke(border));
+}
+
+function hatch(context, inside, { left, top, width, height }) {
+  context.save();
+  context.clip(inside);
+  context.lineWidth = 1;
+  for (const [colour, shift] of [["rgba(255, 255, 255, 0.6)", 0], ["rgba(0, 0, 0, 0.35)", 1.2]]) {
+    context.strokeStyle = colour;
+    for (let x = left + shift - height; x < left + width; x += 9) line(context, x, top + height, x + height, top);
+  }
+  context.restore();
+}
+
+function drawStarts(context, model) {
+  const { problem, scale, nodes, toX, toY } = model;
+  if (scale === null) return;
+  const radii = new Map(model.dots.map((dot) => [dot.x.join(), dot.radius]));
+  nodes.forEach((x, n) => {
+    const value = scale.values[n];
+    const fill = value === null ? theme().empty : `rgb(${scale.colour(value)})`;
+    const radius = 6 + (radii.get(x.join()) ?? 0);
+    disc(context, [toX(x[0]), toY(x[1])], radius, fill, theme().ink, problem.surface.worst[n] ? 2.5 : 0.75);
+  });
+  drawColourBar(context, model);
+}
+
+function drawProfile(context, { problem, nodes, box, toX, toY }) {
+  if (problem.surface === null) return;
+  const { lower, upper, mean, worst } = problem.surface;
+  const colours = theme();
+  const bounded = nodes.map((x, n) => n).filter((n) => lower[n] !== null && upper[n] !== null);
+  const band = new Path2D();
+  bounded.forEach((n) => band.lineTo(toX(nodes[n][0]), toY(upper[n])));
+  bounded.reverse().forEach((n) => band.lineTo(toX(nodes[n][0]), toY(lower[n])));
+  context.fillStyle = `${colours.blue}33`;
+  context.fill(band);
+  const curve = new Path2D();
+  nodes.forEach((x, n) => mean[n] !== null && curve.lineTo(toX(x[0]), toY(mean[n])));
+  context.strokeStyle = colours.blue;
+  context.lineWidth = 2;
+  context.stroke(curve);
+  if (worst.every(Boolean)) return; // no start is ruled out: the strip would carry no information
+  context.fillStyle = colours.red;
+  const cell = box.width / Math.max(1, nodes.length - 1);
+  context.save();
+  context.beginPath();
+  context.rect(box.left, box.top, box.width, box.height); // half of the first and the last cell is outside
+  context.clip();
+  nodes.forEach((x, n) => worst[n] && context.fillRect(toX(x[0]) - cell / 2, box.top + box.height - 5, cell, 5));
+  context.restore();
+}
+
+/** Border, ticks and names of both axes. */
+function drawAxes(context, { kind, report, problem, box, rangeX, rangeY, toX, toY }) {
+  const { left, top, width, height } = box;
+  const colours = theme();
+  const [nameX, nameY] = report.axes.map((axis) => withUnit(axis.name, axis.unit));
+  context.strokeStyle = colours.muted;
+  context.fillStyle = colours.ink;
+  context.lineWidth = 1;
+  context.strokeRect(left - 0.5, top - 0.5, width + 1, height + 1);
+  align(context, "center", "top");
+  for (const [value, text] of ticks(...rangeX, Math.max(2, width / 70))) {
+    line(context, toX(value), top + height, toX(value), top + height + 4);
+    context.fillText(text, toX(value), top + height + 6);
+  }
+  context.fillText(nameX, left + width / 2, top + height + 22, width);
+  align(context, "right", "middle");
+  for (const [value, text] of ticks(...rangeY, Math.max(2, height / 45))) {
+    line(context, left - 4, toY(value), left, toY(value));
+    context.fillText(text, left - 6, toY(value));
+  }
+  align(context, "left", "bottom");
+  context.fillText(kind === "profile" ? withUnit("objective", problem.unit) : nameY, 2, top - 6, left + width);
+}
+
+/** The colour bar at the right, with the numbers of its colours. */
+function drawColourBar(context, { box: { left, top, width, height }, scale, problem, series }) {
+  const colours = theme();
+  const bar = { left: left + width + 14, top, width: 12, height };
+  const right = bar.left + bar.width;
+  const { toY } = frame(bar, [0, 1], [scale.low, scale.high]);
+  for (let y = 0; y < height; y += 1) {
+    context.fillStyle = `rgb(${scale.colour(scale.high - ((y + 0.5) / height) * (scale.high - scale.low))})`;
+    context.fillRect(bar.left, top + y, bar.width, 1.5); // overlapping: no seams
+  }
+  context.fillStyle = colours.ink;
+  context.strokeStyle = colours.muted;
+  context.lineWidth = 1;
+  align(context, "left", "middle");
+  const values = scale.high > scale.low ? ticks(scale.low, scale.high, height / 45) : [[scale.low, num(scale.low)]];
+  for (const [value, text] of values) {
+    line(context, right, toY(value), right + 3, toY(value));
+    context.fillText(text, right + 6, toY(value));
+  }
+  align(context, "right", "bottom");
+  context.fillText(withUnit(series, problem.unit), bar.left + 60, top - 6, MARGIN.bar);
+  context.textBaseline = "top";
+  context.fillStyle = colours.muted;
+  context.fillText("dark = worse", bar.left + 60, top + height + 22, MARGIN.bar);
+}
+
+function drawDots(context, { kind, dots }) {
+  const starts = kind === "starts";
+  // A listed start is its own dot. The worst one is drawn on top of its neighbours.
+  for (const dot of starts ? [] : dots) if (!dot.worst) disc(context, dot.at, dot.radius, WHITE, BLACK);
+  for (const dot of dots) {
+    const around = dot.radius + (starts ? 9 : 4);
+    if (dot.worst) disc(context, dot.at, Math.min(dot.radius + 2, 7), WORST, WHITE);
+    if (dot.first) square(context, dot.at, around, 0);
+    if (dot.last) square(context, dot.at, around, Math.PI / 4);
+  }
+  const selected = dots.find((dot) => dot.selected);
+  if (selected) strokeOutlined(context, 1.8, () => context.stroke(circle(selected.at, selected.radius + (starts ? 13 : 9))));
+}
+
+function circle([x, y], radius) {
+  const path = new Path2D();
+  path.arc(x, y, radius, 0, 2 * Math.PI);
+  return path;
+}
+
+function disc(context, at, radius, fill, edge, width = 1.2) {
+  context.fillStyle = fill;
+  context.strokeStyle = edge;
+  context.lineWidth = width;
+  context.fill(circle(at, radius));
+  context.stroke(circle(at, radius));
+}
+
+function square(context, [x, y], half, angle) {
+  context.save();
+  context.translate(x, y);
+  context.rotate(angle);
+  strokeOutlined(context, 1.8, () => context.strokeRect(-half, -half, 2 * half, 2 * half));
+  context.restore();
+}
+
+/** Stroke in black with a white edge: visible on every colour. */
+function strokeOutlined(context, inner, stroke) {
+  for (const [colour, width] of [[WHITE, 4], [BLACK, inner]]) {
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    stroke();
+  }
+}
+
+function drawCrosshair(context, { kind, box: { left, top, width, height }, pointer }) {
+  if (!pointer) return;
+  const [x, y] = pointer;
+  context.strokeStyle = theme().ink;
+  context.lineWidth = 0.75;
+  context.setLineDash([3, 3]);
+  line(context, x, top, x, top + height);
+  if (kind !== "profile") line(context, left, y, left + width, y);
+  context.setLineDash([]);
+}
+
+function align(context, horizontal, baseline) {
+  context.textAlign = horizontal;
+  context.textBaseline = baseline;
+}
+
+function line(context, x0, y0, x1, y1) {
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.stroke();
+}

@@ -1,0 +1,67 @@
+// Sections of the workers and of the output files, with the commands that verify and resume.
+
+function workerSection(report) {
+  const { throughput, workers } = report;
+  const facts = [
+    ["Recorded", plural(report.rollouts, "rollout")],
+    ["Rate over the last active minute", `${num(throughput.rate, 3)} rollouts/s`],
+    ["Failed attempts", count(throughput.failures)],
+    ["Sessions (run and resumes)", count(throughput.sessions)],
+    ["First result", utc(throughput.start)],
+  ];
+  return el(
+    "section#workers",
+    el("h2", "Workers"),
+    definitions(".facts", facts),
+    throughput.seconds.length > 1 ? chartFigure("throughput", "Rollouts recorded over time") : null,
+    workers.length ? workerTable(report) : el("p.muted", "No worker has joined yet."),
+  );
+}
+
+/** A live page has states, heartbeats and ages; a report, which does not depend on the clock, has times. */
+function workerTable(report) {
+  const live = report.updated !== null;
+  const heads = ["Worker", "Host", live && "State", "#Rollouts", "#Failures", "#Busy time", "#CPU time", "#Last result", live && "#Heartbeat", live && "Current rollout"];
+  const row = (each) => [
+    nameElement(each.name, 60),
+    nameElement(each.host, 60),
+    live && el("span.worker", { "data-state": each.state }, short(each.state, 20)),
+    count(each.rollouts),
+    each.failures ? el("strong.bad", count(each.failures)) : "0",
+    duration(each.busy_seconds),
+    duration(each.cpu_seconds),
+    live ? ago(each.last, report.updated) : utc(each.last),
+    live && ago(each.heartbeat, report.updated),
+    live && (each.rollout === null ? num(null) : nameElement(each.rollout, 60)),
+  ];
+  const visibleCells = (list) => list.filter((value, k) => heads[k] !== false);
+  return table(visibleCells(heads), report.workers.map((each) => visibleCells(row(each))));
+}
+
+function drawThroughput(throughput) {
+  const host = document.getElementById("throughput");
+  if (!host) return;
+  const last = throughput.seconds.at(-1);
+  const [size, unit] = last < 180 ? [1, "s"] : last < 10_800 ? [60, "min"] : [3600, "h"];
+  chart(
+    host,
+    { height: 170, x: `time since the first result (${unit})`, y: { label: "rollouts" }, series: [{ label: "recorded", colour: "blue" }] },
+    [throughput.seconds.map((value) => value / size), throughput.recorded],
+  );
+}
+
+function outputSection(report) {
+  const versions = Object.entries(report.software).map(([name, version]) => `${short(name, 40)} ${short(version, 40)}`);
+  const finished = report.state === "finished";
+  const directory = document.body.dataset.live ? "DIR" : "."; // a report may be moved with its run directory
+  const rows = [
+    ["Certificate", finished ? el("a", { href: "certificate.json" }, "certificate.json") : null],
+    ["Trajectories", "trajectories/, one MCAP file per rollout"],
+    ["Tests, results and bounds", "campaign.db (SQLite)"],
+    ["Verify the certificate against these files", finished ? commandLine(`perfbound verify ${directory}`) : null],
+    ["Resume the campaign", report.resume && !finished ? commandLine(report.resume) : null],
+    ["Run", el("code", short(report.run, 120))],
+    ["Software", versions.join(", ")],
+  ];
+  return el("section#output", el("h2", "Output files"), definitions(".files", rows));
+}
