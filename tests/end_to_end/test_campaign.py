@@ -251,7 +251,7 @@ def test_status_while_it_runs_when_stopped_and_at_the_end(started: Processes, di
     assert "worker local-" in process_state.out
     after = started.run("perfbound", "status", "run").out
     assert "segway-paper  stopped, seed 1, run " in after
-    assert after.endswith("\ngo on with: perfbound resume run\n")
+    assert after.endswith("\ncontinue with: perfbound resume run\n")
     resumed = started.run("perfbound", "resume", "run", "--workers", "1")
     assert resumed.code == 0, resumed.err
     assert finished(directory, calm)
