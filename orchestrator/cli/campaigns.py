@@ -1,4 +1,4 @@
-"""Commands that run campaigns, and look at one that runs."""
+"""Commands that run campaigns and show their progress."""
 
 import shlex
 import sys
@@ -27,7 +27,7 @@ SEEDS = click.IntRange(0, 10_000)
 
 
 def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that say where to listen for workers, and where to serve the page."""
+    """Add the options of the endpoint for workers and of the live page."""
     for option in (
         web_option(
             "Serve a live page.  [default of HOST:PORT: loopback and a free port]",
@@ -35,11 +35,11 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
             flag_value=Address(),
             default=None,
         ),
-        click.option("--tls-key", default=None, help="PEM file of our private key."),
-        click.option("--tls-certificate", default=None, help="PEM file of our certificate."),
+        click.option("--tls-key", default=None, help="PEM file of the private key of this side."),
+        click.option("--tls-certificate", default=None, help="PEM file of the certificate of this side."),
         click.option("--tls-ca", default=None, help="PEM file of the authority that signed both sides' certificates."),
         click.option(
-            "--insecure", is_flag=True, help="Allow to listen, or to serve the page, beyond this machine without TLS."
+            "--insecure", is_flag=True, help="Allow listening or serving the page beyond this machine without TLS."
         ),
         click.option(
             "--listen", "endpoint", default=None, help="Endpoint for workers.  [default: loopback and a free port]"
@@ -73,7 +73,7 @@ log_option = click.option(
     show_default=True,
     callback=_log,
     expose_value=False,
-    help="How to say on stderr what happens; json is one object a line.",
+    help="Form of progress and errors on stderr; json is one object a line.",
 )
 campaign_argument = click.argument("campaign", type=click.Path(path_type=Path))
 
@@ -129,8 +129,8 @@ def resume(*, directory: Path, workers: int, sign: Path | None, strict: bool, dr
     key = signing.load_key(sign) if sign else None
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
-        went_on = session.resume_campaign(directory, options, STDERR.console)
-        _finish(directory, key, strict=strict, report=went_on)
+        resumed = session.resume_campaign(directory, options, STDERR.console)
+        _finish(directory, key, strict=strict, report=resumed)
 
 
 def _run_new(
@@ -146,7 +146,9 @@ def _run_new(
 ) -> None:
     from ..run import session  # noqa: PLC0415
 
-    key = signing.load_key(sign) if sign else None  # before hours of work, and this very key signs
+    key = (
+        signing.load_key(sign) if sign else None
+    )  # before hours of work: a wrong passphrase must not be noticed at their end
     overrides = {} if seed is None else {"seed": seed}
     config = session.load_campaign(campaign, **overrides)
     directory = out or Path("runs") / config.name
@@ -174,7 +176,7 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
 def status(directory: Path) -> None:
-    """Show how far the campaign in DIRECTORY is, while it runs and afterwards."""
+    """Show the progress of the campaign in DIRECTORY, while it runs and afterwards."""
     from . import status as view  # noqa: PLC0415
 
     view.print_status(directory, data())
@@ -182,7 +184,7 @@ def status(directory: Path) -> None:
 
 @cli.group()
 def reproduce() -> None:
-    """Regenerate what a publication printed."""
+    """Regenerate the results of a publication."""
 
 
 @reproduce.command()
@@ -192,11 +194,13 @@ def reproduce() -> None:
 @click.option("--functions", type=SEEDS, default=50, show_default=True, help="Seeds of the test function.")
 @click.option("--seeds", type=SEEDS, default=8, show_default=True, help="Seeds of the Segway with its gap.")
 @click.option("--direct-seeds", type=SEEDS, default=4, show_default=True, help="Seeds of the Segway tested directly.")
-@click.option("--ours/--no-ours", default=True, show_default=True, help="Also make our own two claims.")
+@click.option(
+    "--ours/--no-ours", default=True, show_default=True, help="Also make the two claims that go beyond the paper."
+)
 def paper(*, out: Path, campaigns: Path | None, workers: int, **extent: Any) -> None:
     """Run the campaigns of the method paper, and write its table and figures.
 
-    What is finished is not run again, and what was interrupted goes on where it stopped.
+    Finished campaigns are not run again, and interrupted ones are resumed.
     """
     from ..report.paper import study  # noqa: PLC0415
     from ..report.paper.reproduce import reproduce_paper  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Commands about what a campaign leaves behind: verify it, sign it, export it."""
+"""Commands on the output of a campaign: verify, sign and export it."""
 
 import re
 import sys
@@ -48,14 +48,14 @@ def verify(*, path: Path, key: Path | None, again: int, as_json: bool) -> None:
 )
 @click.option("--passphrase", "encrypted", is_flag=True, help="Encrypt the private key with a passphrase.")
 def keygen(*, name: str, out: Path, encrypted: bool) -> None:
-    """Make a key that signs certificates: NAME.key, which is secret, and NAME.pub, for who checks them."""
+    """Make a key that signs certificates: NAME.key, which is secret, and NAME.pub, for their verification."""
     from ..certificate.keys import new_pair  # noqa: PLC0415
 
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", name):
         raise click.UsageError("NAME consists of letters, digits, '.', '_' and '-'; --out names the folder")
     pair = new_pair(out, name, signing.passphrase(f"Passphrase of {name}", twice=True) if encrypted else b"")
-    click.echo(f"private key  {pair.private}   keep it secret: whoever has it signs in your name")
-    click.echo(f"public key   {pair.public}   give it to those who are to check your certificates")
+    click.echo(f"private key  {pair.private}   keep it secret: it signs in your name")
+    click.echo(f"public key   {pair.public}   give it to everyone who verifies your certificates")
     click.echo(f"key id       {pair.id}")
 
 
@@ -63,7 +63,7 @@ def keygen(*, name: str, out: Path, encrypted: bool) -> None:
 @click.argument("directory", type=RUN_DIRECTORY)
 @click.option("--key", type=signing.KEY, required=True, help="Private key, as `perfbound keygen` makes it.")
 def sign(*, directory: Path, key: Path) -> None:
-    """Sign the certificate in DIRECTORY, besides those who have signed it already."""
+    """Add a signature to the certificate in DIRECTORY."""
     click.echo(signing.sign_directory(directory, signing.load_key(key)))
 
 
@@ -81,9 +81,9 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
     """Write TABLES of the campaign in DIRECTORY as files, while it runs too.
 
     \b
-    tests            a row a test: what was expected, its observation, the bounds after it
+    tests            a row a test: its expectation, its observation, the bounds after it
     rollouts         a row a rollout: its start, robustness, file, worker and times
-    observations     a row a replicate: what it contributed to its test
+    observations     a row a replicate: its contribution to the test
     counterexamples  those of the rollouts that violate the specification
 
     Without TABLES all are written.
@@ -95,7 +95,7 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
         raise click.UsageError(f"there is no table {unknown[0]!r}; allowed are {', '.join(store.TABLES)}")
     if str(out) == "-":
         if len(tables) != 1 or form != "csv":
-            raise click.UsageError("--out - writes one table, as CSV: name it")
+            raise click.UsageError("--out - writes one table, as CSV; name that table")
         store.stream(directory, tables[0], sys.stdout.buffer)
         return
     with STDERR.console.status("") as status:

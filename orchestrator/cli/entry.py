@@ -13,12 +13,12 @@ from .group import cli
 
 
 def _stop(number: int, _frame: FrameType | None) -> None:
-    take_signals(signal.SIG_IGN)  # an impatient second Ctrl-C must not break off the cleaning up
+    take_signals(signal.SIG_IGN)  # a second Ctrl-C must not interrupt the shutdown
     raise Stopped(number)
 
 
 def _unraisable(lost: "sys.UnraisableHookArgs") -> None:
-    """Ask again for a stop that came while a destructor ran: nothing can be raised from there."""
+    """Repeat a signal that arrived while a destructor ran: Python drops exceptions there."""
     if isinstance(lost.exc_value, Stopped):
         take_signals(_stop)
         threading.Timer(0.02, os.kill, (os.getpid(), lost.exc_value.signal)).start()

@@ -1,4 +1,4 @@
-"""How a command ends before its time."""
+"""The ways in which a command ends early."""
 
 import os
 import signal
@@ -16,34 +16,34 @@ from .stderr import STDERR
 
 @contextmanager
 def resumable(directory: Path, again: str | None = None) -> Iterator[None]:
-    """When the campaign ends before its time, name the way to go on: `again`, or to resume it."""
+    """Name the command that continues a campaign which ends early: `again`, or `perfbound resume`."""
     from ..run.format import resume_command  # noqa: PLC0415
 
-    def way(first: str = "") -> str:
+    def remedy(first: str = "") -> str:
         there = again or os.path.exists(directory / "campaign.db")  # Path.exists raises if the name is too long
-        return f"{first}go on with: {again or resume_command(directory)}" if there else "nothing was started"
+        return f"{first}continue with: {again or resume_command(directory)}" if there else "nothing was started"
 
     try:
         yield
     except Stopped as request:
-        end(f"stopped; {way()}", 128 + request.signal)
+        end(f"stopped; {remedy()}", 128 + request.signal)
     except OSError as error:
-        end(f"{error.filename or directory}: {error.strerror or error}; {way('mend that, then ')}", 1)
+        end(f"{error.filename or directory}: {error.strerror or error}; {remedy('fix this, then ')}", 1)
     except Exception as error:
         cause = getattr(error, "orig", None)  # SQLAlchemy's wrapping
         if not isinstance(cause, sqlite3.Error):
             raise
-        end(f"{directory / 'campaign.db'}: {cause}; {way('mend that, then ')}", 1)
+        end(f"{directory / 'campaign.db'}: {cause}; {remedy('fix this, then ')}", 1)
 
 
 def take_signals(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
-    """Let `handler` have SIGINT and SIGTERM from now on."""
+    """Set the handler of SIGINT and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
 
 
 def end(message: str, code: int) -> NoReturn:
-    """Say why in one line, and exit."""
+    """Print the reason in one line, and exit."""
     take_signals(signal.SIG_IGN)  # nothing is left to stop
     STDERR.fail(f"perfbound: {one_line(message)}")
     sys.exit(code)

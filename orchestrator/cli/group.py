@@ -1,4 +1,4 @@
-"""The command group, and what commands share; each module beside this one adds its commands to the group."""
+"""The command group; each module beside this one adds its commands to it."""
 
 import sys
 from pathlib import Path
@@ -16,7 +16,7 @@ def cli() -> None:
 
 
 def data() -> Any:
-    """Return a console for what a command was asked for, on stdout."""
+    """Return a console for the output of a command, on stdout."""
     from rich.console import Console  # noqa: PLC0415
 
     return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 100)

@@ -1,4 +1,4 @@
-"""What commands that sign share: the key, and how its passphrase is asked for."""
+"""The key of commands that sign, and the question for its passphrase."""
 
 import os
 import sys
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 FROM_FILE = "PERFBOUND_PASSPHRASE_FILE"
-"""Environment: where a passphrase stands when nobody is there to type it. Its text itself would be for all to see."""
+"""Environment variable with the file of a passphrase. A variable with its text would show it in process lists."""
 KEY = click.Path(path_type=Path)
 
 sign_option = click.option(
@@ -20,7 +20,7 @@ sign_option = click.option(
 
 
 def load_key(path: Path) -> "Ed25519PrivateKey":
-    """Return the private key that is to sign.
+    """Return the private key for a signature.
 
     Raises:
         SignatureError: it cannot be used.
@@ -35,7 +35,7 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
     """Return the passphrase from the file that the environment names, or from the terminal.
 
     Raises:
-        SignatureError: nobody is there to ask.
+        SignatureError: stdin is no terminal and no file is named.
 
     """
     from ...schemas.errors import SignatureError  # noqa: PLC0415
@@ -50,7 +50,7 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
 
 
 def sign_directory(directory: Path, key: "Ed25519PrivateKey") -> str:
-    """Sign the certificate in `directory`; return a line that says so."""
+    """Sign the certificate in `directory`; return a line for the user."""
     from ..certificate.sign import key_id, sign_certificate  # noqa: PLC0415
 
     return f"signed       {sign_certificate(directory, key)}, key {key_id(key.public_key())}"

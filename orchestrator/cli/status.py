@@ -1,4 +1,4 @@
-"""`perfbound status`: how far a campaign is, from its database alone."""
+"""`perfbound status`: the progress of a campaign, from its database alone."""
 
 import time
 from pathlib import Path

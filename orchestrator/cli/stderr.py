@@ -22,13 +22,13 @@ class Stderr:
 
     @cached_property
     def console(self) -> "Console":
-        """Return what prints to stderr."""
+        """Return the console of stderr."""
         from rich.console import Console  # noqa: PLC0415  (late: it costs a quick command a fifth of its time)
 
         return Console(stderr=True) if self._json is None else Console(file=self._json)  # type: ignore[arg-type]
 
     def fail(self, message: str) -> None:
-        """Write the reason why the command ends."""
+        """Write the error that ends the command."""
         if self._json is None:
             sys.stderr.write(message + "\n")
         else:

@@ -1,4 +1,4 @@
-"""Commands about systems under test, and about single rollouts."""
+"""Commands on systems under test and on single rollouts."""
 
 from pathlib import Path
 
@@ -42,7 +42,7 @@ def systems() -> None:
 def replay(*, directory: Path, rollout: str, out: Path | None, mcap: Path | None) -> None:
     """Simulate one ROLLOUT of the campaign in DIRECTORY again, compare it with its file, and draw it.
 
-    ROLLOUT is problem.test.variant.replicate, as reports and file names say: sim_gap.3.true.0
+    ROLLOUT is problem.test.variant.replicate, as in reports and file names: sim_gap.3.true.0
     """
     from ..report.replay.replay import replay_rollout  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""The option `--web`: where a live page is served."""
+"""The option `--web`: the address of a live page."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,7 @@ class _Place(click.ParamType[Address]):
         try:
             return Address.parse(value)
         except ValueError as error:
-            self.fail(f"{error}; where --web is alone, it stands last", param, ctx)
+            self.fail(f"{error}; put --web last if you give it no value", param, ctx)
 
 
 def web_option(text: str, **settings: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -1,4 +1,4 @@
-"""Questions to a child process of `workers`: the orchestrator itself imports no simulator."""
+"""Commands of a `workers` child process: the orchestrator itself imports no simulator."""
 
 import json
 import subprocess
@@ -12,21 +12,21 @@ CHILD_TIMEOUT = 120
 
 
 def ask(command: str, *arguments: str) -> str:
-    """Return what a command of a `workers` child prints: no simulator is imported here.
+    """Return the output of a command of a `workers` child.
 
     Raises:
-        PerfboundError: the child fails; with the last thing that it said.
+        PerfboundError: the child fails; the text is its last line.
 
     """
-    # -P: what stands in the present directory is not ours to import.
+    # -P: a module of the current directory must not replace an installed one.
     line = [sys.executable, "-P", "-m", "perfbound.workers", command, *arguments]
     try:
         child = subprocess.run(line, capture_output=True, text=True, timeout=CHILD_TIMEOUT, check=False)
     except subprocess.TimeoutExpired:
         raise PerfboundError(f"`workers {command}` did not answer within {CHILD_TIMEOUT} s") from None
-    said = [text.removeprefix("perfbound-worker: ") for text in child.stderr.splitlines() if text.strip()]
+    lines = [text.removeprefix("perfbound-worker: ") for text in child.stderr.splitlines() if text.strip()]
     if child.returncode:
-        raise PerfboundError(said[-1] if said else f"`workers {command}` ended with code {child.returncode}")
+        raise PerfboundError(lines[-1] if lines else f"`workers {command}` ended with code {child.returncode}")
     return child.stdout
 
 
@@ -34,7 +34,7 @@ def system_specs() -> dict[str, SystemSpec]:
     """Return the installed systems.
 
     Raises:
-        PerfboundError: they cannot be asked.
+        PerfboundError: the child fails.
 
     """
     try:

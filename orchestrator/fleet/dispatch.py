@@ -1,6 +1,6 @@
 """The dispatch machine: the attempt of each worker, lost and hung workers, retries, poisoned rollouts.
 
-A pure machine: `step(state, event) -> (state, actions)`. Time comes inside the events, in seconds of any one clock.
+A pure machine: `advance(state, event) -> (state, actions)`. Time comes inside the events, in seconds of any one clock.
 A worker is in one of these phases, and this table lists every legal transition of the worker that an event names:
 
     phase      WorkerUp   WorkerDown  Reported         Delivered   Tick
@@ -14,15 +14,14 @@ A worker is in one of these phases, and this table lists every legal transition 
 
 `-` cannot be. `(ignored)` changes nothing. `(back)` is the phase before it was gone. Beyond the table, `HandOut` makes
 an `idle` worker `sent` if a rollout waits, and a worker whose rollout is withdrawn, or recorded from another attempt,
-becomes `shunned`. `HandOut` is an event of its own because the clock of an attempt must start when it is sent: what an
-orchestrator does with a result may take longer than the patience that it has with a worker.
+becomes `shunned`. `HandOut` is an event of its own because the clock of an attempt must start when it is sent:
+recording a result may take longer than the limit for a worker without progress.
 
-`new` has not said yet what it does: it may be at work since before it was lost or we were restarted. `sent` has an
+`new` has not reported yet: it may be busy since before it was lost or the orchestrator was restarted. `sent` has an
 assignment that no heartbeat has confirmed yet: it is sent again every `resend_after` s. `shunned` hung, missed its
-deadline or was cancelled. Both get nothing until they report idle, and are given up every `hung_after` s that they do
-not. `gone` has lost its liveliness token: after
-`lost_after` s its attempt is lost. Reports that are late, repeated or of unknown rollouts change nothing but are
-acknowledged. `LEGAL` is all of this as data.
+deadline or was cancelled. `new` and `shunned` workers get nothing until they report idle, and are given up every
+`hung_after` s that they do not. `gone` has lost its liveliness token: after `lost_after` s its attempt is lost. Reports
+that are late, repeated or of unknown rollouts change nothing but are acknowledged. `LEGAL` is all of this as data.
 
 The first valid result of a rollout wins, whichever attempt it came from. A rollout whose attempts failed
 `max_attempts` times is poisoned: the campaign fails and reports every attempt. Closed rollouts leave the state.
@@ -97,7 +96,7 @@ SIDE_EFFECTS: dict[tuple[Phase, str], tuple[Phase, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Patience, in seconds; and how often a rollout may fail."""
+    """Time limits in seconds, and the failed attempts that poison a rollout."""
 
     resend_after: float = 1.5
     lost_after: float = 3.0
@@ -108,11 +107,12 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Worker:
-    """What the orchestrator knows of one worker process."""
+    """One worker process in the view of the orchestrator."""
 
     phase: WorkerPhase = "new"
     attempt: Attempt | None = None
     resumes_as: WorkerPhase = "idle"
+    """Its phase if its token comes back; of a `gone` worker alone."""
     gone_at: float = NEVER
     sent_at: float = NEVER
     """Of the last assign message."""
@@ -135,7 +135,7 @@ class DispatchState:
 
     limits: Limits
     hold_until: float
-    """Nothing is assigned before: after a restart busy workers report first."""
+    """Nothing is assigned before this time: after a restart busy workers report first."""
     workers: Mapping[str, Worker] = field(default_factory=dict)
     open: Mapping[RolloutId, Open] = field(default_factory=dict)
     waiting: tuple[RolloutId, ...] = ()
@@ -177,6 +177,8 @@ def under_way(state: DispatchState) -> int:
 
 
 def _want(state: DispatchState, event: Wanted) -> Outcome:
+    # Attempts are numbered on from those before a restart: a late result of an old attempt must not be taken for a new
+    # one's.
     new = {rollout: Open(attempts) for rollout, attempts in event.rollouts if rollout not in state.open}
     return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
 
@@ -184,6 +186,7 @@ def _want(state: DispatchState, event: Wanted) -> Outcome:
 def _forget(state: DispatchState, event: Unwanted) -> Outcome:
     dropped = frozenset(event.rollouts)
     cancels = []
+    # The problem has stopped. A cancel may be lost, so the worker counts as busy until it reports idle.
     for name, worker in state.workers.items():
         if worker.attempt is not None and worker.attempt.rollout in dropped:
             cancels.append(Revoke(name, worker.attempt))
@@ -196,8 +199,8 @@ def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     if worker is None:
         return _put(state, event.worker, Worker("new", progress_at=event.at))
     if worker.phase != "gone":
-        return state
-    # A rollout that was under way goes on where it was; the silence is not held against it.
+        return state  # a repeated token
+    # A partition, not a death: the rollout has continued, and the time without messages counts against no limit.
     back = replace(worker, phase=worker.resumes_as, gone_at=NEVER, progress_at=event.at, sent_at=event.at)
     return _put(state, event.worker, back)
 
@@ -206,31 +209,35 @@ def _down(state: DispatchState, event: WorkerDown) -> DispatchState:
     worker = state.workers.get(event.worker)
     if worker is None or worker.phase == "gone":
         return state
+    # The attempt is kept for `lost_after` s: a token also disappears when the network does for a moment.
     return _put(state, event.worker, replace(worker, phase="gone", resumes_as=worker.phase, gone_at=event.at))
 
 
 def _report(state: DispatchState, event: Reported) -> Outcome:
     worker = state.workers.get(event.worker)
     if worker is None or worker.phase == "gone":
-        return state, ()
+        return state, ()  # a heartbeat that overtook its token, or was late
     if event.attempt is None:
         return _report_idle(state, event.worker, worker), ()
     if event.attempt == worker.attempt:
         return _put(state, event.worker, _advanced(worker, event)), ()
+    # Busy since before a restart, with a rollout that is still needed: its result is as good as a new one's.
     if worker.phase == "new" and event.attempt.rollout in state.waiting:
         return _adopt(state, event), ()
+    # Busy with a rollout that is closed or on another worker, or that was cancelled by a message that got lost.
     if event.attempt.rollout not in state.open or worker.phase in ("new", "shunned"):
         return state, (Revoke(event.worker, event.attempt),)
-    return state, ()
+    return state, ()  # the heartbeat before the assignment: an older attempt that has just ended
 
 
 def _report_idle(state: DispatchState, name: str, worker: Worker) -> DispatchState:
-    # A worker that is `sent` may say idle because the assignment is still on its way, a `busy` one because its
-    # result is: the first is sent again, the second is watched by the clock of progress.
+    # A `sent` worker may report idle because its assignment is still on the way, a `busy` one because its result is:
+    # the first is sent again, for the second the limit of progress runs.
     return _put(state, name, Worker("idle")) if worker.phase in ("new", "shunned") else state
 
 
 def _advanced(worker: Worker, event: Reported) -> Worker:
+    # A heartbeat proves that the process lives; only growing progress proves that the rollout does.
     if event.progress <= worker.progress:
         return replace(worker, phase="busy")
     return replace(worker, phase="busy", progress=event.progress, progress_at=event.at)
@@ -241,6 +248,7 @@ def _adopt(state: DispatchState, event: Reported) -> DispatchState:
     rollout = event.attempt.rollout
     worker = Worker("busy", event.attempt, started_at=event.at, progress=event.progress, progress_at=event.at)
     known = state.open[rollout]
+    # The commit of this attempt may be lost with the crash, so its number may be unknown here.
     known = replace(known, attempts=max(known.attempts, event.attempt.number))
     state = _put(state, event.worker, worker)
     waiting = tuple(other for other in state.waiting if other != rollout)
@@ -251,10 +259,13 @@ def _deliver(state: DispatchState, event: Delivered) -> Outcome:
     acknowledge = Acknowledge(event.worker, event.attempt)
     state = _release(state, event.worker, event.attempt)
     if event.attempt.rollout not in state.open:
-        return state, (acknowledge,)
+        return state, (
+            acknowledge,
+        )  # a repeat, late or of no use: without the acknowledgement the worker sends it again
     if event.error is not None:
         state, actions = _fail(state, event.worker, event.attempt, event.error)
         return state, (*actions, acknowledge)
+    # The first valid result counts, whichever attempt it is of: equal requests give equal bytes.
     state, cancels = _cancel_others(state, event.attempt.rollout, event.at)
     state = _close_rollouts(state, frozenset({event.attempt.rollout}))
     state = replace(state, recorded=state.recorded + 1)
@@ -264,8 +275,8 @@ def _deliver(state: DispatchState, event: Delivered) -> Outcome:
 def _release(state: DispatchState, name: str, attempt: Attempt) -> DispatchState:
     worker = state.workers.get(name)
     if worker is None or worker.attempt != attempt:
-        return state
-    if worker.phase == "gone":
+        return state  # a result of an attempt before the present one
+    if worker.phase == "gone":  # the result was on the way when the token disappeared
         return _put(state, name, replace(worker, attempt=None, resumes_as="idle"))
     return _put(state, name, Worker("idle"))
 
@@ -293,16 +304,20 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
         if at - worker.gone_at < limits.lost_after:
             return state, ()
         state = replace(state, workers={key: value for key, value in state.workers.items() if key != name})
+        # Forgotten whole: if the process lives, its token makes it a `new` worker, and it reports first.
         lost = f"worker lost for {limits.lost_after:g} s"
         return _fail(state, name, worker.attempt, lost) if worker.attempt else (state, ())
+    # It neither reports idle nor disappears. `progress_at` starts anew, so that it is given up again later.
     if worker.phase in ("new", "shunned") and at - worker.progress_at >= limits.hung_after:
         return _put(state, name, replace(worker, progress_at=at)), (GiveUp(name),)
     if worker.attempt is None:
         return state, ()
     if at - worker.progress_at >= limits.hung_after:
         return _shun(state, name, worker, f"no progress for {limits.hung_after:g} s", at)
+    # Progress alone is not enough: a rollout may grow slower without end.
     if at - worker.started_at >= limits.deadline:
         return _shun(state, name, worker, f"not done after {limits.deadline:g} s", at)
+    # Delivery is at most once, so the assignment or the heartbeat that confirms it may be lost.
     if worker.phase == "sent" and at - worker.sent_at >= limits.resend_after:
         return _put(state, name, replace(worker, sent_at=at)), (Resend(name, worker.attempt),)
     return state, ()
@@ -316,14 +331,15 @@ def _shun(state: DispatchState, name: str, worker: Worker, reason: str, at: floa
 
 
 def _fail(state: DispatchState, name: str, attempt: Attempt, reason: str) -> Outcome:
-    """Count the failure against the rollout, and queue it again or give it up."""
+    """Count the failure against the rollout, and queue the rollout again or poison it."""
     known = state.open.get(attempt.rollout)
     if known is None or not _is_current(state, attempt.rollout):
-        return state, (Fail(name, attempt, reason),)  # told again, or another attempt is on its way
+        return state, (Fail(name, attempt, reason),)  # a repeat, or another attempt is under way: no second count
     failures = (*known.failures, f"attempt {attempt.number} on {name}: {reason}")
     state = replace(state, open={**state.open, attempt.rollout: replace(known, failures=failures)})
     if len(failures) >= state.limits.max_attempts:
         return state, (Fail(name, attempt, reason), Poison(attempt.rollout, failures))
+    # In front: the observation of its test, and all that follow in the problem, wait for it.
     return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, reason),)
 
 
@@ -337,12 +353,10 @@ def _is_current(state: DispatchState, rollout: RolloutId) -> bool:
 def _assign(state: DispatchState, at: float) -> Outcome:
     if at < state.hold_until or not state.waiting:
         return state, ()
+    # Sorted: the order of the mapping depends on the order in which the workers came.
     idle = sorted(name for name, worker in state.workers.items() if worker.phase == "idle")
     starts = tuple(_next_attempt(state, *pair) for pair in zip(idle, state.waiting, strict=False))
-    sent = {
-        start.worker: Worker("sent", start.attempt, sent_at=at, started_at=at, progress=-1, progress_at=at)
-        for start in starts
-    }
+    sent = {start.worker: Worker("sent", start.attempt, sent_at=at, started_at=at, progress_at=at) for start in starts}
     tried = {
         start.attempt.rollout: replace(state.open[start.attempt.rollout], attempts=start.attempt.number)
         for start in starts
@@ -356,8 +370,8 @@ def _next_attempt(state: DispatchState, name: str, rollout: RolloutId) -> Start:
 
 
 def _shunned(worker: Worker, at: float) -> Worker:
-    """Return the worker without its assignment, at which it may still work."""
-    if worker.phase == "gone":
+    """Return the worker without its assignment, with which it may still be busy."""
+    if worker.phase == "gone":  # the token decides first whether the process is lost
         return replace(worker, attempt=None, resumes_as="shunned")
     return Worker("shunned", progress_at=at)
 
@@ -377,12 +391,16 @@ def check_invariants(state: DispatchState) -> None:
     """Assert the invariants of the state; tests call it after every step."""
     held = [worker.attempt.rollout for worker in state.workers.values() if worker.attempt is not None]
     assert len(set(held)) == len(held), "a rollout is on one worker at a time"
-    assert set(held) <= set(state.open), "what a worker works on is open"
-    assert not set(held) & set(state.waiting), "what waits is on no worker"
-    assert len(set(state.waiting)) == len(state.waiting), "nothing waits twice"
-    assert set(state.waiting) <= set(state.open), "what waits is open"
+    assert set(held) <= set(state.open), "the rollout of a worker is open"
+    assert not set(held) & set(state.waiting), "a waiting rollout is on no worker"
+    assert len(set(state.waiting)) == len(state.waiting), "no rollout waits twice"
+    assert set(state.waiting) <= set(state.open), "a waiting rollout is open"
     poisoned = {key for key, known in state.open.items() if len(known.failures) >= state.limits.max_attempts}
-    assert set(state.open) == set(held) | set(state.waiting) | poisoned, "what is open is held, waits, or is poison"
+    assert set(state.open) == set(held) | set(state.waiting) | poisoned, (
+        "an open rollout is held, waits, or is poisoned"
+    )
     for worker in state.workers.values():
         phase = worker.resumes_as if worker.phase == "gone" else worker.phase
-        assert (worker.attempt is not None) == (phase in ("sent", "busy")), "busy with something"
+        assert (worker.attempt is not None) == (phase in ("sent", "busy")), (
+            "a busy worker has an attempt, another one has none"
+        )

@@ -7,7 +7,7 @@ from ...schemas.ids import Attempt, RolloutId
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """These rollouts are to be simulated; with the attempts made before a restart, if any."""
+    """Rollouts to be simulated, each with its attempts before a restart."""
 
     at: float
     rollouts: tuple[tuple[RolloutId, int], ...]
@@ -15,7 +15,7 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Unwanted:
-    """These rollouts are no longer needed."""
+    """Rollouts that are no longer needed."""
 
     at: float
     rollouts: tuple[RolloutId, ...]
@@ -39,7 +39,7 @@ class WorkerDown:
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """A heartbeat: `attempt` is what the worker is busy with."""
+    """A heartbeat: `attempt` is the one that the worker is busy with."""
 
     at: float
     worker: str
@@ -66,7 +66,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class HandOut:
-    """Everything else is done: hand waiting rollouts to idle workers."""
+    """The end of a turn: waiting rollouts go to idle workers."""
 
     at: float
 
@@ -76,7 +76,7 @@ Event = Wanted | Unwanted | WorkerUp | WorkerDown | Reported | Delivered | Tick 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Write down a new attempt, then assign it."""
+    """Record a new attempt, then assign it."""
 
     worker: str
     attempt: Attempt
@@ -92,7 +92,7 @@ class Resend:
 
 @dataclass(frozen=True, slots=True)
 class Revoke:
-    """Tell a worker to stop an attempt."""
+    """Cancel an attempt on its worker."""
 
     worker: str
     attempt: Attempt
@@ -108,7 +108,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Acknowledge:
-    """Tell a worker that its result is durable, or not needed."""
+    """Acknowledge a result that is durable, or not needed."""
 
     worker: str
     attempt: Attempt
@@ -116,7 +116,7 @@ class Acknowledge:
 
 @dataclass(frozen=True, slots=True)
 class Fail:
-    """Write down that an attempt ended without a result."""
+    """Record that an attempt ended without a result."""
 
     worker: str
     attempt: Attempt
@@ -125,14 +125,14 @@ class Fail:
 
 @dataclass(frozen=True, slots=True)
 class GiveUp:
-    """A worker hangs: replace it if it is ours."""
+    """A worker hangs: replace it if it is a local one."""
 
     worker: str
 
 
 @dataclass(frozen=True, slots=True)
 class Poison:
-    """A rollout has failed too often: the campaign cannot go on."""
+    """A rollout has failed too often: the campaign cannot continue."""
 
     rollout: RolloutId
     failures: tuple[str, ...]

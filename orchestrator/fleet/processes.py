@@ -1,4 +1,4 @@
-"""Local workers: child processes that end with us, and are replaced when they die or hang."""
+"""Local workers: child processes that end with the orchestrator, and are replaced when they die or hang."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ from ...schemas.errors import PerfboundError
 GRACE = 1.0
 """Seconds between asking a worker to end and killing it."""
 FAST_DEATHS = 5
-"""So many workers in a row that die within `FAST` seconds mean that no worker can live here."""
+"""Workers in a row that may die within `FAST` seconds; one more means that none can run on this machine."""
 FAST = 3.0
 
 
@@ -31,8 +31,8 @@ class Fleet:
         self._next = 0
         self._fast_deaths = 0
         self._children: list[_Child] = []
+        # Only this process holds the writing end, so that kill -9 of it ends the pipe of every worker.
         self._lifeline, self._our_end = os.pipe()
-        os.set_inheritable(self._our_end, False)
 
     def start(self) -> None:
         """Start all workers."""
@@ -43,7 +43,7 @@ class Fleet:
         """Replace workers that have ended; return a line for each.
 
         Raises:
-            PerfboundError: they die as fast as they are started.
+            PerfboundError: they end as fast as they are started.
 
         """
         news = []
@@ -56,14 +56,14 @@ class Fleet:
             if self._fast_deaths >= FAST_DEATHS:
                 raise PerfboundError(
                     f"{FAST_DEATHS} local workers in a row ended within {FAST:g} s (last: {how}); "
-                    "run `perfbound systems` and `perfbound simulate` to see why"
+                    "run `perfbound systems` and `perfbound simulate` to find the cause"
                 )
             self._spawn()
             news.append(f"local worker {child.process.pid} ended ({how}); started {self.pids[-1]}")
         return news
 
     def kill(self, pid: int) -> None:
-        """Kill one of our workers, if `pid` is one; `tend` replaces it."""
+        """Kill a local worker; `tend` replaces it. A `pid` that is none of them is ignored."""
         for child in self._children:
             if child.process.pid == pid:
                 child.process.kill()
@@ -92,7 +92,7 @@ class Fleet:
         self._next += 1
         process = subprocess.Popen(
             [
-                # -P: what stands in the present directory is not ours to import.
+                # -P: a module of the current directory must not replace an installed one.
                 *(sys.executable, "-P", "-m", "perfbound.workers", *self._arguments),
                 *("--name", f"local-{self._next}", "--lifeline", str(self._lifeline)),
             ],

@@ -1,4 +1,4 @@
-"""One rollout without a campaign, and the list of systems; both asked from a child of `workers`."""
+"""One rollout without a campaign, and the list of systems, both from a child of `workers`."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -18,7 +18,8 @@ def simulate_once(
     """Run one rollout, write its file, and yield lines that describe it.
 
     Raises:
-        CampaignError, PerfboundError: what is wrong, in one line.
+        CampaignError: the system is not installed.
+        PerfboundError: an option is not one of the system, or the rollout fails.
 
     """
     spec = system_spec(system, "SYSTEM")

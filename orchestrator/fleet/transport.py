@@ -38,7 +38,7 @@ class Token:
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """A worker says what it is doing."""
+    """The state of a worker."""
 
     at: float
     worker: str
@@ -47,7 +47,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A worker hands in an attempt."""
+    """The end of an attempt."""
 
     at: float
     worker: str
@@ -57,7 +57,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Garbage:
-    """A message that was not understood, and why."""
+    """A message that is not of the protocol, and the reason."""
 
     at: float
     worker: str
@@ -69,7 +69,7 @@ Sink = Callable[[Inbound], None]
 
 
 class Transport(Protocol):
-    """What the service needs of a network; `at` of what it delivers is `time.monotonic()` at receipt."""
+    """A network for the service; `at` of each message is `time.monotonic()` at receipt."""
 
     @property
     def endpoint(self) -> str:
@@ -100,7 +100,7 @@ class ZenohTransport:
         return self._endpoint
 
     def start(self, run: str, sink: Sink) -> None:
-        """Subscribe to the workers of `run`, then show ourselves to them."""
+        """Subscribe to the workers of `run`, then announce the orchestrator."""
         self._run = run
         handler = zenoh.handlers.FifoChannel
         session, liveliness = self._session, self._session.liveliness()
@@ -111,7 +111,8 @@ class ZenohTransport:
             thread = threading.Thread(target=_pump, args=(subscriber, read, sink), daemon=True)
             thread.start()
             self._threads.append(thread)
-        # The oldest orchestrator is the one whose id sorts first: workers without a --run join it.
+        # Last: a worker that has found the token may send at once. The time makes ids sort by age, and workers without
+        # --run join the first.
         name = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}")
         self._token = liveliness.declare_token(keys.live_orchestrator(run, name))
 

@@ -1,4 +1,4 @@
-"""Where a live page is served: parsed, guarded, and bound before anything else is started."""
+"""The address of a live page: parsed, guarded, and bound before anything else is started."""
 
 import errno
 import ipaddress
@@ -13,9 +13,9 @@ from ...schemas.errors import PerfboundError
 BACKLOG = 64
 """Connections that may wait to be accepted."""
 STALLED_MS = 30_000
-"""A client that takes no data for so long is dropped by the kernel: dead, asleep, or hostile."""
+"""The kernel drops a client that takes no data for this time: it is dead, asleep, or hostile."""
 PATIENCE, PAUSE = 1.0, 0.05
-"""Seconds for which a port may still belong to the page of an orchestrator that was killed just now."""
+"""Seconds that a port may still belong to the page of a killed orchestrator, and between two tries."""
 _FORM = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z._-]+):)?(?P<port>[0-9]{1,5})")
 
 
@@ -41,7 +41,7 @@ class Address:
 
     @property
     def everywhere(self) -> bool:
-        """Whether this stands for every address of the machine."""
+        """Whether this means every address of the machine."""
         try:
             return ipaddress.ip_address(self.host).is_unspecified
         except ValueError:
@@ -49,7 +49,7 @@ class Address:
 
     @property
     def url(self) -> str:
-        """What a person opens."""
+        """The address for a browser."""
         host = os.uname().nodename if self.everywhere else self.host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
 
@@ -70,7 +70,7 @@ def bind(address: Address, *, insecure: bool) -> tuple[socket.socket, Address]:
         if not ipaddress.ip_address(host.partition("%")[0]).is_loopback and not insecure:
             raise PerfboundError(
                 f"--web {address}: anyone who reaches this address could read the campaign; "
-                "serve it at 127.0.0.1 (ssh -L and a web server with TLS reach that, too), or say --insecure"
+                "serve it at 127.0.0.1 (ssh -L and a web server with TLS reach it, too), or add --insecure"
             )
         listening = _listening(family, host, address.port)
     except (OSError, UnicodeError) as error:  # UnicodeError: a name that cannot be one of a host

@@ -10,12 +10,12 @@ MINIMA = tuple(name for name, sense in SENSES.items() if sense == "min")
 
 
 def figure(value: float | None, digits: int = 4) -> str:
-    """Return a number for people, or a dash."""
+    """Return a rounded number, or a dash."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
 def duration(seconds: float) -> str:
-    """Return a time span for people.
+    """Return a time span in its two largest units.
 
     >>> duration(75), duration(7200), duration(3)
     ('1 min 15 s', '2 h 0 min', '3 s')
@@ -29,5 +29,5 @@ def duration(seconds: float) -> str:
 
 
 def resume_command(directory: Path) -> str:
-    """Return what a person types to continue a campaign."""
+    """Return the command that continues a campaign."""
     return f"perfbound resume {shlex.quote(str(directory))}"

@@ -7,14 +7,14 @@ from typing import TextIO
 
 
 class JsonLines(io.TextIOBase):
-    """A stream that makes one JSON object of every line: `time` (UTC), `level`, `message`, and what else is known."""
+    """A stream that makes one JSON object of every line: `time` (UTC), `level`, `message`, and other fields."""
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
         self._rest = ""
 
     def write(self, text: str) -> int:
-        """Take text; whole lines are told."""
+        """Take text; whole lines become objects."""
         *lines, self._rest = (self._rest + text).split("\n")
         for whole in lines:
             self.line(whole)

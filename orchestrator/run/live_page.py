@@ -1,7 +1,7 @@
-"""The live page of a run: a child process serves it, and is told what the database does not know.
+"""The live page of a run: a child process that serves it, and a feed of what the database does not contain.
 
-The page may hurt nothing: its child has a session and a priority of its own, what it does not read is dropped, and what
-breaks it is said in one line. It ends when its feed does, so also after a kill -9 of the orchestrator.
+The page must not affect the campaign: the child has a session and a priority of its own, messages that it does not read
+are dropped, and its failure is reported in one line. It ends with its feed, so also after kill -9 of the orchestrator.
 """
 
 import contextlib
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 PERIOD = 1.0
 """Seconds between two messages to the child."""
 GRACE = 7.0
-"""Seconds in which the child may show the end of the campaign; then it is killed."""
+"""Seconds for the child to show the end of the campaign before it is killed."""
 MOST_WORKERS = 500
 """Workers in a message: it is sent whole or not at all, and the kernel takes 200 kB."""
-MOST_SAID = 4096
-"""Bytes of what the child says that are read in one turn."""
+MOST_OUTPUT = 4096
+"""Bytes of the child's output that are read in one turn."""
 
 
 def message(status: "RunStatus") -> bytes:
-    """Return what the child is told: of each worker its state, its rollout, and the Unix time of its last heartbeat."""
+    """Return a message of the feed: of each worker its state, its rollout, and the Unix time of its last heartbeat."""
     to_unix, workers = time.time() - time.monotonic(), {}
     for name, phase in islice(status.workers.items(), MOST_WORKERS):
         known = status.known.get(name)
@@ -48,8 +48,8 @@ def message(status: "RunStatus") -> bytes:
     return json.dumps(workers).encode()
 
 
-def again(directory: Path) -> str:
-    """Return what a person types to see the page without the run."""
+def page_command(directory: Path) -> str:
+    """Return the command that serves the page without the run."""
     return f"`perfbound web {shlex.quote(str(directory))}`"
 
 
@@ -91,7 +91,7 @@ class LivePage:
         self._say(f"live page: {address.url}")
 
     def say(self, line: str) -> None:
-        """Nothing: the page shows the campaign, not its log."""
+        """Drop the line: the page shows the campaign, not its log."""
 
     def show(self, status: "RunStatus") -> None:
         """Send the state of the workers to the child, at most once in `PERIOD` and without waiting."""
@@ -102,25 +102,27 @@ class LivePage:
         try:
             for line in self._child.turn(message(status)):
                 self._say(line)
-        except Exception as error:  # noqa: BLE001  (whatever it is: no page stops a campaign)
+        except Exception as error:  # noqa: BLE001  (any: a page must not stop a campaign)
             self._child.stop(grace=0.0)
             self._child = None
-            self._say(f"the live page has ended: {error}. The campaign continues; {again(self._directory)} shows it")
+            self._say(
+                f"the live page has ended: {error}. The campaign continues; {page_command(self._directory)} shows it"
+            )
 
     def stop(self) -> None:
-        """Give the port back; a child that serves shows the end of the campaign first."""
+        """Close the port; a child that serves shows the end of the campaign first."""
         if self.place is not None:
             self.place[0].close()
         if self._child is not None:
             self._child.stop(GRACE)
-            self._say(f"the live page has ended with the run; {again(self._directory)} shows it again")
+            self._say(f"the live page has ended with the run; {page_command(self._directory)} shows it again")
 
     def _say(self, line: str) -> None:
         self._console.print(Text(line), soft_wrap=True)
 
 
 class _PageProcess:
-    """The process, and a socket to its stdin that keeps messages apart."""
+    """The process that serves the page, with a socket to its stdin that keeps messages apart."""
 
     def __init__(self, listening: socket.socket, address: Address, directory: Path) -> None:
         self._feed, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -128,7 +130,7 @@ class _PageProcess:
         with theirs:
             self._process = subprocess.Popen(
                 [
-                    # -P: what stands in the present directory is not ours to import.
+                    # -P: a module of the current directory must not replace an installed one.
                     *(sys.executable, "-P", "-m", "perfbound.orchestrator.report.web.process"),
                     *(str(listening.fileno()), str(address), str(directory)),
                 ],
@@ -144,14 +146,14 @@ class _PageProcess:
         os.set_blocking(self._stderr.fileno(), False)
 
     def turn(self, message: bytes) -> list[str]:
-        """Send a message if there is room, and return the lines that the child said.
+        """Send a message if there is room, and return the lines that the child has printed.
 
         Raises:
             PerfboundError: it has ended.
 
         """
-        said = (self._stderr.read(MOST_SAID) or b"").decode(errors="replace").split("\n")
-        lines = [f"live page: {line.strip()}" for line in said if line.strip()]
+        output = (self._stderr.read(MOST_OUTPUT) or b"").decode(errors="replace").split("\n")
+        lines = [f"live page: {line.strip()}" for line in output if line.strip()]
         if (code := self._process.poll()) is not None:
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             raise PerfboundError("; ".join([how, *lines[-1:]]))
@@ -160,7 +162,7 @@ class _PageProcess:
         return lines
 
     def stop(self, grace: float) -> None:
-        """Close the feed, which is what the child lives on."""
+        """Close the feed, at whose end the child ends."""
         self._feed.close()
         try:
             self._process.wait(grace)

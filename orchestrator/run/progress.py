@@ -45,7 +45,7 @@ class Terminal:
 
 
 class Plain:
-    """Log lines, or JSON lines with the numbers as fields: one per problem that ended, and all now and then."""
+    """Log lines, or JSON lines with the numbers as fields: one for each problem that ends, and all periodically."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -59,7 +59,7 @@ class Plain:
         self._console.print(Text(line), soft_wrap=True)
 
     def show(self, status: RunStatus) -> None:
-        """Print what is due."""
+        """Print the lines that are due."""
         rate, now = self._rate.of(status), time.monotonic()
         due = now - self._last >= PLAIN_PERIOD
         for problem, progress in zip(status.config.problems, status.problems.values(), strict=True):
@@ -106,10 +106,10 @@ class SystemdStatus:
         self._systemd = systemd
 
     def say(self, line: str) -> None:
-        """Nothing: the journal of systemd has the line from stderr."""
+        """Drop the line: systemd's journal has it from stderr."""
 
     def show(self, status: RunStatus) -> None:
-        """Send a sign of life, and the counts if they have changed."""
+        """Notify the watchdog, and send the counts if they have changed."""
         tests = ", ".join(f"{name} {each.tests} tests" for name, each in status.problems.items())
         self._systemd.alive(f"{tests}; {len(status.workers)} workers")
 

@@ -59,10 +59,10 @@ class RunStatus:
 
 
 class Listener(Protocol):
-    """A form in which progress is shown."""
+    """A form of progress output."""
 
     def say(self, line: str) -> None:
-        """Print one event."""
+        """Print one line."""
         ...
 
     def show(self, status: RunStatus) -> None:

@@ -1,6 +1,6 @@
-"""One run of an orchestrator: everything that is opened, in the order in which faults cost least.
+"""One run of an orchestrator: the order in which everything is opened, so that faults cost least.
 
-Nothing is created before the campaign file, the system and the endpoint are known to be good.
+Nothing is created before the campaign file, the system and the endpoint have been checked.
 """
 
 import signal
@@ -45,7 +45,7 @@ MAX_CAMPAIGN_FILE = 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Where to listen for workers, and how guarded; and where to serve the live page, if anywhere."""
+    """The endpoint for workers with its protection, and the address of the live page, if there is one."""
 
     endpoint: str
     tls: Tls | None = None
@@ -53,7 +53,7 @@ class Link:
     web: Address | None = None
 
     def worker_options(self) -> list[str]:
-        """Return what our own workers need to connect."""
+        """Return the options with which local workers connect."""
         if self.tls is None:
             return []
         return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]
@@ -61,7 +61,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How a campaign is run; none of it changes the certificate.
+    """Settings of a run; none of them changes the certificate.
 
     With `drain`, the first signal lets the rollouts under way end; the second one stops at once.
     """
@@ -78,7 +78,8 @@ def start_campaign(
     """Run a new campaign, read from the file `source`, to its certificate.
 
     Raises:
-        PerfboundError, CampaignError: what is wrong, in one line.
+        PerfboundError: the system is missing, the directory or the endpoint is in use, or the run fails.
+        CampaignError: the campaign does not fit the system.
         Stopped: a signal arrived.
 
     """
@@ -99,10 +100,10 @@ def start_campaign(
 
 
 def resume_campaign(directory: Path, options: RunOptions, console: Console) -> bool:
-    """Continue a campaign from its database; one that is finished is left as it is: False.
+    """Continue a campaign from its database; return False for a finished one, which is left as it is.
 
     Raises:
-        PerfboundError: what is wrong, in one line.
+        PerfboundError: there is no campaign, it is running, its software is another one, or the run fails.
         Stopped: a signal arrived.
 
     """
@@ -136,9 +137,9 @@ def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
         with path.open("rb") as file:
             data = file.read(MAX_CAMPAIGN_FILE + 1)
     except OSError as error:
-        raise CampaignError(f"{path}: {error.strerror}; name a campaign file, e.g. one of deploy/campaigns") from None
+        raise CampaignError(f"{path}: {error.strerror}; choose a campaign file, e.g. one of deploy/campaigns") from None
     if len(data) > MAX_CAMPAIGN_FILE:
-        raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; name a campaign file")
+        raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; choose a campaign file")
     return parse_campaign(data, str(path), lambda name: (path.parent / name).read_bytes(), **overrides)
 
 
@@ -147,8 +148,8 @@ def _check_vacant(directory: Path, config: CampaignConfig) -> None:
         found = stored_differently(directory, config)
         if found:
             raise PerfboundError(
-                f"{directory}: another campaign is here than the file says: {found}. A campaign is never "
-                "changed on the way; choose another --out"
+                f"{directory}: the campaign stored here differs from the file: {found}. A campaign never "
+                "changes after its start; choose another --out"
             )
         raise PerfboundError(
             f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
@@ -171,7 +172,7 @@ def stored_differently(directory: Path, config: CampaignConfig) -> str:
 
 
 def _unfinished(directory: Path) -> list[Path]:
-    """Return what is left of a database that was never finished: its orchestrator failed, or was killed."""
+    """Return the files of a database that was never finished: its orchestrator failed, or was killed."""
     return list(directory.glob(f"{DATABASE}.partial*"))
 
 
@@ -185,14 +186,14 @@ def _check_software(header: Header) -> None:
 
 @contextmanager
 def _claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
-    """Make the run directory and hold its lock; take it back if no campaign was started in it."""
+    """Make the run directory and lock it; remove it if no campaign was started in it."""
     try:
         there = directory.is_dir()
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
     with campaign_lock(directory):
-        _check_vacant(directory, config)  # again: another orchestrator may have been quicker
+        _check_vacant(directory, config)  # again, under the lock: another orchestrator may have started here
         _remove(_unfinished(directory))
         try:
             yield
@@ -261,7 +262,7 @@ def _certify(directory: Path, ledger: "Ledger") -> None:
 
 @contextmanager
 def _signals(put: Callable[[int], None]) -> Iterator[None]:
-    """Hand signals to `put`; after the first one, those that follow do not disturb the cleaning up."""
+    """Hand signals to `put`; after the first one, later ones do not interrupt the shutdown."""
     taken = []
 
     def take(number: int, _frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""What systemd is told: that we serve, what we do, that we live. Without systemd, nothing."""
+"""Notifications to systemd: ready, status, watchdog, stopping; nothing without systemd."""
 
 import os
 import socket
@@ -8,21 +8,21 @@ READY, STOPPING, ALIVE = "READY=1", "STOPPING=1", "WATCHDOG=1"
 
 
 class Systemd:
-    """The notification socket of the service manager that started us, if one did (`man sd_notify`)."""
+    """The notification socket of the service manager that started this process, if one did (`man sd_notify`)."""
 
     def __init__(self) -> None:
         self._address = os.environ.get("NOTIFY_SOCKET", "")
-        # Half of what systemd allows between two signs of life; as the manual advises.
-        self._period = int(os.environ.get("WATCHDOG_USEC", "0")) / 2e6 if self._is_ours() else 0.0
+        # Half of what systemd allows between two notifications of the watchdog, as the manual advises.
+        self._period = int(os.environ.get("WATCHDOG_USEC", "0")) / 2e6 if self._is_addressee() else 0.0
         self._next = 0.0
         self._status = ""
 
     def ready(self, status: str) -> None:
-        """Say that workers can be served."""
+        """Notify that workers can be served."""
         self._send(f"{READY}\nSTATUS={status}")
 
     def alive(self, status: str) -> None:
-        """Say what we do, if that has changed, and in time that we live; called by the one loop."""
+        """Send the status if it has changed, and notify the watchdog in time; called by the one loop."""
         now = time.monotonic()
         if self._period and now >= self._next:
             self._next = now + self._period
@@ -32,10 +32,10 @@ class Systemd:
             self._send(f"STATUS={status}")
 
     def stopping(self) -> None:
-        """Say that we are going down."""
+        """Notify that the process is ending."""
         self._send(STOPPING)
 
-    def _is_ours(self) -> bool:
+    def _is_addressee(self) -> bool:
         return os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
 
     def _send(self, text: str) -> None:

@@ -17,17 +17,17 @@ def bound_in_sense(problem: Problem, progress: ProblemProgress) -> float | None:
 
 
 def remaining_distance(problem: Problem, progress: ProblemProgress) -> float | None:
-    """Return what has to fall to alpha: F_i, or upper - lower."""
+    """Return the quantity that has to fall to alpha: F_i, or upper - lower."""
     return forecast.distance(problem, progress.F, progress.bound)
 
 
 def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> int | None:
-    """Guess the tests until a problem ends; None where its decay cannot tell yet."""
+    """Guess the tests until a problem ends; None where its decay is too short for a guess."""
     return forecast.tests_left(config, problem, remaining_distance(problem, progress), progress.tests)
 
 
 def progress_table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress, str]]) -> Table:
-    """Return one row per problem, in the order of the campaign file: its progress, and what is left in words."""
+    """Return one row per problem, in the order of the campaign file: its progress, and the text of column `left`."""
     found = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
         found.add_column(name, justify="left" if name == "problem" else "right")

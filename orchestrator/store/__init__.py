@@ -1,1 +1,1 @@
-"""Everything that survives a crash: the database of facts, the trajectory files, the lock."""
+"""The parts of a campaign that survive a crash: the database of facts, the trajectory files, the lock."""

@@ -1,4 +1,4 @@
-"""What was added to a campaign database since the last look; nothing stays open between two looks."""
+"""The rows that were added to a campaign database since the last call; nothing stays open between two calls."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +42,7 @@ Decision = ProposalFact | ObservationFact | BoundFact
 
 @dataclass(frozen=True, slots=True)
 class AttemptOutcome:
-    """How one attempt ended: `ended` is Unix time, the others are s."""
+    """The end of one attempt: `ended` is Unix time, the others are s."""
 
     worker: str
     outcome: str
@@ -53,7 +53,7 @@ class AttemptOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What one look found that the one before had not; `header` and `sessions` are as they are now.
+    """The rows that one call found and the call before had not; `header` and `sessions` are present values.
 
     `rollouts` counts by problem, `violations` are those with robustness below 0, `hosts` the last host by worker.
     """
@@ -68,7 +68,7 @@ class Changes:
 
 
 class ChangeReader:
-    """Somebody who looks at a campaign again and again."""
+    """Reads a campaign in increments; used by one thread at a time."""
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
@@ -108,6 +108,7 @@ class ChangeReader:
             {row.worker: row.host for row in hosts},
             sessions,
         )
+        # Only now: a call that fails half-way is repeated whole.
         self._header = header
         self._seq = max([self._seq, *(number for number, _ in decisions), *(row.seq for row in counts)])
         self._ended = max([self._ended, *(row.rowid for row in outcomes)])
@@ -117,8 +118,9 @@ class ChangeReader:
     def _checked(self, connection: Connection) -> Header:
         if self._header is None:
             return read_header(connection, self._directory)
+        # Its sequence numbers start again: the increments of two campaigns must not be added up.
         if connection.execute(_RUN).scalar() != self._header.run:
-            raise JournalError(f"{self._directory}: another campaign has taken the place of this one; look again")
+            raise JournalError(f"{self._directory}: another campaign has taken the place of this one; open it anew")
         return self._header
 
 

@@ -1,4 +1,4 @@
-"""A campaign's tables as files, CSV or Parquet: read-only, while the campaign runs too, all of one moment."""
+"""A campaign's tables as files, CSV or Parquet, all of one snapshot, also while the campaign runs."""
 
 import csv
 import io
@@ -25,13 +25,13 @@ Format = Literal["csv", "parquet"]
 DEFAULT = "export"
 """Folder in the run directory."""
 GROUP = 10_000
-"""Rows of a Parquet row group, and between two looks at the progress."""
+"""Rows of a Parquet row group, and between two reports of progress."""
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""A spreadsheet takes a cell that begins so for a formula."""
+"""First characters that make a cell a formula for a spreadsheet."""
 
 Progress = Callable[[str, int], None]
-"""Takes a table's name and how many rows of it there are so far."""
+"""Called with a table's name and the number of its rows so far."""
 
 
 def export(
@@ -105,7 +105,7 @@ def _writer(form: Format) -> Callable[[IO[bytes], ExportTable, Iterable[Row], He
 
 
 def _csv(out: IO[bytes], table: ExportTable, found: Iterable[Row], _header: Header) -> int:
-    """Write RFC 4180: UTF-8, CRLF, floats that read back exactly, nothing for NULL; units stand in the first line."""
+    """Write RFC 4180: UTF-8, CRLF, floats that read back exactly, nothing for NULL; units are in the first line."""
     text = io.TextIOWrapper(out, encoding="utf-8", newline="")
     try:
         writer, number = csv.writer(text), 0
@@ -123,7 +123,7 @@ def _column_title(column: ExportColumn) -> str:
 
 
 def _cell(value: Value) -> Value:
-    """Return what stands in the cell: a text that a stranger chose (a worker's name) must not become a formula."""
+    """Return the content of the cell: an untrusted text (a worker's name) must not become a formula."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
 
 
@@ -153,17 +153,17 @@ def _metadata(**entries: str) -> dict[str, str] | None:
 
 
 def _check_place(directory: Path, path: Path) -> None:
-    """Refuse to write among or over what a certificate rests on."""
+    """Refuse to write among the evidence or over the database."""
     place, run = path.resolve(), directory.resolve()
     if run / FOLDER in (place, *place.parents):
-        raise PerfboundError(f"{path}: {FOLDER} holds evidence alone; choose another --out")
+        raise PerfboundError(f"{path}: {FOLDER} is for evidence alone; choose another --out")
     if place.parent == run and place.name.startswith(DATABASE):
-        raise PerfboundError(f"{path}: that is the campaign's database; choose another --out")
+        raise PerfboundError(f"{path}: this is the campaign's database; choose another --out")
 
 
 @contextmanager
 def _whole(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
-    """Open files that stand in their places together at the end of the block, or leave nothing after an error.
+    """Open files that are in their places together at the end of the block, or leave nothing after an error.
 
     Raises:
         PerfboundError: they cannot be written.

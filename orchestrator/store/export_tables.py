@@ -1,13 +1,13 @@
-"""The facts of a campaign as rows with named columns and units, for people who go on with pandas or a spreadsheet.
+"""The facts of a campaign as rows with named columns and units, for pandas or a spreadsheet.
 
 | table             | a row is                                                                       |
 |-------------------|--------------------------------------------------------------------------------|
-| `tests`           | a proposed test: what was expected there, its observation, the bounds after it |
+| `tests`           | a proposed test: its expectation, its observation, the bounds after it |
 | `rollouts`        | a recorded rollout, its file, and the attempt that brought it                  |
 | `observations`    | what one replicate contributed to an observed test                             |
 | `counterexamples` | a rollout with robustness below 0                                              |
 
-Rows stand in the order of the facts. Numbers are in the unit of their objective: for sense min they are robustness,
+Rows are in the order of the facts. Numbers are in the unit of their objective: for sense min they are robustness,
 where the database holds J = -robustness. So `lower` is a bound from below and `upper` one from above, in both senses.
 """
 
@@ -211,4 +211,4 @@ _TAKEN = {"node", "robustness", *(column.name for column in _OURS)}
 
 
 def _minus(value: float | None) -> float | None:
-    return None if value is None else 0.0 - value  # and not -value: nobody wants to read -0.0
+    return None if value is None else 0.0 - value  # not -value: no -0.0

@@ -1,4 +1,4 @@
-"""Trajectory files: written whole or not at all, and checked against their digest before anything reads them."""
+"""Trajectory files: written whole or not at all, and compared with their digest before use."""
 
 import hashlib
 import os
@@ -14,20 +14,20 @@ from ...schemas.rollout import MAX_FILE_BYTES
 
 FOLDER = "trajectories"
 NEWEST = 256
-"""Files whose digests a resume compares."""
+"""Files of which a resume compares the digest, not the size alone."""
 SYNCING = 8
 """Files that wait for the disk at a time."""
 
 
 def relative_path(rollout: RolloutId) -> str:
-    """Return where a rollout's file stands in the run directory, a thousand tests a folder."""
+    """Return the place of a rollout's file in the run directory, a thousand tests a folder."""
     return f"{FOLDER}/{rollout.problem}/{rollout.test // 1000}/{rollout}.mcap"
 
 
 class Batch:
     """Files that become durable together: written inside a `with` block, in place at its end, or not at all.
 
-    Waiting for the disk is what a record costs: a file begins to once it is written, while the next one is looked at.
+    Used by one thread. Each file is synced in the background while the next one is admitted and written.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Batch:
             if kind is None:
                 self._settle(list(self._written))
         finally:
-            wait(self._syncing)
+            wait(self._syncing)  # no thread may still open a file that is removed below
             for path in self._written:
                 temporary(path).unlink(missing_ok=True)
             self._written.clear()
@@ -70,6 +70,8 @@ class Batch:
     def _settle(self, paths: list[Path]) -> None:
         for each in self._syncing:
             each.result()
+        # All files are on the disk before the first rename, and all names before the commit of their facts: kill -9 or
+        # a power cut between two lines leaves files without facts, which a resume sweeps, never facts without files.
         for path in paths:
             temporary(path).replace(path)
         list(self._pool.map(sync, {path.parent for path in paths}))
@@ -93,13 +95,14 @@ def read_evidence(directory: Path, relative: str, sha256: str) -> bytes:
 
 
 def contents(path: Path, most: int) -> bytes:
-    """Return the bytes of a file that may be anything: a pipe is not waited for, and no more than `most` is read.
+    """Return the bytes of an untrusted file: without waiting for a pipe, and at most `most` of them.
 
     Raises:
         EvidenceError: it is missing, unreadable, too large, or no file.
 
     """
     try:
+        # Opened first, examined then: between a stat and an open the file could be exchanged.
         with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
             regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
             data = file.read(most + 1) if regular else b""
@@ -111,9 +114,9 @@ def contents(path: Path, most: int) -> bytes:
 
 
 def damaged(directory: Path, newest_first: Iterable[tuple[str, int, str]]) -> list[str]:
-    """Return those of the recorded files (path, size, sha256) that are missing or not what was recorded.
+    """Return those of the recorded files (path, size, sha256) that are missing or changed.
 
-    Sizes are compared for all, digests for the newest: what a power cut spoils is what was written last.
+    Sizes are compared for all, digests for the newest: a power cut damages the files that were written last.
     """
     found = []
     for number, (path, size, sha256) in enumerate(newest_first):
@@ -127,9 +130,10 @@ def damaged(directory: Path, newest_first: Iterable[tuple[str, int, str]]) -> li
 
 
 def sweep(directory: Path, recorded: Set[str]) -> None:
-    """Remove what a crash left: half-written files, and trajectories that no fact in `recorded` (paths) knows."""
+    """Remove what a crash left: half-written files, and trajectories whose path is not in `recorded`."""
     for leftover in directory.rglob(f"*{TEMPORARY}"):
         leftover.unlink(missing_ok=True)
+    # Killed between rename and commit: the rollout is simulated again, perhaps under another attempt.
     for file in (directory / FOLDER).rglob("*.mcap"):
         if str(file.relative_to(directory)) not in recorded:
             file.unlink()

@@ -23,11 +23,11 @@ from .rows import DATABASE, SCHEMA_VERSION, attempt_key, existing, fact_row, hea
 _INSERTS = {table: table.insert() for table in tables.FACTS} | {
     table: table.insert().prefix_with("OR IGNORE") for table in (tables.attempts, tables.outcomes)
 }
-"""In this order: what a foreign key names is written before."""
+"""In the order of their foreign keys. An attempt may be written twice (OR IGNORE), a fact never."""
 
 
 class Journal:
-    """An open campaign database; one orchestrator has it, under `campaign_lock`."""
+    """An open campaign database, in the hands of one thread, under `campaign_lock`."""
 
     def __init__(self, directory: Path, engine: Engine, header: Header) -> None:
         self.directory, self.header = directory, header
@@ -40,6 +40,7 @@ class Journal:
     @classmethod
     def create(cls, directory: Path, header: Header) -> "Journal":
         """Make the database of a new campaign, whole or not at all."""
+        # Under another name until it is whole: after kill -9 a database without its header would look like a campaign.
         partial = temporary(directory / DATABASE)
         engine = _engine(partial)
         with engine.begin() as connection:
@@ -66,7 +67,7 @@ class Journal:
                 header = read_header(connection, directory)
         except sa.exc.DatabaseError as error:
             if _of_the_disk(error):
-                raise
+                raise  # a full disk is no fault of the file
             raise JournalError(f"{directory / DATABASE}: not a campaign database ({error.orig})") from None
         return cls(directory, engine, header)
 
@@ -78,32 +79,33 @@ class Journal:
             yield
             self._flush()  # the first write begins the transaction: a turn of heartbeats touches no disk
             self._connection.commit()
-        except BaseException:
+        except BaseException:  # also a signal between two lines: numbers that are not in the database are given again
             self._seq = before
             self._pending.clear()
             self._connection.rollback()
             raise
 
     def add(self, fact: Fact) -> None:
-        """Write one fact; inside `transaction` only."""
+        """Write one fact; inside `transaction` alone."""
         table, row = fact_row(fact)
         self._seq += 1
         self._pending[tables.metadata.tables[table]].append({"seq": self._seq, **row})
 
     def attempt_started(self, attempt: Attempt, worker: str, host: str, pid: int) -> None:
-        """Write down a new attempt before it is assigned."""
+        """Write a new attempt, before it is assigned."""
         row = {"worker": worker, "host": host, "pid": pid, "session": self.session, "started": time.time()}
         self._pending[tables.attempts].append(attempt_key(attempt) | row)
 
     def attempt_ended(self, attempt: Attempt, worker: str, outcome: str, cpu: float = 0.0, wall: float = 0.0) -> None:
-        """Write down how an attempt ended: the first account of a failure, and a result even after that."""
+        """Write the outcome of an attempt: the first failure, and a result even after it."""
+        # A worker that was given up may still deliver its result, or report its failure once more.
         if outcome not in (RECORDED, RESTORED) and self._has_ended(attempt):
             return
         row = {"worker": worker, "ended": time.time(), "outcome": outcome, "cpu_seconds": cpu, "wall_seconds": wall}
         self._pending[tables.outcomes].append(attempt_key(attempt) | row)
 
     def _flush(self) -> None:
-        """Write what waits, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
+        """Write the pending rows, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
         for table, insert in _INSERTS.items():
             if rows := self._pending.pop(table, None):
                 self._connection.execute(insert, rows)
@@ -133,14 +135,12 @@ class Journal:
             return proposal_fact(self._connection.execute(query).one())
 
     def close(self) -> None:
-        """Fold the write-ahead log into the database, and close it.
-
-        SQLite folds it when the last connection closes; where somebody reads at that moment, it would stay for ever.
-        """
+        """Fold the write-ahead log into the database, and close it."""
+        # SQLite folds the log when the last connection closes: with a reader at that moment, nobody would.
         if not self._connection.closed and not self._connection.in_transaction():
             driver = self._connection.connection.driver_connection
             assert driver is not None
-            with suppress(sqlite3.Error):  # a full disk: what is committed stays in the log
+            with suppress(sqlite3.Error):  # a full disk: the commits stay in the log
                 driver.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self._connection.close()
         self._engine.dispose()
@@ -161,7 +161,7 @@ class Journal:
 
 
 def _of_the_disk(error: sa.exc.DatabaseError) -> bool:
-    """Whether the disk is at fault (full, failing), and not the file."""
+    """Whether the disk is full or failing, as opposed to the file being damaged."""
     code = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF  # the primary code, without the detail
     return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
 
@@ -175,9 +175,11 @@ def _engine(path: Path) -> Engine:
 
 def _configure(connection: Any, _record: object) -> None:
     connection.isolation_level = None  # SQLAlchemy begins and commits, not the driver
+    # WAL: readers never block the writer. FULL: a commit is on the disk before a worker is told to drop its result.
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000"):
         connection.execute(f"PRAGMA {pragma}")
 
 
 def _begin_immediate(connection: Connection) -> None:
+    # The write lock first: a transaction that reads and then writes fails without waiting if another one came between.
     connection.exec_driver_sql("BEGIN IMMEDIATE")

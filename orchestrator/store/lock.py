@@ -14,12 +14,13 @@ ATTEMPTS = 10
 
 @contextmanager
 def campaign_lock(directory: Path) -> Iterator[None]:
-    """Hold the campaign in `directory`; no file is made.
+    """Lock the campaign in `directory`; no file is made, so kill -9 leaves none behind.
 
     Raises:
-        PerfboundError: another orchestrator holds it.
+        PerfboundError: another orchestrator has locked it.
 
     """
+    # CLOEXEC: a child that outlives a killed orchestrator must not keep its lock.
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         if not _take(descriptor):
@@ -33,7 +34,7 @@ def campaign_lock(directory: Path) -> Iterator[None]:
 
 
 def _take(descriptor: int) -> bool:
-    # A reader that asks `is_held` holds a shared lock for microseconds: it must not keep an orchestrator from starting.
+    # A reader in `is_held` has a shared lock for microseconds: it must not keep an orchestrator from starting.
     for _ in range(ATTEMPTS):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -45,7 +46,7 @@ def _take(descriptor: int) -> bool:
 
 
 def is_held(directory: Path) -> bool:
-    """Whether some orchestrator holds the campaign now."""
+    """Whether an orchestrator has locked the campaign now."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""Read-only queries of a campaign database; they never disturb the orchestrator that writes it."""
+"""Read-only queries of a campaign database, also beside the orchestrator that writes it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,7 @@
 """The tables of the campaign database.
 
-Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollouts`, `observations`, `bounds`. What
-depends on luck (who did what, where and when) stands in `attempts` and `sessions`, outside the hash chain.
+Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollouts`, `observations`, `bounds`. The
+nondeterministic part (workers, hosts and times) is in `attempts`, `outcomes` and `sessions`, outside the hash chain.
 """
 
 from sqlalchemy import Column, ForeignKeyConstraint, Integer, MetaData, Table, Text, UniqueConstraint
@@ -128,7 +128,7 @@ FACTS = (campaign, tests, rollouts, observations, bounds)
 
 
 def insert_only() -> list[str]:
-    """Return the triggers that refuse to change or remove what is written."""
+    """Return the triggers that refuse to change or remove a row."""
     return [
         f"CREATE TRIGGER {table.name}_no_{verb.lower()} BEFORE {verb} ON {table.name} "
         f"BEGIN SELECT RAISE(ABORT, '{table.name} is insert-only'); END"

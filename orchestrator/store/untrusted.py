@@ -1,4 +1,4 @@
-"""What a campaign database holds, table by table, for somebody who does not trust it."""
+"""The facts of an untrusted campaign database, table by table."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ class UntrustedFacts:
 
 
 def read_untrusted(directory: Path) -> UntrustedFacts:
-    """Read what is there, and nothing into it.
+    """Read the facts as they are stored, without any conclusion from them.
 
     Raises:
         JournalError: there is no database, or its header or a row cannot be read.
@@ -49,7 +49,8 @@ def read_untrusted_header(directory: Path) -> Header:
 
 
 def _shape(connection: sa.Connection, directory: Path) -> set[str]:
-    """Return the tables that are there, if they are ours and hold nothing but rows: a view may compute for ever."""
+    """Return the names of the tables, if all of them are perfbound's."""
+    # A view or a generated column computes while it is read, perhaps without end.
     master = connection.exec_driver_sql("SELECT name, type FROM sqlite_master WHERE type IN ('table', 'view')").all()
     for name, kind in master:
         table = tables.metadata.tables.get(name)

@@ -29,7 +29,7 @@ from tests.end_to_end.processes import (
 )
 from tests.faults.subjects import FUNCTION, LIMITS, install
 
-RESUME = "perfbound: stopped; go on with: perfbound resume run\n"
+RESUME = "perfbound: stopped; continue with: perfbound resume run\n"
 
 
 @pytest.fixture

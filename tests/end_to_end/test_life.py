@@ -25,7 +25,7 @@ def test_draining_loses_no_rollout_that_was_begun(started: Processes, calm: Path
     ended = process.wait()
     assert ended.code == 128 + signal.SIGTERM
     assert "draining: " in ended.err
-    assert ended.err.endswith(f"perfbound: stopped; go on with: perfbound resume {directory}\n")
+    assert ended.err.endswith(f"perfbound: stopped; continue with: perfbound resume {directory}\n")
     begun = query(directory, "SELECT outcome FROM attempts LEFT JOIN outcomes USING (rollout, attempt)")
     assert begun == [("recorded",)] * len(begun)
     assert 4 <= len(begun) < 24

@@ -130,7 +130,7 @@ def test_a_run_that_is_stopped_takes_its_page_along(started: Processes, number: 
     process.popen.send_signal(number)
     ended = process.wait()
     assert ended.code == 128 + number
-    assert ended.err.endswith(f"perfbound: stopped; go on with: perfbound resume {directory}\n")
+    assert ended.err.endswith(f"perfbound: stopped; continue with: perfbound resume {directory}\n")
     assert of_run(directory) == []
 
 
@@ -143,7 +143,7 @@ def test_a_port_that_is_taken_is_said_before_anything_is_started(started: Proces
     assert ended.code == 1
     assert ended.fault == f"perfbound: --web {address}: this port is in use; choose another, or 0 for a free one"
     assert not directory.exists()
-    for bad, text in (("0.0.0.0:0", "say --insecure"), ("nowhere.invalid:0", "cannot listen there")):
+    for bad, text in (("0.0.0.0:0", "add --insecure"), ("nowhere.invalid:0", "cannot listen there")):
         ended = started.run("perfbound", "run", campaign, "--out", directory, "--web", bad)
         assert (ended.code, text in ended.fault) == (1, True)
         assert not directory.exists()

@@ -22,7 +22,7 @@ def test_it_goes_on_runs_nothing_twice_and_refuses_an_edited_file(started: Proce
     assert first == "campaign 1 of 2: test-function-0"
     assert second.startswith("campaign 2 of 2: test-function-1, about ")
     command = "perfbound reproduce paper --out 'my out' --campaigns files --functions 2 --seeds 0 --direct-seeds 0"
-    assert last == f"perfbound: stopped; go on with: {command} --no-ours"
+    assert last == f"perfbound: stopped; continue with: {command} --no-ours"
     assert [path.name for path in out.iterdir()] == ["campaigns"]
 
     ended = started.run("perfbound", *line)

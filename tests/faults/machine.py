@@ -59,7 +59,7 @@ def _ended_by(scene: Scene) -> None:
     assert ended.code == 1, f"exit {ended.code} on a full disk: {ended.err[-1500:]}"
     assert "Traceback" not in ended.err, ended.err[-1500:]
     assert any(word in last for word in ("full", "No space left", "disk I/O")), last
-    assert "go on with: perfbound resume" in last, last
+    assert "continue with: perfbound resume" in last, last
     assert not lock.is_held(scene.directory)
 
 

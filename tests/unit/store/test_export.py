@@ -413,9 +413,9 @@ def test_a_campaign_that_is_not_there_leaves_nothing(tmp_path: Path) -> None:
 def test_nothing_is_written_among_the_evidence(campaign: Path, out: str) -> None:
     (campaign / "link").symlink_to(campaign / "trajectories")
     before = names(campaign)
-    with pytest.raises(PerfboundError, match="trajectories holds evidence alone"):
+    with pytest.raises(PerfboundError, match="trajectories is for evidence alone"):
         export.export(campaign, campaign / out)
-    with pytest.raises(PerfboundError, match="trajectories holds evidence alone"):
+    with pytest.raises(PerfboundError, match="trajectories is for evidence alone"):
         export.counterexamples(campaign, campaign / out / "c.csv")
     assert names(campaign) == before
 
@@ -423,7 +423,7 @@ def test_nothing_is_written_among_the_evidence(campaign: Path, out: str) -> None
 @pytest.mark.parametrize("name", ["campaign.db", "campaign.db-wal", "x/../campaign.db"])
 def test_nothing_is_written_over_the_database(campaign: Path, name: str) -> None:
     before = (campaign / "campaign.db").read_bytes()
-    with pytest.raises(PerfboundError, match="that is the campaign's database"):
+    with pytest.raises(PerfboundError, match="this is the campaign's database"):
         export.counterexamples(campaign, campaign / name)
     assert (campaign / "campaign.db").read_bytes() == before
 
