@@ -1,4 +1,4 @@
-"""The strict model that every border shares."""
+"""The strict model of every border, and the one JSON text of a value with its digest."""
 
 import hashlib
 import json

@@ -138,7 +138,7 @@ class Weighted(Model):
 
 
 class _Problem(Model):
-    """What every optimisation problem has."""
+    """The keys of every optimisation problem."""
 
     name: ProblemName = Field(description="which objective")
     sense: Sense | None = Field(default=None, description="min or max; follows from the name")
@@ -163,7 +163,7 @@ class _Problem(Model):
 
 
 class _KernelProblem(_Problem):
-    """What the methods with a Gaussian process have."""
+    """The keys of methods with a Gaussian process."""
 
     rkhs_norm: float = Field(gt=0, description="B: bound on the norm of the centred objective")
     prior_mean: float = Field(default=0.0, description="m0: the GP models J - m0, J the maximised objective")
@@ -267,7 +267,7 @@ class CampaignConfig(Model):
         "extremes or pointwise, or one problem alone"
     )
     visual: Literal["all", "none"] = Field(
-        default="all", description="what is drawn for people in each trajectory file"
+        default="all", description="visual part of the trajectory files, for viewers: drawn in each of them, or in none"
     )
     max_attempts: int = Field(
         default=5, ge=1, le=1000, description="failed attempts of a rollout that end the campaign"
@@ -284,7 +284,7 @@ class CampaignConfig(Model):
     def _consistent(self) -> "CampaignConfig":
         names = [problem.name for problem in self.problems]
         for repeated in {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"problems: {repeated!r} stands twice; every problem at most once")
+            raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
         if self.clip is not None and not self.clip[0] < self.clip[1]:
             raise ValueError(f"clip: {list(self.clip)} must be [low, high] with low < high")
         for problem in self.problems:

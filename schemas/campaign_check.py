@@ -1,4 +1,4 @@
-"""What only the system under test can decide about a campaign: parameters, columns, options, horizon."""
+"""The checks of a campaign against its system under test: parameters, columns, options, horizon."""
 
 from collections.abc import Iterator
 
@@ -8,7 +8,7 @@ from .system import SystemSpec
 
 
 def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
-    """Check what only the system under test can decide: parameters, columns, options, horizon.
+    """Check the parameters, columns, options and horizon of a campaign.
 
     Raises:
         CampaignError: one line with the file, the key and the allowed values.

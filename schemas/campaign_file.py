@@ -1,4 +1,4 @@
-"""From the bytes of a campaign file to a CampaignConfig, or to one line that says what is wrong with them."""
+"""The parser of campaign files: from bytes to a CampaignConfig, or to an error of one line."""
 
 import csv
 import difflib
@@ -28,7 +28,7 @@ from .campaign import (
 from .errors import CampaignError
 
 Location = tuple[int | str, ...]
-"""Where pydantic found a fault."""
+"""Place of a fault, as pydantic gives it."""
 
 _UNION_MEMBER = re.compile(r"constrained-float|float|str|(literal|tuple|function-.*)\[.*")
 _LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
@@ -42,7 +42,7 @@ _WORDS = {
     ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
 }
-"""What a key may hold, where neither the schema nor pydantic says it well."""
+"""Allowed values in words, where those of the schema and of pydantic are no help."""
 _TAGS = {*PROBLEM_MODELS, "box", "scenarios"}
 
 
@@ -85,7 +85,7 @@ def _scenarios(name: str, source: str, beside: Beside | None) -> list[list[float
     """Return the rows of a CSV file: one start a row, a header of the parameters' names allowed."""
     where = f"{source}: space.scenarios: {name}"
     if beside is None or "/" in name or "\\" in name or name.startswith("."):
-        raise CampaignError(f"{where!s} is not allowed: name a CSV file that stands beside the campaign file")
+        raise CampaignError(f"{where!s} is not allowed: name a CSV file beside the campaign file")
     try:
         lines = beside(name).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -121,7 +121,7 @@ def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 def _first_fault(error: ValidationError, table: dict[str, Any]) -> str:
     """Return the first fault in one line: key, value, what is allowed; and how many more there are."""
-    # A misspelt key makes two faults; the one to read is that it is unknown, not that the right one is missing.
+    # A misspelt key makes two faults; the first one to report is the unknown key, not the missing one.
     faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
     text = _describe(faults[0], _key(faults[0]["loc"], table))
     places = {_place(fault["loc"]) for fault in faults}
@@ -184,7 +184,7 @@ def _describe(fault: Any, key: str) -> str:
 
 
 def _allowed(location: Location) -> str:
-    """Return what a key may hold, in words; empty where pydantic says it better."""
+    """Return the allowed values of a key in words; empty where the words of pydantic are better."""
     names = tuple(part for part in location if isinstance(part, str))
     if names in _WORDS:
         return _WORDS[names]

@@ -9,14 +9,14 @@ MAX_SIGNATURES = 100
 
 
 class Signature(Model):
-    """One signature; `keyid` only says which key to try, nothing proves it."""
+    """One signature; `keyid` is a hint for the choice of a key, and is not signed."""
 
     keyid: str = Field(default="", max_length=200, description="empty: unknown")
     sig: str = Field(max_length=1000, description="base64; 64 bytes for Ed25519")
 
 
 class DsseEnvelope(Model):
-    """What is signed, as which type, and by whom."""
+    """A payload, its type, and its signatures."""
 
     payload: str = Field(description="base64 of the exact bytes of certificate.json")
     payloadType: str = Field(max_length=200)  # noqa: N815  (the name in the specification)

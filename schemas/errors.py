@@ -1,4 +1,4 @@
-"""The known errors: one family with one base, each one line of text with the thing, the place and the remedy."""
+"""The known errors: one family with one base, each one line of text with the place, the fault and the remedy."""
 
 
 class PerfboundError(Exception):
@@ -53,7 +53,7 @@ class RefusedError(PerfboundError):
     """The orchestrator has refused this worker."""
 
 
-class IllegalEvent(ValueError):  # noqa: N818  (h11's convention: what happened, not what failed)
+class IllegalEvent(ValueError):  # noqa: N818  (the convention of h11: the event, not the failure)
     """An event that the present state of a machine does not allow; the state is unchanged.
 
     A fault of perfbound itself, so not in the family above: it ends with a traceback.
@@ -63,7 +63,7 @@ class IllegalEvent(ValueError):  # noqa: N818  (h11's convention: what happened,
 class Stopped(BaseException):
     """A signal asks the orchestrator to stop; everything that was recorded is durable.
 
-    Not an Exception: like KeyboardInterrupt, nothing may swallow it.
+    Not an Exception: like KeyboardInterrupt, no `except Exception` may catch it.
     """
 
     def __init__(self, signal: int) -> None:
@@ -72,7 +72,7 @@ class Stopped(BaseException):
 
 
 def one_line(message: str) -> str:
-    """Return `message` without anything that a terminal would obey, so that it is one line, whoever wrote its parts.
+    """Return `message` as one line without control characters, since parts of it may be untrusted.
 
     >>> one_line("a\\nb\\x1b[2J")
     'a\\\\nb\\\\x1b[2J'

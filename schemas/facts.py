@@ -44,7 +44,7 @@ class Header:
 
     @property
     def template(self) -> RequestTemplate:
-        """What the requests of all rollouts have in common."""
+        """The common part of the requests of all rollouts."""
         config = self.config
         return RequestTemplate.of(
             self.spec,
@@ -89,7 +89,7 @@ class ObservationFact:
 
 @dataclass(frozen=True, slots=True)
 class BoundFact:
-    """The bound after a test; `budget` says that the budget, and not the method, ends the problem here."""
+    """The bound after a test; with `budget` the budget, and not the method, ends the problem here."""
 
     problem: str
     test: int

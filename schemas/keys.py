@@ -40,7 +40,7 @@ def live_orchestrator(run: str, orchestrator: str) -> str:
 
 
 def request_key(run: str, worker: str) -> str:
-    """Return the key of what the orchestrator says to one worker."""
+    """Return the key of the requests to one worker."""
     return f"{ROOT}/{run}/request/{worker}"
 
 
@@ -55,7 +55,7 @@ def result_key(run: str, worker: str, rollout: str, attempt: int | str) -> str:
 
 
 def run_of(key: str) -> str:
-    """Return the run of any of our keys."""
+    """Return the run of a key."""
     return key.split("/")[1]
 
 

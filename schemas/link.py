@@ -1,4 +1,4 @@
-"""How the two sides of the Zenoh link are configured: one table for both, so that they agree."""
+"""The configuration of both sides of the Zenoh link, in one place so that they agree."""
 
 import ipaddress
 import json
@@ -11,7 +11,7 @@ from .errors import LinkError
 from .messages import MAX_RESULT
 
 LEASE_MS = 2000
-"""A peer that is silent for so long has lost its liveliness token."""
+"""Silence after which a peer loses its liveliness token."""
 LOCAL = "tcp/127.0.0.1:0"
 """Loopback, a free port."""
 ENCRYPTED = ("tls", "quic")
@@ -37,7 +37,7 @@ def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
     if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
         raise LinkError(
             f"--listen {endpoint}: anyone who reaches this address could feed the campaign; "
-            "use a tls/ endpoint with --tls-ca, --tls-certificate and --tls-key, or say --insecure"
+            "use a tls/ endpoint with --tls-ca, --tls-certificate and --tls-key, or add --insecure"
         )
     names = ("listen_certificate", "listen_private_key")
     return json.dumps(

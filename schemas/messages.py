@@ -1,4 +1,4 @@
-"""What the orchestrator and its workers say to each other; every message is validated and bounded."""
+"""The messages between the orchestrator and its workers; each one is validated and bounded."""
 
 from typing import Annotated, Literal, TypeVar
 
@@ -44,7 +44,7 @@ class Ack(Model):
 
 
 class Refuse(Model):
-    """Tell a worker that it cannot serve this campaign; it should leave."""
+    """Refuse a worker that cannot serve this campaign; it leaves."""
 
     type: Literal["refuse"] = "refuse"
     reason: str = Field(max_length=2000)
@@ -69,7 +69,7 @@ class WorkerState(Model):
 
 
 class ResultHeader(Model):
-    """Attachment of a result: what the payload is, or why there is none."""
+    """Attachment of a result: the identity of the payload, or the reason why there is none."""
 
     rollout: Rollout
     attempt: Attempt

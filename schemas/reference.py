@@ -1,4 +1,4 @@
-"""The reference page of campaign files, generated from the models so that it cannot lie."""
+"""The reference page of campaign files, generated from the models so that it stays current."""
 
 import json
 from collections.abc import Iterator

@@ -56,7 +56,7 @@ class RolloutRequest(Model):
 
 @dataclass(frozen=True, slots=True)
 class RequestTemplate:
-    """All that the rollouts of one campaign have in common: the one builder of their requests."""
+    """The common part of the rollouts of one campaign, and the one builder of their requests."""
 
     spec: SystemSpec
     spec_sha256: str

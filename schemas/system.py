@@ -1,4 +1,4 @@
-"""What a worker announces of a system under test, so that the orchestrator need not import it."""
+"""The specification of a system under test, which workers announce so that the orchestrator need not import it."""
 
 from typing import Literal
 
@@ -39,7 +39,7 @@ class Option(Model):
 
 
 class SystemSpec(Model):
-    """A system under test: what it takes, what it returns, what it runs on.
+    """A system under test: its parameters and options, its columns, and its software.
 
     `columns` starts with the time `t` in seconds. `noisy` names the variants whose rollouts depend on the seed.
     `versions` are those of the packages that decide the trajectory, e.g. {"pybullet": "3.2.7"}.

@@ -1,14 +1,14 @@
 """The trajectory and its file: the only importer of mcap.
 
 A file holds the evidence (attachment `trajectory.npy`, attachment `request.json`, one metadata record) and, if the
-trajectory carries a `Visual`, what a person sees at 30 Hz (channels /tf, /scene, /solids, /state and /log). Nothing in
+trajectory has a `Visual`, a visual part at 30 Hz (channels /tf, /scene, /solids, /state and /log). Nothing in
 it depends on the clock or the host: the same rollout gives the same bytes.
 
 | symbol | meaning | shape, unit |
 |---|---|---|
 | T | samples of a trajectory | |
 | n | columns, the first one is the time `t` | |
-| F | frames a person sees, 30 per second | |
+| F | frames of the visual part, 30 per second | |
 """
 
 import io
@@ -86,7 +86,7 @@ class Trajectory:
 
     @property
     def frames(self) -> NDArray[np.intp]:
-        """Rows that a person sees: the first one at or after each 1/30 s, shape (F,)."""
+        """Rows of the visual part: the first one at or after each 1/30 s, shape (F,)."""
         t = self.samples[:, 0]
         count = int((t[-1] - t[0]) * FRAME_RATE + 1e-6) + 1
         wanted = t[0] + np.arange(count) / FRAME_RATE
@@ -96,7 +96,7 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class File:
-    """What a trajectory's file holds, without its visual part."""
+    """The content of a trajectory's file, without its visual part."""
 
     trajectory: Trajectory
     request: dict[str, Any]
@@ -111,8 +111,8 @@ def encode(
     `units` names the unit of each column; the metadata record is `metadata` and the list of columns.
 
     Raises:
-        ValueError: `request` holds a number that is not finite, `units` lacks a column, or the name of a column that a
-            person sees is no name of a protobuf field.
+        ValueError: `request` holds a number that is not finite, `units` lacks a column, or the name of a visible
+            column is no name of a protobuf field.
 
     """
     if missing := set(trajectory.columns) - set(units):
@@ -143,10 +143,10 @@ def decode(data: bytes) -> Trajectory:
 def read_mcap(data: bytes) -> File:
     """Return the evidence in a trajectory's file, without its visual part.
 
-    Every byte stands under a checksum that is verified here, and nothing larger than the file is allocated.
+    Every byte is covered by a checksum that is verified here, and nothing larger than the file is allocated.
 
     Raises:
-        TrajectoryError: the file is damaged, cut, too large or incomplete, or what it holds is no trajectory.
+        TrajectoryError: the file is damaged, cut, too large or incomplete, or its content is no trajectory.
 
     """
     try:
@@ -231,7 +231,7 @@ def _check_checksums(data: bytes) -> None:
 
 
 def _evidence_records(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
-    """Return the metadata record and both attachments; they stand before the first chunk, the rest is for eyes only."""
+    """Return the metadata record and both attachments, which precede the chunks of the visual part."""
     # Not `validate_crcs`: every byte has been checked, and this reader would add up its checksum read by read.
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=len(data))
     first = itertools.takewhile(lambda record: not isinstance(record, Chunk | DataEnd), reader.records)
@@ -242,7 +242,9 @@ def _evidence_records(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     attachments = [record for record in records if isinstance(record, Attachment)]
     names = sorted(record.name for record in attachments)
     if len(metadata) != 1 or names != sorted((EVIDENCE, REQUEST)):
-        raise TrajectoryError(f"{len(metadata)} metadata records and the attachments {names}, not one and both of ours")
+        raise TrajectoryError(
+            f"{len(metadata)} metadata records and the attachments {names}, not one record and the two of perfbound"
+        )
     return metadata[0], {record.name: record.data for record in attachments}
 
 

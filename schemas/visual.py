@@ -1,8 +1,8 @@
-"""What a person sees of a trajectory, as protobuf messages of foxglove's types: /scene, /solids, /log, /tf and /state.
+"""The visual part of a trajectory as protobuf messages of foxglove's types: /scene, /solids, /log, /tf and /state.
 
 | symbol | meaning |
 |---|---|
-| F | frames a person sees |
+| F | frames of the visual part |
 | n | columns of the trajectory |
 
 Foxglove draws /scene. rerun knows no scenes but VoxelGrids, so that each solid of the scene is also a grid of one cell
@@ -42,7 +42,7 @@ Solid = CubePrimitive | CylinderPrimitive | SpherePrimitive
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """Pose of the frame `child` in the frame `parent`, one row per frame a person sees.
+    """Pose of the frame `child` in the frame `parent`, one row per frame of the visual part.
 
     Raises:
         ValueError: a shape is wrong or a number is not finite.
@@ -66,7 +66,7 @@ class Transform:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """What a person sees: a scene sent once, moving frames, and lines of a log as (seconds, text)."""
+    """The visual part: a scene sent once, moving frames, and lines of a log as (seconds, text)."""
 
     scene: SceneUpdate
     transforms: tuple[Transform, ...]
@@ -88,7 +88,7 @@ class Channel(NamedTuple):
 
 
 def channels(visual: Visual, rows: Floats, units: Mapping[str, str]) -> tuple[Channel, ...]:
-    """Return the channels of a trajectory of which a person sees `rows`, shape (F, n).
+    """Return the channels of a trajectory with the visible `rows`, shape (F, n).
 
     `units` holds the columns of `rows`, in their order, with their units; the first one is the time in s.
 
@@ -155,7 +155,7 @@ def _state_messages(times: list[int], rows: Floats, kind: Descriptor) -> Message
 
 @functools.lru_cache
 def _state(columns: tuple[str, ...]) -> Descriptor:
-    """Return the type of the messages on /state: one float a column, which is half the size and enough for eyes."""
+    """Return the type of the messages on /state: one float a column, which is half the size and enough for a plot."""
     file = FileDescriptorProto(name="perfbound/State.proto", package="perfbound", syntax="proto3")
     message = file.message_type.add(name="State")
     for number, name in enumerate(columns, start=1):
@@ -168,7 +168,7 @@ def _state(columns: tuple[str, ...]) -> Descriptor:
     try:
         found = DescriptorPool().AddSerializedFile(file.SerializeToString())
     except TypeError as error:
-        raise ValueError(f"columns that a person sees need names of protobuf fields: {columns}") from error
+        raise ValueError(f"visible columns need names of protobuf fields: {columns}") from error
     return found.message_types_by_name["State"]
 
 
@@ -184,7 +184,7 @@ def _files(file: Any) -> list[Any]:
     return list(dict.fromkeys([*imported, file]))
 
 
-# What rerun draws
+# The boxes that rerun draws
 
 _RGBA = [
     PackedElementField(name=name, offset=offset, type=PackedElementField.UINT8)

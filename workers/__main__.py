@@ -1,4 +1,4 @@
-"""`python -m perfbound.workers`: the worker, and the questions that the orchestrator asks a child process."""
+"""`python -m perfbound.workers`: the worker, and the commands of a child process of the orchestrator."""
 
 from .cli import group
 

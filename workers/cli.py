@@ -1,4 +1,4 @@
-"""The commands of the worker side; a child of `perfbound` runs them, so that a crash stays out of the orchestrator."""
+"""The commands of the worker side, in a child of `perfbound`: a crash of a simulator stays out of the orchestrator."""
 
 import contextlib
 import ctypes
@@ -28,14 +28,14 @@ PR_SET_PDEATHSIG = 1
 
 
 def fail(message: str) -> NoReturn:
-    """Say one line on stderr and exit with 1."""
+    """Print one line on stderr and exit with 1."""
     click.echo(f"perfbound-worker: {one_line(message)}", err=True)
     sys.exit(1)
 
 
 @click.group()
 def group() -> None:
-    """Run one of the commands that the orchestrator asks of a child process."""
+    """Run a command in a child process of the orchestrator."""
     one_blas_thread()
 
 
@@ -44,8 +44,8 @@ def group() -> None:
 @click.option("--name", default="worker", show_default=True, help="Name in logs and database; gets a random suffix.")
 @click.option("--run", default=None, help="Serve only this run id; otherwise the oldest orchestrator there is.")
 @click.option("--tls-ca", default=None, help="PEM file of the authority that signed both certificates.")
-@click.option("--tls-certificate", default=None, help="PEM file of our certificate.")
-@click.option("--tls-key", default=None, help="PEM file of our private key.")
+@click.option("--tls-certificate", default=None, help="PEM file of the certificate of this side.")
+@click.option("--tls-key", default=None, help="PEM file of the private key of this side.")
 @click.option("--lifeline", type=int, default=None, hidden=True, help="Exit at the end of this pipe.")
 def serve(
     *,
@@ -75,7 +75,7 @@ def serve(
 
 
 def _die_with_parent() -> None:
-    """Have the kernel kill us when the parent dies: no thread of ours runs while a rollout holds the lock of Python."""
+    """Have the kernel kill this process with its parent: no thread runs while a rollout has the lock of Python."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
@@ -106,14 +106,14 @@ def _serve(endpoint: str, name: str, run: str | None, tls: Tls | None) -> None:
 
 
 def _waiting(endpoint: str) -> Callable[[], None]:
-    told = [time.monotonic()]
+    last = [time.monotonic()]
 
     def waiting() -> None:
-        if time.monotonic() - told[0] > 5:
-            told[0] = time.monotonic()
+        if time.monotonic() - last[0] > 5:
+            last[0] = time.monotonic()
             click.echo(
                 f"perfbound-worker: no answer from {endpoint} yet; check the address, that the orchestrator runs, "
-                "and, with TLS, that both certificates are signed by --tls-ca (RUST_LOG=zenoh=warn tells more)",
+                "and, with TLS, that both certificates are signed by --tls-ca (RUST_LOG=zenoh=warn prints more)",
                 err=True,
             )
 
@@ -121,13 +121,13 @@ def _waiting(endpoint: str) -> Callable[[], None]:
 
 
 def _choose(orchestrators: Callable[[], list[tuple[str, str]]], run: str | None, endpoint: str) -> str:
-    told = time.monotonic()
+    last = time.monotonic()
     while True:
         for _, found in orchestrators():
             if run in (None, found):
                 return found
-        if time.monotonic() - told > 10:
-            told = time.monotonic()
+        if time.monotonic() - last > 10:
+            last = time.monotonic()
             which = f"run {run}" if run else "any run"
             click.echo(f"perfbound-worker: connected to {endpoint}, waiting for an orchestrator of {which}", err=True)
         time.sleep(0.02)
@@ -155,7 +155,7 @@ def systems() -> None:
     specs = {}
     for system in available():
         try:
-            with contextlib.redirect_stdout(sys.stderr):  # what a plug-in prints is not our data
+            with contextlib.redirect_stdout(sys.stderr):  # the output of a plug-in must not mix with the data
                 specs[system] = load_system(system).spec.model_dump(mode="json")
         except Exception as error:  # noqa: BLE001  (a broken plug-in must not hide the others)
             click.echo(f"perfbound-worker: system {system!r} cannot be loaded: {error}", err=True)
@@ -189,11 +189,11 @@ def simulate(request: str, out: Path) -> None:
 @group.command()
 @click.option("--file", "path", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file.")
 def look(path: Path) -> None:
-    """Print what a person sees of a trajectory, as JSON: the scene and the moving frames, or null."""
+    """Print the visual part of a trajectory as JSON: the scene and the moving frames, or null."""
     from . import look as view  # noqa: PLC0415
 
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # what a plug-in prints is not our data
+        with contextlib.redirect_stdout(sys.stderr):  # the output of a plug-in must not mix with the data
             seen = view.look(path.read_bytes())
     except OSError as error:
         fail(f"{path}: {error.strerror}")

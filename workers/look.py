@@ -1,4 +1,4 @@
-"""What a person sees of a trajectory, for programs that draw it: the scene and the moving frames as JSON."""
+"""The visual part of a trajectory for programs that draw it: the scene and the moving frames as JSON."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from .systems import load_system
 
 
 def look(data: bytes) -> dict[str, Any] | None:
-    """Return the scene and the frames of a trajectory's file, one pose a frame a person sees; None if nothing is shown.
+    """Return the scene and the frames of a trajectory's file, one pose per visible frame; None without a visual part.
 
     Poses are in the frame `parent`: translations (F, 3) in m, rotations (F, 4) as quaternions x, y, z, w.
 

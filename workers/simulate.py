@@ -10,7 +10,7 @@ from .systems.base import Progress, SystemUnderTest
 
 
 def run_request(request: RolloutRequest, progress: Progress) -> bytes:
-    """Simulate what the request asks for with the installed system of that name.
+    """Simulate a rollout with the installed system that the request names.
 
     Raises:
         UnknownSystemError: the system is not installed.
@@ -22,7 +22,7 @@ def run_request(request: RolloutRequest, progress: Progress) -> bytes:
 
 
 def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> bytes:
-    """Simulate what the request asks for on `system`.
+    """Simulate a rollout on `system`.
 
     Raises:
         SimulationError: the system is another one than the request expects, or has no usable trajectory.

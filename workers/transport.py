@@ -18,18 +18,18 @@ OPEN_PERIOD = 0.3
 
 
 class Uplink(Protocol):
-    """What a worker needs of a network."""
+    """A network for a worker."""
 
     def orchestrators(self) -> list[tuple[str, str]]:
         """Return (orchestrator, run) of all that are alive, the oldest first."""
         ...
 
     def join(self, run: str, worker: str, receive: Receiver) -> None:
-        """Listen for requests to `worker`, then show it as alive."""
+        """Subscribe to the requests to `worker`, then announce it as alive."""
         ...
 
     def leave(self) -> None:
-        """Stop listening, and no longer show as alive."""
+        """Withdraw the announcement and the subscription."""
         ...
 
     def report(self, state: WorkerState) -> None:
@@ -60,7 +60,7 @@ class ZenohUplink:
         return sorted(self._live.copy().items())
 
     def join(self, run: str, worker: str, receive: Receiver) -> None:
-        """Subscribe to our requests; the token comes last, because it says that we can be assigned work."""
+        """Subscribe to the requests to `worker`; its token comes last, because assignments follow it."""
         self._run, self._worker = run, worker
         requests = self._session.declare_subscriber(keys.request_key(run, worker), zenoh.handlers.FifoChannel(1024))
         self._pump(requests, lambda sample: _pass_request(sample, receive))
@@ -68,7 +68,7 @@ class ZenohUplink:
         self._joined = (token, requests)
 
     def leave(self) -> None:
-        """Take the token back, then the subscription."""
+        """Withdraw the token, then the subscription."""
         for declared in self._joined:
             declared.undeclare()
         self._joined = ()
@@ -142,4 +142,4 @@ def _pass_request(sample: zenoh.Sample, receive: Receiver) -> None:
     try:
         receive(decode_request(sample.payload.to_bytes()))
     except MessageError:
-        return  # the orchestrator sends what matters again
+        return  # the orchestrator repeats an assignment, a cancel and an acknowledgement

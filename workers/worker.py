@@ -1,4 +1,4 @@
-"""The life of a worker: receive, run, reply. It keeps a result until the orchestrator has acknowledged it."""
+"""The loop of a worker: receive, simulate, deliver; a result is kept until the orchestrator has acknowledged it."""
 
 import hashlib
 import os
@@ -72,7 +72,7 @@ class WorkerProcess:
                 self._inbox.put(message)
 
     def serve(self, abandoned: Callable[[bool], bool]) -> None:
-        """Simulate what is assigned until `abandoned(outbox is empty)` says that nobody will assign anything more.
+        """Simulate what is assigned until `abandoned(outbox is empty)` is true.
 
         Raises:
             RefusedError: the orchestrator refuses this worker.
@@ -116,7 +116,7 @@ class WorkerProcess:
             return
         except PerfboundError as fault:
             error = str(fault) or type(fault).__name__
-        except Exception as fault:  # noqa: BLE001  (whatever a system raises is the orchestrator's to judge)
+        except Exception as fault:  # noqa: BLE001  (any: the orchestrator decides what a failed attempt means)
             error = f"{type(fault).__name__}: {fault}"
         if len(payload) > MAX_RESULT:
             error = f"the trajectory's file has {len(payload)} bytes, more than the {MAX_RESULT} of a result"

@@ -100,10 +100,8 @@ class Service:
         self._poisoned: events.Poison | None = None
         self._started = time.monotonic()
         self._next_tick = self._started
-        config = ledger.config
-        limits = dispatch.Limits(
-            hung_after=config.hung_after, deadline=config.deadline, max_attempts=config.max_attempts
-        )
+        file = ledger.config
+        limits = dispatch.Limits(hung_after=file.hung_after, deadline=file.deadline, max_attempts=file.max_attempts)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
         self._state = dispatch.fresh(limits, hold)
@@ -145,8 +143,7 @@ class Service:
                 self._take(message)
                 # Before the next message: its admission reads which rollouts are still open.
                 self._settle()
-            # Never a tick before what was received earlier: the heartbeat of a worker that would be given up may be
-            # among those messages.
+            # No tick before an earlier message, which may be the heartbeat of a worker that would be given up.
             if complete >= self._next_tick:
                 self._tick(complete)
             if self._draining is None:
@@ -230,7 +227,7 @@ class Service:
                 self._poisoned = action
 
     def _demand(self, work: Work, attempts: Mapping[RolloutId, int]) -> None:
-        """Have rollouts simulated, or no longer; `attempts` are those made before a restart."""
+        """Want rollouts, or no longer; `attempts` are those made before a restart."""
         now = time.monotonic()
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))

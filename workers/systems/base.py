@@ -19,14 +19,14 @@ class Cancelled(Exception):  # noqa: N818  (not an error: the orchestrator no lo
 class SystemUnderTest(Protocol):
     """A simulator of one closed-loop system; constructed once per process without arguments, used for many rollouts.
 
-    The constructor must be cheap and import no simulator: `spec` is asked for before anything is created.
+    The constructor must be cheap and import no simulator: `spec` is read before anything is created.
     Equal arguments give bitwise equal trajectories, whatever ran before in the same process.
     Derive from this class to inherit what is optional.
     """
 
     @property
     def spec(self) -> SystemSpec:
-        """What the system takes and returns."""
+        """The specification of the system: its parameters, columns and options."""
         ...
 
     def rollout(
@@ -52,9 +52,9 @@ class SystemUnderTest(Protocol):
         ...
 
     def visual(self, trajectory: Trajectory) -> Visual | None:  # noqa: ARG002  (a default of the port)
-        """Return what a person sees of a trajectory of this system, one pose per entry of `trajectory.frames`.
+        """Return the visual part of a trajectory of this system, one pose per entry of `trajectory.frames`.
 
-        Optional: None, the default, shows nothing.
+        Optional: None, the default, draws nothing.
         """
         return None
 
@@ -64,7 +64,7 @@ def checked_options(
 ) -> dict[str, OptionValue]:
     """Return the options with their defaults filled in, after a check of every argument of a rollout.
 
-    It stands before the simulator: a rollout that starts with a NaN can poison the ones after it.
+    Called before the simulator: a rollout that starts with a NaN can spoil the ones after it.
 
     Raises:
         SimulationError: an argument is not finite or outside the spec.

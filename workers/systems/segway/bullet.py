@@ -1,7 +1,7 @@
 """The world of the Segway in PyBullet.
 
 The world is rebuilt for every rollout: a client that is used again remembers contacts, and one rollout with a NaN
-would poison the next ones with wrong, finite answers.
+would give the next ones wrong, finite results.
 """
 
 import importlib
@@ -85,7 +85,7 @@ class World:
         bullet.setGravity(0, 0, -9.81, physicsClientId=client)
         bullet.setPhysicsEngineParameter(fixedTimeStep=1 / CONTROL_RATE, numSubSteps=SUB_STEPS, physicsClientId=client)
         shape = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
-        unseen = bullet.URDF_IGNORE_VISUAL_SHAPES  # nobody renders this world
+        unseen = bullet.URDF_IGNORE_VISUAL_SHAPES  # this world is never rendered
         ground = bullet.createMultiBody(0, shape, flags=unseen, physicsClientId=client)
         self._segway = bullet.loadURDF(
             _MODEL,
@@ -116,7 +116,7 @@ class World:
         heading = math.atan2(2 * (qw * qz - qx * qy), 1 - 2 * (qx * qx + qz * qz))  # atan2(-R01, R11)
         up_x, up_y, up_z = 2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), 1 - 2 * (qx * qx + qy * qy)
         phi = math.atan2(2 * (qw * qy - qx * qz), up_z)  # atan2(-R20, R22)
-        # PyBullet speaks of the centre of mass, we of the axle below it.
+        # PyBullet's position is that of the centre of mass; the columns are those of the axle below it.
         rx, ry, rz = CENTRE_OF_MASS * up_x, CENTRE_OF_MASS * up_y, CENTRE_OF_MASS * up_z
         phidot = wy * math.cos(heading) - wx * math.sin(heading)
         return x - rx, y - ry, heading, vx - wy * rz + wz * ry, vy - wz * rx + wx * rz, phi, phidot, wz
@@ -134,9 +134,9 @@ class World:
 
 
 def _pybullet() -> Any:
-    """Import the simulator: late, because the registry and the spec must not cost it; and without its greeting.
+    """Import the simulator: late, because the registry and the spec must not cost it; and without its first line.
 
-    It greets with its build time on the C library's stderr, which is the terminal of whoever started a campaign.
+    It prints its build time on the C library's stderr, which is the terminal of the campaign.
     """
     sys.stderr.flush()
     stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)

@@ -19,7 +19,7 @@ STOP_TURNING = 0.05  # m: nearer to the goal than about this, its direction no l
 
 
 State = tuple[float, float, float, float, float, float, float, float]
-"""What the controller sees: x, y, heading, vx, vy, phi, phidot, heading_rate, in the units of the table above.
+"""The input of the controller: x, y, heading, vx, vy, phi, phidot, heading_rate, in the units of the table above.
 
 Rates are in rad/s. A bare tuple, because making a named one at every step would cost a rollout 3 %.
 """

@@ -1,4 +1,4 @@
-"""What a person sees of the Segway: simple solids that follow the frames world -> base_link -> pendulum."""
+"""The visual part of a Segway trajectory: simple solids that follow the frames world -> base_link -> pendulum."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ _ALONG_AXLE = (0.7071067811865476, 0.0, 0.0, 0.7071067811865476)  # z of the cyl
 
 
 def visual(trajectory: Trajectory) -> Visual:
-    """Return the scene, the two moving frames and a log that says whether it fell."""
+    """Return the scene, the two moving frames and a log with the largest tilt and a fall."""
     rows = trajectory.samples[trajectory.frames]
     x, y, heading, phi = (rows[:, trajectory.columns.index(name)] for name in ("x", "y", "heading", "phi"))
     axle = np.column_stack([x, y, np.full(len(rows), WHEEL_RADIUS)])
