@@ -1,4 +1,4 @@
-"""The assumptions of a finished campaign, and their status by its data: the audit."""
+"""The audit of a finished campaign: every assumption of its claims, with its status by the data."""
 
 import itertools
 from collections.abc import Iterator, Mapping
@@ -26,11 +26,13 @@ def assumptions(accounts: Mapping[str, Account], methods: Methods) -> list[Assum
             found.append(_dominates(account))
             if "nominal" in account.plan.shared:
                 found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
+        # A campaign without specification has no robustness, and so no clip.
         if account.robustness:
             found.append(_clip(account))
     rollouts = sum(sum(account.counts.values()) for account in accounts.values())
     found.append(assumption("finite_rollouts", "derived", {"rollouts": rollouts}))
     if set(PAIR) <= set(accounts):
+        # The product needs that neither problem saw the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
             found.append(assumption("independence", "derived"))
         found.append(assumption("accounting", "derived"))
@@ -52,6 +54,7 @@ def _of_problem(account: Account, methods: Methods) -> Iterator[Assumption]:
 
 def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
     name, plan = problem.name, account.plan
+    # k(z, z) = 1, so |J - m0| <= B everywhere: an observation far above B refutes it.
     norm = audit.norm_from_tests(
         account.observations,
         prior_mean=problem.prior_mean,
@@ -61,6 +64,7 @@ def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
     )
     yield assumption(f"rkhs_norm/{name}", *norm, form="norm_from_tests")
     yield _mean_noise(account)
+    # Mill's inequality is a Gaussian tail; for noise that is only sub-Gaussian the probability is lower.
     gaussian, sub_gaussian = (
         mills_probability(problem.c, problem.delta, plan.noise, tail) for tail in ("gaussian", "sub-gaussian")
     )
@@ -70,18 +74,20 @@ def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
     form = "regulariser_eta" if problem.regulariser == "1+eta" else "regulariser_fixed"
     yield assumption(f"regulariser/{name}", "assumed", {"regulariser": problem.regulariser}, form=form)
     lattice = plan.candidates
+    # The paper maximises over the box, the method over nodes: the audit bounds what lies between them.
     if isinstance(lattice, Lattice):
         rise = audit.rise_between_nodes(lattice, kernel(problem), problem.rkhs_norm)
         values = {"nodes": lattice.size, "resolution": lattice.resolution, "rise": rise, "rkhs_norm": problem.rkhs_norm}
         form = "lattice_refined" if problem.refine else "lattice_alone"
         yield assumption(f"lattice/{name}", "assumed", values, form=form)
+    # E[s] < sd: the sample risk is biased to the unsafe side, by derivation and not by data.
     if name == "true_risk":
         yield assumption(f"centred_noise/{name}", *audit.centred_risk(plan.replicates))
 
 
 def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod) -> Iterator[Assumption]:
     name, bound, last = problem.name, method.bound(), account.last_bound
-    # Without noise the observations are the function: the norm that they need is certain.
+    # Without noise the observations are the function: no delta is spent, and the norm that they need is certain.
     confidence = 1.0 if account.plan.noise == 0 else 1.0 - problem.delta
     norm = audit.norm_from_set(b_min=bound.b_min, rkhs_norm=problem.rkhs_norm, confidence=confidence)
     yield assumption(f"rkhs_norm/{name}", *norm, form="norm_from_set")
@@ -97,6 +103,7 @@ def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod
         agree = audit.bounds_agree(upper=last.bound.upper, lower=last.bound.lower)
         yield assumption(f"bounds_agree/{name}", *agree)
     yield from _noise(account, problem)
+    # On a box the cover bounds J between the nodes as well; on a list the maximum is exact.
     if isinstance(account.plan.candidates, Lattice):
         box = {"candidates_upper": bound.candidates_upper, "slack": bound.slack}
         yield assumption(f"lattice/{name}", "derived", box, form="certified_box")
@@ -115,11 +122,13 @@ def _noise(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:
         yield assumption(f"deterministic/{name}", *audit.deterministic_variant(repeated))
         return
     per_rollout = plan.noise_per_rollout
-    if name == "maximum":  # a column has no clip, so Hoeffding's lemma gives no scale to compare with
+    # A column has no clip, so Hoeffding's lemma gives no scale to compare with.
+    if name == "maximum":
         yield _mean_noise(account)
     else:
         noise = audit.noise_range(noise_scale=per_rollout, hoeffding=plan.hoeffding)
         yield assumption(f"noise_scale/{name}", *noise, form="noise_range")
+    # The budget, not the number of tests made: the test is valid at every N only with a constant fixed beforehand.
     planned = plan.budget * plan.replicates
     spread = audit.replicate_spread(account.each, noise_scale=per_rollout, delta=problem.delta, planned=planned)
     if spread is None:
@@ -133,6 +142,7 @@ def _scenario(account: Account, problem: ScenarioProblem) -> Iterator[Assumption
     yield _listed(account)
     yield assumption(f"independent_rollouts/{name}", "derived", {"rollouts": sum(account.counts.values())})
     if last is not None and last.bound.upper is not None and last.bound.lower is not None:
+        # J = -risk. The limit bounds the expectation from above: a bound beyond it would refute the single law.
         ell, limit = -last.bound.upper, -last.bound.lower
         status: Status = "refuted" if limit < ell else "not refuted"
         yield assumption(f"one_law_per_start/{name}", status, {"ell": ell, "limit": limit})
@@ -167,13 +177,14 @@ def _clip(account: Account) -> Assumption:
 
 
 def _dominates(account: Account) -> Assumption:
-    """Return why the gap dominates the difference of the robustness, tested on every pair of rollouts."""
+    """Return the assumption that the gap dominates the robustness difference, tested on every pair of rollouts."""
     gap, name = account.plan.gap, "lipschitz/sim_gap"
     forms = {"signal_sup": "lipschitz_column", "predicate_sup": "lipschitz_predicates"}
     form = forms.get(gap.kind, "lipschitz_itself")
     values: dict[str, float | int | str] = {"kind": gap.kind, "lipschitz": gap.lipschitz}
     if gap.column is not None:
         values["column"] = gap.column
+    # Two kinds of gap dominate by proof; an excess then shows a fault of the software, and refutes as well.
     if account.excess > ROUNDING:
         return assumption(name, "refuted", values | {"excess": account.excess}, form=form)
     return assumption(name, "assumed" if gap.kind == "signal_sup" else "derived", values, form=form)

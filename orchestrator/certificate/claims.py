@@ -1,4 +1,4 @@
-"""Every claim that the data of a campaign support, the one chosen beforehand first."""
+"""The claims of a finished campaign, the one chosen beforehand first."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -37,22 +37,25 @@ def claims(
 ) -> Claimed:
     """Return the claims in the order: chosen beforehand, other rules over the same pair, direct ones.
 
-    Each has its own probability; whoever reads several pays the sum of what is missing to 1.
+    Each has its own probability; the failure probability of several together is at most their sum.
     """
     found: list[tuple[document.Claim, document.Composition | None]] = []
     if set(PAIR) <= set(results):
         found += [_composed(plans, results, methods, assumptions, rule) for rule in _rules(config)]
     found += [(_direct(result, assumptions), None) for result in results.values() if result.name not in PAIR]
-    found.sort(key=lambda pair: pair[0].rule != config.composition)  # stable
+    # Stable. First comes the claim that was fixed beforehand: to pick the best afterwards costs the sum.
+    found.sort(key=lambda pair: pair[0].rule != config.composition)
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
 
 
 def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     methods = {problem.method for problem in config.problems if problem.name in PAIR}
+    # The rules that follow from Theorem 2 as printed.
     if methods == {"paper"}:
         return ("product", "sum") if config.composition == "product" else ("sum", "product")
     if methods != {"rigorous"}:
         return ("sum",)
+    # Pointwise subtracts one band from the other, start by start: both need the same candidates.
     same = len({config.candidates_of(problem) for problem in config.problems if problem.name in PAIR}) == 1
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
@@ -110,7 +113,7 @@ def _theorem_2(plans: Plans, results: Results, rule: Rule) -> document.Compositi
 
 
 def _probability(results: Results, rule: Rule) -> float:
-    """Return the probability of a composed claim: failures add up, but for the rule that multiplies."""
+    """Return the probability of a composed claim: only the rule `product` multiplies, the others add failures."""
     pair = [results[name].probability for name in PAIR]
     return round_down(joint_probability(pair, "product" if rule == "product" else "sum"))
 
@@ -143,20 +146,22 @@ def _pointwise(plans: Plans, methods: Methods, extremes: float) -> float:
     assert isinstance(nominal, RigorousMethod)
     assert isinstance(gap, RigorousMethod)
     if "refuted" in (nominal.bound().status, gap.bound().status):
-        return extremes  # a refuted problem has no band
+        return extremes  # a refuted problem has an empty confidence set, so no band
     return pointwise_mean(
         nominal.envelope,
         gap.envelope,
         nominal.candidates,
         clip=plan.clip,
         lipschitz=plan.gap.lipschitz,
+        # The default of the cover of a problem, for the tighter of the two tolerances.
         slack=min(plans[name].problem.alpha for name in PAIR) / 4,
         extremes=extremes,
     )
 
 
 def _rests_on(assumptions: Sequence[document.Assumption], problems: set[str], rule: Rule) -> dict[str, tuple[str, ...]]:
-    """Return the assumptions of a claim, and which of them are refuted: of its problems, its rule, and the campaign."""
+    """Return the assumptions of a claim (of its problems, its rule and the campaign) and the refuted ones of them."""
+    # A claim that adds failures needs no independence, a single one needs neither.
     others = {"product": {ADDED}, "single": {ADDED, MULTIPLIED}}.get(rule, {MULTIPLIED})
     used = [
         each

@@ -1,4 +1,4 @@
-"""Where the certificate and its manifest stand in the run directory."""
+"""The files of the certificate and its manifest in the run directory."""
 
 from pathlib import Path
 
@@ -23,6 +23,7 @@ def write(directory: Path, certificate: Certificate, manifest: str) -> None:
         OSError: the disk is full or the directory cannot be written.
 
     """
+    # In this order: a certificate that is there has its manifest beside it, whenever the machine crashes.
     atomic.write_whole(directory / MANIFEST, manifest.encode())
     atomic.write_whole(directory / CERTIFICATE, certificate.to_json().encode())
 
@@ -40,4 +41,6 @@ def read(directory: Path) -> Certificate | None:
     try:
         return Certificate.model_validate_json(files.contents(path, MAX_CERTIFICATE))
     except ValueError as error:
-        raise EvidenceError(f"{path}: not a certificate ({str(error).splitlines()[0]}); delete it and resume") from None
+        raise EvidenceError(
+            f"{path}: not a certificate ({str(error).splitlines()[0]}); delete it, then resume the campaign"
+        ) from None

@@ -1,4 +1,4 @@
-"""Issue the certificate of a finished campaign; nothing in it depends on time, host or the number of workers."""
+"""The issue of the certificate of a finished campaign; nothing in it depends on time, host or number of workers."""
 
 import hashlib
 from collections.abc import Iterable
@@ -14,26 +14,26 @@ from .results import result
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
-    """The trajectory files behind the observations, in the order of the manifest."""
+class Manifest:
+    """The list of the trajectory files behind the observations, as `sha256sum` reads it."""
 
-    manifest: str
+    text: str
     rollouts: int
 
 
-def manifest(entries: Iterable[tuple[str, str]]) -> Evidence:
+def manifest(entries: Iterable[tuple[str, str]]) -> Manifest:
     """Return the manifest of (sha256, path) pairs, in the format of sha256sum."""
     lines = [f"{sha256}  {path}\n" for sha256, path in entries]
-    return Evidence("".join(lines), len(lines))
+    return Manifest("".join(lines), len(lines))
 
 
-def issue(ledger: Ledger, evidence: Evidence) -> document.Certificate:
+def issue(ledger: Ledger, evidence: Manifest) -> document.Certificate:
     """Return the certificate of a campaign whose problems have all stopped."""
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
     results = {name: result(account) for name, account in accounts.items()}
     found = assumptions(accounts, ledger.methods)
     claimed = claims(config, ledger.plans, results, ledger.methods, found)
-    manifest_sha256 = hashlib.sha256(evidence.manifest.encode()).hexdigest()
+    manifest_sha256 = hashlib.sha256(evidence.text.encode()).hexdigest()
     predicate = document.Predicate(
         question=question(header),
         campaign=document.CampaignId(
@@ -58,12 +58,12 @@ def issue(ledger: Ledger, evidence: Evidence) -> document.Certificate:
 
 
 def subject(manifest_sha256: str) -> document.Subject:
-    """Return what a certificate is about."""
+    """Return the subject of a certificate: its manifest."""
     return document.Subject(name="manifest.sha256", digest={"sha256": manifest_sha256})
 
 
 def question(header: Header) -> dict[str, object]:
-    """Return what the claims are about, so that a reader needs no other file."""
+    """Return the keys of the campaign file that the claims are about, so that a reader needs no other file."""
     return header.config.model_dump(
         mode="json",
         exclude_none=True,

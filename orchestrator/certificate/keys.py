@@ -1,4 +1,4 @@
-"""Ed25519 keys in PEM files: a private one for who signs (PKCS#8), a public one for everybody else."""
+"""Ed25519 keys in PEM files: a private one for the signer (PKCS#8), a public one for every recipient."""
 
 import os
 import stat
@@ -69,13 +69,14 @@ def load_private(path: Path, passphrase: Callable[[], bytes] = bytes) -> Ed25519
     """
     data, status = _read(path)
     if b"PUBLIC KEY" in data:
-        raise SignatureError(f"{path}: is a public key; to sign takes the private one")
+        raise SignatureError(f"{path}: this is a public key; sign with the private one (NAME.key)")
     _check_private(path, status)
     try:
         key = load_pem_private_key(data, passphrase() if ENCRYPTED in data else None)
     except (ValueError, TypeError, UnsupportedAlgorithm):
-        wrong = "not the passphrase of this key" if ENCRYPTED in data else "not a private key (PKCS#8 PEM)"
-        raise SignatureError(f"{path}: {wrong}; `perfbound keygen NAME` makes a key") from None
+        if ENCRYPTED in data:
+            raise SignatureError(f"{path}: not the passphrase of this key; give the right one") from None
+        raise SignatureError(f"{path}: not a private key (PKCS#8 PEM); make one with `perfbound keygen NAME`") from None
     if not isinstance(key, Ed25519PrivateKey):
         raise _another_kind(path)
     return key
@@ -90,7 +91,7 @@ def load_public(path: Path) -> Ed25519PublicKey:
     """
     data, _ = _read(path)
     if b"PRIVATE KEY" in data:
-        raise SignatureError(f"{path}: is a private key; to check takes the public one, and this one is for its owner")
+        raise SignatureError(f"{path}: this is a private key; check with the public one (NAME.pub)")
     try:
         key = load_pem_public_key(data)
     except (ValueError, UnsupportedAlgorithm):
@@ -101,7 +102,7 @@ def load_public(path: Path) -> Ed25519PublicKey:
 
 
 def read_passphrase(path: Path) -> bytes:
-    """Return the first line of a file that is for its owner alone.
+    """Return the first line of a passphrase file, which its owner alone may read.
 
     Raises:
         SignatureError: it cannot be read, others can read it too, or there is no passphrase in it.
@@ -111,33 +112,34 @@ def read_passphrase(path: Path) -> bytes:
     _check_private(path, status)
     line = data.splitlines()[0]
     if not line:
-        raise SignatureError(f"{path}: its first line is empty; the passphrase belongs there")
+        raise SignatureError(f"{path}: its first line is empty; write the passphrase there")
     return line
 
 
 def _another_kind(path: Path) -> SignatureError:
-    return SignatureError(f"{path}: a key of another kind than Ed25519; `perfbound keygen NAME` makes one")
+    return SignatureError(f"{path}: not an Ed25519 key; make one with `perfbound keygen NAME`")
 
 
 def _read(path: Path) -> tuple[bytes, os.stat_result]:
     try:
-        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:  # waits for no pipe
+        # O_NONBLOCK: a pipe in place of the file would block for good.
+        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
             status = os.fstat(file.fileno())
             data = file.read(MAX_FILE + 1) if stat.S_ISREG(status.st_mode) else b""
     except OSError as error:
-        raise SignatureError(f"{path}: {error.strerror}; `perfbound keygen NAME` makes a key") from None
+        raise SignatureError(f"{path}: {error.strerror}; make a key with `perfbound keygen NAME`") from None
     if not 0 < len(data) <= MAX_FILE:
-        raise SignatureError(f"{path}: not a file of 1 to {MAX_FILE} bytes; `perfbound keygen NAME` makes a key")
+        raise SignatureError(f"{path}: not a file of 1 to {MAX_FILE} bytes; make a key with `perfbound keygen NAME`")
     return data, status
 
 
 def _check_private(path: Path, status: os.stat_result) -> None:
-    """Refuse what ssh refuses: our own file that anybody else can open, or another's that everybody can."""
+    """Refuse a file that others can read, by the rule of ssh: of one's own group or all, of another owner all."""
     forbidden = 0o077 if status.st_uid == os.geteuid() else 0o007
     if status.st_mode & forbidden:
         raise SignatureError(
-            f"{path}: others can open this file (mode {status.st_mode & 0o777:04o}); `chmod 600` it, "
-            "and make a new key if somebody may have read this one"
+            f"{path}: others can read this file (mode {status.st_mode & 0o777:04o}); run `chmod 600` on it, "
+            "and make a new key if this one may have been read"
         )
 
 

@@ -1,4 +1,4 @@
-"""The bound of each problem, as its method has it at the end."""
+"""The result of each problem: its bound at the end, its probability and its parameters."""
 
 from typing import Literal
 
@@ -32,6 +32,7 @@ def result(account: Account) -> document.ProblemResult:
     assert last.stopped_by is not None
     problem = plan.problem
     minimum = SENSES[problem.name] == "min"
+    # The method bounds J, and J = -rho for a minimum: its upper bound is a lower one of the objective.
     partner = None if lower is None else round_up(-lower) if minimum else round_down(lower)
     chances = _probabilities(plan)
     return document.ProblemResult(
@@ -63,12 +64,13 @@ def _probabilities(plan: ProblemPlan) -> dict[Literal["gaussian", "sub-gaussian"
     problem = plan.problem
     if isinstance(problem, PaperProblem):
         return {tail: round_down(mills_probability(problem.c, problem.delta, plan.noise, tail)) for tail in TAILS}
+    # Without noise no delta is spent: given B, the bound is certain.
     certain = isinstance(problem, RigorousProblem) and plan.noise == 0
     return {"bound": 1.0 if certain else round_down(1.0 - problem.delta)}
 
 
 def _parameters(plan: ProblemPlan) -> dict[str, object]:
-    """Return everything that was fixed beforehand, defaults written out."""
+    """Return the parameters that were fixed beforehand, with the defaults."""
     problem = plan.problem
     found: dict[str, object] = problem.model_dump(mode="json", exclude_none=True, exclude={"name", "method", "sense"})
     found |= {

@@ -1,4 +1,4 @@
-"""The sentence of every assumption: presentation of its status and values, and no part of what is verified.
+"""The sentence of every assumption: the presentation of its status and values, which `verify` does not compare.
 
 A new assumption is a row of `SENTENCES` and a line in `assumptions.py`. The fields in braces are its values.
 """
@@ -12,164 +12,164 @@ SIGNIFICANT = 6
 
 SENTENCES: dict[str, dict[Status, str]] = {
     "norm_from_tests": {
-        "refuted": "largest |y - m0| = {largest} with B = {rkhs_norm} ({above} of {tests} tests above B) exceeds "
+        "refuted": "{above} of {tests} tests have |y - m0| above B = {rkhs_norm}, and the largest, {largest}, exceeds "
         "{threshold}, the most that B and the noise allow at confidence {confidence}: B, the noise scale or the prior "
-        "mean is wrong and the bound is not proven.",
-        "not refuted": "largest |y - m0| = {largest} with B = {rkhs_norm} ({above} of {tests} tests above B) stays "
-        "within {threshold}, which B and the noise allow at confidence {confidence}; this does not show that B is "
+        "mean is wrong, and the bound is not proven.",
+        "not refuted": "{above} of {tests} tests have |y - m0| above B = {rkhs_norm}, and the largest, {largest}, is "
+        "within {threshold}, which B and the noise allow at confidence {confidence}. This is not evidence that B is "
         "large enough.",
     },
     "norm_from_set": {
-        "refuted": "the observations need a norm of at least {b_min} at confidence {confidence}, and B = {rkhs_norm} "
-        "is below it: B, R, the kernel, the prior mean or the independence is wrong.",
-        "not refuted": "the observations need a norm of at least {b_min} at confidence {confidence}; B = {rkhs_norm} "
-        "leaves a margin of {margin}. This is not evidence for B: a B that is far too small often passes.",
+        "refuted": "the observations need a norm of at least {b_min} at confidence {confidence}, more than "
+        "B = {rkhs_norm}: B, R, the kernel, the prior mean or the independence is wrong.",
+        "not refuted": "the observations need a norm of at least {b_min} at confidence {confidence}, which leaves a "
+        "margin of {margin} below B = {rkhs_norm}. This is not evidence for B: a B that is far too small often passes.",
     },
     "mean_noise": {
-        "assumed": "the mean of {replicates} rollouts per test is assumed to deviate from its expectation like "
-        "sub-Gaussian noise of scale {noise_scale}, a number from the campaign file.",
+        "assumed": "the observation of a test, from {replicates} rollout(s) per variant, is assumed to deviate from "
+        "its expectation like sub-Gaussian noise of scale {noise_scale}, which follows from the campaign file.",
     },
     "noise_range": {
         "derived": "the noise scale per rollout is {noise_scale}, and the clip alone proves {hoeffding} (Hoeffding's "
         "lemma), so it needs no assumption.",
-        "assumed": "the noise scale per rollout is {noise_scale}, and the clip alone proves {hoeffding}: the smaller "
-        "number comes from the campaign file.",
+        "assumed": "the noise scale per rollout is {noise_scale}, a number from the campaign file and smaller than "
+        "{hoeffding}, which the clip alone proves (Hoeffding's lemma).",
     },
     "tail": {
-        "assumed": "the probability of the bound is {gaussian} if the noise is Gaussian, {sub_gaussian} if it is only "
+        "assumed": "the bound has probability {gaussian} if the noise is Gaussian, and {sub_gaussian} if it is only "
         "sub-Gaussian; the first is claimed, so the noise is assumed to be Gaussian.",
-        "derived": "the probability of the bound is {gaussian} if the noise is Gaussian, {sub_gaussian} if it is only "
-        "sub-Gaussian; the second is claimed and needs no more than the noise scale.",
+        "derived": "the bound has probability {gaussian} if the noise is Gaussian, and {sub_gaussian} if it is only "
+        "sub-Gaussian; the second is claimed, so only the noise scale is assumed.",
     },
     "sigma_variance": {
-        "assumed": "the band is scaled by the posterior variance, as the paper prints it; the theorem that the paper "
-        "cites needs the standard deviation, which is larger, so it does not cover this band.",
+        "assumed": "the posterior variance scales the band, as printed in the paper; the theorem that the paper cites "
+        "needs the standard deviation, which is larger, so it does not cover this band.",
     },
     "sigma_std": {
-        "assumed": "the band is scaled by the posterior standard deviation, as the theorem that the paper cites needs "
-        "it; the regulariser decides whether that theorem applies.",
+        "assumed": "the posterior standard deviation scales the band, as in the theorem that the paper cites; whether "
+        "that theorem applies depends on the regulariser.",
     },
     "regulariser_eta": {
-        "assumed": "1 + 2/i is added to the kernel matrix at test i; the theorem that the paper cites is proven for "
-        "one eta fixed beforehand, not for one that changes with i together with a stop that depends on the data.",
+        "assumed": "the kernel matrix gets 1 + 2/i on its diagonal at test i; the theorem that the paper cites is "
+        "proven for one eta fixed beforehand, not for one that changes with i while the stop depends on the data.",
     },
     "regulariser_fixed": {
-        "assumed": "{regulariser} is added to the kernel matrix; the theorem that the paper cites needs 1 + eta, the "
-        "number inside the determinant of beta, so it does not cover this choice.",
+        "assumed": "the kernel matrix gets {regulariser} on its diagonal; the theorem that the paper cites needs "
+        "1 + eta, the number inside the determinant of beta, so it does not cover this choice.",
     },
     "lattice_alone": {
         "assumed": "the {nodes} nodes of a lattice with {resolution} per axis represent the whole box; between nodes "
-        "the objective may be worse by up to {rise} if B = {rkhs_norm} holds, and the bound does not contain this.",
+        "the objective may be worse by up to {rise} if B = {rkhs_norm} is right, and the bound does not contain this.",
     },
     "lattice_refined": {
-        "assumed": "the {nodes} nodes of a lattice with {resolution} per axis, the best one improved in the cells "
-        "around it, represent the whole box; between nodes the objective may be worse by up to {rise} if "
-        "B = {rkhs_norm} holds, and the bound does not contain this.",
+        "assumed": "the {nodes} nodes of a lattice with {resolution} per axis, and a search in the cells around the "
+        "best one, represent the whole box; between nodes the objective may be worse by up to {rise} if "
+        "B = {rkhs_norm} is right, and the bound does not contain this.",
     },
     "certified_box": {
-        "derived": "the largest upper value on the candidates is {candidates_upper}, and covering the box between "
-        "them adds {slack}, which the bound contains.",
+        "derived": "the largest upper value on the candidates is {candidates_upper}, and the cover of the box between "
+        "them adds {slack}; the bound contains both.",
     },
     "finite_space": {
-        "derived": "the claim is about the {starts} listed starts and no others; for these the optimum is exact.",
+        "derived": "the claim covers the {starts} listed starts and no others; over these the optimum is exact.",
     },
     "centred_noise": {
-        "refuted": "each observation is mean - r * sample standard deviation of {replicates} rollouts, and the sample "
-        "standard deviation is too small on average (by {percent} % if the robustness is Gaussian), so the "
-        "observations promise more than the true risk: the unsafe side.",
+        "refuted": "each observation is mean - r * sample standard deviation of {replicates} rollouts, which is too "
+        "high on average, because the sample standard deviation is too small (by {percent} % if the robustness is "
+        "Gaussian): the error is on the unsafe side.",
     },
     "bounds_agree": {
-        "refuted": "the smallest upper bound is {upper} and the largest lower bound {lower}: they contradict each "
+        "refuted": "the smallest upper bound on J is {upper} and the largest lower bound {lower}: they contradict each "
         "other, so at least one assumption behind them is wrong.",
-        "not refuted": "the smallest upper bound is {upper} and the largest lower bound {lower}, which is not evidence "
-        "for either.",
+        "not refuted": "the smallest upper bound on J is {upper} and the largest lower bound {lower}; that they do not "
+        "contradict each other is not evidence for either.",
     },
     "kernel_ball": {
-        "assumed": "the objective minus the prior mean lies in the ball of radius {rkhs_norm} of the Matern kernel "
-        "with nu = {nu} and length scale {length_scale}: a choice in the campaign file that no data can prove.",
+        "assumed": "the objective minus the prior mean is in the ball of radius {rkhs_norm} of the Matern kernel with "
+        "nu = {nu} and length scale {length_scale}: a choice in the campaign file that no data can prove.",
     },
     "kernel_near": {
-        "assumed": "the objective minus the prior mean is nowhere further than {tau} from the ball of radius "
+        "assumed": "the objective minus the prior mean is everywhere within {tau} of a function in the ball of radius "
         "{rkhs_norm} of the Matern kernel with nu = {nu} and length scale {length_scale}: a choice in the campaign "
         "file that no data can prove.",
     },
     "replicate_spread": {
-        "refuted": "the replicates of {tests} tests have a pooled standard deviation of {sd} per rollout; the noise "
-        "scale is {noise_scale}, and the spread is more than noise of that scale allows at confidence {confidence}.",
-        "assumed": "the replicates of {tests} tests have a pooled standard deviation of {sd} per rollout; the noise "
-        "scale is {noise_scale}, and the spread is above it, a hint that R is too small.",
-        "not refuted": "the replicates of {tests} tests have a pooled standard deviation of {sd} per rollout; the "
-        "noise scale is {noise_scale}, and the spread is not above it, which is not evidence for R.",
+        "refuted": "the replicates of {tests} tests have a pooled standard deviation of {sd} per rollout, more than "
+        "noise of scale {noise_scale} allows at confidence {confidence}.",
+        "assumed": "the replicates of {tests} tests have a pooled standard deviation of {sd} per rollout, above the "
+        "noise scale {noise_scale}: a hint, and no proof, that R is too small.",
+        "not refuted": "the replicates of {tests} tests have a pooled standard deviation of {sd} per rollout, not "
+        "above the noise scale {noise_scale}, which is not evidence for R.",
     },
     "no_replicates": {
-        "assumed": "no test has two replicates, so nothing was compared with the noise scale.",
+        "assumed": "no test has two replicates, so no data were compared with the noise scale.",
     },
     "deterministic": {
-        "refuted": "at {differing} of {repeated} repeated places the values differ although R = 0 says that the "
+        "refuted": "at {differing} of {repeated} repeated places the values differ, although R = 0 means that the "
         "variant is deterministic: give R > 0.",
-        "not refuted": "the values at {repeated} repeated places agree bit by bit, as R = 0 demands.",
+        "not refuted": "the values at all {repeated} repeated places agree bit by bit, as R = 0 requires.",
         "assumed": "R = 0 comes from the campaign file, and no place was repeated to test it.",
     },
     "deterministic_nominal": {
         "refuted": "the replicates of a test share one nominal rollout, because the system declares that variant "
-        "deterministic; in nominal_robustness, the values at {differing} of {repeated} repeated places differ.",
+        "deterministic, but in nominal_robustness the values at {differing} of {repeated} repeated places differ.",
         "not refuted": "the replicates of a test share one nominal rollout, because the system declares that variant "
-        "deterministic; in nominal_robustness, the values at {repeated} repeated places agree bit by bit.",
+        "deterministic; in nominal_robustness the values at all {repeated} repeated places agree bit by bit.",
         "assumed": "the replicates of a test share one nominal rollout, because the system declares that variant "
-        "deterministic; nothing was repeated to test it.",
+        "deterministic; no rollout was repeated to test it.",
     },
     "lipschitz_column": {
-        "refuted": "for some pair of rollouts the robustness differs by {excess} more than L times the gap, so L or "
-        "the column is wrong and the composition does not follow.",
-        "assumed": "robustness is assumed to change by at most L = {lipschitz} times the largest difference in "
-        "{column}; all pairs of rollouts obey it, which is not evidence for the others.",
+        "refuted": "for some pair of rollouts the robustness differs by {excess} more than L times the gap: L or the "
+        "column is wrong, and the composition does not follow.",
+        "assumed": "the robustness is assumed to change by at most L = {lipschitz} times the largest difference in "
+        "{column}; all simulated pairs of rollouts obey this, which is not evidence for other pairs.",
     },
     "lipschitz_predicates": {
-        "refuted": "for some pair of rollouts the robustness differs by {excess} more than the gap, so the composition "
+        "refuted": "for some pair of rollouts the robustness differs by {excess} more than the gap: the composition "
         "does not follow.",
-        "derived": "the gap dominates the difference of every min/max robustness, so that L = 1 needs no assumption; "
-        "all pairs of rollouts obey it.",
+        "derived": "the gap bounds the difference of every min/max robustness, so L = 1 needs no assumption; all "
+        "simulated pairs of rollouts obey this.",
     },
     "lipschitz_itself": {
-        "refuted": "for some pair of rollouts the robustness differs by {excess} more than the gap, so the composition "
+        "refuted": "for some pair of rollouts the robustness differs by {excess} more than the gap: the composition "
         "does not follow.",
-        "derived": "the gap is the difference of the robustness itself, so that L = 1 needs no assumption; all pairs "
-        "of rollouts obey it.",
+        "derived": "the gap is the difference of the robustness itself, so L = 1 needs no assumption; all simulated "
+        "pairs of rollouts obey this.",
     },
     "linearised": {
-        "derived": "the risk is bounded by an expectation with the constants {centre} and {spread}, fixed beforehand: "
-        "any constants are valid, good ones lose less. The limit of the bound is not above the risk.",
+        "derived": "an expectation with the constants {centre} and {spread}, fixed beforehand, bounds the risk: every "
+        "choice of them is valid, and a good one loses less. The limit of the bound is not above the risk.",
     },
     "independent_rollouts": {
-        "derived": "the {rollouts} rollouts have seeds of their own, and those of one start differ in nothing else; "
-        "the bound needs no more of the noise than this and the clip.",
+        "derived": "the {rollouts} rollouts have different seeds, and those of one start differ in nothing else; of "
+        "the noise, the bound needs only this and the clip.",
     },
     "one_law_per_start": {
-        "refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence; they contradict "
-        "each other, so the rollouts of a start do not have one law.",
-        "not refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence; that they "
-        "agree is not evidence.",
+        "refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence: they contradict "
+        "each other, so the rollouts of one start do not have one law.",
+        "not refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence; that they do "
+        "not contradict each other is not evidence.",
     },
     "clip": {
-        "derived": "of {values} robustness values {at_low} are at the lower clip {low} and {at_high} at the upper clip "
-        "{high}: every claim is about the clipped robustness, and it does not cover what lies beyond a clip.",
+        "derived": "{at_low} of {values} robustness values are at the lower clip {low}, {at_high} at the upper clip "
+        "{high}; every claim is about the clipped robustness, so it does not distinguish values beyond a clip.",
     },
     "finite_rollouts": {
-        "derived": "all {rollouts} rollouts behind the bounds are finite, and none was dropped or drawn again because "
-        "of its outcome: one that is never finite ends the campaign without a certificate.",
+        "derived": "all {rollouts} rollouts behind the bounds are finite, and none was dropped or repeated because of "
+        "its outcome: a rollout that never becomes finite ends the campaign without a certificate.",
     },
     "independence": {
-        "derived": "the probabilities of nominal_robustness and sim_gap are multiplied: each proposes and stops from "
-        "its own observations alone, and its rollouts have seeds of their own.",
+        "derived": "the probabilities of nominal_robustness and sim_gap are multiplied: each problem proposes and "
+        "stops from its own observations alone, and its rollouts have their own seeds.",
     },
     "accounting": {
-        "derived": "the failure probabilities of nominal_robustness and sim_gap are added, which is right however the "
-        "problems depend on each other.",
+        "derived": "the failure probabilities of nominal_robustness and sim_gap are added, which is valid whatever the "
+        "dependence between the problems.",
     },
     "fixed_beforehand": {
         "assumed": "norm bounds, noise scales, kernels, prior means, constants, replicates, budgets and the seed are "
-        "assumed to be chosen without knowledge of rollouts with these seeds: a campaign that was changed after its "
-        "results were seen needs a new seed.",
+        "assumed to be chosen without knowledge of rollouts with these seeds: a campaign file that was changed after "
+        "its results were known needs a new seed.",
     },
     "workers_honest": {
         "assumed": "the trajectories that the workers send are assumed to come from the simulator; robustness and gaps "
@@ -182,7 +182,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
 def assumption(
     name: str, status: Status, values: Mapping[str, float | int | str] | None = None, *, form: str | None = None
 ) -> Assumption:
-    """Return an assumption with its sentence; `form` names it where one assumption has several."""
+    """Return an assumption with its sentence; `form` is the row of `SENTENCES` where it is not the id's first part."""
     rounded = {key: _rounded(value) for key, value in (values or {}).items()}
     words = {key: f"{value:.{SIGNIFICANT}g}" if isinstance(value, float) else value for key, value in rounded.items()}
     sentence = SENTENCES[form or name.partition("/")[0]][status]

@@ -1,10 +1,10 @@
-"""Sign a certificate, and check a signature: Ed25519 over a DSSE envelope, `certificate.dsse.json`.
+"""The signature of a certificate: Ed25519 over a DSSE envelope, `certificate.dsse.json`.
 
-What is signed is PAE(payload type, payload), the payload being the exact bytes of `certificate.json`: nothing has to
-be understood before the signature holds. Ed25519 is deterministic: the same key and certificate give the same bytes.
+The signature covers PAE(payload type, payload), where the payload is the exact bytes of `certificate.json`: no parser
+reads them before the signature is verified. Ed25519 is deterministic: the same key and certificate give the same bytes.
 
-Deviation from DSSE: an envelope with a field that version 1 does not have is refused, where a reader is told to ignore
-the field. Nothing of an accepted envelope is without meaning, so that any flipped bit of it is noticed.
+Deviation from DSSE: the protocol has readers ignore unknown fields; here an envelope with one is refused. Every byte of
+an accepted envelope has a meaning, so any flipped bit of it is detected.
 """
 
 import base64
@@ -23,26 +23,14 @@ from ...schemas import atomic
 from ...schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from ...schemas.errors import EvidenceError, SignatureError
 from . import files
-from .keys import key_id, load_private, load_public, new_pair
-
-__all__ = [
-    "SignatureError",
-    "key_id",
-    "load_private",
-    "load_public",
-    "new_pair",
-    "pae",
-    "sign",
-    "sign_certificate",
-    "verify",
-]
+from .keys import key_id
 
 MAX_ENVELOPE = 16 * 1024 * 1024
 """Bytes of an envelope; a certificate with 1000 starts has less than one of them."""
 
 
 def pae(payload_type: str, payload: bytes) -> bytes:
-    """Return what a signature is over: the pre-authentication encoding of DSSE version 1.
+    """Return the bytes that are signed: the pre-authentication encoding (PAE) of DSSE version 1.
 
     >>> pae("http://example.com/HelloWorld", b"hello world")
     b'DSSEv1 29 http://example.com/HelloWorld 11 hello world'
@@ -53,9 +41,10 @@ def pae(payload_type: str, payload: bytes) -> bytes:
 
 def sign(payload: bytes, key: Ed25519PrivateKey, others: Sequence[Signature] = ()) -> bytes:
     """Return the envelope of `payload`, signed with `key` besides the signatures of `others`."""
+    # An older signature by the same key is replaced in its place: signing twice gives the same bytes.
     own = key_id(key.public_key())
     made = Signature(keyid=own, sig=_encode(key.sign(pae(PAYLOAD_TYPE, payload))))
-    signatures = [made if each.keyid == own else each for each in others]  # an older one by this key keeps its place
+    signatures = [made if each.keyid == own else each for each in others]
     envelope = DsseEnvelope(
         payload=_encode(payload),
         payloadType=PAYLOAD_TYPE,
@@ -64,35 +53,38 @@ def sign(payload: bytes, key: Ed25519PrivateKey, others: Sequence[Signature] = (
     return (json.dumps(envelope.model_dump(mode="json"), indent=1, sort_keys=True) + "\n").encode()
 
 
-def verify(envelope: bytes, public_key: Ed25519PublicKey) -> bytes:
-    """Return the payload of an envelope that `public_key` signed, byte by byte what was signed.
+def signed_payload(envelope: bytes, public_key: Ed25519PublicKey) -> bytes:
+    """Return the payload of an envelope, byte by byte as `public_key` signed it.
 
     Raises:
-        SignatureError: it is no envelope, not of a certificate, signed by others only, or was changed.
+        SignatureError: it is no envelope, not of a certificate, only signed by other keys, or was changed.
 
     """
     found = _parse(envelope)
+    # The type is signed as well, so a signature over other content of this key proves nothing here.
     if found.payloadType != PAYLOAD_TYPE:
-        raise SignatureError(f"the envelope holds {found.payloadType!r}, not {PAYLOAD_TYPE}: it is of something else")
+        raise SignatureError(f"the envelope contains {found.payloadType!r}, not {PAYLOAD_TYPE}; give a certificate's")
     payload, own = _decode(found.payload, "payload"), key_id(public_key)
+    # DSSE: a key id is an unauthenticated hint. It may be empty, and only the signature itself decides.
     claimed = [each for each in found.signatures if each.keyid in ("", own)]
     if not claimed:
         others = ", ".join(f"{each.keyid[:16]}..." for each in found.signatures[:3])
         raise SignatureError(f"no signature by key {own[:16]}..., only by {others}; give the signer's public key")
     message = pae(found.payloadType, payload)
-    if not any(_holds(public_key, each, message) for each in claimed):
+    if not any(_is_signature(public_key, each, message) for each in claimed):
         raise SignatureError(
-            f"the signature by key {own[:16]}... does not fit the certificate in the envelope: one of them was changed"
+            f"the signature by key {own[:16]}... does not fit the certificate in the envelope: one of them was "
+            "changed; ask the signer for the original"
         )
     return payload
 
 
 def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
-    """Sign the certificate in `directory`; signatures by other keys stay. Return where the envelope is.
+    """Sign the certificate in `directory` and return the path of the envelope; signatures by other keys stay.
 
     Raises:
-        EvidenceError: there is no certificate, it is damaged, or it is not about the manifest beside it.
-        SignatureError: an envelope is there already, of another certificate.
+        EvidenceError: there is no certificate, it is damaged, or it does not match the manifest beside it.
+        SignatureError: the directory has an envelope of another certificate.
         OSError: the disk is full or the directory cannot be written.
 
     """
@@ -104,33 +96,33 @@ def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
 
 
 def _certificate(directory: Path) -> bytes:
-    """Return the bytes of a certificate that belongs where it stands: nobody signs a mistake."""
+    """Return the bytes of the certificate, after checking that it matches the manifest beside it."""
     path, manifest = directory / files.CERTIFICATE, directory / files.MANIFEST
     found = files.read(directory)
     if found is None:
         raise EvidenceError(f"{directory}: no {path.name} to sign; finish the campaign with `perfbound resume` first")
     if hashlib.sha256(manifest.read_bytes()).hexdigest() != found.predicate.evidence.manifest_sha256:
-        raise EvidenceError(f"{path}: is not about the {manifest.name} beside it; restore both from a copy")
+        raise EvidenceError(f"{path}: does not match the {manifest.name} beside it; restore both from a copy")
     return path.read_bytes()
 
 
 def _others(path: Path, payload: bytes) -> tuple[Signature, ...]:
-    """Return the signatures that stand in the envelope at `path` already."""
+    """Return the signatures of the envelope that is at `path` already."""
     if not path.exists():
         return ()
     try:
         found = _parse(path.read_bytes())
         same = found.payloadType == PAYLOAD_TYPE and _decode(found.payload, "payload") == payload
     except SignatureError as error:
-        raise SignatureError(f"{path}: {error}; remove it to sign anew") from None
+        raise SignatureError(f"{path}: {error}; remove it and sign again") from None
     if not same:
-        raise SignatureError(f"{path}: holds another certificate than {files.CERTIFICATE}; remove it to sign anew")
+        raise SignatureError(f"{path}: is not of {files.CERTIFICATE}; remove it and sign again")
     if len(found.signatures) == MAX_SIGNATURES:
-        raise SignatureError(f"{path}: has {MAX_SIGNATURES} signatures already; remove it to sign anew")
+        raise SignatureError(f"{path}: has {MAX_SIGNATURES} signatures already; remove it and sign again")
     return found.signatures
 
 
-def _holds(public_key: Ed25519PublicKey, signature: Signature, message: bytes) -> bool:
+def _is_signature(public_key: Ed25519PublicKey, signature: Signature, message: bytes) -> bool:
     try:
         public_key.verify(_decode(signature.sig, "a signature"), message)
     except InvalidSignature:
@@ -139,9 +131,9 @@ def _holds(public_key: Ed25519PublicKey, signature: Signature, message: bytes) -
 
 
 def _parse(envelope: bytes) -> DsseEnvelope:
-    """Read an envelope, believing nothing."""
+    """Read an untrusted envelope."""
     if len(envelope) > MAX_ENVELOPE:
-        raise SignatureError(f"more than {MAX_ENVELOPE} bytes; that is no envelope of a certificate")
+        raise SignatureError(f"not an envelope of a certificate: more than {MAX_ENVELOPE} bytes")
     try:
         return DsseEnvelope.model_validate(json.loads(envelope.decode(), object_pairs_hook=_once))
     except ValidationError as error:
@@ -153,10 +145,10 @@ def _parse(envelope: bytes) -> DsseEnvelope:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Refuse a key that stands twice: readers would disagree on which one counts."""
+    """Refuse a repeated key: readers disagree on which one counts."""
     found = dict(pairs)
     if len(found) < len(pairs):
-        raise ValueError("a key stands in it twice")
+        raise ValueError("a key is repeated")
     return found
 
 
@@ -171,4 +163,4 @@ def _decode(text: str, name: str) -> bytes:
             data = base64.b64decode(text, signs, validate=True)
             if base64.b64encode(data, signs).decode() == text:
                 return data
-    raise SignatureError(f"{name} of the envelope is not base64; it was changed")
+    raise SignatureError(f"{name} of the envelope is not base64; ask the signer for the original")

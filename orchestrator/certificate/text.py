@@ -1,13 +1,13 @@
 """A certificate as text: refuted assumptions first, then the claim, its problems and its other assumptions.
 
-Numbers are rounded outward, so that no line promises more than the certificate does. Everything is printed as plain
-text with styles, never as markup: names, paths and formulas may hold brackets.
+Bounds are rounded outward, so that no line promises more than the certificate. Everything is printed as plain text with
+styles, never as markup: names, paths and formulas may contain brackets.
 """
 
 import math
 import shlex
 import textwrap
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Sized
 from pathlib import Path
 
 from rich.console import Console
@@ -23,11 +23,11 @@ QUANTITIES = {
     "J_star": "J* (maximum of the expectation)",
 }
 
-BUDGET = {
-    "paper": "the bound contains the difference",
-    "rigorous": "the bound holds all the same",
-    "scenario": "the bound holds all the same",
-}
+VALID = "the bound is valid at every moment"
+BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
+"""The reason, by method, why a problem that ended by its budget has a bound."""
+NAME = 22
+"""Columns of the name of an assumption; the longest is `deterministic_nominal`."""
 
 
 def outward(bound: float, sense: str) -> str:
@@ -38,6 +38,7 @@ def outward(bound: float, sense: str) -> str:
     """
     scaled = bound * 10**DIGITS
     nearest = round(scaled)
+    # A bound that has four digits, but for the last bits of a float, keeps them.
     if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):
         nearest = math.floor(scaled) if sense == ">=" else math.ceil(scaled)
     return f"{nearest / 10**DIGITS:.{DIGITS}f}"
@@ -50,20 +51,13 @@ def print_certificate(certificate: Certificate, console: Console) -> None:
     if broken:
         _heading(console, f"REFUTED, by the data of this campaign or by derivation: {_count(broken)}", "bold red")
         _assumptions(broken, console)
-    for number, claim in enumerate(predicate.claims):
-        _claim(
-            claim,
-            predicate.composition if number == 0 else None,
-            list(claim.refuted),
-            console,
-            first=number == 0,
-        )
+    first_claim(certificate, console)
+    for claim in predicate.claims[1:]:
+        _claim("also", claim, None, console)
     if len(predicate.claims) > 1:
         console.print()
-        _line(
-            console, "The first claim was chosen beforehand. Each holds with its own probability; if you pick the best"
-        )
-        _line(console, "best claim afterwards, its failure probability is the sum of all their failure probabilities.")
+        _line(console, "The first claim was chosen beforehand. Each has its own probability; if you pick the best")
+        _line(console, "claim afterwards, its failure probability is the sum of all their failure probabilities.")
     _heading(console, "Problems", "bold")
     for problem in predicate.problems:
         _problem(problem, console)
@@ -71,17 +65,16 @@ def print_certificate(certificate: Certificate, console: Console) -> None:
     _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
 
 
-def assumptions(certificate: Certificate, console: Console) -> None:
+def print_assumptions(certificate: Certificate, console: Console) -> None:
     """Print every assumption."""
     _heading(console, "Assumptions", "bold")
-    _assumptions(list(certificate.predicate.assumptions), console)
+    _assumptions(certificate.predicate.assumptions, console)
 
 
 def first_claim(certificate: Certificate, console: Console) -> None:
     """Print the claim that was chosen beforehand."""
-    predicate = certificate.predicate
-    claim = predicate.claims[0]
-    _claim(claim, predicate.composition, list(claim.refuted), console, first=True)
+    # The terms of a composition are those of the first claim; the others have none in the certificate.
+    _claim("CLAIM", certificate.predicate.claims[0], certificate.predicate.composition, console)
 
 
 def print_files(directory: Path, console: Console) -> None:
@@ -100,26 +93,22 @@ def print_files(directory: Path, console: Console) -> None:
     _line(console, f"  verify with  perfbound verify {shlex.quote(str(directory))}")
 
 
-def _claim(claim: Claim, composition: Composition | None, broken: list[str], console: Console, *, first: bool) -> None:
-    what = f"{QUANTITIES[claim.quantity]} {claim.sense} {outward(claim.bound, claim.sense)}"
-    _heading(console, f"{'CLAIM' if first else 'also'}  {what}", "bold")
-    _line(
-        console,
-        f"       with probability at least {outward(claim.probability, '>=')} "
-        f"(method {claim.method}, {_rule(claim)}{_count(claim.assumptions)})",
-    )
+def _claim(title: str, claim: Claim, composition: Composition | None, console: Console) -> None:
+    bound, probability = outward(claim.bound, claim.sense), outward(claim.probability, ">=")
+    _heading(console, f"{title}  {QUANTITIES[claim.quantity]} {claim.sense} {bound}", "bold")
+    rule = "" if claim.rule == "single" else f"{claim.rule} rule, "
+    source = f"method {claim.method}, {rule}{_count(claim.assumptions)}"
+    _line(console, f"       with probability at least {probability} ({source})")
     if composition is not None:
-        _line(
-            console,
-            f"       = {composition.nominal_bound:.4f} (nominal) - {composition.gap_term:.4f} (gap) "
-            f"- {composition.risk_term:.4f} (risk)",
-        )
-    if broken:
-        _line(console, f"       It rests on {_count(broken)} REFUTED: do not rely on it.", "bold red")
+        terms = f"{_minus(composition.gap_term)} (gap) {_minus(composition.risk_term)} (risk)"
+        _line(console, f"       = {composition.nominal_bound:.4f} (nominal) {terms}")
+    if claim.refuted:
+        _line(console, f"       It rests on {_count(claim.refuted)} REFUTED: do not rely on it.", "bold red")
 
 
-def _rule(claim: Claim) -> str:
-    return "" if claim.rule == "single" else f"{claim.rule} rule, "
+def _minus(term: float) -> str:
+    """Return a term that is subtracted, with one sign."""
+    return f"{'-' if term >= 0 else '+'} {abs(term):.4f}"
 
 
 def _problem(problem: ProblemResult, console: Console) -> None:
@@ -132,40 +121,33 @@ def _problem(problem: ProblemResult, console: Console) -> None:
         "refuted": "REFUTED: the data contradict the assumptions, so this bound proves nothing",
     }[problem.stopped_by]
     _line(console, f"  {problem.name}", "bold")
-    _line(
-        console,
-        f"    {problem.objective} {sense} {outward(problem.bound, sense)}, "
-        f"probability {outward(problem.probability, '>=')}",
-    )
+    bound, probability = outward(problem.bound, sense), outward(problem.probability, ">=")
+    _line(console, f"    {problem.objective} {sense} {bound}, probability {probability}")
     rollouts = f"{problem.rollouts.nominal} nominal and {problem.rollouts.true} true rollouts"
     _line(console, f"    {problem.tests} tests with {rollouts}")
     _line(console, f"    {end}", "" if problem.stopped_by == "converged" else "yellow")
 
 
 def _left(problem: ProblemResult) -> str:
-    """Return how far the bound may be from the optimum."""
+    """Return the largest distance between the bound and the optimum, as far as the method has one."""
     if problem.last_F is not None:
         return f"F = {problem.last_F:.4f}"
     width = abs((problem.partner or 0.0) - problem.bound)
     return f"{'possible gain by more rollouts' if problem.method == 'scenario' else 'upper - lower'} = {width:.4f}"
 
 
-def _assumptions(assumptions: list[Assumption], console: Console) -> None:
+def _assumptions(assumptions: Iterable[Assumption], console: Console) -> None:
     """Print assumptions problem by problem, with hanging indents."""
-    for group, members in _grouped(assumptions):
-        _line(console, f"  {group}", "bold")
-        for name, each in members:
-            head = Text(f"    {name:<20}")
-            head.append(f"{each.status:<12}", COLOURS.get(each.status, "yellow"))
-            _hanging(console, head, each.detail)
-
-
-def _grouped(assumptions: Iterable[Assumption]) -> Iterator[tuple[str, list[tuple[str, Assumption]]]]:
     groups: dict[str, list[tuple[str, Assumption]]] = {}
     for each in assumptions:
         name, _, problem = each.id.partition("/")
         groups.setdefault(problem or "whole campaign", []).append((name, each))
-    yield from groups.items()
+    for group, members in groups.items():
+        _line(console, f"  {group}", "bold")
+        for name, each in members:
+            head = Text(f"    {name:<{NAME}}")
+            head.append(f"{each.status:<12}", COLOURS.get(each.status, "yellow"))
+            _hanging(console, head, each.detail)
 
 
 def _hanging(console: Console, head: Text, body: str) -> None:

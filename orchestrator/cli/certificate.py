@@ -29,7 +29,7 @@ def verify(*, path: Path, key: Path | None, again: int, as_json: bool) -> None:
     from ..certificate.verify import run, table  # noqa: PLC0415
 
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        found = run.verify(path, key=key, again=again, report=table.stage_bars(progress))
+        found = run.verify_certificate(path, key=key, again=again, report=table.stage_bars(progress))
     if as_json:
         click.echo(table.as_json(found))
     else:

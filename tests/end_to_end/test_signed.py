@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.certificate import sign
+from perfbound.orchestrator.certificate import keys, sign
+from perfbound.schemas.errors import SignatureError
 from tests.campaigns import FOLDER
 from tests.end_to_end.processes import Processes, processes, recorded, wait_for, write_campaign
 
@@ -25,8 +26,8 @@ def signers(directory: Path, folder: Path) -> str:
     envelope, found = (directory / "certificate.dsse.json").read_bytes(), ""
     for name in "ab":
         try:
-            payload = sign.verify(envelope, sign.load_public(folder / f"{name}.pub"))
-        except sign.SignatureError:
+            payload = sign.signed_payload(envelope, keys.load_public(folder / f"{name}.pub"))
+        except SignatureError:
             continue
         assert payload == (directory / "certificate.json").read_bytes()
         found += name
@@ -65,5 +66,5 @@ def test_a_key_that_cannot_sign_starts_nothing(here: Processes) -> None:
     (here.folder / "a.key").chmod(0o644)
     ended = here.run("perfbound", "run", FOLDER / "test-function.toml", "--out", "run", "--sign", "a.key")
     assert ended.code == 1
-    assert ended.fault.startswith("perfbound: a.key: others can open this file (mode 0644); `chmod 600` it")
+    assert ended.fault.startswith("perfbound: a.key: others can read this file (mode 0644); run `chmod 600` on it")
     assert not (here.folder / "run").exists()

@@ -11,7 +11,7 @@ Status = Literal["passed", "failed", "skipped"]
 
 CHECKS = {
     "signature": "the certificate was signed with this key",
-    "certificate": "the certificate has the form and the text that perfbound writes",
+    "certificate": "the certificate has the form and the bytes that perfbound writes",
     "header": "the campaign file and the specification of the system are those of the certificate, and fit each other",
     "manifest": "the manifest is the one that the certificate names",
     "files": "every file of the manifest exists and is unchanged",
@@ -58,7 +58,7 @@ class CheckFailed(Exception):  # noqa: N818  (an outcome of a verification, and 
 
 @dataclass(slots=True)
 class Checks:
-    """The results so far."""
+    """The checks of one verification so far; the first result of a check counts."""
 
     found: dict[str, Check] = field(default_factory=dict)
 
@@ -71,11 +71,11 @@ class Checks:
         self._add(Check(name, "failed", detail))
 
     def skipped(self, name: str, detail: str) -> None:
-        """Add a check that could not be made, or was not requested."""
+        """Add a check that was impossible or not requested."""
         self._add(Check(name, "skipped", detail))
 
     def judge(self, name: str, fault: str | None, detail: str) -> None:
-        """Add a check that failed if there is a fault."""
+        """Add a check, which failed if there is a fault."""
         if fault is None:
             self.passed(name, detail)
         else:
@@ -93,14 +93,15 @@ class Checks:
             yield
         except CheckFailed:
             raise
+        # Fail closed: a forger controls every byte that is read inside, and so every exception.
         except Exception as error:
             text = str(error).partition("\n")[0][:200]
-            raise CheckFailed(
-                name, text if isinstance(error, PerfboundError) else f"{type(error).__name__}: {text}"
-            ) from error
+            known = isinstance(error, PerfboundError)
+            raise CheckFailed(name, text if known else f"{type(error).__name__}: {text}") from error
 
     def _add(self, check: Check) -> None:
         assert check.name in CHECKS
+        # One line: a detail may quote untrusted text, and could forge further lines of the table.
         self.found.setdefault(check.name, replace(check, detail=one_line(check.detail)))
 
     def lines(self) -> tuple[Check, ...]:

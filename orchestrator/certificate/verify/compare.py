@@ -1,10 +1,10 @@
-"""Comparison of the facts that follow from the evidence with the tables of the database and the certificate.
+"""The comparison of recomputed facts with the recorded ones: the tables of the database and the certificate.
 
-Numbers are the same up to `ROUND_OFF`, because another CPU computes other last digits; everything else is equal.
+Computed numbers may differ by `ROUND_OFF`, because another CPU computes other last digits; everything else is equal.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -28,61 +28,42 @@ SIX_DIGITS = 1e-5
 """Of a value of an assumption, which has six digits."""
 
 
-def difference(
-    ours: Any, theirs: Any, where: str = "", *, same: Callable[[Any, Any], bool] | None = None
-) -> str | None:
+ABSENT = "(nothing)"
+
+
+def difference(recomputed: Any, recorded: Any, where: str = "", *, tolerance: float = ROUND_OFF) -> str | None:
     """Return the first place in which two JSON values differ, and both sides; None if they are the same.
 
-    `same` compares what is neither a list nor an object: `identical`, `computed` (the default) or `six_digits`.
+    Two floats are the same if they are finite and within `tolerance`, absolutely or relatively; with tolerance 0 if
+    they are equal. Other values must be equal and of one type: 1, 1.0 and true differ.
 
     >>> difference({"a": [1.0, "x"]}, {"a": [1.0, "y"]})
     'a[1] is "y", the evidence gives "x"'
     """
-    same = same or computed
-    if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
-        keys = [*ours, *(key for key in theirs if key not in ours)]
-        inside = (
-            difference(
-                ours.get(key, ABSENT), theirs.get(key, ABSENT), f"{where}.{key}" if where else str(key), same=same
-            )
-            for key in keys
-        )
-        return next((found for found in inside if found), None)
-    if _is_list(ours) and _is_list(theirs) and len(ours) == len(theirs):
-        pairs = enumerate(zip(ours, theirs, strict=True))
-        return next((d for k, (a, b) in pairs if (d := difference(a, b, f"{where}[{k}]", same=same))), None)
-    return None if same(ours, theirs) else f"{where} is {_text(theirs)}, the evidence gives {_text(ours)}"
-
-
-ABSENT = "(nothing)"
+    if isinstance(recomputed, Mapping) and isinstance(recorded, Mapping):
+        # Keys of both sides: a forger may leave out a field as well as add one.
+        keys = [*recomputed, *(key for key in recorded if key not in recomputed)]
+        pairs = [
+            (f".{key}" if where else str(key), recomputed.get(key, ABSENT), recorded.get(key, ABSENT)) for key in keys
+        ]
+    elif _is_list(recomputed) and _is_list(recorded) and len(recomputed) == len(recorded):
+        pairs = [(f"[{k}]", a, b) for k, (a, b) in enumerate(zip(recomputed, recorded, strict=True))]
+    elif _same(recomputed, recorded, tolerance):
+        return None
+    else:
+        return f"{where} is {_text(recorded)}, the evidence gives {_text(recomputed)}"
+    inside = (difference(a, b, where + name, tolerance=tolerance) for name, a, b in pairs)
+    return next((found for found in inside if found), None)
 
 
 def _is_list(value: object) -> bool:
     return isinstance(value, list | tuple)
 
 
-def identical(a: Any, b: Any) -> bool:
-    """Whether two values are the same, and of the same kind: 1, 1.0 and true differ."""
+def _same(a: Any, b: Any, tolerance: float) -> bool:
+    if tolerance and isinstance(a, float) and isinstance(b, float):
+        return math.isfinite(a) and math.isfinite(b) and math.isclose(a, b, rel_tol=tolerance, abs_tol=tolerance)
     return type(a) is type(b) and bool(a == b)
-
-
-def computed(a: Any, b: Any) -> bool:
-    """Whether two values are the same where another CPU may have computed other last digits of a float."""
-    if isinstance(a, float) and isinstance(b, float):
-        return close(a, b, ROUND_OFF)
-    return identical(a, b)
-
-
-def six_digits(a: Any, b: Any) -> bool:
-    """Whether two values of an assumption are the same, up to the last digit of a float."""
-    if isinstance(a, float) and isinstance(b, float):
-        return close(a, b, SIX_DIGITS)
-    return identical(a, b)
-
-
-def close(a: float, b: float, tolerance: float) -> bool:
-    """Whether two finite numbers are the same, absolutely or relatively."""
-    return math.isfinite(a) and math.isfinite(b) and math.isclose(a, b, rel_tol=tolerance, abs_tol=tolerance)
 
 
 def _text(value: object) -> str:
@@ -90,9 +71,9 @@ def _text(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def tables(header: Header, ours: Iterable[Fact], stored: UntrustedFacts) -> tuple[str | None, str]:
-    """Compare every table that is there with the facts that follow; return the fault, or None and what was compared."""
-    derived = _by_key(ours)
+def tables(header: Header, recomputed: Iterable[Fact], stored: UntrustedFacts) -> tuple[str | None, str]:
+    """Compare every table with the recomputed facts; return the fault or None, and the tables compared."""
+    derived = _by_key(recomputed)
     compared, gone = [], []
     for name, rows in (
         ("tests", stored.proposals),
@@ -100,6 +81,7 @@ def tables(header: Header, ours: Iterable[Fact], stored: UntrustedFacts) -> tupl
         ("observations", stored.observations),
         ("bounds", stored.bounds),
     ):
+        # The evidence alone is enough: a database that was cut down contradicts nothing.
         if not rows:
             gone.append(name)
             continue
@@ -107,14 +89,14 @@ def tables(header: Header, ours: Iterable[Fact], stored: UntrustedFacts) -> tupl
         fault = _table(header, name, derived, rows)
         if fault:
             return fault, ""
-    left = f"; not there: {', '.join(gone)}" if gone else ""
+    left = f"; missing: {', '.join(gone)}" if gone else ""
     return None, f"{', '.join(compared) or 'nothing'}{left}"
 
 
 def _table(header: Header, name: str, derived: Mapping[object, Fact], rows: Sequence[Fact]) -> str | None:
     written = _by_key(rows)
     if len(written) != len(rows):
-        return f"table {name}: a row is there twice"
+        return f"table {name}: a row is repeated"
     kind = type(rows[0])
     wanted = {key: fact for key, fact in derived.items() if isinstance(fact, kind)}
     for key, fact in wanted.items():
@@ -128,7 +110,8 @@ def _table(header: Header, name: str, derived: Mapping[object, Fact], rows: Sequ
 
 
 def _in_flight(header: Header, derived: Mapping[object, Fact], fact: Fact) -> bool:
-    """Whether this is a rollout of a test that was proposed, and never observed because its problem had stopped."""
+    """Whether this is a rollout of a test that was proposed, and not observed because its problem had stopped."""
+    # It was recorded before the stop, and so depends on the workers; the manifest and the rerun do not have it.
     if not isinstance(fact, RolloutFact):
         return False
     test = f"{fact.rollout.problem}, test {fact.rollout.test}"
@@ -145,7 +128,7 @@ def _label(fact: Fact) -> str:
 
 
 def _values(fact: Fact) -> dict[str, Any]:
-    # The chain is compared by itself: it rests on the last digits of the proposals.
+    # Without the chain, which has a check of its own: it depends on the last digits of the proposals.
     match fact:
         case ProposalFact(proposal=chosen):
             return asdict(chosen)
@@ -157,19 +140,18 @@ def _values(fact: Fact) -> dict[str, Any]:
             return asdict(fact)
 
 
-def chain_head(header: Header, ours: Sequence[Fact], proposals: Sequence[ProposalFact]) -> str:
-    """Return the head of the hash chain over what follows from the evidence.
-
-    The numbers of the proposals are those that were written down, if they were: their last digits depend on the CPU.
-    """
-    written = {(fact.problem, fact.test): fact for fact in proposals}
-    chosen = {(f.problem, f.test): written.get((f.problem, f.test), f) for f in ours if isinstance(f, ProposalFact)}
+def chain_head(header: Header, recomputed: Sequence[Fact], recorded: Sequence[ProposalFact]) -> str:
+    """Return the head of the hash chain over the recomputed facts, with the numbers of the recorded proposals."""
+    # Their last digits depend on the CPU. Table `tests` is compared with the recomputed ones on its own.
+    written = {(fact.problem, fact.test): fact for fact in recorded}
+    proposals = (fact for fact in recomputed if isinstance(fact, ProposalFact))
+    chosen = {(fact.problem, fact.test): written.get((fact.problem, fact.test), fact) for fact in proposals}
     rollouts: dict[tuple[str, int], list[RolloutFact]] = {}
-    for fact in ours:
+    for fact in recomputed:
         if isinstance(fact, RolloutFact):
             rollouts.setdefault((fact.rollout.problem, fact.rollout.test), []).append(fact)
     links: dict[str, str] = {problem.name: first_link(header, problem.name) for problem in header.config.problems}
-    for fact in ours:
+    for fact in recomputed:
         if isinstance(fact, ObservationFact):
             test = (fact.problem, fact.test)
             links[fact.problem] = next_link(links[fact.problem], chosen[test], rollouts[test], fact.observation)

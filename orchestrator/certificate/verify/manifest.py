@@ -1,4 +1,4 @@
-"""The manifest: the files behind the certificate."""
+"""The manifest of a verification: the trajectory files behind the certificate, and their digests."""
 
 import hashlib
 import re
@@ -14,7 +14,7 @@ from .checks import CheckFailed
 _ROLLOUT = r"[a-z_]{1,40}\.\d{1,9}\.[a-z]{1,10}\.\d{1,6}"
 _LINE = re.compile(rf"([0-9a-f]{{64}})  (trajectories/[a-z_]+/\d{{1,6}}/({_ROLLOUT})\.mcap)")
 SHOWN = 3
-"""Damaged files that are named."""
+"""Damaged files that a failed check names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +34,7 @@ def parse_manifest(text: str) -> Mapping[RolloutId, Entry]:
     """
     found: dict[RolloutId, Entry] = {}
     for number, line in enumerate(text.splitlines(), start=1):
+        # One form only: a path with `..` or a second spelling of a rollout could point at other files.
         match = _LINE.fullmatch(line)
         if match is None or not line.isascii():
             raise CheckFailed("manifest", f"line {number} is not a digest and the path of a trajectory")

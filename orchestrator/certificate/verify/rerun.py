@@ -1,7 +1,7 @@
-"""The campaign decided again, with the trajectories of the manifest in place of workers.
+"""The rerun of a campaign, with the trajectories of the manifest in place of workers.
 
-The same ledger that decided the campaign decides it again: the next test, its observation, the end of a problem. It
-writes nothing. Where the evidence does not fit, `CheckFailed` names the check.
+The ledger that decided the campaign decides it again: the next test, its observation, the end of a problem. It writes
+to memory only. Where the evidence does not fit, `CheckFailed` names the check.
 """
 
 from collections import deque
@@ -22,7 +22,7 @@ from .manifest import Entry
 
 
 class MemoryFactStore:
-    """A fact store in memory, in the order of the facts."""
+    """A fact store in memory; nothing in it survives the process."""
 
     def __init__(self, header: Header) -> None:
         self.header = header
@@ -30,7 +30,7 @@ class MemoryFactStore:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Do nothing: memory is not durable."""
+        """Do nothing: there is nothing to make durable."""
         yield
 
     def add(self, fact: Fact) -> None:
@@ -43,7 +43,7 @@ class MemoryFactStore:
 
 
 class NullFileStore:
-    """A file store that discards every file."""
+    """A file store that discards every file: the manifest has them all."""
 
     def write(self, path: Path, data: bytes) -> None:
         """Discard a file."""
@@ -56,7 +56,7 @@ class NullFileStore:
 
 
 class Rerun:
-    """One campaign, decided again; `facts` and `ledger` follow from the evidence alone."""
+    """One campaign, decided again; `facts` and `ledger` follow from header and evidence alone."""
 
     def __init__(self, directory: Path, header: Header, entries: Mapping[RolloutId, Entry]) -> None:
         self._directory, self._entries = directory, entries
@@ -66,7 +66,7 @@ class Rerun:
         self._columns = tuple(column.name for column in header.spec.columns)
         self._store = MemoryFactStore(header)
         self.ties = 0
-        """Tests for which this machine would have chosen another one of equal value."""
+        """Tests for which this machine chooses another one of equal value."""
         self.ledger = Ledger(directory, self._store, files=NullFileStore(), follow=self._follow)
 
     @property
@@ -95,8 +95,9 @@ class Rerun:
         while waiting:
             rollout = waiting.popleft()
             if rollout not in self._entries:
-                missing.append(rollout)  # legal: in flight when its problem stopped
+                missing.append(rollout)  # legal if its problem stops before it is needed
                 continue
+            # Evidence is what was observed: a file from after the stop could have been chosen by its outcome.
             if rollout.problem in self._stopped():
                 raise CheckFailed("stop", f"{rollout} is in the manifest, but its problem had stopped before it")
             waiting.extend(self._take(rollout))
@@ -106,11 +107,12 @@ class Rerun:
 
     def _check_size(self) -> None:
         """Refuse a campaign whose first tests alone need more rollouts than the manifest has."""
+        # The header is untrusted: 10^9 replicates in it would fill the memory before a file is missing.
         for each in self.ledger.state.problems:
             listed = sum(rollout.problem == each.plan.problem for rollout in self._entries)
             if listed < len(each.plan.rollouts):
                 wanted = f"{len(each.plan.rollouts)} rollouts a test"
-                raise CheckFailed("evidence", f"{each.plan.problem} takes {wanted}, the manifest has {listed} of it")
+                raise CheckFailed("evidence", f"{each.plan.problem} needs {wanted}, the manifest lists {listed}")
 
     def _stopped(self) -> set[str]:
         bounds = {name: account.last_bound for name, account in self.ledger.accounts.items()}
@@ -140,19 +142,18 @@ class Rerun:
             raise CheckFailed("files", str(error)) from None
 
     def _follow(
-        self, problem: str, test: int, ours: Proposal, rival: Callable[[Sequence[float]], Proposal | None]
+        self, problem: str, test: int, recomputed: Proposal, rival: Callable[[Sequence[float]], Proposal | None]
     ) -> Proposal:
-        """Return the recorded test if it was a maximiser, up to the last digits that depend on the CPU."""
+        """Return the recorded test if it is a maximiser up to round-off: another CPU may break a tie otherwise."""
         x = self._start(problem, test)
-        if x is None or x == ours.x:
-            return ours
-        theirs = rival(x)
-        if theirs is None:
-            raise CheckFailed(
-                "proposals", f"{problem}, test {test}: {list(x)} was tested, the maximiser is {list(ours.x)}"
-            )
+        if x is None or x == recomputed.x:
+            return recomputed
+        recorded = rival(x)
+        if recorded is None:
+            found = f"{list(x)} was tested, the maximiser is {list(recomputed.x)}"
+            raise CheckFailed("proposals", f"{problem}, test {test}: {found}")
         self.ties += 1
-        return theirs
+        return recorded
 
     def _start(self, problem: str, test: int) -> tuple[float, ...] | None:
         """Return the start of a test, from the request in its first file."""
@@ -167,9 +168,10 @@ class Rerun:
             raise CheckFailed("trajectories", f"{entry.path}: {error}") from None
 
     def _check_end(self, used: set[RolloutId], missing: Sequence[RolloutId]) -> None:
+        # A campaign cut at a good moment: its rule has not stopped it.
         if not self.ledger.done:
             gone = next(rollout for rollout in missing if rollout.problem not in self._stopped())
-            raise CheckFailed("stop", f"the campaign does not end there: {gone} follows, and the manifest lacks it")
+            raise CheckFailed("stop", f"the campaign does not end there: {gone} is due next, and the manifest lacks it")
         extra = [rollout for rollout in self._entries if rollout not in used]
         if extra:
             raise CheckFailed("evidence", f"{len(extra)} rollouts belong to no observed test: {extra[0]}")

@@ -1,4 +1,4 @@
-"""Re-simulation of random rollouts: a spot check that the workers sent what the simulator computes."""
+"""The re-simulation of random rollouts: a spot check that the trajectories come from the simulator."""
 
 import math
 import random
@@ -21,12 +21,12 @@ from .manifest import Entry
 
 AT_A_TIME = 2
 TOLERANCE = 1e-9
-"""By which numbers of another type of machine may differ."""
+"""The largest difference that another type of machine may cause, in the unit of the column."""
 
 
 @dataclass(frozen=True, slots=True)
 class Resimulation:
-    """What became of one rollout that was simulated again."""
+    """One rollout that was simulated again, compared with its recorded trajectory."""
 
     rollout: RolloutId
     bitwise: bool
@@ -44,6 +44,7 @@ def resimulate(
         PerfboundError: the system cannot be simulated here.
 
     """
+    # From the operating system, after the evidence is fixed: a forger cannot prepare the rollouts that are chosen.
     chooser = random.Random(secrets.randbits(64))  # noqa: S311  (seeded by the operating system)
     chosen = chooser.sample(sorted(entries), min(count, len(entries)))
     found: list[Resimulation] = []
@@ -66,7 +67,7 @@ def _simulate_again(directory: Path, rollout: RolloutId, entry: Entry, folder: P
         return Resimulation(rollout, bitwise=True, difference=0.0)
     distance = _largest_difference(recorded.trajectory, read_mcap(after).trajectory)
     if not distance <= TOLERANCE:
-        raise CheckFailed("resimulation", f"{rollout}: simulated again it differs by up to {distance:.3g}")
+        raise CheckFailed("resimulation", f"{rollout}: simulated again, it differs by up to {distance:.3g}")
     return Resimulation(rollout, bitwise=False, difference=distance)
 
 
@@ -77,14 +78,15 @@ def _largest_difference(a: Trajectory, b: Trajectory) -> float:
 
 
 def spot_check(again: tuple[Resimulation, ...], total: int) -> str:
-    """Return the evidence of the spot check for `workers_honest`, as a sentence."""
+    """Return the finding of the spot check for `workers_honest`, as a sentence."""
     count = len(again)
     same = sum(each.bitwise for each in again)
     how = "bitwise the same" if same == count else f"{same} bitwise the same, the others within {TOLERANCE:g}"
     if count == total:
         return f"all {total} rollouts, {how}: workers_honest is checked"
+    # With a share p of false rollouts, `count` random ones miss them all with probability (1 - p)^count = .05.
     percent = math.ceil(1000 * (1.0 - 0.05 ** (1.0 / count))) / 10
     return (
         f"{count} of {total} rollouts, {how}: workers_honest is spot-checked; if more than {percent:g} % were false, "
-        "this would have been noticed with probability .95"
+        "this check would fail with probability at least .95"
     )

@@ -1,4 +1,4 @@
-"""Verification: every check, in an order in which nothing is read before its digest is known to be right.
+"""The verification of a certificate: all checks, in an order in which no content is read before its digest is checked.
 
 The signature covers the certificate, the certificate names campaign, system and manifest, the manifest the files. The
 campaign is then decided again from the files alone, and compared with the certificate and with the database.
@@ -22,7 +22,7 @@ from . import compare
 from .checks import CheckFailed, Checks
 from .input import VerificationInput, parsed, signed_text
 from .manifest import Entry, check_files, parse_manifest, sha256_of
-from .reissue import compared, reissued
+from .reissue import compared, reissue
 from .rerun import Rerun
 from .resimulate import resimulate, spot_check
 
@@ -32,27 +32,27 @@ Report = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The checks, the certificate if it could be read, and the one that follows from the evidence, if it does."""
+    """The checks, the certificate if it was readable, and the reissued one if the evidence gives one."""
 
     checks: Checks
     certificate: Certificate | None
     reissued: Certificate | None
 
 
-def verify(path: Path, *, key: Path | None, again: int, report: Report) -> Verification:
+def verify_certificate(path: Path, *, key: Path | None, again: int, report: Report) -> Verification:
     """Verify the certificate in `path`; `again` rollouts are simulated again.
 
     Raises:
-        PerfboundError: there is nothing to verify, or the key cannot be read.
+        PerfboundError: there is no certificate, or the key cannot be read.
 
     """
-    found, checks, certificate, own = VerificationInput.of(path), Checks(), None, None
+    given, checks, certificate, reissued = VerificationInput.of(path), Checks(), None, None
     try:
-        certificate = parsed(signed_text(found, key, checks), checks)
-        own = _evidence(found.directory, certificate, checks, again, report)
+        certificate = parsed(signed_text(given, key, checks), checks)
+        reissued = _evidence(given.directory, certificate, checks, again, report)
     except CheckFailed as failed:
         checks.failed(failed.name, str(failed))
-    return Verification(checks, certificate, own)
+    return Verification(checks, certificate, reissued)
 
 
 def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: int, report: Report) -> Certificate:
@@ -73,32 +73,35 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
             _database(rerun, stored, checks)
     _chain(rerun, stored, certificate, checks, same_numerics=same_numerics)
     with checks.making("problems"):
-        own = reissued(rerun)
-        for name, fault, detail in compared(header, own, certificate):
+        reissued = reissue(rerun)
+        for name, fault, detail in compared(header, reissued, certificate):
             checks.judge(name, fault, detail)
     with checks.making("resimulation"):
         _resimulation(directory, entries, again, checks, report)
-    return own
+    return reissued
 
 
 def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header:
-    """Return the first fact; the certificate has the digests of its texts."""
+    """Return the header of the database, whose texts have the digests in the certificate."""
     header = read_untrusted_header(directory)
-    config, theirs = header.config, certificate.predicate.model_dump(mode="json")
-    named = {
+    config, recorded = header.config, certificate.predicate.model_dump(mode="json")
+    campaign = {
         "name": config.name,
         "seed": config.seed,
         "config_sha256": header.config_sha256,
         "system_sha256": header.system_sha256,
     }
-    if certificate.predicate.campaign.system_sha256 is None:  # an older one; the requests and the chain have it
-        named["system_sha256"] = None
-    ours = {"campaign": named, "software": header.software, "question": question(header)}
-    if theirs["rules"] is not None or header.rules != 1:  # an older certificate names no rules: it follows rules 1
-        ours["rules"] = header.rules
-    fault = compare.difference(ours, {key: theirs[key] for key in ours}, same=compare.identical)
+    # A certificate of an earlier perfbound has no digest of the system; the requests and the chain cover it.
+    if certificate.predicate.campaign.system_sha256 is None:
+        campaign["system_sha256"] = None
+    expected = {"campaign": campaign, "software": header.software, "question": question(header)}
+    # It names no rules either: it follows rules 1.
+    if recorded["rules"] is not None or header.rules != 1:
+        expected["rules"] = header.rules
+    fault = compare.difference(expected, {key: recorded[key] for key in expected}, tolerance=0.0)
     if fault:
         raise CheckFailed("header", fault)
+    # The pair is untrusted, and its digests fit: refuse it as a run would, before the mathematics reads it.
     check(config, header.spec, "the campaign")
     checks.passed("header", f"{config.name}, seed {config.seed}, sha256 {header.config_sha256[:16]}...")
     return header
@@ -130,10 +133,11 @@ def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks)
 
 
 def _complete(rerun: Rerun, text: str, certificate: Certificate) -> str | None:
-    ours, named = manifest(rerun.observed()), certificate.predicate.evidence.rollouts
-    if ours.manifest != text:
-        return "its lines are not in their order"
-    return None if ours.rollouts == named else f"the certificate counts {named} rollouts, there are {ours.rollouts}"
+    expected, counted = manifest(rerun.observed()), certificate.predicate.evidence.rollouts
+    if expected.text != text:
+        return "the lines of the manifest are not in the order of problems, tests and rollouts"
+    rollouts = expected.rollouts
+    return None if rollouts == counted else f"the certificate counts {counted} rollouts, the evidence has {rollouts}"
 
 
 def _stored(directory: Path, checks: Checks) -> UntrustedFacts | None:
@@ -147,7 +151,7 @@ def _stored(directory: Path, checks: Checks) -> UntrustedFacts | None:
 def _database(rerun: Rerun, stored: UntrustedFacts, checks: Checks) -> None:
     fault, detail = compare.tables(stored.header, rerun.facts, stored)
     if fault is None and not (stored.proposals or stored.rollouts or stored.observations or stored.bounds):
-        checks.skipped("database", "its tables are empty; everything above follows from the evidence alone")
+        checks.skipped("database", "its tables are empty; every other check needs the evidence alone")
     else:
         checks.judge("database", fault, detail)
 
@@ -156,21 +160,22 @@ def _chain(
     rerun: Rerun, stored: UntrustedFacts | None, certificate: Certificate, checks: Checks, *, same_numerics: bool
 ) -> None:
     proposals = stored.proposals if stored else ()
-    header, named = rerun.ledger.header, certificate.predicate.evidence.chain_head
+    header, recorded = rerun.ledger.header, certificate.predicate.evidence.chain_head
     head = compare.chain_head(header, rerun.facts, proposals)
     complete = len(proposals) >= sum(isinstance(fact, ProposalFact) for fact in rerun.facts)
-    if head == named:
+    if head == recorded:
         checks.passed("chain", f"{head[:16]}...")
     elif complete or same_numerics:
-        checks.failed("chain", f"its head is {head[:16]}..., in the certificate {named[:16]}...")
+        checks.failed("chain", f"its head is {head[:16]}..., in the certificate {recorded[:16]}...")
     else:
         # The last digits of a proposal depend on the CPU and enter the chain; only the table `tests` has them.
-        checks.skipped("chain", "without the table tests it can be compared only where the last digits are the same")
+        checks.skipped("chain", "not comparable on this machine without the table `tests`: the last digits may differ")
 
 
 def _software(header: Header, checks: Checks) -> bool:
-    """Compare the versions; return whether the same numbers are to be expected."""
-    other = [f"{name} {then}, here {now or 'none'}" for name, then, now in other_numerics(header.software, header.spec)]
+    """Compare the versions; return whether they must give the same numbers."""
+    differing = other_numerics(header.software, header.spec)
+    other = [f"{each.name} {each.recorded}, here {each.installed or 'none'}" for each in differing]
     if other:
         checks.skipped("software", f"{', '.join(other)}: numbers were compared to {compare.ROUND_OFF:g}")
     else:
@@ -181,10 +186,11 @@ def _software(header: Header, checks: Checks) -> bool:
 def _resimulation(
     directory: Path, entries: Mapping[RolloutId, Entry], count: int, checks: Checks, report: Report
 ) -> None:
-    """Simulate again; a simulation that was requested and is impossible is a failure: a forger could cause it."""
+    """Simulate rollouts again, if requested."""
     if not count:
         checks.skipped("resimulation", "request it with --resimulate K; workers_honest stays assumed")
         return
+    # An impossible simulation fails the check: a forger could cause it.
     found = resimulate(directory, entries, count, lambda done: report("simulation", done, min(count, len(entries))))
     checks.passed("resimulation", spot_check(found, len(entries)))
 

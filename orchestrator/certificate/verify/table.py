@@ -32,7 +32,7 @@ def print_verification(found: Verification, console: Console) -> None:
     console.print(Text(f"\n{verdict}: {total}", "bold" if good else "bold red"))
     if good and found.certificate is not None and found.reissued is not None:
         text.first_claim(found.certificate, console)
-        text.assumptions(found.reissued, console)
+        text.print_assumptions(found.reissued, console)
 
 
 def as_json(found: Verification) -> str:

@@ -99,7 +99,7 @@ def test_text_is_an_in_toto_statement_with_sorted_keys() -> None:
     text = certificate().to_json()
     value = json.loads(text)
     assert (value["_type"], value["predicateType"]) == (STATEMENT_TYPE, PREDICATE_TYPE)
-    assert value["subject"][0]["digest"]["sha256"] == hashlib.sha256(manifest(FILES).manifest.encode()).hexdigest()
+    assert value["subject"][0]["digest"]["sha256"] == hashlib.sha256(manifest(FILES).text.encode()).hexdigest()
     assert text == json.dumps(value, sort_keys=True, indent=1) + "\n"
     assert Certificate.model_validate_json(text) == certificate()
 
@@ -112,7 +112,7 @@ def test_the_run_id_is_not_in_it() -> None:
 
 def test_a_damaged_certificate_is_an_error_not_a_missing_one(tmp_path) -> None:  # type: ignore[no-untyped-def]
     assert files.read(tmp_path) is None
-    files.write(tmp_path, certificate(), manifest(FILES).manifest)
+    files.write(tmp_path, certificate(), manifest(FILES).text)
     assert files.read(tmp_path) == certificate()
     path = tmp_path / files.CERTIFICATE
     path.write_text(path.read_text()[:-20])

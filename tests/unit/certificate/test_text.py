@@ -69,7 +69,7 @@ def printed(certificate: Certificate, width: int = 100) -> list[str]:
 def test_text_in_brackets_is_printed_as_it_is() -> None:
     lines = printed(a_certificate(Assumption(id="clip/maximum", status="derived", detail="in [bold] :warning: [/]")))
     assert "    max over d of E[column] <= 0.5001, probability 0.9243" in lines
-    assert "    clip                derived     in [bold] :warning: [/]" in lines
+    assert "    clip                  derived     in [bold] :warning: [/]" in lines
 
 
 def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
@@ -99,14 +99,14 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
     )
     order = [
         "REFUTED, by the data of this campaign or by derivation: 1 assumption",
-        "    rkhs_norm           refuted     B is wrong.",
+        "    rkhs_norm             refuted     B is wrong.",
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
         "       It rests on 1 assumption REFUTED: do not rely on it.",
         "    NOT converged: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
         "Assumptions that are not refuted",
-        "    tail                assumed     Gaussian.",
+        "    tail                  assumed     Gaussian.",
         "  whole campaign",
-        "    workers_honest      assumed     believed.",
+        "    workers_honest        assumed     believed.",
     ]
     assert [line for line in lines if line in order] == order
 
@@ -152,3 +152,13 @@ def test_the_terms_of_a_composed_claim_are_shown() -> None:
     lines = printed(certificate.model_copy(update={"predicate": predicate}))
     assert "       = 0.4500 (nominal) - 0.3000 (gap) - 0.0800 (risk)" in lines
     assert "       with probability at least 0.9243 (method paper, product rule, 1 assumption)" in lines
+
+
+def test_a_term_that_is_subtracted_has_one_sign() -> None:
+    certificate = a_certificate(Assumption(id="accounting", status="derived", detail="added."))
+    composition = Composition(
+        rule="sum", nominal_bound=-1.58, gap_bound=-1.53, lipschitz=1.0, gap_term=-1.53, risk_term=0.008, bound=-0.058
+    )
+    predicate = certificate.predicate.model_copy(update={"composition": composition})
+    lines = printed(certificate.model_copy(update={"predicate": predicate}))
+    assert "       = -1.5800 (nominal) + 1.5300 (gap) - 0.0080 (risk)" in lines

@@ -18,14 +18,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from perfbound.orchestrator.certificate import files, sign
+from perfbound.orchestrator.certificate import files, keys, sign
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify import compare, resimulate
 from perfbound.orchestrator.certificate.verify import table as show
 from perfbound.orchestrator.certificate.verify.checks import CHECKS, Checks
 from perfbound.orchestrator.certificate.verify.manifest import parse_manifest
 from perfbound.orchestrator.certificate.verify.rerun import Rerun
-from perfbound.orchestrator.certificate.verify.run import Verification, verify
+from perfbound.orchestrator.certificate.verify.run import Verification, verify_certificate
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.files import relative_path
 from perfbound.orchestrator.store.read import observed, read_header, reading
@@ -61,7 +61,7 @@ def run(directory: Path, config: CampaignConfig) -> Path:
         stage.play()
         found = manifest((sha256, path) for _, sha256, path in observed(directory))
         certificate = issue(stage.ledger, found)
-        files.write(directory, certificate, found.manifest)
+        files.write(directory, certificate, found.text)
         stage.journal.close()
     return directory
 
@@ -78,7 +78,7 @@ def campaign(original: Path, tmp_path: Path) -> Path:
 
 
 def check(directory: Path, key: Path | None = None) -> Checks:
-    found = verify(directory, key=key, again=0, report=lambda *_: None).checks
+    found = verify_certificate(directory, key=key, again=0, report=lambda *_: None).checks
     assert [line.name for line in found.lines()] == list(CHECKS)
     return found
 
@@ -234,8 +234,8 @@ def test_an_edited_certificate(campaign: Path, edit: Callable[[Any], object], li
 
 def test_sentences_are_presentation_and_those_that_differ_are_counted(campaign: Path) -> None:
     rewrite(campaign, lambda predicate: predicate["assumptions"][-1].update(detail="all is well"))
-    found = verify(campaign, key=None, again=0, report=lambda *_: None)
-    assert found.checks.found["audit"].detail.endswith("; 1 of its sentences differ from those below")
+    found = verify_certificate(campaign, key=None, again=0, report=lambda *_: None)
+    assert found.checks.found["audit"].detail.endswith("; in the certificate 1 are worded otherwise than below")
     assert found.reissued is not None
     assert "all is well" not in found.reissued.to_json()
 
@@ -250,10 +250,10 @@ def test_a_certificate_that_is_none(campaign: Path, edit: Callable[[str], str]) 
 
 
 def test_a_signature(campaign: Path, tmp_path: Path) -> None:
-    ours, theirs = (sign.new_pair(tmp_path, name) for name in ("ours", "theirs"))
+    ours, theirs = (keys.new_pair(tmp_path, name) for name in ("ours", "theirs"))
     paths = [ours.public, theirs.public]
     assert failed(campaign, paths[0]) == ["signature"], "it is not signed"
-    sign.sign_certificate(campaign, sign.load_private(ours.private))
+    sign.sign_certificate(campaign, keys.load_private(ours.private))
     assert check(campaign, paths[0]).found["signature"].status == "passed"
     assert failed(campaign, paths[1]) == ["signature"]
     assert check(campaign).good, "a signature that nobody asked about is no fault"
@@ -473,7 +473,7 @@ def test_rows_that_stand_there_twice(campaign: Path) -> None:
         database.execute(f"INSERT INTO bounds SELECT {columns} FROM once")
         database.execute(f"INSERT INTO bounds SELECT -{columns} FROM once WHERE test = 3")
         database.execute("DROP TABLE once")
-    assert "twice" in check(campaign).found["database"].detail
+    assert "repeated" in check(campaign).found["database"].detail
 
 
 def test_a_rollout_of_a_test_that_nobody_proposed(campaign: Path) -> None:
@@ -553,7 +553,7 @@ def test_a_resimulation_that_cannot_be_done_is_no_pass(campaign: Path, monkeypat
         raise PerfboundError("the system is not installed")
 
     monkeypatch.setattr(resimulate, "ask", missing)
-    found = verify(campaign, key=None, again=2, report=lambda *_: None).checks
+    found = verify_certificate(campaign, key=None, again=2, report=lambda *_: None).checks
     assert found.found["resimulation"].status == "failed"
 
 
@@ -610,7 +610,7 @@ def test_a_consistent_lie_is_caught_by_simulating_again(campaign: Path, monkeypa
     rerun = Rerun(campaign, header, entries)
     rerun.play(lambda _: None)
     ledger, found = rerun.ledger, manifest(rerun.observed())
-    files.write(campaign, issue(ledger, found), found.manifest)
+    files.write(campaign, issue(ledger, found), found.text)
     assert check(campaign).good, "the forgery is complete"
 
     def simulated(_command: str, _flag: str, request: str, _out: str, out: str) -> str:
@@ -620,10 +620,10 @@ def test_a_consistent_lie_is_caught_by_simulating_again(campaign: Path, monkeypa
         return ""
 
     monkeypatch.setattr(resimulate, "ask", simulated)
-    found_again = verify(campaign, key=None, again=len(entries), report=lambda *_: None).checks
+    found_again = verify_certificate(campaign, key=None, again=len(entries), report=lambda *_: None).checks
     assert found_again.found["resimulation"].status == "failed"
     assert target.stem in found_again.found["resimulation"].detail
-    honest = verify(campaign, key=None, again=0, report=lambda *_: None).checks
+    honest = verify_certificate(campaign, key=None, again=0, report=lambda *_: None).checks
     assert honest.found["resimulation"].status == "skipped"
 
 
@@ -650,4 +650,4 @@ def test_what_is_the_same(a: object, b: object, *, same: bool) -> None:
     ("a", "b", "same"), [(0.123456, 0.123457, True), (0.123456, 0.12347, False), (177, 178, False), (3, 3.0, False)]
 )
 def test_values_may_differ_in_their_last_digit(a: float, b: float, *, same: bool) -> None:
-    assert compare.six_digits(a, b) is same
+    assert (compare.difference(a, b, tolerance=compare.SIX_DIGITS) is None) is same
