@@ -96,8 +96,7 @@ def planned(extent: Extent, folder: Path, out: Path) -> tuple[Planned, ...]:
 
 
 def _planned(preset: Preset, source: Path, out: Path, seed: int | None) -> Planned:
-    overrides = {} if seed is None else {"seed": seed}
-    config = session.load_campaign(source, **overrides)
+    config = session.load_campaign(source) if seed is None else session.load_campaign(source, seed=seed)
     for name in preset.problems:  # --campaigns may name any folder
         if not any((each.name, each.method) == (name, preset.method) for each in config.problems):
             raise PerfboundError(
