@@ -16,14 +16,14 @@ Status = Literal["derived", "assumed", "not refuted", "refuted"]
 
 
 class Subject(Model):
-    """What the statement is about: the manifest of the evidence."""
+    """The subject of the statement: the manifest of the evidence."""
 
     name: str
     digest: dict[Literal["sha256"], str]
 
 
 class CampaignId(Model):
-    """Which campaign was run."""
+    """The campaign: its name, its seed and the digests of its inputs."""
 
     name: str
     seed: int
@@ -31,7 +31,7 @@ class CampaignId(Model):
     system_sha256: str | None = Field(default=None, description="of the system's specification; not in older ones")
 
 
-class Claim(Model):
+class CertificateClaim(Model):
     """P[quantity (>= | <=) bound] >= probability, resting on the named assumptions."""
 
     quantity: Literal["rho_star", "J_star"]
@@ -82,7 +82,7 @@ class Assumption(Model):
     )
 
 
-class Composition(Model):
+class CompositionTerms(Model):
     """bound = nominal_bound - gap_term - risk_term."""
 
     rule: Rule
@@ -95,7 +95,7 @@ class Composition(Model):
 
 
 class Evidence(Model):
-    """What the certificate can be checked against."""
+    """The evidence behind the certificate: manifest, hash chain and number of rollouts."""
 
     manifest_sha256: str
     chain_head: str
@@ -105,11 +105,13 @@ class Evidence(Model):
 class Predicate(Model):
     """The content of the certificate."""
 
-    question: dict[str, object] = Field(description="system, space, specification, clip, r: what the claims are about")
+    question: dict[str, object] = Field(
+        description="system, space, specification, clip, r: the keys of the campaign file that the claims are about"
+    )
     campaign: CampaignId
-    claims: tuple[Claim, ...] = Field(min_length=1)
+    claims: tuple[CertificateClaim, ...] = Field(min_length=1)
     problems: tuple[ProblemResult, ...]
-    composition: Composition | None
+    composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
     evidence: Evidence
     software: dict[str, str]
@@ -129,7 +131,7 @@ class Certificate(Model):
     def to_json(self) -> str:
         """Return the one text of this certificate, ending with a newline."""
         value = self.model_dump(mode="json", by_alias=True)
-        # What a field that came later does not say is left out: older certificates stay the text that they were.
+        # Fields that an earlier perfbound did not have are left out, so that its certificates keep their bytes.
         predicate = value["predicate"]
         for part, key in (
             (predicate, "rules"),

@@ -3,13 +3,13 @@
 A campaign keeps the rules that it was started with: `resume`, `verify` and `replay` follow the number in its header.
 A change that gives another seed, digest or decision is a new number here, and a branch at the place that it changes.
 
-    1   the rules of perfbound 0.1; of every campaign whose header names none
+    1   the rules of perfbound 0.1, and of every campaign whose header names none
 """
 
 from .errors import JournalError
 
 RULES = 1
-"""Of a new campaign."""
+"""The rules of a new campaign."""
 KNOWN = frozenset({1})
 
 
@@ -17,7 +17,7 @@ def check_rules(rules: int, place: str) -> int:
     """Return `rules` if this perfbound can follow them.
 
     Raises:
-        JournalError: they are those of another perfbound; the text names `place`.
+        JournalError: they are those of a later perfbound; the message names `place`.
 
     """
     if rules not in KNOWN:

@@ -37,7 +37,7 @@ class Decisions:
         # Tests in flight: a method counts them as observed, so that a window > 1 does not repeat one start.
         pending = [fact.proposal.node for fact in account.proposals.values()]
         first = first_node(self._config, problem, method.size) if test == 0 else None
-        with _place(f"problem {problem}, test {test}"):
+        with _naming(f"problem {problem}, test {test}"):
             chosen = method.propose(first, pending)
             if self._follow is not None:
                 # The first test is drawn by the seed alone: it has no rival.
@@ -46,20 +46,20 @@ class Decisions:
 
     def robustness(self, rollout: RolloutId, trajectory: Trajectory) -> float | None:
         """Return the clipped robustness of a rollout; None for a campaign without specification."""
-        with _place(f"rollout {rollout}"):
+        with _naming(f"rollout {rollout}"):
             return self._observer.robustness(trajectory)
 
     def observation(self, account: Account, test: int, trajectories: Trajectories) -> ObservationFact:
         """Turn the trajectories of a test into its observation."""
         problem = account.plan.name
-        with _place(f"problem {problem}, test {test}"):
+        with _naming(f"problem {problem}, test {test}"):
             found = self._observer.observe(account.plan, trajectories)
         return ObservationFact(problem, test, found, account.next_link(test, found))
 
     def bound(self, account: Account, fact: ObservationFact) -> BoundFact:
         """Give an observation to the method of its problem, once, and return the bound after it."""
         assert account.last_proposal is not None
-        with _place(f"problem {fact.problem}, test {fact.test}"):
+        with _naming(f"problem {fact.problem}, test {fact.test}"):
             bound = self._methods[fact.problem].observe(account.last_proposal, fact.observation)
         # A method knows no budget: its own verdict comes first, also at the last test.
         spent = bound.verdict is None and fact.test + 1 >= account.plan.budget
@@ -67,7 +67,7 @@ class Decisions:
 
 
 @contextmanager
-def _place(name: str) -> Iterator[None]:
+def _naming(name: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:

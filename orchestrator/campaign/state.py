@@ -279,7 +279,7 @@ def _index(state: State, name: str) -> int:
     raise IllegalEvent(f"the campaign has no problem {name!r}")
 
 
-def check_invariants(state: State) -> None:
+def assert_invariants(state: State) -> None:
     """Assert the invariants of the state; tests call it after every step."""
     for problem in state.problems:
         numbers = [test.test for test in problem.open]

@@ -102,7 +102,7 @@ def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod
     if last is not None and last.bound.upper is not None and last.bound.lower is not None:
         agree = audit.bounds_agree(upper=last.bound.upper, lower=last.bound.lower)
         yield assumption(f"bounds_agree/{name}", *agree)
-    yield from _noise(account, problem)
+    yield from _noise_assumptions(account, problem)
     # On a box the cover bounds J between the nodes as well; on a list the maximum is exact.
     if isinstance(account.plan.candidates, Lattice):
         box = {"candidates_upper": bound.candidates_upper, "slack": bound.slack}
@@ -113,7 +113,7 @@ def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod
         yield _linearised(name, problem.linearised)
 
 
-def _noise(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:
+def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:
     name, plan = problem.name, account.plan
     if plan.noise == 0:
         places = sorted(zip(account.nodes, account.each, strict=True))

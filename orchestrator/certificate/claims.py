@@ -8,6 +8,7 @@ from ...schemas.campaign import CampaignConfig, Rule
 from ..campaign.methods import Methods
 from ..campaign.plan import Plans
 from ..mathematics.bounds.composition import (
+    VarianceBound,
     compose,
     compose_mean,
     joint_probability,
@@ -28,8 +29,8 @@ MULTIPLIED, ADDED = "independence", "accounting"
 class Claimed:
     """The claims, and the terms of the first one if it is a composition."""
 
-    claims: tuple[document.Claim, ...]
-    composition: document.Composition | None
+    claims: tuple[document.CertificateClaim, ...]
+    composition: document.CompositionTerms | None
 
 
 def claims(
@@ -39,7 +40,7 @@ def claims(
 
     Each has its own probability; the failure probability of several together is at most their sum.
     """
-    found: list[tuple[document.Claim, document.Composition | None]] = []
+    found: list[tuple[document.CertificateClaim, document.CompositionTerms | None]] = []
     if set(PAIR) <= set(results):
         found += [_composed(plans, results, methods, assumptions, rule) for rule in _rules(config)]
     found += [(_direct(result, assumptions), None) for result in results.values() if result.name not in PAIR]
@@ -60,9 +61,9 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 
-def _direct(result: document.ProblemResult, assumptions: Sequence[document.Assumption]) -> document.Claim:
+def _direct(result: document.ProblemResult, assumptions: Sequence[document.Assumption]) -> document.CertificateClaim:
     minimum = result.sense == "min"
-    return document.Claim(
+    return document.CertificateClaim(
         quantity="rho_star" if minimum else "J_star",
         sense=">=" if minimum else "<=",
         bound=result.bound,
@@ -75,10 +76,9 @@ def _direct(result: document.ProblemResult, assumptions: Sequence[document.Assum
 
 def _composed(
     plans: Plans, results: Results, methods: Methods, assumptions: Sequence[document.Assumption], rule: Rule
-) -> tuple[document.Claim, document.Composition]:
-    paper = rule in ("product", "sum") and isinstance(methods["sim_gap"], PaperMethod)
-    terms = _theorem_2(plans, results, rule) if paper else _rigorous(plans, results, methods, rule)
-    claim = document.Claim(
+) -> tuple[document.CertificateClaim, document.CompositionTerms]:
+    terms = _terms(plans, results, methods, rule)
+    claim = document.CertificateClaim(
         quantity="rho_star",
         sense=">=",
         bound=terms.bound,
@@ -90,25 +90,36 @@ def _composed(
     return claim, terms
 
 
-def _theorem_2(plans: Plans, results: Results, rule: Rule) -> document.Composition:
+def _terms(plans: Plans, results: Results, methods: Methods, rule: Rule) -> document.CompositionTerms:
     nominal, gap, plan = results["nominal_robustness"], results["sim_gap"], plans["sim_gap"]
-    composed = compose(
-        nominal.bound,
-        gap.bound,
-        lipschitz=plan.gap.lipschitz,
-        risk_weight=plan.risk_weight,
-        clip=plan.clip,
-        probabilities=(nominal.probability, gap.probability),
-        rule="product" if rule == "product" else "sum",
-    )
-    return document.Composition(
+    lipschitz, risk_weight, clip = plan.gap.lipschitz, plan.risk_weight, plan.clip
+    # Theorem 2 as printed: extremes, and Popoviciu's inequality for the variance.
+    if isinstance(methods["sim_gap"], PaperMethod) and rule in ("product", "sum"):
+        composed = compose(
+            nominal.bound,
+            gap.bound,
+            lipschitz=lipschitz,
+            risk_weight=risk_weight,
+            clip=clip,
+            probabilities=(nominal.probability, gap.probability),
+            rule="product" if rule == "product" else "sum",
+        )
+        gap_term, risk_term, ell = composed.gap, composed.spread, composed.ell
+    else:
+        mean = compose_mean(nominal.bound, gap.bound, kind=plan.gap.kind, clip=clip, lipschitz=lipschitz)
+        if rule == "pointwise":
+            mean = _pointwise(plans, methods, mean)
+        variance: VarianceBound = "popoviciu" if rule == "sum" else "bhatia-davis"
+        ell = least_risk(mean, risk_weight=risk_weight, clip=clip, variance=variance)
+        gap_term, risk_term = round_up(nominal.bound - mean), round_up(mean - ell)
+    return document.CompositionTerms(
         rule=rule,
         nominal_bound=nominal.bound,
         gap_bound=gap.bound,
-        lipschitz=plan.gap.lipschitz,
-        gap_term=composed.gap,
-        risk_term=composed.spread,
-        bound=composed.ell,
+        lipschitz=lipschitz,
+        gap_term=gap_term,
+        risk_term=risk_term,
+        bound=ell,
     )
 
 
@@ -116,29 +127,6 @@ def _probability(results: Results, rule: Rule) -> float:
     """Return the probability of a composed claim: only the rule `product` multiplies, the others add failures."""
     pair = [results[name].probability for name in PAIR]
     return round_down(joint_probability(pair, "product" if rule == "product" else "sum"))
-
-
-def _rigorous(plans: Plans, results: Results, methods: Methods, rule: Rule) -> document.Composition:
-    nominal, gap, plan = results["nominal_robustness"], results["sim_gap"], plans["sim_gap"]
-    measure = plan.gap
-    mean = compose_mean(nominal.bound, gap.bound, kind=measure.kind, clip=plan.clip, lipschitz=measure.lipschitz)
-    if rule == "pointwise":
-        mean = _pointwise(plans, methods, mean)
-    ell = least_risk(
-        mean,
-        risk_weight=plan.risk_weight,
-        clip=plan.clip,
-        variance="popoviciu" if rule == "sum" else "bhatia-davis",
-    )
-    return document.Composition(
-        rule=rule,
-        nominal_bound=nominal.bound,
-        gap_bound=gap.bound,
-        lipschitz=measure.lipschitz,
-        gap_term=round_up(nominal.bound - mean),
-        risk_term=round_up(mean - ell),
-        bound=ell,
-    )
 
 
 def _pointwise(plans: Plans, methods: Methods, extremes: float) -> float:

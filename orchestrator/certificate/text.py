@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.certificate import Assumption, Certificate, Claim, Composition, ProblemResult
+from ...schemas.certificate import Assumption, Certificate, CertificateClaim, CompositionTerms, ProblemResult
 
 WIDTH = 100
 DIGITS = 4
@@ -93,20 +93,20 @@ def print_files(directory: Path, console: Console) -> None:
     _line(console, f"  verify with  perfbound verify {shlex.quote(str(directory))}")
 
 
-def _claim(title: str, claim: Claim, composition: Composition | None, console: Console) -> None:
+def _claim(title: str, claim: CertificateClaim, composition: CompositionTerms | None, console: Console) -> None:
     bound, probability = outward(claim.bound, claim.sense), outward(claim.probability, ">=")
     _heading(console, f"{title}  {QUANTITIES[claim.quantity]} {claim.sense} {bound}", "bold")
     rule = "" if claim.rule == "single" else f"{claim.rule} rule, "
     source = f"method {claim.method}, {rule}{_count(claim.assumptions)}"
     _line(console, f"       with probability at least {probability} ({source})")
     if composition is not None:
-        terms = f"{_minus(composition.gap_term)} (gap) {_minus(composition.risk_term)} (risk)"
+        terms = f"{_signed_term(composition.gap_term)} (gap) {_signed_term(composition.risk_term)} (risk)"
         _line(console, f"       = {composition.nominal_bound:.4f} (nominal) {terms}")
     if claim.refuted:
         _line(console, f"       It rests on {_count(claim.refuted)} REFUTED: do not rely on it.", "bold red")
 
 
-def _minus(term: float) -> str:
+def _signed_term(term: float) -> str:
     """Return a term that is subtracted, with one sign."""
     return f"{'-' if term >= 0 else '+'} {abs(term):.4f}"
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from ...schemas.certificate import Assumption, Composition
+from ...schemas.certificate import Assumption, CompositionTerms
 
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
@@ -207,7 +207,7 @@ class ReportData:
     now: str
     """The current bound in words; the first claim of a finished campaign."""
     claims: tuple[Claim, ...]
-    composition: Composition | None
+    composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
     problems: tuple[Problem, ...]
     scenes: tuple[RolloutsOfTest, ...]

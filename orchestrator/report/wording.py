@@ -21,17 +21,17 @@ def typeset(text: str) -> str:
     return text
 
 
-def worded(claim: document.Claim) -> Claim:
+def worded(claim: document.CertificateClaim) -> Claim:
     """Return a claim of the certificate with its sentence."""
     return Claim(**claim.model_dump(), sentence=claim_sentence(claim))
 
 
-def claim_sentence(claim: document.Claim) -> str:
+def claim_sentence(claim: document.CertificateClaim) -> str:
     """Return a claim in words.
 
-    >>> from perfbound.schemas.certificate import Claim
-    >>> claim_sentence(Claim(quantity="J_star", sense="<=", bound=0.51234, probability=0.98765, rule="single",
-    ...                      method="paper", assumptions=(), refuted=()))
+    >>> from perfbound.schemas.certificate import CertificateClaim
+    >>> claim_sentence(CertificateClaim(quantity="J_star", sense="<=", bound=0.51234, probability=0.98765,
+    ...                                 rule="single", method="paper", assumptions=(), refuted=()))
     'J* (maximum of the expectation) ≤ 0.5124 with probability at least 0.9876'
     """
     text = _statement(QUANTITIES[claim.quantity], claim.bound, claim.sense, claim.probability)

@@ -16,7 +16,7 @@ from perfbound.orchestrator.report.data import (
     Throughput,
     WorkerRow,
 )
-from perfbound.schemas.certificate import Assumption, Composition
+from perfbound.schemas.certificate import Assumption, CompositionTerms
 
 AXES = (Axis("x", "m", 0.0, 4.0), Axis("y", "m", 0.0, 3.0))
 NODES = tuple((float(i), float(j)) for i in range(5) for j in range(4))
@@ -41,7 +41,7 @@ def small(tests: int = 6) -> ReportData:
         axes=AXES,
         now="rho* >= 0.1743 with probability at least 0.8544",
         claims=(_claim("product", ("rkhs_norm/sim_gap", "independence")), _claim("sum", ("accounting",))),
-        composition=Composition(
+        composition=CompositionTerms(
             rule="product", nominal_bound=0.45, gap_bound=0.2, lipschitz=1.0, gap_term=0.2, risk_term=0.08, bound=0.17
         ),
         assumptions=(

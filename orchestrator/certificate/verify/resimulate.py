@@ -65,13 +65,13 @@ def _simulate_again(directory: Path, rollout: RolloutId, entry: Entry, folder: P
     out.unlink()
     if after == before:
         return Resimulation(rollout, bitwise=True, difference=0.0)
-    distance = _largest_difference(recorded.trajectory, read_mcap(after).trajectory)
+    distance = _sample_difference(recorded.trajectory, read_mcap(after).trajectory)
     if not distance <= TOLERANCE:
         raise CheckFailed("resimulation", f"{rollout}: simulated again, it differs by up to {distance:.3g}")
     return Resimulation(rollout, bitwise=False, difference=distance)
 
 
-def _largest_difference(a: Trajectory, b: Trajectory) -> float:
+def _sample_difference(a: Trajectory, b: Trajectory) -> float:
     if a.columns != b.columns or a.samples.shape != b.samples.shape:
         return float("inf")
     return float(np.max(np.abs(a.samples - b.samples)))

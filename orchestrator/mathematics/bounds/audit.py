@@ -1,4 +1,4 @@
-"""The audit: the assumptions of the claims, tested against the data where that is possible.
+"""The audit: tests of the assumptions of the claims against the data, where a test is possible.
 
 | symbol   | name          | meaning                                              | shape | unit   |
 |----------|---------------|------------------------------------------------------|-------|--------|

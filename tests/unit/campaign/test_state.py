@@ -26,7 +26,7 @@ from perfbound.orchestrator.campaign.state import (
     Simulate,
     State,
     Withdraw,
-    check_invariants,
+    assert_invariants,
     initial,
     outstanding,
     step,
@@ -49,7 +49,7 @@ def replay(plans: tuple[Plan, ...], events: list[Event]) -> State:
     state = initial(plans)
     for event in events:
         state, _ = step(state, event)
-        check_invariants(state)
+        assert_invariants(state)
     return state
 
 
@@ -94,7 +94,7 @@ def test_every_cell_of_the_table(phase: Phase, name: str) -> None:
     assert state.problems[0].phase(0) == phase
     if (phase, name) in LEGAL:
         after, actions = step(state, EVENTS[name])
-        check_invariants(after)
+        assert_invariants(after)
         assert after.problems[0].phase(0) in LEGAL[phase, name]
         if printed_table()[phase, name] == "(ignored)":
             assert (after, actions) == (state, ())
@@ -153,13 +153,13 @@ def test_the_budget_ends_a_problem() -> None:
 def test_what_still_runs_at_the_stop_is_withdrawn() -> None:
     history = [*HISTORY["complete"], Proposed("p", 1), Proposed("p", 2), Recorded(rollout(1))]
     state, actions = step(replay((a_plan(window=3),), history), Observed("p", 0, "converged"))
-    check_invariants(state)
+    assert_invariants(state)
     assert actions == (Withdraw((rollout(1, "true"), rollout(2), rollout(2, "true"))), Certify())
 
 
 def test_check_finds_a_broken_state() -> None:
     good = ProblemState(a_plan(window=2, max_tests=2), 0, (OpenTest(0, frozenset()), OpenTest(1, frozenset())))
-    check_invariants(State((good,)))
+    assert_invariants(State((good,)))
     for broken in (
         replace(good, observed=1),
         replace(good, plan=a_plan(window=1)),
@@ -167,7 +167,7 @@ def test_check_finds_a_broken_state() -> None:
         replace(good, open=(OpenTest(0, frozenset({rollout(1)})),)),
     ):
         with pytest.raises(AssertionError):
-            check_invariants(State((broken,)))
+            assert_invariants(State((broken,)))
 
 
 def test_a_rollout_has_one_text_form() -> None:
@@ -234,7 +234,7 @@ class Driver:
             self.recorded.add(event.rollout)
         self.events.append(event)
         state, actions = step(state, event)
-        check_invariants(state)
+        assert_invariants(state)
         pending.extend(self._due(actions))
         return state
 

@@ -24,7 +24,7 @@ from perfbound.orchestrator.certificate import files, sign
 from perfbound.orchestrator.certificate.keys import key_id, load_private, load_public, new_pair
 from perfbound.orchestrator.cli import signing
 from perfbound.orchestrator.cli.group import cli
-from perfbound.schemas.certificate import CampaignId, Certificate, Claim, Evidence, Predicate, Subject
+from perfbound.schemas.certificate import CampaignId, Certificate, CertificateClaim, Evidence, Predicate, Subject
 from perfbound.schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from perfbound.schemas.errors import EvidenceError, PerfboundError, SignatureError
 from tests.campaigns import FOLDER
@@ -345,7 +345,7 @@ def test_what_is_no_file_is_refused_at_once(tmp_path: Path, load: Callable[[Path
 
 def finished(directory: Path) -> Path:
     """Leave what a finished campaign leaves, as far as a signature is concerned."""
-    claim = Claim(
+    claim = CertificateClaim(
         quantity="J_star",
         sense="<=",
         bound=0.5,

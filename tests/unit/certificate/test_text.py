@@ -11,8 +11,8 @@ from perfbound.schemas.certificate import (
     Assumption,
     CampaignId,
     Certificate,
-    Claim,
-    Composition,
+    CertificateClaim,
+    CompositionTerms,
     Evidence,
     Predicate,
     ProblemResult,
@@ -36,7 +36,7 @@ def a_certificate(*assumptions: Assumption) -> Certificate:
         parameters={"alpha": 0.05},
         last_F=0.1,
     )
-    claim = Claim(
+    claim = CertificateClaim(
         quantity="J_star",
         sense="<=",
         bound=0.50001,
@@ -145,7 +145,7 @@ def test_the_terms_of_a_composed_claim_are_shown() -> None:
     claim = certificate.predicate.claims[0].model_copy(
         update={"quantity": "rho_star", "sense": ">=", "rule": "product"}
     )
-    composition = Composition(
+    composition = CompositionTerms(
         rule="product", nominal_bound=0.45, gap_bound=0.3, lipschitz=1.0, gap_term=0.3, risk_term=0.08, bound=0.07
     )
     predicate = certificate.predicate.model_copy(update={"claims": (claim,), "composition": composition})
@@ -156,7 +156,7 @@ def test_the_terms_of_a_composed_claim_are_shown() -> None:
 
 def test_a_term_that_is_subtracted_has_one_sign() -> None:
     certificate = a_certificate(Assumption(id="accounting", status="derived", detail="added."))
-    composition = Composition(
+    composition = CompositionTerms(
         rule="sum", nominal_bound=-1.58, gap_bound=-1.53, lipschitz=1.0, gap_term=-1.53, risk_term=0.008, bound=-0.058
     )
     predicate = certificate.predicate.model_copy(update={"composition": composition})

@@ -22,8 +22,8 @@ from perfbound.orchestrator.store.read import ObservedTest
 from perfbound.schemas.campaign import ProblemName, Rule
 from perfbound.schemas.certificate import (
     CampaignId,
-    Claim,
-    Composition,
+    CertificateClaim,
+    CompositionTerms,
     Evidence,
     Predicate,
     ProblemResult,
@@ -141,7 +141,7 @@ def a_result(name: ProblemName, bound: float, tests: int, true: int) -> ProblemR
 def a_predicate(
     seed: int, bound: float, problems: Sequence[ProblemResult], rule: Rule = "single", refuted: tuple[str, ...] = ()
 ) -> Predicate:
-    claim = Claim(
+    claim = CertificateClaim(
         quantity="rho_star",
         sense=">=",
         bound=bound,
@@ -151,7 +151,7 @@ def a_predicate(
         assumptions=refuted,
         refuted=refuted,
     )
-    terms = Composition(rule=rule, nominal_bound=0, gap_bound=0, lipschitz=1, gap_term=0, risk_term=0, bound=bound)
+    terms = CompositionTerms(rule=rule, nominal_bound=0, gap_bound=0, lipschitz=1, gap_term=0, risk_term=0, bound=bound)
     return Predicate(
         question={},
         campaign=CampaignId(name="c", seed=seed, config_sha256="0"),
