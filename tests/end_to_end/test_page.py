@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, Position
 
 from perfbound.orchestrator.report import html
 from perfbound.orchestrator.report.data import ReportData, to_json
-from perfbound.schemas.certificate import Composition
+from perfbound.schemas.certificate import CompositionTerms
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Scheme, Watched
@@ -97,7 +97,7 @@ def test_bounds_in_legends_are_rounded_to_the_safe_side(browser: Browser, tmp_pa
 
 
 def test_a_gap_term_below_zero_raises_the_bound(browser: Browser, tmp_path: Path) -> None:
-    composition = Composition(
+    composition = CompositionTerms(
         rule="pointwise",
         nominal_bound=-1.580693,
         gap_bound=2.0,
