@@ -60,17 +60,12 @@ KNOWN: tuple[WorkerPhase, ...] = ("new", "idle", "sent", "busy", "shunned")
 
 LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("unknown", "WorkerUp"): ("new",),
-    ("unknown", "WorkerDown"): ("unknown",),
-    ("unknown", "Reported"): ("unknown",),
-    ("unknown", "Delivered"): ("unknown",),
+    **{("unknown", event): ("unknown",) for event in ("WorkerDown", "Reported", "Delivered")},
     **{(phase, "WorkerUp"): (phase,) for phase in KNOWN},
     **{(phase, "WorkerDown"): ("gone",) for phase in KNOWN},
     ("new", "Reported"): ("new", "idle", "busy"),
-    ("new", "Delivered"): ("new",),
-    ("new", "Tick"): ("new",),
-    ("idle", "Reported"): ("idle",),
-    ("idle", "Delivered"): ("idle",),
-    ("idle", "Tick"): ("idle",),
+    **{("new", event): ("new",) for event in ("Delivered", "Tick")},
+    **{("idle", event): ("idle",) for event in ("Reported", "Delivered", "Tick")},
     ("idle", "HandOut"): ("idle", "sent"),
     ("sent", "Reported"): ("sent", "busy"),
     ("sent", "Delivered"): ("sent", "idle"),
@@ -82,9 +77,7 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("shunned", "Delivered"): ("shunned",),
     ("shunned", "Tick"): ("shunned",),
     ("gone", "WorkerUp"): KNOWN,
-    ("gone", "WorkerDown"): ("gone",),
-    ("gone", "Reported"): ("gone",),
-    ("gone", "Delivered"): ("gone",),
+    **{("gone", event): ("gone",) for event in ("WorkerDown", "Reported", "Delivered")},
     ("gone", "Tick"): ("gone", "unknown"),
 }
 """(phase of the worker that an event names, or of any worker for HandOut and Tick; event) -> the phases after it."""
