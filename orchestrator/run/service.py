@@ -104,7 +104,7 @@ class Service:
         limits = dispatch.Limits(hung_after=file.hung_after, deadline=file.deadline, max_attempts=file.max_attempts)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
-        self._state = dispatch.fresh(limits, hold)
+        self._state = dispatch.DispatchState(limits, hold)
 
     def run(self) -> None:
         """Serve until every problem has stopped.

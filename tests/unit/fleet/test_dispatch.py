@@ -19,7 +19,6 @@ from perfbound.orchestrator.fleet.dispatch import (
     DispatchState,
     Limits,
     check_invariants,
-    fresh,
 )
 from perfbound.orchestrator.fleet.events import (
     Acknowledge,
@@ -62,7 +61,7 @@ def step(state: DispatchState, event: Event) -> tuple[DispatchState, tuple[Actio
 
 def after(*events: Event, limits: Limits = LIMITS, hold_until: float = 0.0) -> tuple[DispatchState, list[Action]]:
     """The state after some events, and the actions of the last one."""
-    state, actions = fresh(limits, hold_until), tuple[Action, ...]()
+    state, actions = DispatchState(limits, hold_until), tuple[Action, ...]()
     for event in events:
         state, actions = step(state, event)
     return state, list(actions)
@@ -479,7 +478,7 @@ class World:
         attempts: dict[RolloutId, int] = {}
         for attempt in self.started:
             attempts[attempt.rollout] = max(attempts.get(attempt.rollout, 0), attempt.number)
-        self.state = fresh(self.limits, self.now + 2.5 if self.generation > 1 else 0.0)
+        self.state = DispatchState(self.limits, self.now + 2.5 if self.generation > 1 else 0.0)
         self.tokens = {process.name for process in self.processes.values() if process.alive and process.linked}
         self.known: set[str] = set()
         missing = [each for each in self.rollouts if each not in self.recorded and each not in self.poison]

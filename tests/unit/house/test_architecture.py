@@ -59,7 +59,7 @@ def an_event(luck: random.Random, at: float) -> events.Event:
 
 def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
     luck, at, seen = random.Random(0), 0.0, set()
-    state = dispatch.fresh(dispatch.Limits(max_attempts=10**9))
+    state = dispatch.DispatchState(dispatch.Limits(max_attempts=10**9))
     for _ in range(STEPS):
         at += luck.choice([0.1, 0.5, 5.0])
         event = an_event(luck, at)

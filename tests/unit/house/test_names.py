@@ -16,9 +16,7 @@ MODULE_LINES, CLASS_LINES, METHODS, PARAMETERS, ARROWS = 400, 200, 15, 7, 32
 LARGE_MODULES: dict[str, str] = {}
 """Name -> reason, here and below. An entry that is no longer larger than the limit fails the test, too."""
 
-LARGE_CLASSES = {
-    "orchestrator/run/service.py:Service": "the one loop: a handler for each event and each action",
-}
+LARGE_CLASSES: dict[str, str] = {}
 MANY_PARAMETERS: dict[str, str] = {}
 
 

@@ -149,7 +149,7 @@ def test_a_replay_of_a_long_campaign_ends_where_it_was(tmp_path: Path) -> None:
 
 def crowd(workers: int, rollouts: int) -> dispatch.DispatchState:
     """Return so many idle workers, and rollouts that wait."""
-    state = dispatch.fresh(Limits())
+    state = dispatch.DispatchState(Limits())
     wanted = tuple((RolloutId("p", number, "true", 0), 0) for number in range(rollouts))
     arrivals: list[events.Event] = [
         *(WorkerUp(0.0, f"w{number}") for number in range(workers)),

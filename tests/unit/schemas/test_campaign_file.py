@@ -110,7 +110,7 @@ def test_the_digest_tells_content_from_layout() -> None:
         (changed('composition = "product"', 'composition = "single"'), "composition: 'single' is for one problem"),
         (
             PAPER.replace('"sim_gap"', '"nominal_robustness"').replace('"max"', '"min"'),
-            "problems: 'nominal_robustness' sta",
+            "problems: 'nominal_robustness' appears twice",
         ),
         (
             changed("low = 0.0, high = 5.0", "lo = 0.0, hi = 5.0"),
