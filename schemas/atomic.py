@@ -73,8 +73,7 @@ def replacing(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
     files: list[IO[bytes]] = []
     try:
         for partial in partials:
-            make_folder(partial.parent)
-            files.append(partial.open("wb"))
+            files.append(partial.open("wb"))  # noqa: PERF401  (the next one may fail, and this one must be closed)
         yield files
         for file in files:
             file.flush()

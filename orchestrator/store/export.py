@@ -10,7 +10,7 @@ from typing import IO, Literal
 
 from sqlalchemy import Connection
 
-from ...schemas.atomic import replacing
+from ...schemas.atomic import make_folder, replacing
 from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
 from . import export_tables
@@ -170,6 +170,8 @@ def _whole(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
 
     """
     try:
+        for path in paths:
+            make_folder(path.parent)
         with replacing(paths) as files:
             yield files
     except OSError as error:

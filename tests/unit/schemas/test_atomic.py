@@ -42,7 +42,7 @@ def test_an_error_in_the_block_leaves_what_was_there(tmp_path: Path) -> None:
     one.write_bytes(b"before")
 
     def broken_off() -> None:
-        with atomic.replacing([one, tmp_path / "new" / "two"]) as files:
+        with atomic.replacing([one, tmp_path / "two"]) as files:
             files[0].write(b"after")
             raise RuntimeError("stop")
 
