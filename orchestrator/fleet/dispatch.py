@@ -127,7 +127,7 @@ class DispatchState:
     """Workers, open rollouts in order of arrival, and those of them that wait for a worker."""
 
     limits: Limits
-    hold_until: float
+    hold_until: float = 0.0
     """Nothing is assigned before this time: after a restart busy workers report first."""
     workers: Mapping[str, Worker] = field(default_factory=dict)
     open: Mapping[RolloutId, Open] = field(default_factory=dict)
@@ -165,8 +165,7 @@ def under_way(state: DispatchState) -> int:
 
 
 def _want(state: DispatchState, event: Wanted) -> Outcome:
-    # Attempts are numbered on from those before a restart: a late result of an old attempt must not be taken for a new
-    # one's.
+    # Numbered on from the attempts before a restart: a late result of theirs must not pass for one of a new attempt.
     new = {rollout: Open(attempts) for rollout, attempts in event.rollouts if rollout not in state.open}
     return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
 
