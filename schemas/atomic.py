@@ -63,7 +63,7 @@ def write_whole(path: Path, data: bytes) -> None:
 def replacing(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
     """Open files that replace `paths` together at the end of the block; after an error in it nothing changes.
 
-    For places that a user has chosen: several processes may write there at once.
+    For places that a user has chosen: several processes may write there at once, and the folders must exist.
 
     Raises:
         OSError: the disk is full or a folder cannot be written; no half-written file is left.
@@ -72,8 +72,7 @@ def replacing(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
     partials = [temporary(path, f".{os.getpid()}") for path in paths]
     files: list[IO[bytes]] = []
     try:
-        for partial in partials:
-            files.append(partial.open("wb"))  # noqa: PERF401  (the next one may fail, and this one must be closed)
+        files.extend(partial.open("wb") for partial in partials)
         yield files
         for file in files:
             file.flush()
@@ -87,7 +86,7 @@ def replacing(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
             with suppress(OSError):  # a full disk: the flush of a file that is removed below fails again
                 file.close()
         for partial in partials:
-            with suppress(OSError):  # a folder that cannot be written holds no partial file
+            with suppress(OSError):  # a folder that is missing or cannot be written has no partial file
                 partial.unlink()
 
 
