@@ -37,7 +37,7 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
         differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
         raise RequestError(f"the trajectory was simulated for another request (other {', '.join(differing)[:200]})")
     _check_whole(file.trajectory, columns, request.horizon)
-    # The metadata name campaign, rollout and seed once more; the columns in it were compared with the system's above.
+    # The metadata name campaign, rollout and seed again; the columns in it were compared with the system's above.
     if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
         raise RequestError("the metadata of the trajectory are those of another rollout")
     return file.trajectory

@@ -61,7 +61,7 @@ class Decisions:
         assert account.last_proposal is not None
         with _naming(f"problem {fact.problem}, test {fact.test}"):
             bound = self._methods[fact.problem].observe(account.last_proposal, fact.observation)
-        # A method knows no budget: its own verdict comes first, also at the last test.
+        # A method has no budget: its own verdict comes first, also at the last test.
         spent = bound.verdict is None and fact.test + 1 >= account.plan.budget
         return BoundFact(fact.problem, fact.test, bound, budget=spent)
 

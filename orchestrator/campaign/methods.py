@@ -62,6 +62,7 @@ def method(plan: ProblemPlan) -> ProblemMethod:
                 prior_mean=problem.prior_mean,
                 slack=problem.slack,
             )
+        # Without constants the method bounds the mean, and [BD] the variance: no risk is observed.
         case ScenarioProblem():
             constants = problem.linearised
             return ScenarioMethod(

@@ -74,7 +74,7 @@ def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
     form = "regulariser_eta" if problem.regulariser == "1+eta" else "regulariser_fixed"
     yield assumption(f"regulariser/{name}", "assumed", {"regulariser": problem.regulariser}, form=form)
     lattice = plan.candidates
-    # The paper maximises over the box, the method over nodes: the audit bounds what lies between them.
+    # The paper maximises over the box, the method over nodes: the audit bounds the difference.
     if isinstance(lattice, Lattice):
         rise = audit.rise_between_nodes(lattice, kernel(problem), problem.rkhs_norm)
         values = {"nodes": lattice.size, "resolution": lattice.resolution, "rise": rise, "rkhs_norm": problem.rkhs_norm}

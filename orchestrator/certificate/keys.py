@@ -51,10 +51,10 @@ def new_pair(folder: Path, name: str, passphrase: bytes = b"") -> Pair:
     key = Ed25519PrivateKey.generate()
     cipher = BestAvailableEncryption(passphrase) if passphrase else NoEncryption()
     secret = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, cipher)
-    known = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     pair = Pair(folder / f"{name}.key", folder / f"{name}.pub", key_id(key.public_key()))
     try:
-        atomic.write_new({pair.private: (secret, 0o600), pair.public: (known, 0o644)})
+        atomic.write_new({pair.private: (secret, 0o600), pair.public: (public, 0o644)})
     except OSError as error:
         raise _refusal(error, pair.private) from None
     return pair
@@ -68,6 +68,7 @@ def load_private(path: Path, passphrase: Callable[[], bytes] = bytes) -> Ed25519
 
     """
     data, status = _read(path)
+    # Before the permissions: a public key in its place is the likelier mistake, and may be readable by all.
     if b"PUBLIC KEY" in data:
         raise SignatureError(f"{path}: this is a public key; sign with the private one (NAME.key)")
     _check_private(path, status)
@@ -134,7 +135,8 @@ def _read(path: Path) -> tuple[bytes, os.stat_result]:
 
 
 def _check_private(path: Path, status: os.stat_result) -> None:
-    """Refuse a file that others can read, by the rule of ssh: of one's own group or all, of another owner all."""
+    """Refuse a file that others can read, as ssh does: one's own by any other user, another owner's by all users."""
+    # A file of another owner is readable here through its group, which is on purpose; to all it never is.
     forbidden = 0o077 if status.st_uid == os.geteuid() else 0o007
     if status.st_mode & forbidden:
         raise SignatureError(

@@ -81,6 +81,7 @@ def _parameters(plan: ProblemPlan) -> dict[str, object]:
     }
     if isinstance(problem, PaperProblem | RigorousProblem):
         found["noise_scale_per_test"] = plan.noise
+    # The file says "derived": the certificate has the number.
     if isinstance(problem, RigorousProblem) and problem.noise_scale == "derived":
         found["noise_scale_derived"] = plan.hoeffding
     if problem.name == "sim_gap":

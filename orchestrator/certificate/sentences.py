@@ -12,12 +12,12 @@ SIGNIFICANT = 6
 
 SENTENCES: dict[str, dict[Status, str]] = {
     "norm_from_tests": {
-        "refuted": "{above} of {tests} tests have |y - m0| above B = {rkhs_norm}, and the largest, {largest}, exceeds "
+        "refuted": "largest |y - m0| = {largest} with B = {rkhs_norm} ({above} of {tests} tests above B) exceeds "
         "{threshold}, the most that B and the noise allow at confidence {confidence}: B, the noise scale or the prior "
         "mean is wrong, and the bound is not proven.",
-        "not refuted": "{above} of {tests} tests have |y - m0| above B = {rkhs_norm}, and the largest, {largest}, is "
-        "within {threshold}, which B and the noise allow at confidence {confidence}. This is not evidence that B is "
-        "large enough.",
+        "not refuted": "largest |y - m0| = {largest} with B = {rkhs_norm} ({above} of {tests} tests above B) is within "
+        "{threshold}, which B and the noise allow at confidence {confidence}. This is not evidence that B is large "
+        "enough.",
     },
     "norm_from_set": {
         "refuted": "the observations need a norm of at least {b_min} at confidence {confidence}, more than "

@@ -90,6 +90,7 @@ def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
     """
     payload, path = _certificate(directory), directory / files.ENVELOPE
     envelope = sign(payload, key, _others(path, payload))
+    # Ed25519 is deterministic: signing again changes no byte, and so not the file.
     if not path.exists() or path.read_bytes() != envelope:
         atomic.write_whole(path, envelope)
     return path
@@ -112,6 +113,7 @@ def _others(path: Path, payload: bytes) -> tuple[Signature, ...]:
         return ()
     try:
         found = _parse(path.read_bytes())
+        # Signatures of another certificate would not verify over this one.
         same = found.payloadType == PAYLOAD_TYPE and _decode(found.payload, "payload") == payload
     except SignatureError as error:
         raise SignatureError(f"{path}: {error}; remove it and sign again") from None
@@ -161,6 +163,7 @@ def _decode(text: str, name: str) -> bytes:
     for signs in (b"+/", b"-_"):
         with suppress(ValueError):
             data = base64.b64decode(text, signs, validate=True)
+            # Unused bits of the last character must be zero: no second text of one signature.
             if base64.b64encode(data, signs).decode() == text:
                 return data
     raise SignatureError(f"{name} of the envelope is not base64; ask the signer for the original")

@@ -47,6 +47,7 @@ def outward(bound: float, sense: str) -> str:
 def print_certificate(certificate: Certificate, console: Console) -> None:
     """Print the whole certificate."""
     predicate = certificate.predicate
+    # First of all: a claim that rests on a refuted assumption proves nothing, however good its number.
     broken = [each for each in predicate.assumptions if each.status == "refuted"]
     if broken:
         _heading(console, f"REFUTED, by the data of this campaign or by derivation: {_count(broken)}", "bold red")
@@ -102,6 +103,7 @@ def _claim(title: str, claim: CertificateClaim, composition: CompositionTerms | 
     if composition is not None:
         terms = f"{_signed_term(composition.gap_term)} (gap) {_signed_term(composition.risk_term)} (risk)"
         _line(console, f"       = {composition.nominal_bound:.4f} (nominal) {terms}")
+    # Beside every claim as well: a reader may copy these lines alone.
     if claim.refuted:
         _line(console, f"       It rests on {_count(claim.refuted)} REFUTED: do not rely on it.", "bold red")
 

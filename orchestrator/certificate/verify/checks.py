@@ -76,10 +76,7 @@ class Checks:
 
     def judge(self, name: str, fault: str | None, detail: str) -> None:
         """Add a check, which failed if there is a fault."""
-        if fault is None:
-            self.passed(name, detail)
-        else:
-            self.failed(name, fault)
+        self._add(Check(name, "failed" if fault else "passed", fault or detail))
 
     @contextmanager
     def making(self, name: str) -> Iterator[None]:
@@ -102,6 +99,7 @@ class Checks:
     def _add(self, check: Check) -> None:
         assert check.name in CHECKS
         # One line: a detail may quote untrusted text, and could forge further lines of the table.
+        # The first result counts: a later part of the same check cannot turn a failure into a pass.
         self.found.setdefault(check.name, replace(check, detail=one_line(check.detail)))
 
     def lines(self) -> tuple[Check, ...]:

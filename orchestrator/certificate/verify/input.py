@@ -44,7 +44,7 @@ def signed_text(subject: VerificationInput, key: Path | None, checks: Checks) ->
     """
     signed = subject.envelope.exists()
     if key is None:
-        # Without a key nothing proves who wrote an envelope: its payload is no better than any file.
+        # Without a key nothing proves the origin of an envelope: its payload is worth no more than any text.
         if not subject.certificate.exists():
             raise PerfboundError(
                 f"{subject.envelope}: no certificate beside it; give the signer's public key with --key"

@@ -61,6 +61,7 @@ class Rerun:
     def __init__(self, directory: Path, header: Header, entries: Mapping[RolloutId, Entry]) -> None:
         self._directory, self._entries = directory, entries
         self._first: dict[tuple[str, int], RolloutId] = {}
+        # The request in the first file of a test has its start; the file must then fit the whole request.
         for rollout in entries:
             self._first.setdefault(rollout[:2], rollout)
         self._columns = tuple(column.name for column in header.spec.columns)
@@ -127,6 +128,7 @@ class Rerun:
     def _take(self, rollout: RolloutId) -> Sequence[RolloutId]:
         entry = self._entries[rollout]
         payload = self._read(entry)
+        # As the service admits a result: the request follows from the decisions so far, not from the file.
         try:
             trajectory = admit(self.ledger.request(rollout), self._columns, payload, entry.sha256)
         except RequestError as error:

@@ -66,6 +66,7 @@ def _simulate_again(directory: Path, rollout: RolloutId, entry: Entry, folder: P
     if after == before:
         return Resimulation(rollout, bitwise=True, difference=0.0)
     distance = _sample_difference(recorded.trajectory, read_mcap(after).trajectory)
+    # In this form a NaN, of which every comparison is false, fails.
     if not distance <= TOLERANCE:
         raise CheckFailed("resimulation", f"{rollout}: simulated again, it differs by up to {distance:.3g}")
     return Resimulation(rollout, bitwise=False, difference=distance)

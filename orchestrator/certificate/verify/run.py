@@ -60,11 +60,13 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
         header = _header(directory, certificate, checks)
     with checks.making("manifest"):
         text, entries = _manifest(directory, certificate, checks)
+    # Digests before contents: from here on every file is the one that the certificate names.
     check_files(directory, entries, lambda done: report("digests", done, len(entries)))
     checks.passed("files", _plural(len(entries), "file"))
     with checks.making("observations"):
         rerun = Rerun(directory, header, entries)
         rerun.play(lambda done: report("campaign", done, len(entries)))
+    # The rerun reached its end, so the checks inside it passed.
     _campaign(rerun, text, certificate, checks)
     same_numerics = _software(header, checks)
     stored = _stored(directory, checks)

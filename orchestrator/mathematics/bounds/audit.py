@@ -114,7 +114,7 @@ def centred_risk(replicates: int) -> Finding:
 
 
 def bounds_agree(*, upper: float, lower: float) -> Finding:
-    """Test whether the proven upper bound lies above the proven lower bound (method `rigorous`).
+    """Test whether the proven upper bound is above the proven lower bound (method `rigorous`).
     Implements eq. (agreement) of [PB].
 
     Formula: refuted if min U < max L - 1e-9.
