@@ -1,4 +1,4 @@
-"""The public API for results: a trajectory and a certificate as values."""
+"""The public API for results: readers of a trajectory file and of a certificate, and the classes that they return."""
 
 from pathlib import Path
 

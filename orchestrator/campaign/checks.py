@@ -4,8 +4,8 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_check import check_against
 from ...schemas.errors import CampaignError
 from ...schemas.system import SystemSpec
-from ..mathematics.stl.formula import FormulaError, columns, parse_formula
 from ..mathematics.stl.horizon import check_horizon
+from ..mathematics.stl.parser import FormulaError, columns, parse_formula
 
 
 def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:

@@ -1,4 +1,4 @@
-"""The registry of methods: the method of a problem, with the parameters of its plan."""
+"""Construction of the method and the kernel of each problem from its plan."""
 
 from collections.abc import Mapping
 

@@ -9,7 +9,7 @@ from ...schemas.system import SystemSpec
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Observation
 from ..mathematics.bounds.risk import linearised
-from ..mathematics.stl.formula import Formula, parse_formula
+from ..mathematics.stl.parser import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
 from . import objectives
 from .plan import ProblemPlan

@@ -1,4 +1,4 @@
-"""The software of a campaign: versions in the certificate, and the part of them that decides its numbers."""
+"""The software of a campaign: its recorded versions, and the packages that may compute other numbers here."""
 
 import platform
 from collections.abc import Mapping

@@ -10,7 +10,7 @@ from ...schemas.facts import Header
 from ..campaign.ledger import Ledger
 from .assumptions import assumptions
 from .claims import claims
-from .results import result
+from .problem_results import result
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Commands on the output of a campaign: verify, sign and export it."""
+"""Commands on the output of a campaign: verify, sign and export it; make keys."""
 
 import re
 import sys

@@ -51,6 +51,7 @@ def passphrase(question: str, *, twice: bool = False) -> bytes:
 
 def sign_directory(directory: Path, key: "Ed25519PrivateKey") -> str:
     """Sign the certificate in `directory`; return a line for the user."""
-    from ..certificate.sign import key_id, sign_certificate  # noqa: PLC0415
+    from ..certificate.keys import key_id  # noqa: PLC0415
+    from ..certificate.sign import sign_certificate  # noqa: PLC0415
 
     return f"signed       {sign_certificate(directory, key)}, key {key_id(key.public_key())}"

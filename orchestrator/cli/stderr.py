@@ -1,10 +1,10 @@
-"""Progress and errors on stderr, as text or JSON lines."""
+"""The stderr of a command: a console and the final error, as text or JSON lines."""
 
 import sys
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from ..run.json_log import JsonLines
+from ..run.json_lines import JsonLines
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -19,18 +19,18 @@ def simulate(
     *, system: str, start: str, variant: str, seed: int, horizon: float, options: tuple[str, ...], out: Path
 ) -> None:
     """Run one rollout of SYSTEM without workers, and write its trajectory."""
-    from ..fleet import single  # noqa: PLC0415
+    from ..fleet import simulate  # noqa: PLC0415
 
-    for line in single.simulate_once(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
+    for line in simulate.simulate_once(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
         click.echo(line)
 
 
 @cli.command()
 def systems() -> None:
     """List the installed systems with their parameters, columns and options."""
-    from ..fleet import single  # noqa: PLC0415
+    from ..fleet import simulate  # noqa: PLC0415
 
-    for line in single.describe():
+    for line in simulate.describe():
         click.echo(line)
 
 

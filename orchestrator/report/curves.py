@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ...schemas.campaign import Problem
 from ...schemas.facts import Header
 from ...schemas.trajectory import Trajectory
-from ..mathematics.stl.formula import FormulaError, parse_formula
+from ..mathematics.stl.parser import FormulaError, parse_formula
 from ..mathematics.stl.tree import (
     Absolute,
     Column,

@@ -1,4 +1,4 @@
-"""The page as one text: template, styles, scripts and data, under a policy that allows no other script.
+"""The HTML of report and live page: template, styles, scripts and data, under a policy that allows no other script.
 
 The Content-Security-Policy (CSP Level 3) names the hash of each inline script and style, so text of a campaign that a
 browser took for markup could still not run.

@@ -13,7 +13,7 @@ from ...schemas.values import Observation, Proposal
 from ..campaign import forecast
 from ..campaign.methods import method
 from ..campaign.plan import ProblemPlan
-from ..certificate.results import objective
+from ..certificate.problem_results import objective
 from ..store.changes import Decision
 from ..store.export_tables import unit
 from ..store.read import ObservedTest

@@ -11,7 +11,7 @@ from rich.text import Text
 from ...schemas.campaign import CampaignConfig, Problem
 from ...schemas.values import ProblemProgress
 from .format import duration, figure
-from .json_log import JsonLines
+from .json_lines import JsonLines
 from .service import Listener, RunStatus
 from .systemd import Systemd
 from .table import bound_in_sense, progress_table, remaining_distance, remaining_tests

@@ -18,7 +18,16 @@ from ...schemas.facts import RECORDED, RESTORED, Fact, Header, ProposalFact, Rol
 from ...schemas.ids import Attempt
 from . import tables
 from .read import read_facts, read_header
-from .rows import DATABASE, SCHEMA_VERSION, attempt_key, existing, fact_row, header_row, proposal_fact, rollout_fact
+from .rows import (
+    DATABASE,
+    SCHEMA_VERSION,
+    attempt_key,
+    existing,
+    fact_row,
+    header_row,
+    proposal_fact,
+    rollout_fact,
+)
 
 _INSERTS = {table: table.insert() for table in tables.FACTS} | {
     table: table.insert().prefix_with("OR IGNORE") for table in (tables.attempts, tables.outcomes)

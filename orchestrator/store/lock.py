@@ -1,4 +1,4 @@
-"""One orchestrator per campaign: an flock on the run directory, which the kernel frees on kill -9."""
+"""The lock of a run directory for one orchestrator: an flock, which the kernel releases on kill -9."""
 
 import fcntl
 import os

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.stl.formula import parse_formula
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon
+from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import Floats, predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.orchestrator.mathematics.stl.text import text

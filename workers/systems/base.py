@@ -1,4 +1,4 @@
-"""The port that a system under test implements."""
+"""The interface of a system under test, and the check of its arguments."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The manifest of a verification: the trajectory files behind the certificate, and their digests."""
+"""Parser of `manifest.sha256`, and the check of the trajectory files against its digests."""
 
 import hashlib
 import re

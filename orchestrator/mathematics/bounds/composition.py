@@ -21,7 +21,7 @@ from typing import Literal
 
 from ..gp.lattice import Lattice
 from ..gp.points import Candidates
-from .cover import certified_maximum
+from .box_maximum import certified_maximum
 from .envelope import Envelope
 from .risk import bhatia_davis, check_clip, check_risk
 from .rounding import STEP, decimal, floor_to_step, round_down

@@ -28,9 +28,9 @@ from ..gp.lattice import check_index
 from ..gp.observations import Observations
 from ..gp.points import Candidates, Points, point_at
 from ..gp.radial import Radial
+from .box_maximum import certified_maximum
 from .candidate_band import Scores, candidate_band, scores, scores_beside
 from .confidence import Premises
-from .cover import certified_maximum
 from .envelope import Envelope
 from .method import Method
 

@@ -1,4 +1,4 @@
-"""Finite lists of candidate points, on which maxima are exact, and kernel rows over them.
+"""A finite list of candidate points with its kernel rows, and `Candidates`: such a list or a lattice.
 
 | symbol   | name       | meaning                              | shape  | unit      |
 |----------|------------|--------------------------------------|--------|-----------|

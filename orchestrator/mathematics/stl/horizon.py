@@ -24,7 +24,7 @@ def horizon(tree: Formula) -> float:
 
     Formula: 0 for a predicate; the largest of its operands' for not, and, or, implies; b + that for an interval [a, b].
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
     >>> horizon(parse_formula("always[0,10] (x <= 1 or eventually[2,5] y <= 1)"))
     15.0
     >>> horizon(parse_formula("always x <= 1"))

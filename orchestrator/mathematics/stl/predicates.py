@@ -39,7 +39,7 @@ def predicate_sup(tree: Formula, columns: Sequence[str], a: Floats, b: Floats) -
     Raises:
         ValueError: the time grids (column 0) differ, or as in `robustness`.
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
     >>> a, b = np.array([[0.0, 1.0], [0.1, 2.0]]), np.array([[0.0, -1.5], [0.1, 1.75]])
     >>> predicate_sup(parse_formula("eventually abs(x) <= 2 and x^2 <= 9"), ("t", "x"), a, b)
     1.25

@@ -39,7 +39,7 @@ def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
             finite at some sample (division by zero, root of a negative number, a non-finite trajectory), or the
             formula has intervals and the sample times do not increase.
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
     >>> trajectory = np.array([[0.0, 0.0], [0.5, -0.5], [1.0, 0.75]])
     >>> robustness(parse_formula("always (abs(phi) <= 1)"), ("t", "phi"), trajectory)
     0.25

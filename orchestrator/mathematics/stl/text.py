@@ -36,7 +36,7 @@ _BINDING = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "^": _POWER}
 def text(tree: Node) -> str:
     """Return a text that `parse_formula` reads as `tree`.
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
     >>> text(parse_formula("(always[0,15] (abs(phi)<=.95)) and ((x<1) until[2,inf) (y+1)^2>3)"))
     'always[0,15] abs(phi) <= 0.95 and x < 1 until[2,inf) (y + 1)^2 > 3'
 

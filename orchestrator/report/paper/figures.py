@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from ...store.read import ObservedTest
 from .. import style
 from ..style import BLUE, GREEN, GREY, GREYS, RED, THICK, THIN
-from .text import csv_text
+from .table_text import csv_text
 
 Tests = Sequence[ObservedTest]
 

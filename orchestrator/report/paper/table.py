@@ -8,7 +8,7 @@ from ....schemas.certificate import Predicate
 from ...certificate.text import outward
 from .published import TABLE, THEOREM_2, Printed
 from .study import DIRECT, FUNCTION, PAPER, RIGOROUS, SCENARIO
-from .text import csv_text, markdown
+from .table_text import csv_text, markdown
 
 PARAMETERS = {"B": "rkhs_norm", "R": "noise_scale", "delta": "delta", "alpha": "alpha", "c": "c"}
 """Columns of Table I, and their keys in a campaign file."""

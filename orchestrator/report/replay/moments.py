@@ -19,7 +19,7 @@ from ...mathematics.stl.tree import REST, Always, And, Formula, Node, walk
 def at_each_moment(tree: Formula) -> Formula | None:
     """Return f of a specification `always f`, or of a conjunction of such; None if it is of another form.
 
-    >>> from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
     >>> from perfbound.orchestrator.mathematics.stl.text import text
     >>> text(at_each_moment(parse_formula("always x <= 1 and always y <= 2")))
     'x <= 1 and y <= 2'

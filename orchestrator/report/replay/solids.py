@@ -1,4 +1,4 @@
-"""A scene of solids, projected on a plane as polygons.
+"""A film: the moving solids of a scene, projected on a plane as polygons.
 
 | symbol | meaning | shape, unit |
 |---|---|---|

@@ -1,4 +1,4 @@
-"""The uvicorn server of a live page."""
+"""The uvicorn server of a live page: its configuration, its limits on connections, its shutdown."""
 
 import asyncio
 import socket

@@ -3,7 +3,7 @@
 import pytest
 
 from perfbound.orchestrator.campaign.objectives import clipped_robustness, signal_sup
-from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.workers.systems import load_system

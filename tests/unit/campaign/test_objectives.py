@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign.objectives import clipped_robustness, column_maximum, mean, risk, signal_sup
-from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 
 COLUMNS = ("t", "phi")
 SPECIFICATION = parse_formula("always (abs(phi) <= 0.95)")

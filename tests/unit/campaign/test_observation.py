@@ -5,7 +5,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.observation import Observer
 from perfbound.orchestrator.campaign.plan import plan
-from perfbound.orchestrator.mathematics.stl.formula import FormulaError
+from perfbound.orchestrator.mathematics.stl.parser import FormulaError
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.trajectory import Trajectory
 from tests.campaigns import config

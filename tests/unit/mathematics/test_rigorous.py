@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from sklearn.gaussian_process.kernels import Matern as ScikitMatern
 from threadpoolctl import threadpool_limits
 
+from perfbound.orchestrator.mathematics.bounds.box_maximum import certified_maximum
 from perfbound.orchestrator.mathematics.bounds.confidence import Mixture, Premises, mixture, radius, scales_squared
-from perfbound.orchestrator.mathematics.bounds.cover import certified_maximum
 from perfbound.orchestrator.mathematics.bounds.rigorous import ExhaustedError, RigorousMethod
 from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.mathematics.stl.formula import FormulaError, parse_formula
+from perfbound.orchestrator.mathematics.stl.parser import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 

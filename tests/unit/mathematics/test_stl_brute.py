@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perfbound.orchestrator.mathematics.stl.formula import FormulaError, parse_formula
+from perfbound.orchestrator.mathematics.stl.parser import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from perfbound.orchestrator.mathematics.stl.formula import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon, horizon
+from perfbound.orchestrator.mathematics.stl.parser import FormulaError, parse_formula
 
 
 class TestHorizon:

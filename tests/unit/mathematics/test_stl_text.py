@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perfbound.orchestrator.mathematics.stl.formula import FormulaError, columns, parse_formula
 from perfbound.orchestrator.mathematics.stl.horizon import check_horizon, horizon
+from perfbound.orchestrator.mathematics.stl.parser import FormulaError, columns, parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.orchestrator.mathematics.stl.text import text as text_of
 from perfbound.orchestrator.mathematics.stl.tree import (

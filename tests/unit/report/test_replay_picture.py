@@ -9,7 +9,7 @@ from google.protobuf.json_format import MessageToDict
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perfbound.orchestrator.mathematics.stl.formula import parse_formula
+from perfbound.orchestrator.mathematics.stl.parser import parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.orchestrator.report.replay.moments import at_each_moment, margins, moments
 from perfbound.orchestrator.report.replay.solids import Film, Floats, Motion, film, solids

@@ -1,4 +1,5 @@
-"""Parser of STL formulas: text to a frozen tree, by recursive descent. Implements eq. (spec) of [ARA].
+"""Recursive-descent parser of STL formulas: `tokens` has its input, `tree` its output.
+Implements eq. (spec) of [ARA].
 
 Grammar, loosest first (words are lower case; `implies` and `^` group to the right, `until` and the comparisons do not
 chain, the rest groups to the left):

@@ -1,4 +1,4 @@
-"""A log of JSON lines."""
+"""A text stream that writes each line as one JSON object, for `--log json`."""
 
 import io
 import json

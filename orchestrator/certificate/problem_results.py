@@ -1,4 +1,4 @@
-"""The result of each problem: its bound at the end, its probability and its parameters."""
+"""Construction of the result of a stopped problem: its bound, probability and parameters."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""One rollout without a campaign, and the list of systems, both from a child of `workers`."""
+"""The commands `simulate` and `systems`: arguments parsed, a child of `workers` run, its answer as lines of text."""
 
 import math
 from collections.abc import Iterator, Sequence
