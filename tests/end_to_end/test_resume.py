@@ -82,8 +82,11 @@ def no_shared_memory(directory: Path) -> None:
 
 
 def newest_files(directory: Path) -> None:
-    """Spoil the newest trajectories as a disk does that lied about fsync: gone, cut, and all zeros."""
-    newest = sorted(directory.rglob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)[-3:]
+    """Spoil the newest recorded trajectories as a disk does that lied about fsync: gone, cut, and all zeros.
+
+    The newest file of all may have no fact: the kill came between the file and its commit.
+    """
+    newest = [directory / path for (path,) in query(directory, "SELECT path FROM rollouts ORDER BY seq DESC LIMIT 3")]
     newest[0].unlink()
     newest[1].write_bytes(newest[1].read_bytes()[:-1])
     newest[2].write_bytes(bytes(newest[2].stat().st_size))
