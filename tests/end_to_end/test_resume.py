@@ -86,7 +86,9 @@ def newest_files(directory: Path) -> None:
 
     The newest file of all may have no fact: the kill came between the file and its commit.
     """
-    newest = [directory / path for (path,) in query(directory, "SELECT path FROM rollouts ORDER BY seq DESC LIMIT 3")]
+    newest = [
+        directory / str(path) for (path,) in query(directory, "SELECT path FROM rollouts ORDER BY seq DESC LIMIT 3")
+    ]
     newest[0].unlink()
     newest[1].write_bytes(newest[1].read_bytes()[:-1])
     newest[2].write_bytes(bytes(newest[2].stat().st_size))
