@@ -167,7 +167,7 @@ class _KernelProblem(_Problem):
 
     rkhs_norm: float = Field(gt=0, description="B: bound on the norm of the centred objective")
     prior_mean: float = Field(default=0.0, description="m0: the GP models J - m0, J the maximised objective")
-    kernel: MaternKernel = Field(description="Matern kernel of unit amplitude; the amplitude lives in B")
+    kernel: MaternKernel = Field(description="Matern kernel of unit amplitude; B sets the scale")
 
 
 class PaperProblem(_KernelProblem):
@@ -196,7 +196,7 @@ class PaperProblem(_KernelProblem):
 class RigorousProblem(_KernelProblem):
     """An anytime bound from one confidence set."""
 
-    method: Literal["rigorous"] = Field(description="bounds that hold at every moment")
+    method: Literal["rigorous"] = Field(description="bounds that are valid at any time")
     noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] = Field(
         description="R: sub-Gaussian noise of one rollout; 'derived' from the clip by Hoeffding; 0 without noise"
     )

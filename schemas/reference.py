@@ -22,13 +22,14 @@ from .campaign import (
 
 HEAD = """# Reference: campaign files
 
-Generated from the models by `make schemas`; also as [JSON Schema](../schemas/json/v1/campaign.json).
-A campaign file is TOML. Unknown keys are refused. Distances are in the unit of the system's parameters, robustness in
-the unit of the predicate, time in s.
+This page is generated from `schemas/campaign.py` by `make schemas`; the same keys as
+[JSON Schema](../schemas/json/v1/campaign.json). A campaign file is written in TOML; a file with an unknown key is
+refused. Length scales have the unit of the system's parameters, robustness has the unit of the predicates, and times
+are in s.
 """
 TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Top level", "", CampaignConfig),
-    ("[system]", "And the options of the system, by name: `perfbound systems` lists them.", SystemChoice),
+    ("[system]", "The table also takes the options of the system; `perfbound systems` lists them.", SystemChoice),
     ("[space]", 'One entry per parameter of the system: `x = { low = 0.0, high = 5.0, unit = "m" }`.', Range),
     ("[space], scenarios", "Instead of ranges: `scenarios = [[0.5, 0.5], [1.5, 0.5]]`.", Scenarios),
     ("[[problems]], method paper", "One table per optimisation problem; each name at most once.", PaperProblem),

@@ -26,7 +26,7 @@ def main() -> list[Row]:
     for label, (name, changes, most) in CAMPAIGNS.items():
         plain, looked = conduct(name, changes), conduct(name, changes, shares=True)
         rows += _costs(label, plain, most) + _shares(label, looked)
-        with_timer = f"{label}: orchestrator in all, while the timer looks"
+        with_timer = f"{label}: orchestrator in all, with the sampling timer"
         rows.append(Row(with_timer, looked.orchestrator, "s", "without it", plain.orchestrator))
     return rows
 
