@@ -122,7 +122,7 @@ class Service:
         self._send()
         while not self._ledger.done:
             self._turn(*self._receive())
-        self._show()
+        self._show()  # the last turn ends between two ticks
 
     def _receive(self) -> tuple[list[Inbound | Interrupted], float]:
         """Wait for the next message or tick; return messages, and the time up to which they are all that came."""
@@ -197,7 +197,7 @@ class Service:
             self._state, actions = dispatch.advance(self._state, self._events.popleft())
             for action in actions:
                 self._act(action)
-        self._results.clear()
+        self._results.clear()  # also those that the machine did not record: megabytes each
 
     def _act(self, action: events.Action) -> None:
         """Carry out an action of the dispatch machine; messages are kept until the commit."""
@@ -240,6 +240,7 @@ class Service:
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""
+        # Also before it ends: results of this turn are durable, and their workers may drop them.
         for worker, message in self._outgoing:
             self._transport.send(worker, message)
         self._outgoing.clear()

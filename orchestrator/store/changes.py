@@ -15,6 +15,7 @@ from .rows import DATABASE, READERS
 
 _SINCE: sa.BindParameter[int] = sa.bindparam("since")
 _rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.attempts.c
+# Outcomes and attempts have no sequence number: SQLite's row number grows with each insert, and no row is ever deleted.
 _ENDED = sa.literal_column("outcomes.rowid", sa.Integer)
 _STARTED = sa.literal_column("attempts.rowid", sa.Integer)
 _DECISIONS = {
@@ -83,6 +84,7 @@ class ChangeReader:
 
         """
         seq = {"since": self._seq}
+        # One snapshot for all tables: a bound is never seen without its observation.
         with reading(self._directory) as connection:
             header = self._checked(connection)
             decisions = [
@@ -95,7 +97,7 @@ class ChangeReader:
             outcomes = connection.execute(_OUTCOMES, {"since": self._ended}).all()
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
             sessions = connection.execute(_SESSIONS).scalar_one()
-        decisions.sort(key=lambda pair: pair[0])
+        decisions.sort(key=lambda pair: pair[0])  # the sequence number is common to all tables of facts
         found = Changes(
             header,
             tuple(fact for _, fact in decisions),

@@ -55,6 +55,7 @@ class ExportTable:
 
     def rows(self, connection: Connection) -> Iterator[Row]:
         """Yield all rows, a batch of them in memory."""
+        # Not all at once: a campaign may have a million rollouts.
         for row in connection.execute(self.query, execution_options={"yield_per": BATCH}):
             yield from self.expand(row)
 

@@ -82,7 +82,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
 
 
 def _problem_progress(last: SimpleNamespace | None, rollouts: int) -> ProblemProgress:
-    if last is None:
+    if last is None:  # no test is observed yet
         return ProblemProgress(0, rollouts, None, None, None)
     fact = bound_fact(last)
     return ProblemProgress(fact.test + 1, rollouts, last.F, fact.bound, fact.stopped_by)
@@ -95,6 +95,7 @@ def _named(cursor: sqlite3.Cursor) -> list[SimpleNamespace]:
 
 def rate(ended: Sequence[float]) -> float:
     """Return rollouts per second over the last minute before the newest of these Unix times."""
+    # Before the newest, not before now: a stopped campaign shows the rate of its last minute of work.
     newest = max(ended, default=0.0)
     minute = [time for time in ended if time > newest - MINUTE]
     return (len(minute) - 1) / (newest - min(minute)) if len(minute) > 1 and newest > min(minute) else 0.0

@@ -80,7 +80,7 @@ def read_facts(connection: Connection) -> Iterator[Fact]:
         for table, make in READERS.items()
         for row in connection.execute(sa.select(tables.metadata.tables[table]))
     ]
-    rows.sort(key=lambda pair: pair[0])
+    rows.sort(key=lambda pair: pair[0])  # the order of the decisions: a replay takes the same way as the run
     for _, fact in rows:
         yield fact
 

@@ -67,7 +67,7 @@ def _shape(connection: sa.Connection, directory: Path) -> set[str]:
 
 def _rows(connection: sa.Connection, directory: Path, name: str, there: set[str]) -> tuple[Fact, ...]:
     if name not in there:
-        return ()
+        return ()  # a header alone is enough to decide the campaign again from its files
     table = tables.metadata.tables[name]
     try:
         return tuple(READERS[name](row) for row in connection.execute(sa.select(table).order_by(table.c.seq)))
