@@ -23,7 +23,7 @@ def read_certificate(path: str | Path) -> Certificate:
     """Return the certificate in a file `certificate.json`; it is not verified, which `perfbound verify` does.
 
     Raises:
-        ValueError: the file holds no certificate.
+        ValueError: the file is no certificate.
         OSError: it cannot be read.
 
     """

@@ -19,7 +19,7 @@ def canonical_json(value: Any) -> str:
     """Return the one JSON text of `value`: sorted keys, no spaces, ASCII, shortest floats.
 
     Raises:
-        ValueError: `value` holds a NaN or an infinity.
+        ValueError: `value` contains a NaN or an infinity.
 
     """
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)

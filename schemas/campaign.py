@@ -101,7 +101,7 @@ class MaternKernel(Model):
 
 
 class Gap(Model):
-    """How nominal and true trajectory are compared."""
+    """Comparison of nominal and true trajectory."""
 
     kind: Literal["signal_sup", "predicate_sup", "robustness"] = Field(
         default="signal_sup",

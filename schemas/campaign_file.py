@@ -53,7 +53,7 @@ Beside = Callable[[str], bytes]
 def parse_campaign(data: bytes, source: str, beside: Beside | None = None, **overrides: Any) -> CampaignConfig:
     """Read the bytes of a campaign file; `overrides` replace top-level keys.
 
-    `space.scenarios` may name a CSV file, which `beside` reads; the campaign then holds its numbers.
+    `space.scenarios` may name a CSV file, which `beside` reads; the campaign then contains its numbers.
 
     Raises:
         CampaignError: one line with the file, the key and the allowed values.
@@ -173,7 +173,7 @@ def _describe(fault: Any, key: str) -> str:
         reason = message.removeprefix("Value error, ")
         return f"{key}.{reason}" if key else reason
     if kind == "json_invalid":
-        return f"not a value that JSON can hold: {message}"
+        return f"not a value that JSON can represent: {message}"
     allowed_text = _allowed(location) or message.removeprefix("Input should be ").replace("an object", "a table")
     if kind == "missing" and isinstance(location[-1], str):
         what = "" if allowed_text == message else f": {allowed_text}"

@@ -61,7 +61,7 @@ class IllegalEvent(ValueError):  # noqa: N818  (the convention of h11: the event
 
 
 class Stopped(BaseException):
-    """A signal asks the orchestrator to stop; everything that was recorded is durable.
+    """A signal has stopped the orchestrator; everything that was recorded is durable.
 
     Not an Exception: like KeyboardInterrupt, no `except Exception` may catch it.
     """

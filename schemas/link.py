@@ -45,7 +45,7 @@ def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
             **_common(tls, names),
             "mode": "peer",
             "listen": {"endpoints": [endpoint]},
-            "adminspace": {"enabled": True},  # only to learn the port that the system chose
+            "adminspace": {"enabled": True},  # only to read the port that the system chose
         }
     )
 

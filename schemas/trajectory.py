@@ -1,6 +1,6 @@
 """The trajectory and its file: the only importer of mcap.
 
-A file holds the evidence (attachment `trajectory.npy`, attachment `request.json`, one metadata record) and, if the
+A file contains the evidence (attachment `trajectory.npy`, attachment `request.json`, one metadata record) and, if the
 trajectory has a `Visual`, a visual part at 30 Hz (channels /tf, /scene, /solids, /state and /log). Nothing in
 it depends on the clock or the host: the same rollout gives the same bytes.
 
@@ -111,7 +111,7 @@ def encode(
     `units` names the unit of each column; the metadata record is `metadata` and the list of columns.
 
     Raises:
-        ValueError: `request` holds a number that is not finite, `units` lacks a column, or the name of a visible
+        ValueError: `request` contains a number that is not finite, `units` lacks a column, or the name of a visible
             column is no name of a protobuf field.
 
     """
@@ -134,7 +134,7 @@ def decode(data: bytes) -> Trajectory:
     """Return the trajectory in a file.
 
     Raises:
-        TrajectoryError: as `read`.
+        TrajectoryError: as `read_mcap`.
 
     """
     return read_mcap(data).trajectory
@@ -189,7 +189,7 @@ def _npy(samples: Floats) -> bytes:
 def _from_npy(data: bytes) -> Floats:
     """Return the array (a view of `data`) of an npy file that is written as `_npy` writes it.
 
-    numpy's own reader hands the header to a parser of Python, and allocates whatever shape it claims.
+    numpy's own reader passes the header to a parser of Python, and allocates whatever shape it claims.
     """
     found = _SHAPE.search(data[:MAX_NPY_HEADER])
     if found is None:

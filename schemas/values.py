@@ -1,6 +1,6 @@
 """Values that campaign and mathematics exchange, in terms of the maximised objective J; the standard library only.
 
-These classes are all that the mathematics imports of perfbound; the facts of a campaign hold them.
+These classes are all that the mathematics imports of perfbound; the facts of a campaign contain them.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class Proposal:
     """The next test: its candidate, and the numbers that chose it.
 
     `x` (p,) has the parameters' units, `mu` and `F` the unit of J. The first test of a problem has no `beta` and no
-    `F`, and only method `paper` has an `F`. With refinement `x` need not be the node, but lies within one cell of it.
+    `F`, and only method `paper` has an `F`. With refinement `x` need not be the node, but is within one cell of it.
     """
 
     node: int
@@ -30,7 +30,7 @@ class Proposal:
 class Observation:
     """y of a test, and the contribution of each replicate to it, in the order of the replicates.
 
-    `each` holds values of J whose mean is y; for a risk (`true_risk` without linearisation) it holds the robustness.
+    `each` has the values of J whose mean is y; for a risk (`true_risk` without linearisation) it has the robustness.
     """
 
     y: float

@@ -5,7 +5,7 @@
 | F | frames of the visual part |
 | n | columns of the trajectory |
 
-Foxglove draws /scene. rerun knows no scenes but VoxelGrids, so that each solid of the scene is also a grid of one cell
+Foxglove draws /scene. rerun draws VoxelGrids but no scenes, so that each solid of the scene is also a grid of one cell
 on a topic of its own under /solids: a box, also for a cylinder or a sphere.
 """
 
@@ -90,7 +90,7 @@ class Channel(NamedTuple):
 def channels(visual: Visual, rows: Floats, units: Mapping[str, str]) -> tuple[Channel, ...]:
     """Return the channels of a trajectory with the visible `rows`, shape (F, n).
 
-    `units` holds the columns of `rows`, in their order, with their units; the first one is the time in s.
+    `units` contains the columns of `rows`, in their order, with their units; the first one is the time in s.
 
     Raises:
         ValueError: the name of a column is no name of a protobuf field.

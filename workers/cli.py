@@ -186,20 +186,20 @@ def simulate(request: str, out: Path) -> None:
         fail(f"{out}: {error.strerror}")
 
 
-@group.command()
+@group.command("visual")
 @click.option("--file", "path", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file.")
-def look(path: Path) -> None:
+def print_visual(path: Path) -> None:
     """Print the visual part of a trajectory as JSON: the scene and the moving frames, or null."""
-    from . import look as view  # noqa: PLC0415
+    from .visual_json import visual_json  # noqa: PLC0415
 
     try:
         with contextlib.redirect_stdout(sys.stderr):  # the output of a plug-in must not mix with the data
-            seen = view.look(path.read_bytes())
+            found = visual_json(path.read_bytes())
     except OSError as error:
         fail(f"{path}: {error.strerror}")
     except PerfboundError as error:
         fail(f"{path}: {error}")
-    click.echo(canonical_json(seen))
+    click.echo(canonical_json(found))
 
 
 def main() -> None:

@@ -69,7 +69,7 @@ class Account:
         self.each.append(found.each)
         self.nodes.append(self.last_proposal.node)
         if fact.problem == "sim_gap":
-            # The composition needs a gap that dominates the robustness difference in every pair: the audit asks.
+            # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
             self.excess = max(self.excess, objectives.excess(self.plan, robustness, found.each))
         for rollout in rollouts:

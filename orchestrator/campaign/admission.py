@@ -16,7 +16,7 @@ SAMPLES = 50
 
 
 def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Trajectory:
-    """Return the trajectory of the rollout that `request` asks for, from the bytes of its file.
+    """Return the trajectory of the rollout that `request` describes, from the bytes of its file.
 
     `columns` are those of the system, `sha256` is the digest that the sender announces or the manifest lists.
 

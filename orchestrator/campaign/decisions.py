@@ -18,7 +18,7 @@ Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | No
 
 
 class Decisions:
-    """The methods and objectives of a campaign, asked in the order of the facts.
+    """The methods and objectives of a campaign, called in the order of the facts.
 
     Every decision depends on the account that it is given, on the calls before and on the seed; never on time, worker
     or file. An error of the mathematics becomes a `PerfboundError` that names problem and test.

@@ -181,7 +181,7 @@ class Ledger:
             case ObservationFact(problem):
                 account = self.accounts[problem]
                 account.observe(fact)
-                # In a replay as well: it is how a method learns, and how a recorded bound is checked.
+                # In a replay as well: the method takes its data here, and a recorded bound is compared with this one.
                 account.due = self._decisions.bound(account, fact)
                 return ()
             case BoundFact(problem, test):

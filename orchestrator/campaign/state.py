@@ -194,7 +194,7 @@ def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
         after, actions = _observe(problem, event)
     problems = (*state.problems[:index], after, *state.problems[index + 1 :])
     state = State(problems)
-    # Only an observation ends a problem: a late rollout of a finished campaign asks for no second certificate.
+    # Only an observation ends a problem: a late rollout of a finished campaign causes no second certificate.
     return state, (*actions, Certify()) if isinstance(event, Observed) and state.done else actions
 
 

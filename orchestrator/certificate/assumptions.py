@@ -32,7 +32,7 @@ def assumptions(accounts: Mapping[str, Account], methods: Methods) -> list[Assum
     rollouts = sum(sum(account.counts.values()) for account in accounts.values())
     found.append(assumption("finite_rollouts", "derived", {"rollouts": rollouts}))
     if set(PAIR) <= set(accounts):
-        # The product needs that neither problem saw the other's data; only method `paper` claims it.
+        # The product needs that neither problem uses the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
             found.append(assumption("independence", "derived"))
         found.append(assumption("accounting", "derived"))

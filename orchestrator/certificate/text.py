@@ -1,6 +1,6 @@
 """A certificate as text: refuted assumptions first, then the claim, its problems and its other assumptions.
 
-Bounds are rounded outward, so that no line promises more than the certificate. Everything is printed as plain text with
+Bounds are rounded outward, so that no line claims more than the certificate. Everything is printed as plain text with
 styles, never as markup: names, paths and formulas may contain brackets.
 """
 
@@ -31,7 +31,7 @@ NAME = 22
 
 
 def outward(bound: float, sense: str) -> str:
-    """Return a bound with four digits that promises no more than `bound` does.
+    """Return a bound with four digits that is no stronger than `bound`.
 
     >>> outward(0.00019, ">="), outward(-0.00011, ">="), outward(0.00011, "<=")
     ('0.0001', '-0.0002', '0.0002')

@@ -27,8 +27,8 @@ def web(*, directory: Path, web: Address, insecure: bool) -> None:
     try:
         from ..report.web.server import Server  # noqa: PLC0415  (late: a port in use is reported at once)
 
-        server = Server(directory, address, _say)
-        _say(f"live page: {address.url}")
+        server = Server(directory, address, _print_stderr)
+        _print_stderr(f"live page: {address.url}")
         server.run([listening])
     except Stopped as request:
         end("the live page has ended", 128 + request.signal)
@@ -48,7 +48,7 @@ def report(*, directory: Path, as_json: bool) -> None:
         click.echo(to_json(data))
         return
     if data.state != "finished":
-        _say(f"{directory}: the campaign is {data.state}; the report shows its present state")
+        _print_stderr(f"{directory}: the campaign is {data.state}; the report shows its present state")
     data = with_nominal(directory, data)
     for path in (*write_page(directory, data), *write_figures(directory, data)):
         click.echo(path)
@@ -62,10 +62,10 @@ def draw(directory: Path) -> None:
         write_page(directory, collected(directory))
     except Exception as error:  # noqa: BLE001  (any: the certificate is already there, and the report only shows it)
         command = shlex.join(["perfbound", "report", str(directory)])
-        _say(one_line(f"{directory}: finished, but there is no report: {error}; run `{command}`"))
+        _print_stderr(one_line(f"{directory}: finished, but there is no report: {error}; run `{command}`"))
 
 
-def _say(line: str) -> None:
+def _print_stderr(line: str) -> None:
     from rich.text import Text  # noqa: PLC0415
 
     STDERR.console.print(Text(line), soft_wrap=True)

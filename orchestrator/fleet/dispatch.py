@@ -291,7 +291,7 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
         if at - worker.gone_at < limits.lost_after:
             return state, ()
         state = replace(state, workers={key: value for key, value in state.workers.items() if key != name})
-        # Forgotten whole: if the process lives, its token makes it a `new` worker, and it reports first.
+        # The whole entry is removed: if the process is alive, its token makes it a `new` worker, and it reports first.
         lost = f"worker lost for {limits.lost_after:g} s"
         return _fail(state, name, worker.attempt, lost) if worker.attempt else (state, ())
     # It neither reports idle nor disappears. `progress_at` starts anew, so that it is given up again later.

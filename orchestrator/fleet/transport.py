@@ -73,7 +73,7 @@ class Transport(Protocol):
 
     @property
     def endpoint(self) -> str:
-        """Where workers connect."""
+        """Zenoh endpoint that workers connect to."""
         ...
 
     def start(self, run: str, sink: Sink) -> None:
@@ -96,7 +96,7 @@ class ZenohTransport:
 
     @property
     def endpoint(self) -> str:
-        """Where workers connect."""
+        """Zenoh endpoint that workers connect to."""
         return self._endpoint
 
     def start(self, run: str, sink: Sink) -> None:

@@ -77,7 +77,7 @@ class Collector:
     def _read(self) -> Header:
         # The certificate before the facts: it is written after the last of them, so they are complete with it.
         certificate = self._certificate or files.read(self.directory)
-        changes = self._changes.look()
+        changes = self._changes.read()
         header = self._header = changes.header
         if certificate and certificate.predicate.campaign.config_sha256 != header.config_sha256:
             raise JournalError(

@@ -45,7 +45,7 @@ def _page(template: str, title: str, data: str, directive: str) -> Page:
         "base-uri 'none'; form-action 'none'"
     )
     parts = {"STORY": data, "TITLE": html.escape(title), "CSP": html.escape(policy, quote=False)}
-    # All in one pass: a name of the campaign that looks like a placeholder stays a name.
+    # All in one pass: a name of the campaign that has the form of a placeholder stays a name.
     return Page(_PLACEHOLDER.sub(lambda found: parts[found[1]], template), policy)
 
 

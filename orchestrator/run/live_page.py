@@ -44,7 +44,7 @@ def message(status: "RunStatus") -> bytes:
         known = status.known.get(name)
         state = "busy" if phase == "sent" else phase
         rollout = known.state.rollout if known and known.state and state == "busy" else None
-        workers[name] = (state, rollout, known.heard + to_unix if known else None)
+        workers[name] = (state, rollout, known.last_heartbeat + to_unix if known else None)
     return json.dumps(workers).encode()
 
 
@@ -88,9 +88,9 @@ class LivePage:
         listening, address = self.place
         with listening:  # from here on the port is the child's alone
             self._child = _PageProcess(listening, address, self._directory)
-        self._say(f"live page: {address.url}")
+        self._print_line(f"live page: {address.url}")
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Drop the line: the page shows the campaign, not its log."""
 
     def show(self, status: "RunStatus") -> None:
@@ -101,11 +101,11 @@ class LivePage:
         self._next = now + PERIOD
         try:
             for line in self._child.turn(message(status)):
-                self._say(line)
+                self._print_line(line)
         except Exception as error:  # noqa: BLE001  (any: a page must not stop a campaign)
             self._child.stop(grace=0.0)
             self._child = None
-            self._say(
+            self._print_line(
                 f"the live page has ended: {error}. The campaign continues; {page_command(self._directory)} shows it"
             )
 
@@ -115,9 +115,9 @@ class LivePage:
             self.place[0].close()
         if self._child is not None:
             self._child.stop(GRACE)
-            self._say(f"the live page has ended with the run; {page_command(self._directory)} shows it again")
+            self._print_line(f"the live page has ended with the run; {page_command(self._directory)} shows it again")
 
-    def _say(self, line: str) -> None:
+    def _print_line(self, line: str) -> None:
         self._console.print(Text(line), soft_wrap=True)
 
 

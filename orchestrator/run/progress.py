@@ -29,7 +29,7 @@ class Terminal:
         self._console, self._live = console, live
         self._rate = Rate()
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Print a line above the table."""
         self._console.print(Text(line, "yellow"), soft_wrap=True)
 
@@ -54,7 +54,7 @@ class Plain:
         self._last = time.monotonic()
         self._ended: set[str] = set()
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Print a line."""
         self._console.print(Text(line), soft_wrap=True)
 
@@ -78,7 +78,7 @@ class Plain:
             name = "F" if problem.method == "paper" else "upper - lower"
             end = f"; stopped by {progress.stopped_by}" if progress.stopped_by else ""
             numbers = f"{name} {figure(away)} (alpha {problem.alpha:g}), bound so far {figure(bound, 3)}"
-            self.say(f"{problem.name}: test {progress.tests}, {numbers}{end}")
+            self.print_line(f"{problem.name}: test {progress.tests}, {numbers}{end}")
             return
         self._json.line(
             "problem ended" if progress.stopped_by else "progress",
@@ -93,7 +93,7 @@ class Plain:
 
     def _workers(self, status: RunStatus, rate: float) -> None:
         if self._json is None:
-            self.say(worker_line(status, rate))
+            self.print_line(worker_line(status, rate))
         else:
             phases = dict(sorted(status.workers.items()))
             self._json.line("workers", workers=phases, rollouts=status.recorded, rollouts_per_second=round(rate, 2))
@@ -105,7 +105,7 @@ class SystemdStatus:
     def __init__(self, systemd: Systemd) -> None:
         self._systemd = systemd
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Drop the line: systemd's journal has it from stderr."""
 
     def show(self, status: RunStatus) -> None:

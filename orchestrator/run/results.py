@@ -14,7 +14,7 @@ from ..store.journal import Journal
 
 
 class Results:
-    """Admitted results by attempt; the dispatch machine sees their outcome alone, never their bytes."""
+    """Admitted results by attempt; the dispatch machine receives their outcome alone, never their bytes."""
 
     def __init__(self, ledger: Ledger, journal: Journal) -> None:
         self._ledger, self._journal = ledger, journal

@@ -23,7 +23,7 @@ class WorkerRecord:
     state: WorkerState | None = None
     """The last heartbeat; None before the worker is admitted."""
     refused: bool = False
-    heard: float = 0.0
+    last_heartbeat: float = 0.0
     """Time of the last heartbeat, by the monotonic clock."""
 
 
@@ -62,7 +62,7 @@ class Roster:
         if record is None or not record.alive or record.refused:
             return ()
         up = () if record.state else (events.WorkerUp(message.at, message.worker),)
-        record.heard, record.state = message.at, message.state
+        record.last_heartbeat, record.state = message.at, message.state
         state, attempt = message.state, None
         if state.rollout is not None and state.attempt is not None:
             attempt = Attempt(RolloutId.parse(state.rollout), state.attempt)

@@ -36,7 +36,7 @@ ADOPTION = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Interrupted:
-    """A signal asks the orchestrator to stop."""
+    """The event of a signal that stops the orchestrator."""
 
     signal: int
 
@@ -61,7 +61,7 @@ class RunStatus:
 class Listener(Protocol):
     """A form of progress output."""
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Print one line."""
         ...
 
@@ -134,7 +134,7 @@ class Service:
                 messages.append(self.inbox.get(timeout=wait) if wait > 0 else self.inbox.get_nowait())
             except queue.Empty:
                 return messages, now + wait
-        # The inbox may hold more: time is complete only up to the last message taken, and a signal has no time.
+        # The inbox may contain more: time is complete only up to the last message taken, and a signal has no time.
         return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
 
     def _turn(self, messages: list[Inbound | Interrupted], complete: float) -> None:
@@ -151,7 +151,7 @@ class Service:
                 self._settle()
             elif not dispatch.under_way(self._state):
                 self._stop = self._draining
-        # After the commit: kill -9 before it loses facts that no worker was told of, so all of them are made again.
+        # After the commit: kill -9 before it loses facts that no worker has received, so all of them are made again.
         self._send()
 
     def _take(self, message: Inbound | Interrupted) -> None:
@@ -160,7 +160,7 @@ class Service:
                 self._events.extend(self._roster.token(message))
             case Heartbeat():
                 if (reason := self._roster.refusal(message)) is not None:
-                    self._say(f"refused worker {message.worker}: {reason}")
+                    self._print_line(f"refused worker {message.worker}: {reason}")
                     self._outgoing.append((message.worker, Refuse(reason=reason)))
                 self._events.extend(self._roster.heartbeat(message))
             case Result():
@@ -168,7 +168,7 @@ class Service:
                 if self._roster.admitted(message.worker) is not None:
                     self._events.append(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
-                self._say(f"ignored a message of {message.worker}: {message.reason}")
+                self._print_line(f"ignored a message of {message.worker}: {message.reason}")
             case Interrupted():
                 self._interrupted(message.signal)
 
@@ -179,13 +179,13 @@ class Service:
             return
         self._draining = signal
         count = dispatch.under_way(self._state)
-        self._say(f"draining: {count} rollouts are under way; a second signal stops at once")
+        self._print_line(f"draining: {count} rollouts are under way; a second signal stops at once")
 
     def _tick(self, now: float) -> None:
         self._next_tick = now + TICK
         if self._fleet is not None:
             for news in self._fleet.tend():
-                self._say(news)
+                self._print_line(news)
         # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.
         self._events.append(events.Tick(now))
         self._settle()
@@ -217,7 +217,7 @@ class Service:
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Fail(worker, attempt, reason):
                 self._journal.attempt_ended(attempt, worker, reason)
-                self._say(f"{attempt.rollout}, attempt {attempt.number} on {worker}: {reason}")
+                self._print_line(f"{attempt.rollout}, attempt {attempt.number} on {worker}: {reason}")
             case events.GiveUp(worker):
                 state = self._roster.admitted(worker)
                 # A process id names one of our children on this host only.
@@ -254,9 +254,9 @@ class Service:
                 + ". Reproduce it with `perfbound simulate`, fix the cause, then resume"
             )
 
-    def _say(self, line: str) -> None:
+    def _print_line(self, line: str) -> None:
         for listener in self._listeners:
-            listener.say(line)
+            listener.print_line(line)
 
     def _show(self) -> None:
         status = RunStatus(

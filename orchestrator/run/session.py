@@ -240,9 +240,9 @@ def _conduct(
         if not ledger.done:
             terminal = stack.enter_context(listener(console))
             if damaged:
-                terminal.say(f"{damaged} trajectory files are missing or damaged: simulating them again")
+                terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
             for line in forecast.warnings(ledger.plans):
-                terminal.say(line)
+                terminal.print_line(line)
             listeners = (terminal, SystemdStatus(systemd), page)
             service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))

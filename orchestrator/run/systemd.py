@@ -47,4 +47,4 @@ class Systemd:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
                 sock.sendto(text.encode(), address)
         except OSError:
-            return  # a manager that does not listen is no reason to stop a campaign
+            return  # an unreachable service manager is no reason to stop a campaign

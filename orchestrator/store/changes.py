@@ -76,7 +76,7 @@ class ChangeReader:
         self._header: Header | None = None
         self._seq = self._ended = self._started = 0
 
-    def look(self) -> Changes:
+    def read(self) -> Changes:
         """Return what was added, at one moment in time.
 
         Raises:

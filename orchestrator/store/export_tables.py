@@ -8,7 +8,7 @@
 | `counterexamples` | a rollout with robustness below 0                                              |
 
 Rows are in the order of the facts. Numbers are in the unit of their objective: for sense min they are robustness,
-where the database holds J = -robustness. So `lower` is a bound from below and `upper` one from above, in both senses.
+where the database has J = -robustness. So `lower` is a bound from below and `upper` one from above, in both senses.
 """
 
 import json
@@ -189,7 +189,7 @@ def _observations_table(header: Header) -> ExportTable:
 
 
 def _contributes_robustness(problem: Problem) -> bool:
-    """Whether `each` of an observation holds robustness and not J: `perfbound.schemas.values.Observation`."""
+    """Whether `each` of an observation contains robustness and not J: `perfbound.schemas.values.Observation`."""
     return problem.name == "true_risk" and problem.method != "rigorous"
 
 

@@ -36,7 +36,7 @@ _INSERTS = {table: table.insert() for table in tables.FACTS} | {
 
 
 class Journal:
-    """An open campaign database, in the hands of one thread, under `campaign_lock`."""
+    """An open campaign database, used by one thread, under `campaign_lock`."""
 
     def __init__(self, directory: Path, engine: Engine, header: Header) -> None:
         self.directory, self.header = directory, header
@@ -49,7 +49,7 @@ class Journal:
     @classmethod
     def create(cls, directory: Path, header: Header) -> "Journal":
         """Make the database of a new campaign, whole or not at all."""
-        # Under another name until it is whole: after kill -9 a database without its header would look like a campaign.
+        # Under another name until it is whole: after kill -9 a database without its header would pass for a campaign.
         partial = temporary(directory / DATABASE)
         engine = _engine(partial)
         with engine.begin() as connection:
@@ -145,7 +145,7 @@ class Journal:
 
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
-        # SQLite folds the log when the last connection closes: with a reader at that moment, nobody would.
+        # SQLite folds the log when the last connection closes: with a reader at that moment, no connection would.
         if not self._connection.closed and not self._connection.in_transaction():
             driver = self._connection.connection.driver_connection
             assert driver is not None
@@ -184,7 +184,7 @@ def _engine(path: Path) -> Engine:
 
 def _configure(connection: Any, _record: object) -> None:
     connection.isolation_level = None  # SQLAlchemy begins and commits, not the driver
-    # WAL: readers never block the writer. FULL: a commit is on the disk before a worker is told to drop its result.
+    # WAL: readers never block the writer. FULL: a commit is on the disk before a worker may drop its result.
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000"):
         connection.execute(f"PRAGMA {pragma}")
 

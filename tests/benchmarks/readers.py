@@ -127,7 +127,7 @@ def _forked(directory: Path) -> None:
 
 def _look(watch: ChangeReader) -> float:
     start = time.process_time()
-    watch.look()
+    watch.read()
     return time.process_time() - start
 
 

@@ -261,7 +261,7 @@ class Log:
         self.lines: list[str] = []
         self._look = look
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Keep a line."""
         self.lines.append(line)
 

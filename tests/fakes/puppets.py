@@ -184,7 +184,7 @@ class _Listener:
     def __init__(self, look: Callable[[], None]) -> None:
         self._look = look
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Keep silent."""
 
     def show(self, status: RunStatus) -> None:

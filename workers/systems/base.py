@@ -12,7 +12,7 @@ Progress = Callable[[int], None]
 """Called with the number of control steps done so far; it may raise `Cancelled`."""
 
 
-class Cancelled(Exception):  # noqa: N818  (not an error: the orchestrator no longer wants the rollout)
+class Cancelled(Exception):  # noqa: N818  (not an error: the orchestrator has withdrawn the rollout)
     """The rollout was cancelled while it ran."""
 
 

@@ -21,7 +21,7 @@ CHECKS = {
     "observations": "every y follows from its trajectories: robustness, gap, risk",
     "stop": "every problem continues until its rule stops it, and no longer",
     "evidence": "the manifest lists the rollouts of the observed tests, all and no others",
-    "chain": "the hash chain over proposals, digests and observations ends where the certificate says",
+    "chain": "the hash chain over proposals, digests and observations ends in the digest that the certificate names",
     "problems": "the bounds and parameters of the problems follow from the campaign file and the observations",
     "probabilities": "the probabilities follow from the campaign file",
     "composition": "the terms of the composition follow from the bounds",

@@ -142,7 +142,7 @@ def replicate_spread(
 
     """
     if not 0.0 < delta < 1.0:
-        raise ValueError(f"delta must lie in (0, 1), not {delta!r}")
+        raise ValueError(f"delta must be in (0, 1), not {delta!r}")
     groups = [values for values in replicates if len(values) > 1]
     count = sum(len(group) for group in groups)
     if not groups:
@@ -165,7 +165,7 @@ def replicate_spread(
 def deterministic_variant(replicates: Sequence[Sequence[float]]) -> Finding:
     """Test R = 0: rollouts of one test must agree bit by bit, and so must tests at one place.
 
-    `replicates` holds the values of equal inputs: one inner sequence per place.
+    `replicates` contains the values of equal inputs: one inner sequence per place.
 
     >>> deterministic_variant([(0.7, 0.7), (0.6, 0.61)]).status
     'refuted'

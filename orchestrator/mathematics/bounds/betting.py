@@ -161,7 +161,7 @@ class BettingSequence:
 
         """
         if not 0.0 <= x <= 1.0:
-            raise ValueError(f"a value must lie in [0, 1], not {x!r}")
+            raise ValueError(f"a value must be in [0, 1], not {x!r}")
         # A candidate that is rejected at every level remains so: no wealth is needed there.
         start = 1 + min(self._rejected)
         ends = [self._bet(j, strategy, start, x, past) for j, strategy in enumerate(self._strategies)]

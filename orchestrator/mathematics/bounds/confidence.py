@@ -79,7 +79,7 @@ class Premises:
 def mixture(rkhs_norm: float, noise_scale: float) -> Mixture:
     """Return the default mixture: lambda = (R/B)^2 times 1, 10, 100, 1000, with equal weights; empty for R = 0.
 
-    The best lambda balances the two terms of Q and lies between (R/B)^2 and Gamma (R/B)^2; four values instead of the
+    The best lambda balances the two terms of Q and is between (R/B)^2 and Gamma (R/B)^2; four values instead of the
     best one cost at most 2 R^2 ln 4 in Q.
 
     >>> mixture(1.0, 0.1)[2]

@@ -38,7 +38,7 @@ def linearised_range(clip: tuple[float, float], risk_weight: float, c: float, s:
     Implements eq. (range) of [PB].
 
     Formula: X is a concave parabola in rho with its vertex at c + s/r, so the least value is at an end of the clip and
-    the largest at the vertex, or at an end if the vertex lies outside. Computed exactly on the printed decimals.
+    the largest at the vertex, or at an end if the vertex is outside. Computed exactly on the printed decimals.
 
     Raises:
         ValueError: a number is not finite, the clip is empty, r is negative, or s is not positive.
@@ -106,7 +106,7 @@ def check_clip(clip: tuple[float, float]) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class RiskReading:
-    """How the risk of one law follows from the mean of values x in [0, 1]: by X with `constants`, or by phi without.
+    """Map from the mean of values x in [0, 1] to the risk of one law: X with `constants`, or phi without.
 
     Raises:
         ValueError: a number is outside its range.

@@ -209,8 +209,8 @@ class ScenarioMethod(Method):
         """Return the bounds so far, valid at every time; units as in ScenarioBound.
         Implements eq. (intersection-union) of [B82].
 
-        Formula: ell = min_k L_k; {min_k L_k > rho*} lies in {L_k* > risk_k*} for the fixed k* with risk_k* = rho*, so
-        that the full delta serves every scenario. Assumes what the head of this module lists.
+        Formula: ell = min_k L_k; {min_k L_k > rho*} is a subset of {L_k* > risk_k*} for the fixed k* with risk_k* =
+        rho*, so that the full delta serves every scenario. Assumes what the head of this module lists.
         """
         states = tuple(scenario.state for scenario in self._scenarios)
         worst = min(range(self.size), key=lambda k: (states[k].lower, k))

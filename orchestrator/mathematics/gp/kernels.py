@@ -10,7 +10,7 @@ and curvature, for points and cells between the candidates.
 | l      | `length_scale` | length scale                               | ()    | m    |
 | r      | `distances`    | Euclidean distances                        | any   | m    |
 
-The amplitude lives in the norm bound B (`rkhs_norm`), so k(0) = 1.
+The amplitude is part of the norm bound B (`rkhs_norm`), so k(0) = 1.
 """
 
 import math

@@ -101,7 +101,7 @@ class Lattice:
 class KernelRows:
     """Kernel rows of a lattice, each a copy of a window of one table.
 
-    A stationary kernel depends on two nodes only through |index offset| per axis. The table holds every offset from
+    A stationary kernel depends on two nodes only through |index offset| per axis. The table contains every offset from
     -(resolution - 1) to resolution - 1, mirrored, so that row i is a contiguous window and k(z_i, z_j) = k(z_j, z_i)
     bit by bit.
     """

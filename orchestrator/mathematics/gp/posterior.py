@@ -210,7 +210,7 @@ class Posterior:
         if not self._stale:
             return
         factor = self._merge()
-        # V' L' = K(X, .)': the transposed views are in the Fortran order that BLAS wants.
+        # V' L' = K(X, .)': the transposed views are in Fortran order, which BLAS requires.
         v = dtrsm(1.0, factor, self._data.points.kernel.T, side=1, lower=1, trans_a=1).T  # (q, m)
         self._set_moments(np.array(self._w) @ v, np.maximum(1.0 - np.einsum("ij,ij->j", v, v), 0.0))
         self._stale = False

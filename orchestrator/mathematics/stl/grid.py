@@ -93,7 +93,7 @@ class Grid:
         """Raise if a formula cannot be read at the first sample.
 
         Raises:
-            FormulaError: it reaches beyond the last sample, or an interval holds no sample where it is read.
+            FormulaError: it reaches beyond the last sample, or an interval contains no sample where it is read.
             ValueError: it has intervals, and the sample times do not increase.
 
         """
@@ -110,7 +110,7 @@ class Grid:
             empty = np.flatnonzero(read & (windows.first >= windows.stop))
             if empty.size:
                 raise FormulaError(
-                    f"the interval of `{excerpt(tree)}` holds no sample at t = {self._times[empty[0]]:.9g} s: "
+                    f"the interval of `{excerpt(tree)}` contains no sample at t = {self._times[empty[0]]:.9g} s: "
                     "make it at least as long as the time between two samples"
                 )
         for operand, there in zip(operands(tree), self._read(tree, read), strict=True):

@@ -34,7 +34,7 @@ def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
     not x > 0 have the same one).
 
     Raises:
-        FormulaError: `tree` reaches beyond the last sample, or an interval holds no sample where it is read.
+        FormulaError: `tree` reaches beyond the last sample, or an interval contains no sample where it is read.
         ValueError: `tree` names a column that is not in `columns`, the shape does not fit, a predicate is not
             finite at some sample (division by zero, root of a negative number, a non-finite trajectory), or the
             formula has intervals and the sample times do not increase.

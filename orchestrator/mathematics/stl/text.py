@@ -28,7 +28,7 @@ _EXCERPT = 60
 
 Piece = str | Node
 
-# How tightly the rules of the grammar bind, loosest first.
+# Binding strengths of the grammar's rules, loosest first.
 _FORMULA, _DISJUNCTION, _CONJUNCTION, _UNTIL, _UNARY, _SUM, _PRODUCT, _SIGN, _POWER, _ATOM = range(10)
 _BINDING = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "^": _POWER}
 

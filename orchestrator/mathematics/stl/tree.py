@@ -8,7 +8,7 @@ from typing import Literal
 ArithmeticOperator = Literal["+", "-", "*", "/", "^"]
 Comparator = Literal["<=", ">=", "<", ">"]
 Reading = Literal["standard", "paper"]
-"""How `until` reads its left operand: from now on, or from the start of the interval on as in [ARA]."""
+"""Semantics of the left operand of `until`: from now on, or from the start of the interval on as in [ARA]."""
 
 
 @dataclass(frozen=True, slots=True)

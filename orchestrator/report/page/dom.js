@@ -96,7 +96,7 @@ function definitions(kind, rows, attributes = {}) {
 
 /**
  * A table whose rows become cards on a narrow screen.
- * @param {string[]} heads names of the columns; one that begins with "#" holds numbers
+ * @param {string[]} heads names of the columns; one that begins with "#" contains numbers
  * @param {Array<Array<unknown>>} rows
  */
 function table(heads, rows) {

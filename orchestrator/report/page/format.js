@@ -82,7 +82,7 @@ function words(name) {
   return short(name).replaceAll("_", " ");
 }
 
-/** Least and greatest number of some lists, or null if they hold none. */
+/** Least and greatest number of some lists, or null if they are empty. */
 function extent(...lists) {
   let [low, high] = [Infinity, -Infinity];
   for (const list of lists) {

@@ -113,7 +113,7 @@ def _picture(found: RecordedRollout, again: Trajectory, path: Path) -> bytes:
     columns = curves.relevant_columns(header, problem) or again.columns[1:2]
     limits = curves.limits(header, columns)
     margin = margins(curves.formula(header), again)
-    visual = json.loads(ask("look", "--file", str(path)))
+    visual = json.loads(ask("visual", "--file", str(path)))
     return picture.drawn(
         picture.Picture(
             title=_title_line(found),

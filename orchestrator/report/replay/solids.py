@@ -169,7 +169,7 @@ def _matrix(translation: Floats, rotation: Floats) -> Floats:
 
 
 def _view(followed: Floats) -> Floats:
-    """Return right, up and away for an eye that looks along the y axis of a frame, upright."""
+    """Return right, up and away for a view along the y axis of a frame, upright."""
     forward = followed[:3, 0] * (1.0, 1.0, 0.0)
     length = float(np.linalg.norm(forward))
     # A frame that points straight up has no heading.

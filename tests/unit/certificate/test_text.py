@@ -80,7 +80,7 @@ def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
     (tmp_path / "a [red] :x: b" / "certificate.json").touch()
     console = Console(file=io.StringIO(), width=40)
     summary.print_files(Path("a [red] :x: b"), console)
-    Plain(console).say("worker [bold]x[/] :x: ended")
+    Plain(console).print_line("worker [bold]x[/] :x: ended")
     assert isinstance(console.file, io.StringIO)
     text = console.file.getvalue()
     assert "  certificate  a [red] :x: b/certificate.json\n" in text

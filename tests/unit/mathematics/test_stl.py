@@ -55,7 +55,7 @@ class TestIntervals:
 
     @pytest.mark.parametrize("text", ["eventually[0.2,0.8] x >= 0", "x <= 1 until[1.5,1.75] x >= 0"])
     def test_an_interval_without_sample_is_refused(self, text: str) -> None:
-        with pytest.raises(FormulaError, match=r"holds no sample at t = 0 s: make it at least") as caught:
+        with pytest.raises(FormulaError, match=r"contains no sample at t = 0 s: make it at least") as caught:
             of(text, column(0, 1, 2))
         assert caught.value.position is None
 
@@ -63,7 +63,7 @@ class TestIntervals:
         samples = column(0, 1, 2, 3, 4)
         samples[3:, 0] = 10, 20  # from sample 2 on nothing lies within 1 s
         assert of("eventually[0.5,1] x >= 0", samples) == 1
-        with pytest.raises(FormulaError, match="holds no sample at t = 2 s"):
+        with pytest.raises(FormulaError, match="contains no sample at t = 2 s"):
             of("always[0,2] eventually[0.5,1] x >= 0", samples)
 
     @pytest.mark.parametrize("times", [(0.0, 0.0, 1.0), (0.0, 2.0, 1.0), (0.0, np.nan, 1.0), (0.0, 1e-10, 1.0)])

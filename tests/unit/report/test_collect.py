@@ -131,7 +131,7 @@ def test_after_an_error_the_next_refresh_starts_over(one: Path, monkeypatch: pyt
         raise JournalError("just now")
 
     with monkeypatch.context() as patch:
-        patch.setattr(ChangeReader, "look", spoiled)
+        patch.setattr(ChangeReader, "read", spoiled)
         with pytest.raises(JournalError, match="just now"):
             collector.refresh()
     assert collector.refresh() == first
@@ -217,7 +217,7 @@ def test_the_worst_start_is_where_the_band_is_worst(finished: Path) -> None:
 
 
 def test_the_band_of_method_paper_is_the_one_that_its_proposals_were_chosen_by(one: Path) -> None:
-    added, bands = ChangeReader(one).look(), dict[str, Band]()
+    added, bands = ChangeReader(one).read(), dict[str, Band]()
     proposals, checked = dict[str, Proposal](), 0
     own = methods(plans(added.header.config, added.header.spec))
     for fact in added.decisions:
@@ -489,7 +489,7 @@ def test_the_live_state_of_workers_is_added(finished: Path) -> None:
 
 
 def test_a_long_campaign_has_few_points(one: Path) -> None:
-    statistics, about = WorkerStatistics(), ChangeReader(one).look().header
+    statistics, about = WorkerStatistics(), ChangeReader(one).read().header
     outcomes = tuple(AttemptOutcome("w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
     lost = AttemptOutcome("w", "hung", 5000.0, 0.0, 10.0)
     statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2))

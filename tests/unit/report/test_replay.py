@@ -25,9 +25,9 @@ from perfbound.schemas.facts import Header
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import Trajectory, decode, encode, read_mcap
-from perfbound.workers.look import look
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
+from perfbound.workers.visual_json import visual_json
 from tests import campaigns
 
 Spoil = Callable[[bytes], bytes]
@@ -79,8 +79,8 @@ def spoil(monkeypatch: pytest.MonkeyPatch) -> Callable[[Spoil], None]:
 
     def ask(command: str, *arguments: str) -> str:
         given = dict(zip(arguments[::2], arguments[1::2], strict=True))
-        if command == "look":
-            return canonical_json(look(Path(given["--file"]).read_bytes()))
+        if command == "visual":
+            return canonical_json(visual_json(Path(given["--file"]).read_bytes()))
         data = simulated(RolloutRequest.model_validate_json(given["--request"]))
         for each in spoils:
             data = each(data)
@@ -320,7 +320,7 @@ def test_what_a_system_shows_is_json() -> None:
     request = {"system": "segway"}
     rollout = segway.rollout((0, 0), variant="nominal", seed=0, horizon=0.1, options={}, progress=lambda _: None)
     units = {column.name: column.unit for column in segway.spec.columns}
-    seen = look(encode(replace(rollout, visual=None), request=request, metadata={}, units=units))
+    seen = visual_json(encode(replace(rollout, visual=None), request=request, metadata={}, units=units))
     assert seen is not None
     assert json.loads(canonical_json(seen)) == seen
     visual = segway.visual(rollout)

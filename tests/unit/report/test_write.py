@@ -315,7 +315,7 @@ def test_a_report_that_fails_is_one_line_and_no_error(
     finished: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     said = list[str]()
-    monkeypatch.setattr(report, "_say", said.append)
+    monkeypatch.setattr(report, "_print_stderr", said.append)
     monkeypatch.setattr(write, "write_page", lambda *_: 1 / 0)
     report.draw(finished)
     (line,) = said

@@ -102,7 +102,7 @@ def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> 
     stage, seen, watch = Stage(tmp_path, cheap(256), 8), list[int](), ChangeReader(tmp_path)
 
     def look() -> bool:
-        added = sum(watch.look().rollouts.values())
+        added = sum(watch.read().rollouts.values())
         seen.append(seen[-1] + added if seen else added)
         there = sum(problem.rollouts for problem in read_progress(tmp_path).problems)
         assert seen[-1] == there, "what was added up is what is there"

@@ -1,6 +1,6 @@
 """The world of the Segway in PyBullet.
 
-The world is rebuilt for every rollout: a client that is used again remembers contacts, and one rollout with a NaN
+The world is rebuilt for every rollout: a client that is used again keeps contacts, and one rollout with a NaN
 would give the next ones wrong, finite results.
 """
 
@@ -36,7 +36,7 @@ _UNUSED = (0.0, 0.0)  # targets and gains, which torque control ignores: keyword
 
 
 class StartPose(NamedTuple):
-    """Where a rollout starts, at rest: m, m, rad, rad."""
+    """The pose at the start of a rollout, at rest: m, m, rad, rad."""
 
     x: float
     y: float

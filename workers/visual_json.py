@@ -8,7 +8,7 @@ from ..schemas.trajectory import Transform, read_mcap
 from .systems import load_system
 
 
-def look(data: bytes) -> dict[str, Any] | None:
+def visual_json(data: bytes) -> dict[str, Any] | None:
     """Return the scene and the frames of a trajectory's file, one pose per visible frame; None without a visual part.
 
     Poses are in the frame `parent`: translations (F, 3) in m, rotations (F, 4) as quaternions x, y, z, w.
