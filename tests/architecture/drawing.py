@@ -24,7 +24,7 @@ TIP = (
 
 
 class Bend(NamedTuple):
-    """How an arrow leaves the straight line, to its left, and where on it its label stands (0 to 1)."""
+    """Offset of an arrow from the straight line, to its left, and position of its label on it (0 to 1)."""
 
     by: float = 0.0
     label: float = 0.5
@@ -32,7 +32,7 @@ class Bend(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Where things stand. `frame` is left, top, right, bottom; arrows begin and end at it by the name `FRAME`."""
+    """Positions of the parts. `frame` is left, top, right, bottom; arrows begin and end at it by the name `FRAME`."""
 
     size: Point
     places: Mapping[str, Point]

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 FOLDERS = ("orchestrator", "workers", "schemas")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 Arrow = tuple[str, str]
-"""Who imports, and what is imported."""
+"""Importing module and imported module."""
 
 
 @cache
@@ -76,7 +76,7 @@ def room(module: str) -> str:
 
 
 def arrows_of_rooms() -> set[Arrow]:
-    """Return which room imports which, wherever in a module the import stands."""
+    """Return which room imports which, from imports anywhere in a module."""
     rooms = {(room(source), room(target)) for source, target in arrows(everywhere=True)}
     return {(one, other) for one, other in rooms if one != other and not {one, other} & {"__init__", "__main__"}}
 

@@ -48,7 +48,7 @@ def _costs(label: str, cost: Cost, most: float | None) -> list[Row]:
 
 
 def _shares(label: str, cost: Cost) -> list[Row]:
-    """Shares of the process: looks divide the main thread's CPU time, the rest is the other threads'."""
+    """Shares of the process: samples divide the main thread's CPU time, the rest is the other threads'."""
     main = cost.account["main_thread"] / cost.orchestrator
     looks = cost.account["looks"]
     shares = {room: 100 * main * count / sum(looks.values()) for room, count in looks.items()}

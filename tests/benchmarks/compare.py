@@ -12,7 +12,7 @@ USAGE = "usage: make bench-compare OLD=a.json NEW=b.json (files that make bench 
 
 
 class NotAResultError(Exception):
-    """A file is none that `make bench` has written; the text says which, why, and what to do."""
+    """A file is not from `make bench`; the text names the file, the reason and the remedy."""
 
 
 def load(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What every contestant of the proposal benchmark is given; numpy alone, so that the peers can import it.
+"""Input of every contestant of the proposal benchmark; numpy alone, so that the peers can import it.
 
 The paper's test function sin(z1) cos(z2)/2 on [0, 5]^2, on a lattice of 51 x 51 nodes. The kernel is Matern with
 nu = 2.5, the smoothest that all peers have, l = 1 and unit amplitude; lambda = 1 on the diagonal; the acquisition

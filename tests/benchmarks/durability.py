@@ -30,7 +30,7 @@ GOALS = {"sqlite, 100 kB": 10.0, "journal, 100 kB": 1.0}
 
 @dataclass(frozen=True)
 class Cost:
-    """What one campaign took."""
+    """Cost of one campaign."""
 
     per_second: float
     cpu_ms: float

@@ -1,4 +1,4 @@
-"""What grows with rollouts, heartbeats and workers: time, memory, database, files.
+"""Growth with rollouts, heartbeats and workers: time, memory, database, files.
 
 python -m tests.benchmarks.fleet ROLLOUTS FOLDER     one long campaign with ten times as many heartbeats, in FOLDER
 """
@@ -39,7 +39,7 @@ def main() -> list[Row]:
 
 @dataclass(frozen=True)
 class Mark:
-    """How things stood at a moment."""
+    """Measurements at one moment."""
 
     rollouts: int
     cpu: float
@@ -65,7 +65,7 @@ def long(rollouts: int, folder: Path) -> list[Row]:
         Row(f"{name}: file per rollout", sum(file.st_size for file in files) / len(files), "bytes"),
         Row(f"{name}: blocks of that file", sum(file.st_blocks * 512 for file in files) / len(files), "bytes"),
         Row(f"{name}: replay", replay(directory), "s", at_most=10.0),
-        Row(f"{name}: a look at the progress", look(directory) * 1000, "ms"),
+        Row(f"{name}: a refresh of the progress", refresh_seconds(directory) * 1000, "ms"),
     ]
 
 
@@ -96,8 +96,8 @@ def replay(directory: Path) -> float:
     return time.process_time() - start
 
 
-def look(directory: Path) -> float:
-    """Return the CPU seconds of one look of a reader."""
+def refresh_seconds(directory: Path) -> float:
+    """Return the CPU seconds of one refresh of a reader."""
     read_progress(directory)
     start = time.process_time()
     read_progress(directory)

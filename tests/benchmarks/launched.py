@@ -19,7 +19,7 @@ from types import FrameType
 from typing import Any
 
 INTERVAL = 0.004
-"""CPU seconds between two looks; the kernel's clock is not finer."""
+"""CPU seconds between two samples; the kernel's clock is not finer."""
 IMPORTING = "<frozen importlib._bootstrap>"
 ROOMS = (
     ("mathematics", ("/orchestrator/mathematics/",)),
@@ -38,19 +38,19 @@ REST = "rest"
 
 
 class Shares:
-    """Looks of a CPU timer, counted by room."""
+    """Samples of a CPU timer, counted by room."""
 
     def __init__(self) -> None:
         self.looks: Counter[str] = Counter()
 
     def start(self) -> None:
-        """Begin to look."""
+        """Start the timer."""
         signal.signal(signal.SIGPROF, self._look)
-        signal.siginterrupt(signal.SIGPROF, False)  # system calls go on
+        signal.siginterrupt(signal.SIGPROF, False)  # system calls continue
         signal.setitimer(signal.ITIMER_PROF, INTERVAL, INTERVAL)
 
     def stop(self) -> None:
-        """Look no more."""
+        """Stop the timer."""
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
     def _look(self, _number: int, frame: FrameType | None) -> None:

@@ -41,7 +41,7 @@ class Peer(Protocol):
     """A library that has observed some tests."""
 
     def step(self, node: int, y: float) -> int | None:
-        """Tell one more observation and ask for a proposal; return its node, where it is one of the lattice."""
+        """Add one more observation and request a proposal; return its node, where it is one of the lattice."""
         ...
 
 

@@ -1,7 +1,8 @@
 """Trials per second that Optuna stores durably; JSON on stdout.
 
-Run in an environment of its own: `.venv-bench/bin/python -m tests.benchmarks.peers_storage`. Storages stand
-in build/.
+Run in an environment of its own: `.venv-bench/bin/python -m tests.benchmarks.peers_storage`. Storages
+are in build/.
+
 What is most favourable to Optuna is taken: trials without parameters, a random sampler, and 100 kB as a file beside
 the storage that is written and synced by the objective itself, without a rename, a digest or a sync of its folder (in
 an attribute the storage would carry the bytes); one thread or eight, whichever is faster.

@@ -124,7 +124,7 @@ def _kind(regulariser: Regulariser, refine: bool) -> str:
 
 
 def _peer_rows(peers: Peers) -> list[Row]:
-    """What the peers need, as rows of their own; "-" where the limit of time was reached."""
+    """Times of the peers, as rows of their own; "-" where the limit of time was reached."""
     rows = []
     for name, found in peers.items():
         for n in data.SIZES:

@@ -1,4 +1,4 @@
-"""How long the orchestrator takes to notice a dead or hung worker, to resume and to stop, in starts of one program.
+"""Time in which the orchestrator detects a dead or hung worker, resumes and stops, in starts of one program.
 
 The start of `perfbound systems` in the same run is the reference: a load makes both longer.
 """
@@ -11,13 +11,13 @@ from pathlib import Path
 
 from tests.benchmarks.report import Row
 from tests.end_to_end.processes import processes, wait_for
-from tests.faults.catalogue import luck
+from tests.faults.catalogue import randomness
 from tests.faults.delays import DELAYS
 from tests.faults.scene import Scene
 from tests.faults.subjects import Subject, prepare
 
 LIMITS = {"dead-worker": 6, "hung-worker": 6, "resume-local": 4, "resume-remote": 8, "ctrl-c": 3}
-"""How many starts each may take. On a quiet machine a start takes 1 s, a lease 3 s, and `hung_after` 2 s."""
+"""Limit of each, in starts. On a quiet machine a start takes 1 s, a lease 3 s, and `hung_after` 2 s."""
 
 
 def main() -> list[Row]:
@@ -47,7 +47,7 @@ def _start(folder: Path) -> float:
 
 
 def _reaction(measure: Callable[[Scene], float], subject: Subject, folder: Path) -> float:
-    scene = Scene(subject, folder, luck(1, 0))
+    scene = Scene(subject, folder, randomness(1, 0))
     try:
         return measure(scene)
     finally:

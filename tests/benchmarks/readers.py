@@ -1,8 +1,8 @@
-"""What readers of the database cost its writer: CPU time, which on few cores everybody pays, apart from locks.
+"""Cost of database readers for the writer: CPU time, which few cores share among all processes, apart from locks.
 
 The writer works alone, beside readers, and beside processes that burn as much CPU time and read nothing, in turns.
 
-python -m tests.benchmarks.readers DIRECTORY     is what stands beside the writer
+python -m tests.benchmarks.readers DIRECTORY     is the process beside the writer
 """
 
 import json
@@ -23,7 +23,7 @@ from tests.fakes.puppets import Stage, scratch
 READERS = 20
 PUPPETS = 64
 PAUSE = 0.2
-"""Seconds between two looks of a reader."""
+"""Seconds between two refreshes of a reader."""
 PHASE = 2.0
 """Seconds of a turn."""
 CYCLES = 6
@@ -55,7 +55,7 @@ class Turns:
         self._since = self._now()
 
     def over(self) -> bool:
-        """Look at the clock; return whether every kind has had its turns."""
+        """Read the clock; return whether every kind has had its turns."""
         spent = [now - then for now, then in zip(self._now(), self._since, strict=True)]
         if spent[0] < PHASE:
             return False
@@ -75,7 +75,7 @@ class Turns:
         return time.perf_counter() - own.wall, time.process_time() - own.cpu, float(self._stage.puppets.delivered)
 
     def rows(self, look: float) -> list[Row]:
-        """Return medians over the cycles; `look` is the CPU time of one, in s."""
+        """Return medians over the cycles; `look` is the CPU time of one refresh, in s."""
         found = {kind: self._done[number :: len(KINDS)][1:] for number, kind in enumerate(KINDS)}
         rate, cpu = ({kind: statistics.median(e[k] for e in each) for kind, each in found.items()} for k in (0, 1))
         reading, burning = (100 * (1 - rate[kind] / rate["alone"]) for kind in KINDS[1:])
@@ -84,7 +84,7 @@ class Turns:
             Row(f"{name}: rate", rate["reading"], "rollouts/s", "alone", rate["alone"]),
             Row(f"{name}: rate lost", reading, "%", "to CPU time alone", burning, at_most=10.0),
             Row(f"{name}: CPU per rollout", cpu["reading"], "ms", "alone", cpu["alone"]),
-            Row(f"{name}: CPU per look of a reader", 1000 * look, "ms"),
+            Row(f"{name}: CPU per refresh of a reader", 1000 * look, "ms"),
             Row(f"{name}: largest write-ahead log", self._log / 1e6, "MB"),
         ]
 
@@ -103,7 +103,7 @@ def _processes(directory: Path, looks: list[float]) -> Iterator[None]:
 
 
 def beside(kind: str, directory: Path) -> float:
-    """Look, or burn as much CPU time, whenever the file named `kind` is there; return what a look took."""
+    """Refresh, or burn as much CPU time, whenever the file named `kind` is there; return the time of a refresh."""
     watch = ChangeReader(directory)
     looks = [_look(watch) for _ in range(WARM)]
     while not (directory / OVER).exists():

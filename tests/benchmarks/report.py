@@ -23,7 +23,7 @@ class Row:
     name: str
     value: float
     unit: str
-    """Times are CPU times unless the unit says `wall`; a unit that ends with `/s`, and `times`, are better if more."""
+    """Times are CPU times unless the unit contains `wall`; higher is better for units with `/s` and for `times`."""
     peer: str = ""
     peer_value: float | None = None
     ratio_at_least: float | None = None
@@ -36,7 +36,7 @@ class Row:
 
     @property
     def ratio(self) -> float | None:
-        """How many times better than the peer: below 1 the peer is better."""
+        """Factor by which it is better than the peer: below 1 the peer is better."""
         if not self.peer_value or not self.value:
             return None
         return self.value / self.peer_value if self.more_is_better else self.peer_value / self.value
@@ -57,7 +57,7 @@ class Row:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """What stands in the table."""
+        """Text of the cell in the table."""
         peer = f"{number(self.peer_value)} {self.peer}" if self.peer_value is not None else self.peer
         ratio = "" if self.ratio is None else f"{number(self.ratio)}"
         return (self.name, number(self.value), self.unit, peer, ratio, self.target)
@@ -106,7 +106,7 @@ def surroundings() -> dict[str, Any]:
 
 
 def _git(*arguments: str) -> str:
-    """Return what git says, or nothing outside a checkout."""
+    """Return the output of git, or nothing outside a checkout."""
     try:
         return subprocess.check_output(["git", *arguments], text=True, stderr=subprocess.DEVNULL).strip()
     except (OSError, subprocess.CalledProcessError):

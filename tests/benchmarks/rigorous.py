@@ -75,7 +75,7 @@ def _measure(resolution: int, kind: str) -> dict[int, float]:
 
 def _median(campaign: _Campaign, n: int) -> float:
     campaign.fill(n)
-    campaign.step()  # whose proposal stands on older data after a fill
+    campaign.step()  # whose proposal uses older data after a fill
     times = []
     for _ in range(REPEATS):
         start = time.process_time_ns()

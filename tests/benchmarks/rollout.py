@@ -68,7 +68,7 @@ def cpu_seconds(call: Callable[[], object], repeats: int = REPEATS) -> float:
 def bare_steps() -> float:
     """Return the CPU seconds of stepSimulation alone, for as many steps as a rollout has.
 
-    The world is built as `perfbound.workers.systems.segway.bullet` builds it, and stands upright at rest.
+    The world is built as `perfbound.workers.systems.segway.bullet` builds it, and is upright at rest.
     """
     client = pybullet.connect(pybullet.DIRECT)
     steps = round(CONTROL_RATE * HORIZON)
@@ -125,4 +125,4 @@ def fresh_process(code: str, repeats: int = 3) -> float:
 
 
 def _ignore(step: int) -> None:
-    """Take no notice of the progress."""
+    """Ignore the progress."""

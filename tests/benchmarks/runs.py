@@ -22,7 +22,7 @@ RECORDED = (
 
 @dataclass(frozen=True)
 class Cost:
-    """What one campaign took; CPU seconds, except `wall`."""
+    """Cost of one campaign; CPU seconds, except `wall`."""
 
     rollouts: int
     simulating: float
@@ -44,10 +44,10 @@ class Cost:
 
 
 def conduct(name: str, changes: Mapping[str, str], *, workers: int = 2, shares: bool = False) -> Cost:
-    """Run a shipped campaign with `changes`: other values, in TOML, of keys that stand in it once.
+    """Run a shipped campaign with `changes`: other values, in TOML, of keys that occur in it once.
 
     Raises:
-        RuntimeError: it failed; with the last thing that it said.
+        RuntimeError: it failed; with the end of its stderr.
 
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -67,7 +67,7 @@ def changed(text: str, changes: Mapping[str, str]) -> str:
     """Return a campaign file with other values.
 
     Raises:
-        ValueError: a key does not stand in it exactly once.
+        ValueError: a key does not occur in it exactly once.
 
     >>> changed("seed = 1\\nname = 'a'", {"seed": "2"})
     "seed = 2\\nname = 'a'"
@@ -75,5 +75,5 @@ def changed(text: str, changes: Mapping[str, str]) -> str:
     for key, value in changes.items():
         text, count = re.subn(rf"(?m)^{key} = .*$", f"{key} = {value}", text)
         if count != 1:
-            raise ValueError(f"{key} stands {count} times in the campaign file")
+            raise ValueError(f"{key} occurs {count} times in the campaign file")
     return text

@@ -31,7 +31,7 @@ PATIENCE = 120.0
 
 @dataclass
 class Heard:
-    """What has come in."""
+    """Received messages."""
 
     alive: set[str] = field(default_factory=set)
     beats: Counter[str] = field(default_factory=Counter)

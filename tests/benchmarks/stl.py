@@ -57,7 +57,7 @@ TIMED = {
     ),
 }
 LIMITS = {"always": 6, "wide": 600}
-"""How many times the reference a formula may take; measured were 3 and 150."""
+"""Limit of a formula, as a multiple of the reference; measured were 3 and 150."""
 WIDE = "(phi <= 0.9 until[0,3] x >= 0.5) until[2,8] (y <= 1 until[1,4] x <= 0.5)"  # hours in rtamt
 
 
@@ -144,7 +144,7 @@ class Rtamt:
         self._data = {("time" if name == "t" else name): samples[:, i].tolist() for i, name in enumerate(COLUMNS)}
 
     def robustness(self) -> float:
-        """Return what rtamt says of the first sample."""
+        """Return the robustness of rtamt at the first sample."""
         return float(self._specification.evaluate(self._data)[0][1])
 
 

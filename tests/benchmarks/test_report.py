@@ -64,5 +64,5 @@ def test_compare_refuses_another_file_in_one_line(
 
 def test_only_a_key_that_stands_once_is_changed() -> None:
     assert changed("a = 1\nb = 2\n", {"b": "3"}) == "a = 1\nb = 3\n"
-    with pytest.raises(ValueError, match="c stands 0 times"):
+    with pytest.raises(ValueError, match="c occurs 0 times"):
         changed("a = 1\n", {"c": "3"})

@@ -1,4 +1,4 @@
-"""What both transports promise: Zenoh on loopback, and the one in memory."""
+"""The contract of both transports: Zenoh on loopback, and the one in memory."""
 
 import queue
 import threading
@@ -87,7 +87,7 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
 
 
 class Heard:
-    """What arrived, in order."""
+    """Received messages, in order."""
 
     def __init__(self) -> None:
         self.messages: queue.SimpleQueue[Inbound] = queue.SimpleQueue()

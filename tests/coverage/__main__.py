@@ -53,5 +53,5 @@ if __name__ == "__main__":
         sys.stderr.write(f"{error}\n")
         sys.exit(1)
     except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command goes on from here\n")
+        sys.stderr.write("stopped; the same command continues\n")
         sys.exit(130)

@@ -27,7 +27,7 @@ from tests.coverage.rigorous import LENGTHS, candidates
 from tests.fakes.observations import an_observation
 
 LOOKS = 3
-"""How often a campaign looks at its composed bounds."""
+"""Number of checks of the composed bounds in a campaign."""
 NOMINAL, NOMINAL_NORM = 0.55, 0.15
 GAP, GAP_NORM = 0.05, 0.1
 
@@ -117,7 +117,7 @@ def _step(pair: Pair, which: int, row: Composition, rng: np.random.Generator) ->
     first = None if method.n else int(rng.integers(pair.candidates.size))
     try:
         index = method.propose(first).node
-    except ExhaustedError:  # without noise: what is left lies between the candidates
+    except ExhaustedError:  # without noise: the rest is between the candidates
         return
     nominal = float(pair.nominal[index])
     if row.noisy_nominal:

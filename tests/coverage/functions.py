@@ -63,7 +63,7 @@ def fine_points(rng: np.random.Generator, dimension: int, *functions: Known) -> 
 def maximum(function: Function, points: Floats, *, starts: int = 2) -> float:
     """Return the largest value at the `points` and at the ends of local searches from the best of them.
 
-    It may lie below the maximum over the box by what both miss, never above: a bound is never blamed for that.
+    It may be below the maximum over the box by what both miss, never above: no bound is counted as false for that.
     """
     values = function(points)
     box = [(0.0, SIDE)] * points.shape[1]

@@ -11,11 +11,11 @@ Floats = NDArray[np.float64]
 ROUNDING = 1e-9
 """Bounds are rounded outward to this; a smaller difference is the arithmetic of the truth."""
 LEVEL = 1e-4
-"""How often the rule blames a row whose failure probability is exactly what is claimed."""
+"""Frequency at which the rule rejects a row whose failure probability is exactly the claimed one."""
 
 
 def outside(values: Floats, lower: Floats, upper: Floats) -> bool:
-    """Return whether any of `values` lies outside [lower, upper]; NaN counts as outside."""
+    """Return whether any of `values` is outside [lower, upper]; NaN counts as outside."""
     return not bool(np.all((lower - ROUNDING <= values) & (values <= upper + ROUNDING)))
 
 

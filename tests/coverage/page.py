@@ -55,7 +55,7 @@ class Found(NamedTuple):
 
     @property
     def judged(self) -> tuple[str, ...]:
-        """What must hold in this row: nothing where the premises are wrong on purpose."""
+        """Requirement on this row: nothing where the premises are wrong on purpose."""
         wrong = self.row.kind == "audit" and (self.row.small_b, self.row.small_r) != (1.0, 1.0)
         return () if wrong else JUDGED[self.row.kind]
 

@@ -34,7 +34,7 @@ NOISE, MARGIN, TOLERANCE = 0.0035, 2.0, 0.01
 
 @dataclass(frozen=True)
 class Paper:
-    """One row: J has norm 1, the method is told 1/`small_b`; `composed` is Theorem 2, probabilities multiplied."""
+    """One row: J has norm 1, the method gets 1/`small_b`; `composed` is Theorem 2, probabilities multiplied."""
 
     kind: ClassVar[str] = "paper"
     small_b: float = 1.0
@@ -65,7 +65,7 @@ def lattice() -> Lattice:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one problem ended with."""
+    """Result of one problem."""
 
     epsilon: float
     tests: int
@@ -99,7 +99,7 @@ def problem(row: Paper, rng: np.random.Generator, values: Floats, norm: float, p
 
 
 def campaign(row: Paper, rng: np.random.Generator) -> dict[str, float]:
-    """Run one campaign and say whether its claim is false, and whether its audit noticed B."""
+    """Run one campaign; return whether its claim is false, and whether its audit refuted B."""
     return _composed(row, rng) if row.composed else _single(row, rng)
 
 

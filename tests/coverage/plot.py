@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from tests.coverage.records import Chunk
 from tests.coverage.rigorous import Audit
 
-CURVES = {  # (label, colour, line): colours that a colour-blind reader can tell apart
+CURVES = {  # (label, colour, line): colours that a colour-blind reader can distinguish
     "bound": ("bound wrong", "#0072B2", "o-"),
     "refuted": ("B refuted", "#009E73", "s-"),
     "unnoticed": ("bound wrong and nothing refuted", "#D55E00", "^-"),

@@ -1,4 +1,4 @@
-"""What was found: one file of JSON lines a row, appended chunk by chunk, so that a killed study goes on.
+"""Results: one file of JSON lines a row, appended chunk by chunk, so that a killed study can continue.
 
 A file is named by the digest of the row and of the code that its numbers depend on: other code, other file.
 """
@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol
 ROOT = Path(__file__).parents[2]
 DIRECTORY = Path("build/coverage")
 MODULES = {"audit": "rigorous"}
-"""Where the campaigns of a kind are, if not in the module of its name."""
+"""Module of the campaigns of a kind, if it is not the module of its name."""
 
 Chunk = dict[str, list[float]]
 """Results of the campaigns of one chunk, by name."""

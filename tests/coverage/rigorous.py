@@ -31,7 +31,7 @@ Counts = dict[str, float]
 
 @dataclass(frozen=True)
 class Rigorous:
-    """One row: J has norm NORM exactly, the noise has scale `noise_scale`; what the method is told may differ."""
+    """One row: J has norm NORM exactly, the noise has scale `noise_scale`; the premises of the method may differ."""
 
     kind: ClassVar[str] = "rigorous"
     place: str = "box"
@@ -52,7 +52,7 @@ class Rigorous:
 
 @dataclass(frozen=True)
 class Audit:
-    """One row: the same, told a norm NORM/`small_b` and a noise scale `noise_scale`/`small_r`, with replicates."""
+    """One row: the same, with the premises NORM/`small_b` and `noise_scale`/`small_r`, and with replicates."""
 
     kind: ClassVar[str] = "audit"
     small_b: float = 1.0
@@ -114,7 +114,7 @@ class Setting:
 
 
 def method(setting: Setting, premises: Premises, alpha: float) -> RigorousMethod:
-    """Return the method with the premises that it is told."""
+    """Return the method with the premises of the row."""
     return RigorousMethod(
         setting.candidates,
         setting.kernel,
@@ -133,7 +133,7 @@ def places(told: RigorousMethod, rng: np.random.Generator, size: int, window: in
 
 
 def campaign(row: Rigorous, rng: np.random.Generator, *, told_delta: float | None = None) -> Counts:
-    """Run one campaign, whose method may be told another delta, and say what was false at any time.
+    """Run one campaign, whose method may get another delta, and return what was false at any time.
 
     `set`: J is not in the confidence set, the sum of (J(z_i) - y_i)^2 being above Q. Everything else follows from that
     set, so this is the statement that has least to spare.
@@ -166,7 +166,7 @@ def campaign(row: Rigorous, rng: np.random.Generator, *, told_delta: float | Non
 
 
 def wrong_bound(told: RigorousMethod, truth: Setting) -> bool:
-    """Return whether U or L was ever on the wrong side: both are running extremes, so the last ones tell."""
+    """Return whether U or L was ever on the wrong side: both are running extremes, so the last ones decide."""
     bound = told.bound()
     return not bound.lower - ROUNDING <= truth.top <= bound.upper + ROUNDING
 

@@ -63,7 +63,7 @@ def targets(row: Scenario) -> tuple[tuple[Law, ...], tuple[float, ...]]:
 
 
 def campaign(row: Scenario, rng: np.random.Generator, *, told: float | None = None) -> dict[str, float]:
-    """Run one campaign, whose method may be told another delta, and say which of its three claims were ever false."""
+    """Run one campaign, whose method may get another delta, and return which of its three claims were ever false."""
     laws, aims = targets(row)
     method = ScenarioMethod(
         Points(tuple((float(k),) for k in range(row.size))),

@@ -176,7 +176,7 @@ def under_way(directory: Path) -> list[tuple[object, ...]]:
 
 
 def of_run(directory: Path) -> list[psutil.Process]:
-    """Return the processes that belong to a run: its id or its directory stands in their command line."""
+    """Return the processes that belong to a run: their command line contains its id or its directory."""
     marks = [str(directory), *(str(row[0]) for row in query(directory, "SELECT run FROM campaign"))]
     found = []
     for process in psutil.process_iter(["cmdline", "status"]):
@@ -193,7 +193,7 @@ def contents(directory: Path) -> dict[str, tuple[bytes, int]]:
 
 
 def free_port() -> int:
-    """Return a port of the loopback that nobody uses now."""
+    """Return a free port of the loopback."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

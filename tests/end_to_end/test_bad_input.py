@@ -1,4 +1,4 @@
-"""Whatever is wrong is said in one line, before anything is made, and nothing is lost."""
+"""Bad input: one line of error before any file is made, and no loss."""
 
 import os
 import shutil
@@ -51,7 +51,7 @@ class Here:
         return Ended(caught.value.code, out, err)
 
     def run_file(self, data: bytes | str, *arguments: str) -> str:
-        """Run a campaign file that cannot be run; return the line that says why."""
+        """Run a campaign file that cannot be run; return the line with the reason."""
         file = self.folder / "c.toml"
         file.write_bytes(data.encode() if isinstance(data, str) else data)
         ended = self.run("run", "c.toml", "--out", "made", *arguments)
@@ -79,7 +79,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureF
 
 @pytest.fixture(scope="module")
 def installed() -> dict[str, SystemSpec]:
-    """Return what the `workers` child tells; asked once for all tests of this file."""
+    """Return the output of the `workers` child; started once for all tests of this file."""
     return child.system_specs()
 
 
@@ -172,7 +172,7 @@ def test_a_missing_file_and_one_that_is_a_folder(here: Here) -> None:
         assert not any(here.folder.iterdir())
 
 
-# Faults that only the system under test can tell
+# Faults that only the system under test can detect
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,7 @@ def test_a_stopped_worker_is_lost_and_harmless_when_it_comes_back(
     worker.suspend()
     wait_for(lambda: (2, "recorded") in attempts(directory, rollout))
     worker.resume()
-    assert process.running, "it comes back to a campaign that goes on"
+    assert process.running, "it comes back to a campaign that continues"
     ended = process.wait()
     assert ended.code == 0, ended.err
     assert attempts(directory, rollout) == [(1, "worker lost for 3 s"), (2, "recorded")]
@@ -178,12 +178,12 @@ def attempts(directory: Path, rollout: str) -> list[tuple[object, ...]]:
     return query(directory, f"SELECT attempt, outcome FROM outcomes WHERE rollout = '{rollout}' ORDER BY attempt")
 
 
-# Signals, and what a person sees
+# Signals, and output for people
 
 
 @pytest.mark.smoke
 def test_ctrl_c_waits_for_no_rollout(started: Processes, directory: Path) -> None:
-    """Every rollout lasts an hour: whoever waited for one would reach the limit of the test."""
+    """Every rollout lasts an hour: a wait for one would reach the limit of the test."""
     campaign, plugins = started.folder / "c.toml", install(started.folder / "plugins")
     campaign.write_text(FUNCTION.format(name="endless", **{**LIMITS["slow"], "pace": 3600.0, "deadline": 36000.0}))
     process = started.start("perfbound", "run", campaign, "--out", "run", PYTHONPATH=str(plugins))
@@ -292,7 +292,7 @@ def test_workers_that_outlive_the_orchestrator(started: Processes, directory: Pa
 
 @pytest.fixture
 def certificates(tmp_path: Path) -> Callable[[str], list[str]]:
-    """Return a maker of TLS options; each name stands for an authority of its own."""
+    """Return a maker of TLS options; each name has an authority of its own."""
     authorities: dict[str, trustme.CA] = {}
 
     def make(authority: str) -> list[str]:

@@ -22,7 +22,7 @@ browser = chromium.browser
 TESTS = 20
 SHOWN = "page.report.problems.reduce((sum, each) => sum + each.tests.test.length, 0)"
 STATE = "page.report.state"
-"""Tests and state that the page shows. Its policy lets nobody evaluate a text in it, so we ask again and again."""
+"""Tests and state that the page shows. Its policy forbids the evaluation of a text in it, so the tests poll."""
 
 
 def write(folder: Path) -> Path:
@@ -56,7 +56,7 @@ def story(url: str) -> Any:
 
 
 def url_of(process: Process) -> str:
-    """Return where a process says that its page is."""
+    """Return the address of the page from the output of a process."""
     wait_for(lambda: "live page: " in process.err or not process.running)
     return next(line.removeprefix("live page: ") for line in process.err.splitlines() if line.startswith("live page: "))
 
@@ -90,7 +90,9 @@ def test_a_page_lives_through_the_death_of_its_orchestrator(
         wait_for(lambda: watch.page.evaluate(STATE) == "finished")
         assert watch.page.evaluate(SHOWN) == 2 * TESTS
         ended = resumed.wait()
-        assert [error for error in watch.errors if "net::ERR_" not in error] == [], "but that nobody was there"
+        assert [error for error in watch.errors if "net::ERR_" not in error] == [], (
+            "except for the time without a server"
+        )
         assert {each.partition("?")[0] for each in watch.requests} <= {
             f"http://{address}/{path}" for path in ("", "events", "scene")
         } | {"data:,"}
@@ -194,7 +196,7 @@ def answer_to(url: str, text: bytes) -> bytes:
 
 
 def test_hostile_clients(started: Processes, pageless: Path) -> None:
-    """They are answered or dropped, and the page stays there for others; nothing of ours is told."""
+    """They are answered or dropped, and the page stays there for others; no internal detail is sent."""
     process = started.start("perfbound", "web", pageless)
     url = url_of(process)
     wait_for(lambda: _answers(url))

@@ -33,7 +33,7 @@ TOPICS = SOLIDS | {"/scene", "/log", "/tf", "/state"}
 
 @pytest.fixture(scope="module")
 def visual(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The file of a rollout of the Segway that a person can look at."""
+    """The file of a rollout of the Segway with a visual part."""
     return simulated(tmp_path_factory.mktemp("visual"), "segway", "5,0")
 
 
@@ -105,7 +105,7 @@ def test_rerun_draws_a_file(rerun: Any, visual: Path, evidence: Path, tmp_path: 
 
 @pytest.fixture(scope="module")
 def javascript(visual: Path, evidence: Path) -> dict[str, Any]:
-    """What the JavaScript reader finds in both files, and the schemas that Foxglove publishes."""
+    """Output of the JavaScript reader for both files, and the schemas that Foxglove publishes."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("install node")

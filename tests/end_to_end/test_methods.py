@@ -31,9 +31,9 @@ def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path, me
     assert ended.code == 0, ended.err
     assert "CLAIM  rho*" in ended.out
     assert "REFUTED" not in ended.out
-    directory, luck = tmp_path / "killed", random.Random(method)
+    directory, rng = tmp_path / "killed", random.Random(method)
     first = started.start("perfbound", "run", campaign, "--out", directory, "--workers", "1")
-    goal = luck.randint(1, 8)
+    goal = rng.randint(1, 8)
     wait_for(lambda: recorded(directory) >= goal)
     assert first.running, "the kill has to come in mid-run"
     first.popen.kill()

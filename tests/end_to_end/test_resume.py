@@ -1,4 +1,4 @@
-"""A campaign goes on from whatever a crash, a move or an upgrade leaves of its run directory."""
+"""Resume from every state of the run directory that a crash, a move or an upgrade leaves."""
 
 import shutil
 import signal
@@ -48,7 +48,7 @@ def killed(killed_once: Path, tmp_path: Path) -> Path:
 
 
 def check(started: Processes, directory: Path, calm: Path, *, workers: int = 2) -> str:
-    """Resume the campaign and compare it with the calm one; return what was said."""
+    """Resume the campaign and compare it with the calm one; return the output."""
     ended = started.run("perfbound", "resume", directory, "--workers", str(workers))
     assert ended.code == 0, ended.err
     assert (directory / "certificate.json").read_bytes() == (calm / "certificate.json").read_bytes()

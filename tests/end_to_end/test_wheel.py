@@ -25,7 +25,7 @@ from tests.end_to_end.processes import Ended, Processes
 ROOT = Path(__file__).parents[2]
 LOCK = ROOT / "requirements.lock"
 BACKEND = ROOT / "build" / "backend"
-"""Where `make test` installs the build backend once, so that later runs need no network."""
+"""Folder into which `make test` installs the build backend once, so that later runs need no network."""
 
 METADATA = {"PKG-INFO", "README.md", "LICENSE", "pyproject.toml", "setup.cfg", "perfbound.egg-info"}
 TRAPS = ("schemas.py", "workers.py", "orchestrator.py")

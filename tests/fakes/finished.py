@@ -1,4 +1,4 @@
-"""Finished and unfinished campaigns in a second, to be told about: puppets answer with noise around 0.05."""
+"""Finished and unfinished campaigns in a second, as input of readers: puppets answer with noise around 0.05."""
 
 import json
 import sqlite3
@@ -52,7 +52,7 @@ def _test_function(**changes: Any) -> CampaignConfig:
 
 
 def play(directory: Path, config: CampaignConfig, look: Callable[[], bool] = lambda: False) -> Stage:
-    """Run a campaign to its end, with a look at every turn; it has no certificate yet, and its journal is open."""
+    """Run a campaign to its end, and call `look` at every turn; it has no certificate yet, and its journal is open."""
     stage = Stage(directory, config, 3)
     stage.play(look)
     return stage

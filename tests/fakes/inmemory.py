@@ -55,7 +55,7 @@ from perfbound.workers.worker import WorkerProcess
 
 @dataclass(frozen=True)
 class Faults:
-    """What the network does to a message: shares in [0, 1], and the longest delay in s (so that messages overtake)."""
+    """Faults of the network: shares in [0, 1], and the longest delay in s (so that messages overtake)."""
 
     seed: int = 0
     loss: float = 0.0
@@ -92,7 +92,7 @@ class Network:
         self._thread.join()
 
     def put(self, key: str, payload: bytes, attachment: bytes | None = None) -> None:
-        """Send bytes to whoever listens to `key`; they may be lost, late or repeated."""
+        """Send bytes to the listeners of `key`; they may be lost, late or repeated."""
         with self._changed:
             if self._luck.random() < self._faults.loss:
                 return
@@ -140,11 +140,11 @@ class InMemoryTransport:
 
     @property
     def endpoint(self) -> str:
-        """Where workers connect."""
+        """Endpoint that workers connect to."""
         return "memory/here:0"
 
     def start(self, run: str, sink: Sink) -> None:
-        """Listen, hear of the workers that are alive, then show ourselves."""
+        """Listen, report the workers that are alive, then become visible to them."""
         self.run, self._sink = run, sink
         self._name = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}")
         self._network.tell(lambda: self._appear(run))
@@ -159,7 +159,7 @@ class InMemoryTransport:
         self._network.put(keys.request_key(self.run, worker), encode_message(message))
 
     def stop(self) -> None:
-        """Hear nothing more."""
+        """Stop listening."""
         self._sink = None
         self._network.tell(self._disappear)
 
@@ -251,11 +251,11 @@ class InMemoryUplink:
 # A campaign
 
 Wrap = Callable[[InMemoryUplink], Uplink]
-"""What stands between a worker and the network: a liar, for instance."""
+"""Puts a fault between a worker and the network, for instance false messages."""
 
 
 class Log:
-    """A view that keeps what it is told, and may do something at every look."""
+    """A listener that keeps its lines and calls `look` at every status."""
 
     def __init__(self, look: Callable[[RunStatus], None] = lambda _: None) -> None:
         self.lines: list[str] = []
@@ -266,7 +266,7 @@ class Log:
         self.lines.append(line)
 
     def show(self, status: RunStatus) -> None:
-        """Look."""
+        """Call `look`."""
         self._look(status)
 
 
@@ -329,7 +329,7 @@ def serve(
     """Be the orchestrator of the campaign in `directory`, once; return the certificate's text.
 
     Raises:
-        Stopped: `stop` said so, which is asked at every tick.
+        Stopped: `stop` returned True; called at every tick.
         PerfboundError: as `Service.run`.
 
     """

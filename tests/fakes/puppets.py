@@ -73,7 +73,7 @@ class Puppets:
 
     def __init__(self, spec: SystemSpec, count: int, *, beats: int = 0) -> None:
         self.own = Clock()
-        """What the puppets took themselves."""
+        """Cost of the puppets themselves."""
         self.delivered = 0
         self.beaten = 0
         self.holding = False
@@ -163,7 +163,7 @@ class Stage:
         self.clock = Clock()
 
     def play(self, over: Callable[[], bool] = lambda: False) -> None:
-        """Run the campaign to its end, or until a look at the clock finds it `over`."""
+        """Run the campaign to its end, or until it is `over` by the clock."""
 
         def look() -> None:
             if over():
@@ -188,5 +188,5 @@ class _Listener:
         """Keep silent."""
 
     def show(self, status: RunStatus) -> None:
-        """Look."""
+        """Call `look`."""
         self._look()

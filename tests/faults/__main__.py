@@ -14,7 +14,7 @@ from pathlib import Path
 
 import click
 
-from tests.faults.catalogue import FAULTS, Fault, draw, folder_of, luck
+from tests.faults.catalogue import FAULTS, Fault, draw, folder_of, randomness
 from tests.faults.runs import Run, perform
 from tests.faults.subjects import NAMES, Subject, prepare
 from tests.faults.table import rows, text
@@ -45,7 +45,7 @@ def main(*, minutes: float, seed: int, only: str | None, number: int | None, par
 
 
 def _over(minutes: float) -> Callable[[], bool]:
-    """Return what says that no run shall begin: the time is over, or somebody asked; those under way clean up."""
+    """Return the test whether no run shall begin: the time is over or a signal came; those under way clean up."""
     asked, end = threading.Event(), time.monotonic() + 60 * minutes
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: asked.set())
@@ -55,7 +55,7 @@ def _over(minutes: float) -> Callable[[], bool]:
 def _schedule(
     numbers: Iterator[int], seed: int, only: str | None, over: Callable[[], bool]
 ) -> Iterator[tuple[int, Fault]]:
-    """Yield what is to be run until it is over; what the machine cannot do is said once, and left out."""
+    """Yield the runs until the end; a fault that the machine cannot do is reported once, and skipped."""
     told = set()
     for number in numbers:
         fault = FAULTS[only] if only else draw(seed, number)
@@ -86,7 +86,7 @@ def _perform_all(
                 return
             number, fault = following
             folder = folder_of(base, number)
-            run = perform(fault, luck(seed, number), subjects, folder, number=number)
+            run = perform(fault, randomness(seed, number), subjects, folder, number=number)
             with turn:
                 done.append(run)
                 _tell(run, seed)

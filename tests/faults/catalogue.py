@@ -21,7 +21,7 @@ class Fault:
     """Runs the campaign of a scene to its certificate, with faults."""
     subjects: tuple[str, ...] = ("function", "slow", "segway")
     missing: Callable[[], str] = str
-    """Says what the machine lacks for it; nothing, if it can be run."""
+    """Returns what the machine lacks for it; nothing, if it can be run."""
 
     @property
     def name(self) -> str:
@@ -82,7 +82,7 @@ def draw(seed: int, run: int) -> Fault:
     return FAULTS[names[place]]
 
 
-def luck(seed: int, run: int) -> random.Random:
+def randomness(seed: int, run: int) -> random.Random:
     """Return the randomness of one run."""
     return random.Random(f"{seed}/run {run}")
 

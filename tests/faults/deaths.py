@@ -1,4 +1,4 @@
-"""Processes that die, stand still, and come back."""
+"""Processes that die, stop, and come back."""
 
 import threading
 import time
@@ -81,7 +81,7 @@ def kill_resume(scene: Scene) -> None:
 
 
 def kill_start(scene: Scene) -> None:
-    """kill -9 of `run` in its first seconds; the same command, or `resume` where a campaign was begun, goes on."""
+    """kill -9 of `run` in its first seconds; the same command, or `resume` where a campaign was begun, continues."""
     for _ in range(scene.chance.choice((1, 2, 3))):
         begin_or_resume(scene)
         if scene.chance.random() < 0.5:  # while the database is being made
@@ -124,7 +124,7 @@ def stand_still(scene: Scene, seconds: float) -> None:
 
 
 def hang_then_kill(scene: Scene) -> None:
-    """Workers stand still, and the orchestrator is killed: they must not stay behind for ever."""
+    """Workers are stopped, and the orchestrator is killed: no worker may remain."""
     scene.start()
     if scene.reach(scene.moments(1)[0]):
         workers = scene.workers()

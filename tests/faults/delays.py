@@ -1,4 +1,4 @@
-"""How long it takes to notice and to go on: `python -m tests.faults.delays` measures it."""
+"""Time from a fault to its detection, and to the next result: `python -m tests.faults.delays` measures it."""
 
 import shutil
 import statistics
@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from tests.end_to_end.processes import query, under_way, wait_for
-from tests.faults.catalogue import luck
+from tests.faults.catalogue import randomness
 from tests.faults.scene import Scene
 from tests.faults.subjects import prepare
 from tests.faults.systems import a_plan
@@ -92,7 +92,7 @@ def main(*, times: int) -> None:
     for name, measure in DELAYS.items():
         found = []
         for number in range(times):
-            scene = Scene(subject, base / f"{name}-{number}", luck(1, number))
+            scene = Scene(subject, base / f"{name}-{number}", randomness(1, number))
             try:
                 found.append(measure(scene))
                 scene.finish()

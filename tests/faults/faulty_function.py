@@ -1,4 +1,4 @@
-"""A plug-in: the paper's test function, in slow motion, whose rollouts misbehave as a plan outside of it says.
+"""A plug-in: the paper's test function, in slow motion, whose rollouts misbehave by a plan outside of it.
 
 The plan is the folder that FAULTY_PLAN names. A file `<seed>-<number>-<kind>` in it makes the rollout of that seed
 misbehave once: the rollout moves the file to `taken/` first, so that the next attempt finds the next file or none. A

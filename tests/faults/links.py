@@ -1,4 +1,4 @@
-"""What is between the orchestrator and remote workers: a router, a cable, messages in memory."""
+"""Links between the orchestrator and remote workers: a router, a cable, messages in memory."""
 
 import subprocess
 from pathlib import Path
@@ -53,7 +53,7 @@ def cut_and_kill(scene: Scene) -> None:
         scene.resume()
         scene.pause(0.0, 6.0)
         _ip("-n", cable, "link", "set", cable, "up")
-        scene.did("cable mended", fault=False)
+        scene.did("cable restored", fault=False)
     scene.finish()
 
 

@@ -1,4 +1,4 @@
-"""What a machine does to a campaign: a full disk, a slow disk, a clock that jumps."""
+"""Faults of the machine: a full disk, a slow disk, a clock that jumps."""
 
 import os
 import shutil
@@ -15,7 +15,7 @@ MEGABYTE = 2**20
 
 
 def fill_disk(scene: Scene) -> None:
-    """The run directory stands on a small disk that fills up; it is enlarged, and the campaign resumed."""
+    """The run directory is on a small disk that fills up; it is enlarged, and the campaign resumed."""
     disk = scene.folder / "disk"
     disk.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", disk], check=True)

@@ -37,7 +37,7 @@ def perform(
     for step in steps:
         try:
             step()
-        except Exception:  # noqa: BLE001  (whatever goes wrong is a finding, and is told)
+        except Exception:  # noqa: BLE001  (every exception is a finding, and is reported)
             found.failures.append(traceback.format_exc(limit=-3).strip())
     found.leftovers += scene.close()
     found.leftovers += of_machine(scene) + sorted(shared_memory() - shared)

@@ -28,7 +28,7 @@ class Scene:
     chance: random.Random
     remote: bool = False
     done: list[str] = field(default_factory=list)
-    """What was done, and when."""
+    """Actions, each with its time."""
     injected: int = 0
     environment: dict[str, str] = field(default_factory=dict)
     prefix: Sequence[str] = ()
@@ -41,7 +41,7 @@ class Scene:
     patience: float = PATIENCE
     """Seconds in which what shall end by itself does so."""
     undo: list[Callable[[], None]] = field(default_factory=list)
-    """What takes back what the machine was given: mounts, network namespaces."""
+    """Actions that remove changes of the machine: mounts, network namespaces."""
 
     def __post_init__(self) -> None:
         self.began = time.monotonic()
@@ -52,7 +52,7 @@ class Scene:
         self.fleet: list[Process] = []
         self.environment |= {MARK: str(self.folder), "PYTHONPATH": self.subject.path}
 
-    # What is done to it
+    # Faults and actions
 
     def did(self, what: str, *, fault: bool = True) -> None:
         """Write down what was done; a fault is counted."""
@@ -70,7 +70,7 @@ class Scene:
             self._orchestrator("run", self.subject.campaign, *options)
 
     def resume(self, *, workers: int = 2) -> None:
-        """Start an orchestrator that goes on."""
+        """Start an orchestrator that resumes the campaign."""
         self.resumes += 1
         if self.remote:
             self._orchestrate("resume", self.directory, "--workers", "0")

@@ -54,12 +54,12 @@ class Subject:
 
     @property
     def rollouts(self) -> int:
-        """How many the calm run recorded."""
+        """Number of rollouts of the calm run."""
         return len(self.seeds)
 
     @property
     def path(self) -> str:
-        """PYTHONPATH of its processes: the plug-in, and the code that stands beside this file."""
+        """PYTHONPATH of its processes: the plug-in, and the code beside this file."""
         return f"{self.plugins}:{ROOT}"
 
     @property

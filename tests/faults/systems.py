@@ -11,7 +11,7 @@ KINDS = (*BEFORE, *AFTER)
 
 def misbehave(scene: Scene) -> None:
     """Some rollouts hang, crash, leave, print, leak or return nonsense, each a few times; then they behave."""
-    scene.remote = False  # nobody else replaces workers that die
+    scene.remote = False  # else no process replaces workers that die
     plan = a_plan(scene)
     seeds = scene.chance.sample(scene.subject.seeds, 5)
     kinds = scene.chance.sample(KINDS, 5)
@@ -26,7 +26,7 @@ def misbehave(scene: Scene) -> None:
 
 
 def poison(scene: Scene) -> None:
-    """One rollout kills every worker, hangs or fails: the campaign fails with its story; mended, it goes on."""
+    """One rollout kills every worker, hangs or fails: the campaign fails with its history; after the fix it resumes."""
     plan = a_plan(scene)
     kind = scene.chance.choice(("exit", "crash", "raise", "nan", "sleep", "leave"))
     seed = scene.chance.choice(scene.subject.seeds)
@@ -47,7 +47,7 @@ def poison(scene: Scene) -> None:
 
 
 def hang_and_kill(scene: Scene) -> None:
-    """A rollout holds the lock of Python for ever, and the orchestrator is killed: the worker must not stay."""
+    """A rollout never releases the lock of Python, and the orchestrator is killed: the worker must not stay."""
     plan = a_plan(scene)
     seed = scene.chance.choice(scene.subject.seeds[: scene.subject.rollouts // 2])
     (plan / f"{seed}-0-gil").touch()

@@ -8,7 +8,7 @@ from tests.faults.runs import Run
 
 
 class Row(TypedDict):
-    """What became of all runs of one class."""
+    """Outcome of all runs of one class."""
 
     fault: str
     runs: int

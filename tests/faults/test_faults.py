@@ -1,4 +1,4 @@
-"""One fixed run of every class of faults, and how long it takes to notice and to go on."""
+"""One fixed run of every class of faults, and the time to detection and to the next result."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -8,7 +8,7 @@ from threading import Lock
 import pytest
 
 from tests.end_to_end.processes import wait_for
-from tests.faults.catalogue import FAULTS, Fault, draw, luck
+from tests.faults.catalogue import FAULTS, Fault, draw, randomness
 from tests.faults.delays import DELAYS
 from tests.faults.runs import Run, perform
 from tests.faults.scene import Scene
@@ -41,7 +41,7 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Subject
 def runs(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, subject: Callable[[str], Subject]
 ) -> Iterator[dict[str, Future[Run]]]:
-    """Return the runs of the selected tests; they mostly wait, so that some go on at a time."""
+    """Return the runs of the selected tests; they mostly wait, so that some run at the same time."""
     wanted = {item.callspec.params["name"] for item in request.session.items if item.name.startswith(ONE)}  # type: ignore[attr-defined]
     base = tmp_path_factory.mktemp("runs")
     with ThreadPoolExecutor(PARALLEL) as pool:
@@ -50,7 +50,7 @@ def runs(
 
 
 def _perform(name: str, folder: Path, subject: Callable[[str], Subject]) -> Run:
-    fault, chance = FAULTS[name], luck(SEED, sorted(FAULTS).index(name))
+    fault, chance = FAULTS[name], randomness(SEED, sorted(FAULTS).index(name))
     return perform(fault, chance, {fault.subjects[0]: subject(fault.subjects[0])}, folder)
 
 
@@ -65,7 +65,7 @@ def test_one_result_per_rollout_and_the_same_certificate(name: str, runs: dict[s
 
 @pytest.mark.parametrize("name", sorted(DELAYS))
 def test_it_is_noticed_and_not_too_early(name: str, tmp_path: Path, subject: Callable[[str], Subject]) -> None:
-    scene = Scene(subject("function"), tmp_path / "scene", luck(SEED, 0))
+    scene = Scene(subject("function"), tmp_path / "scene", randomness(SEED, 0))
     try:
         seconds = DELAYS[name](scene)
         scene.finish()
@@ -83,7 +83,7 @@ def test_a_schedule_has_every_class_once_a_lap() -> None:
 
 
 def test_the_judge_sees_what_is_wrong(tmp_path: Path, subject: Callable[[str], Subject]) -> None:
-    run = perform(Fault(_spoil), luck(SEED, 0), {"function": subject("function")}, tmp_path / "scene")
+    run = perform(Fault(_spoil), randomness(SEED, 0), {"function": subject("function")}, tmp_path / "scene")
     verdict = run.verdict
     assert len(verdict.lost) == 1
     assert verdict.different == ["certificate.json differs from the calm one"]

@@ -1,4 +1,4 @@
-"""What fault runs have found, each as the smallest test that shows it."""
+"""Faults that fault runs found, each as the smallest test that shows it."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ ROLLOUT = RolloutId("maximum", 1, "true", 0)
 
 
 def test_a_result_that_comes_after_its_attempt_was_given_up_shows_as_recorded(tmp_path: Path) -> None:
-    """The database said `worker lost` of the very attempt whose result was kept, and named nobody who simulated it."""
+    """The database recorded `worker lost` for the attempt whose result was kept, and no worker that simulated it."""
     campaign = config("test-function")
     with closing(Journal.create(tmp_path, Header.new(campaign, load_system("test-function").spec, {}))) as journal:
         with journal.transaction():
@@ -38,13 +38,13 @@ def test_a_result_that_comes_after_its_attempt_was_given_up_shows_as_recorded(tm
 
 HANGS = {
     "holds the lock of Python": "import ctypes; ctypes.PyDLL(None).sleep(600)",
-    "stands still": "import os; os.kill(os.getpid(), 19)",
+    "stopped": "import os; os.kill(os.getpid(), 19)",
 }
 
 
 @pytest.mark.parametrize("how", HANGS)
 def test_a_worker_that_cannot_run_ends_with_its_parent(how: str) -> None:
-    """It had to read the end of a pipe, which it never did: it stayed behind for ever."""
+    """It had to read the end of a pipe, which it never did: it never ended."""
     child = f"from perfbound.workers import cli; cli._die_with_parent(); print('hangs', flush=True); {HANGS[how]}"
     line = [sys.executable, "-c", child]
     parent = f"import subprocess as s; c = s.Popen({line!r}); print(c.pid, flush=True); c.wait()"
@@ -55,7 +55,7 @@ def test_a_worker_that_cannot_run_ends_with_its_parent(how: str) -> None:
         process.kill()
         process.wait()
         try:
-            assert process.stdout.read() == "", "the pipe closes when nobody holds it: the child is gone"
+            assert process.stdout.read() == "", "the pipe closes with its last holder: the child is gone"
         finally:
             _kill(pid)
 
@@ -82,7 +82,7 @@ def test_a_database_that_was_never_finished_is_nobody_s_campaign(tmp_path: Path)
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root for a small disk")
 def test_a_full_disk_is_not_taken_for_a_damaged_database(tmp_path: Path) -> None:
-    """`resume` on a full disk said that campaign.db was no campaign database."""
+    """`resume` on a full disk reported that campaign.db was no campaign database."""
     disk = tmp_path / "disk"
     disk.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", disk], check=True)

@@ -1,4 +1,4 @@
-"""What is checked after every fault run."""
+"""Checks after every fault run."""
 
 import hashlib
 import os
@@ -16,7 +16,7 @@ EXPECTED |= {"report.html", "counterexamples.csv"}
 
 @dataclass
 class Verdict:
-    """What is wrong; nothing, if all is well."""
+    """The findings of one run; empty without a fault."""
 
     twice: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)

@@ -103,7 +103,7 @@ def platform_key() -> dict[str, str]:
 
 
 def platform_file(key: dict[str, str]) -> Path:
-    """Return the file of a class of platforms; its name tells the CPU and the C library, and a digest the rest.
+    """Return the file of a class of platforms; its name contains the CPU and the C library, and a digest the rest.
 
     >>> platform_file({"cpu": "GenuineIntel 6 fma avx2", "libc": "glibc 2.36"}).name
     'genuineintel-6-fma-avx2-glibc-2.36-ec2c5de4.json'
@@ -145,7 +145,7 @@ def _sha256(data: bytes) -> str:
 
 
 def _cpu() -> str:
-    """Return vendor, family and instruction sets of the CPU, as far as the system says."""
+    """Return vendor, family and instruction sets of the CPU, as far as the system reports them."""
     if not CPU_INFO.exists():
         return platform.processor()
     lines = (line.partition(":") for line in CPU_INFO.read_text().splitlines())

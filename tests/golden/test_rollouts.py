@@ -1,13 +1,13 @@
-"""Nobody changed a rollout unawares.
+"""Comparison of rollouts with those on record, against unintended changes.
 
 Two comparisons, because equal code does not give equal bits everywhere:
 
 * On every platform, the numbers on record are met within 1e-9. Another C library or instruction set rounds the last
   bit of a tanh or an atan2 otherwise; over a rollout that grows to 3e-13 (measured with FMA and AVX2 switched off), a
   thousandth of the tolerance. A change of the model, the controller or the order of the engine's calls is far above.
-* On a class of platforms on record, every digest is met: not one bit changed. On any other, unequal digests say nothing
-  about the code, and the comparison is skipped, visibly. The key of a class names what was found to matter, or may: a
-  part of the platform that it does not name would show as a failure, never as a false pass.
+* On a class of platforms on record, every digest is met: not one bit changed. Elsewhere, unequal digests are no sign
+  of a change of the code, and the comparison is skipped, visibly. The key of a class names what was found to matter,
+  or may: a part of the platform that it does not name would show as a failure, never as a false pass.
 
 Whatever the platform, a rollout depends on nothing that ran before it.
 """

@@ -1,7 +1,7 @@
 """The first 50 campaigns of every row of the coverage study; `make coverage` runs them all.
 
 What must hold is tested row by row and, with more power, over all rows of one claim together. Then bounds are broken on
-purpose: the same judge must notice.
+purpose: the same judge must reject it.
 """
 
 from collections.abc import Callable, Iterator
@@ -41,7 +41,7 @@ def first(number: int) -> Found:
 
 
 def together(campaign: Callable[..., dict[str, float]], row: Row, count: int, **told: Any) -> dict[str, int]:
-    """Return the failures of `count` campaigns whose method is told something else."""
+    """Return the failures of `count` campaigns whose method gets another premise."""
     found = [campaign(row, np.random.default_rng(n), **told) for n in range(count)]
     return {name: sum(bool(each[name]) for each in found) for name in found[0]}
 
@@ -70,7 +70,7 @@ def test_a_band_too_narrow_is_noticed(factor: float, monkeypatch: pytest.MonkeyP
 
 
 def test_an_understated_delta_of_a_confidence_set_is_noticed() -> None:
-    """Where the noise is as large as J, a set that is told delta = .9 and claims .1 is found out; its bound is not."""
+    """With noise as large as J, a set with delta = .9 that claims .1 is rejected; its bound is not."""
     row = Rigorous("list", 2, 1.5, noise_scale=1.0)
     found = together(rigorous.campaign, row, 50, told_delta=0.9)
     assert found["set"] > allowed(50, row.claimed)

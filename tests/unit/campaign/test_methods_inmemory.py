@@ -65,12 +65,12 @@ def test_workers_losses_and_resumes_change_nothing(tmp_path: Path, method: str) 
 
 
 def stopped_and_resumed(directory: Path, config: CampaignConfig) -> str:
-    luck, stops = random.Random(5), 0
+    rng, stops = random.Random(5), 0
     begin(directory, config)
     with Network(Faults()) as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
         while True:
             try:
-                found = serve(directory, network, Log(), stop=partial(_after, luck.randint(0, 8)), resumed=stops > 0)
+                found = serve(directory, network, Log(), stop=partial(_after, rng.randint(0, 8)), resumed=stops > 0)
                 break
             except Stopped:
                 stops += 1

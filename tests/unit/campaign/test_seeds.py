@@ -1,4 +1,4 @@
-"""Seeds: a pure function of the campaign, different for different rollouts, the same for ever."""
+"""Seeds: a pure function of the campaign, different for different rollouts, constant across versions."""
 
 import itertools
 

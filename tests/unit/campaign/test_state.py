@@ -197,10 +197,10 @@ class Course:
 
 @dataclass
 class Driver:
-    """What the ledger and the workers do, in an order that luck decides."""
+    """Ledger and workers as events in random order."""
 
     courses: dict[str, Course]
-    luck: random.Random
+    rng: random.Random
     events: list[Event] = field(default_factory=list)
     order: dict[str, list[tuple[str, int, int]]] = field(default_factory=dict)
     wanted: set[RolloutId] = field(default_factory=set)
@@ -212,7 +212,7 @@ class Driver:
         plans = tuple(course.plan for course in self.courses.values())
         state, pending = initial(plans), deque(outstanding(initial(plans)))
         while not state.done:
-            if self.luck.random() < 0.1:
+            if self.rng.random() < 0.1:
                 assert replay(plans, self.events) == state
                 self.wanted.clear()
                 pending = deque(self._due(outstanding(state)))
@@ -224,7 +224,7 @@ class Driver:
             assert step(state, Recorded(late)) == (state, ())
 
     def _one_step(self, state: State, pending: deque[Action]) -> State:
-        event = self._act(pending.popleft()) if pending and self.luck.random() < 0.7 else self._arrival()
+        event = self._act(pending.popleft()) if pending and self.rng.random() < 0.7 else self._arrival()
         if event is None:
             return state
         if isinstance(event, Recorded) and event.rollout in self.recorded:
@@ -246,10 +246,10 @@ class Driver:
         return actions
 
     def _arrival(self) -> Event | None:
-        candidates = sorted(self.asked if self.luck.random() < 0.2 else self.wanted)
+        candidates = sorted(self.asked if self.rng.random() < 0.2 else self.wanted)
         if not candidates:
             return None
-        arrived = self.luck.choice(candidates)
+        arrived = self.rng.choice(candidates)
         self.wanted.discard(arrived)
         return Recorded(arrived)
 

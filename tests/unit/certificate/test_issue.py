@@ -1,4 +1,4 @@
-"""The certificate document: its arithmetic, its form, and that luck cannot get into it."""
+"""The certificate document: its arithmetic, its form, and its independence of timing."""
 
 import hashlib
 import json

@@ -85,7 +85,7 @@ def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
     text = console.file.getvalue()
     assert "  certificate  a [red] :x: b/certificate.json\n" in text
     assert "perfbound verify 'a [red] :x: b'" in text
-    assert "signed" not in text, "nobody did"
+    assert "signed" not in text, "there is no signature"
     assert "worker [bold]x[/] :x: ended\n" in text
 
 

@@ -136,7 +136,7 @@ def test_the_evidence_alone_is_enough(campaign: Path, gone: list[str], skipped: 
 
 @contextmanager
 def editing(directory: Path) -> Iterator[sqlite3.Connection]:
-    """Edit a database as somebody does who has the rights: without triggers and foreign keys."""
+    """Edit a database with all rights: without triggers and foreign keys."""
     database = sqlite3.connect(directory / DATABASE)
     for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
         database.execute(f"DROP TRIGGER {name}")
@@ -256,7 +256,7 @@ def test_a_signature(campaign: Path, tmp_path: Path) -> None:
     sign.sign_certificate(campaign, keys.load_private(ours.private))
     assert check(campaign, paths[0]).found["signature"].status == "passed"
     assert failed(campaign, paths[1]) == ["signature"]
-    assert check(campaign).good, "a signature that nobody asked about is no fault"
+    assert check(campaign).good, "a signature without --key is no fault"
     rewrite(campaign, lambda predicate: predicate["claims"][0].update(bound=0.5))
     assert failed(campaign, paths[0]) == ["signature"], "what was signed is another text"
     (campaign / files.CERTIFICATE).unlink()
@@ -273,11 +273,11 @@ def some_files(directory: Path) -> list[Path]:
 
 
 def test_a_flipped_bit_in_each_of_a_hundred_places(campaign: Path) -> None:
-    luck = random.Random(4)
+    rng = random.Random(4)
     for _ in range(100):
-        path = luck.choice(some_files(campaign))
+        path = rng.choice(some_files(campaign))
         good = path.read_bytes()
-        bit = luck.randrange(8 * len(good))
+        bit = rng.randrange(8 * len(good))
         bad = bytearray(good)
         bad[bit // 8] ^= 1 << (bit % 8)
         path.write_bytes(bad)
@@ -308,12 +308,12 @@ def relist(directory: Path, change: Callable[[dict[RolloutId, str]], object] = l
 
 
 def test_a_flipped_bit_under_digests_that_were_made_again(campaign: Path) -> None:
-    luck = random.Random(5)
+    rng = random.Random(5)
     for _ in range(20):
-        path = luck.choice(some_files(campaign))
+        path = rng.choice(some_files(campaign))
         good = path.read_bytes()
         bad = bytearray(good)
-        bad[luck.randrange(len(good))] ^= 4
+        bad[rng.randrange(len(good))] ^= 4
         path.write_bytes(bad)
         relist(campaign)
         assert failed(campaign) == ["trajectories"], path
@@ -428,7 +428,7 @@ def test_nothing_to_verify(tmp_path: Path) -> None:
         check(tmp_path)
 
 
-# What nobody writes by mistake
+# Deliberate changes
 
 
 def test_a_pipe_is_not_waited_for(campaign: Path) -> None:
@@ -486,7 +486,7 @@ def test_a_rollout_of_a_test_that_nobody_proposed(campaign: Path) -> None:
 
 
 def test_rollouts_in_flight_when_their_problem_stopped_have_their_seeds(campaign: Path) -> None:
-    """As if test 7 had been proposed and simulated, and nobody had waited for it."""
+    """As if test 7 had been proposed and simulated, and not awaited."""
     there = read_untrusted(campaign)
 
     def last(fact: Fact) -> bool:
@@ -596,7 +596,7 @@ def test_a_rival_of_the_maximiser_is_followed(campaign: Path, monkeypatch: pytes
 
 
 def test_a_consistent_lie_is_caught_by_simulating_again(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever may write everything can forge a campaign that fits together; the simulator does not lie along."""
+    """With all rights a consistent campaign can be forged; only the simulation again shows it."""
     files_then = {path.name: path.read_bytes() for path in some_files(campaign)}
     target = of(campaign, "nominal_robustness", 7, "nominal")
     altered(target, numbers=lambda samples: np.column_stack((samples[:, 0], 1.01 * samples[:, 1:])))

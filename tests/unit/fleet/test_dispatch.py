@@ -262,7 +262,7 @@ def test_a_failed_attempt_is_tried_again_first() -> None:
 
 
 def test_a_repeated_failure_counts_once() -> None:
-    """The acknowledgement was lost, so the worker told its failure again, and had the next attempt already."""
+    """The acknowledgement was lost, so the worker reported its failure again, and had the next attempt already."""
     failed: list[Event] = [*up(), want(R[0]), done(R[0], error="bad")]
     state, actions = after(*failed, done(R[0], error="bad"))
     assert actions == [Fail("w", first(R[0]), "bad"), Acknowledge("w", first(R[0]))]
@@ -366,7 +366,7 @@ def test_check_finds_a_broken_state() -> None:
 
 @dataclass(frozen=True)
 class Chaos:
-    """How bad the first `until` seconds are; after them everything is fair."""
+    """Faults of the first `until` seconds; none after them."""
 
     seed: int
     loss: float
@@ -402,14 +402,14 @@ class World:
     def __init__(
         self, chaos: Chaos, rollouts: int, workers: int, limits: Limits, always_fails: frozenset[RolloutId]
     ) -> None:
-        self.chaos, self.limits, self.luck = chaos, limits, random.Random(chaos.seed)
+        self.chaos, self.limits, self.rng = chaos, limits, random.Random(chaos.seed)
         self.rollouts = [RolloutId("p", test, "true", 0) for test in range(rollouts)]
         self.always_fails = always_fails
         self.now, self._order = 0.0, itertools.count()
         self._agenda: list[tuple[float, int, Callable[[], None]]] = []
         self.processes: dict[str, Process] = {}
         self._names = itertools.count()
-        # What is durable.
+        # Durable state
         self.recorded: list[RolloutId] = []
         self.started: set[Attempt] = set()
         self.failures: dict[RolloutId, int] = {}
@@ -440,7 +440,7 @@ class World:
 
     def _trouble(self) -> None:
         def random_time() -> float:
-            return self.luck.uniform(0.0, self.chaos.until)
+            return self.rng.uniform(0.0, self.chaos.until)
 
         for count, act in (
             (self.chaos.deaths, self._kill_one),
@@ -452,17 +452,17 @@ class World:
                 self._at(random_time(), act)
 
     def _some_process(self) -> Process:
-        return self.luck.choice([process for process in self.processes.values() if process.alive])
+        return self.rng.choice([process for process in self.processes.values() if process.alive])
 
     # The network
 
     def _carry(self, process: Process, act: Callable[[], None]) -> None:
         bad = self.now < self.chaos.until
-        if bad and (not process.linked or self.luck.random() < self.chaos.loss):
+        if bad and (not process.linked or self.rng.random() < self.chaos.loss):
             return
-        copies = 1 + (bad and self.luck.random() < self.chaos.duplication)
+        copies = 1 + (bad and self.rng.random() < self.chaos.duplication)
         for _ in range(copies):
-            self._at(self.now + (self.luck.uniform(0, self.chaos.delay) if bad else 0.001), act)
+            self._at(self.now + (self.rng.uniform(0, self.chaos.delay) if bad else 0.001), act)
 
     def _to_orchestrator(self, process: Process, event: Callable[[], Event], *, always: bool = False) -> None:
         if always:
@@ -513,7 +513,7 @@ class World:
                 assert worker in self.tokens, "nothing is assigned to a worker that is gone"
                 phase = before.workers[worker].phase
                 if phase in ("new", "shunned"):
-                    assert isinstance(event, Reported), "a worker says idle before it gets anything"
+                    assert isinstance(event, Reported), "a worker reports idle before its first attempt"
                     assert (event.worker, event.attempt) == (worker, None)
                 self.started.add(attempt)
                 self._send(worker, self._assigned, attempt)
@@ -530,7 +530,7 @@ class World:
             case GiveUp(worker):
                 self._at(self.now, lambda: self._kill(self.processes[worker]))
             case Poison(rollout, story):
-                assert rollout not in self.poison, "poison is told once"
+                assert rollout not in self.poison, "poison is reported once"
                 assert len(story) == self.limits.max_attempts
                 assert len(set(story)) == len(story), "no failure counts twice"
                 self.poison[rollout] = story
@@ -584,9 +584,9 @@ class World:
         process.progress += 1
         if attempt in process.cancelled:
             self._finish(process)
-        elif self.luck.random() < 0.08:  # four seconds a rollout
+        elif self.rng.random() < 0.08:  # four seconds a rollout
             failing = self.chaos.failing if self.now < self.chaos.until else 0.0
-            error = "bad" if attempt.rollout in self.always_fails or self.luck.random() < failing else None
+            error = "bad" if attempt.rollout in self.always_fails or self.rng.random() < failing else None
             process.outbox[attempt] = error
             self._finish(process)
             self._hand_in(process, attempt, error)
@@ -621,7 +621,7 @@ class World:
             if process.alive:
                 self._to_orchestrator(process, lambda: WorkerUp(self.now, process.name), always=True)
 
-        self._at(self.now + self.luck.uniform(0.1, 8.0), heal)
+        self._at(self.now + self.rng.uniform(0.1, 8.0), heal)
 
 
 PATIENT = Limits(hung_after=5.0, deadline=30.0, max_attempts=1000)

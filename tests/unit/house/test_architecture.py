@@ -32,37 +32,37 @@ def test_every_label_is_in_its_diagram() -> None:
     assert phases <= set(re.findall(r">(\w+)</text>", texts()["campaign.svg"]))
 
 
-# What the cores do
+# The pure machines
 
 ROLLOUTS = [RolloutId("p", number, "true", 0) for number in range(4)]
 WORKERS = ["a", "b", "c"]
 
 
-def an_event(luck: random.Random, at: float) -> events.Event:
-    """Return any event: workers that lie, results that come twice, rollouts that are withdrawn."""
-    worker, rollout = luck.choice(WORKERS), luck.choice(ROLLOUTS)
-    attempt = Attempt(rollout, luck.randint(1, 3))
+def an_event(rng: random.Random, at: float) -> events.Event:
+    """Return any event: false reports of workers, results that come twice, rollouts that are withdrawn."""
+    worker, rollout = rng.choice(WORKERS), rng.choice(ROLLOUTS)
+    attempt = Attempt(rollout, rng.randint(1, 3))
     makers: list[Callable[[], events.Event]] = [
         lambda: events.Wanted(at, ((rollout, 0),)),
         lambda: events.WorkerUp(at, worker),
         lambda: events.WorkerUp(at, worker),
         lambda: events.WorkerDown(at, worker),
-        lambda: events.Reported(at, worker, luck.choice([None, attempt]), luck.randint(0, 9)),
-        lambda: events.Reported(at, worker, luck.choice([None, attempt]), luck.randint(0, 9)),
-        lambda: events.Delivered(at, worker, attempt, luck.choice([None, None, "it broke"])),
+        lambda: events.Reported(at, worker, rng.choice([None, attempt]), rng.randint(0, 9)),
+        lambda: events.Reported(at, worker, rng.choice([None, attempt]), rng.randint(0, 9)),
+        lambda: events.Delivered(at, worker, attempt, rng.choice([None, None, "it broke"])),
         lambda: events.Tick(at),
         lambda: events.HandOut(at),
         lambda: events.Unwanted(at, (rollout,)),
     ]
-    return luck.choice(makers)()
+    return rng.choice(makers)()
 
 
 def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
-    luck, at, seen = random.Random(0), 0.0, set()
+    rng, at, seen = random.Random(0), 0.0, set()
     state = dispatch.DispatchState(dispatch.Limits(max_attempts=10**9))
     for _ in range(STEPS):
-        at += luck.choice([0.1, 0.5, 5.0])
-        event = an_event(luck, at)
+        at += rng.choice([0.1, 0.5, 5.0])
+        event = an_event(rng, at)
         after, _ = dispatch.advance(state, event)
         for name in WORKERS:
             one, other = (each.workers[name].phase if name in each.workers else "unknown" for each in (state, after))
@@ -73,17 +73,17 @@ def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
 
 
 def test_the_diagram_of_a_test_is_what_the_core_does() -> None:
-    luck, seen = random.Random(0), set()
+    rng, seen = random.Random(0), set()
     plan = Plan("p", window=3, max_tests=6, rollouts=(("true", 0), ("true", 1)))
     state = campaign.initial((plan,))
     for _ in range(STEPS):
-        test = luck.randint(0, 5)
+        test = rng.randint(0, 5)
         events: list[campaign.Event] = [
             campaign.Proposed("p", test),
-            campaign.Recorded(RolloutId("p", test, "true", luck.randint(0, 1))),
-            campaign.Observed("p", test, luck.choice([None, None, "converged"])),
+            campaign.Recorded(RolloutId("p", test, "true", rng.randint(0, 1))),
+            campaign.Observed("p", test, rng.choice([None, None, "converged"])),
         ]
-        event = luck.choice(events)
+        event = rng.choice(events)
         try:
             after, _ = campaign.step(state, event)
         except IllegalEvent:

@@ -95,7 +95,7 @@ class TestRigorous:
             spread((0.0, math.nan))
 
     def test_replicate_spread_rarely_refutes_the_right_r(self) -> None:
-        """Gaussian noise of sd R is R-sub-Gaussian: alarms at any of five looks in at most delta of 400 campaigns."""
+        """Gaussian noise of sd R is R-sub-Gaussian: alarms at any of five checks in at most delta of 400 campaigns."""
         rng, alarms = np.random.default_rng(0), 0
 
         def status(groups: list[list[float]]) -> str:

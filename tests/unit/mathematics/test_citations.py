@@ -51,4 +51,4 @@ def test_the_formulas_of_this_page_are_explained_in_it() -> None:
     text = THEORY.split("## Equations and the code")[0]
     for equation, key in cited():
         if key == "PB":
-            assert f"({equation})" in text, f"({equation}) is cited and stands nowhere in docs/theory.md"
+            assert f"({equation})" in text, f"({equation}) is cited and missing in docs/theory.md"

@@ -393,7 +393,7 @@ class TestProposals:
         later = make(regularisers=((0.05, 1.0),))
         for z in (3, 20, 20, 40, 7, 40):
             later.observe(*an_observation(z, y))
-        # The a of the proposal is known by its beta alone; look for the sigma among the grid's.
+        # The a of the proposal follows from its beta alone; search the sigma among the grid's.
         _, sd = later.envelope.moments(method._rows.row(proposal.node)[[3, 20, 40, 7]][:, None])
         assert float(np.abs(sd[0] - proposal.sigma).min()) < 1e-7
 

@@ -309,7 +309,7 @@ class TestScenarioMethod:
         assert running.bound().gap < 0
 
     def test_a_system_that_always_falls_is_no_refutation(self) -> None:
-        """E[X] lies below what a law on the clip can have as its risk; neither bound follows it there."""
+        """E[X] is below what a law on the clip can have as its risk; neither bound follows it there."""
         running = method(2)
         for index in (0, 1) * 3:
             running.observe(*an_observation(index, [-0.05] * 300))

@@ -61,7 +61,7 @@ class TestIntervals:
 
     def test_only_samples_that_are_read_count(self) -> None:
         samples = column(0, 1, 2, 3, 4)
-        samples[3:, 0] = 10, 20  # from sample 2 on nothing lies within 1 s
+        samples[3:, 0] = 10, 20  # from sample 2 on no sample is within 1 s
         assert of("eventually[0.5,1] x >= 0", samples) == 1
         with pytest.raises(FormulaError, match="contains no sample at t = 2 s"):
             of("always[0,2] eventually[0.5,1] x >= 0", samples)

@@ -1,4 +1,4 @@
-"""How far a formula looks, and whether a trajectory is long enough for it."""
+"""The horizon of a formula, and trajectories that are too short for it."""
 
 import math
 

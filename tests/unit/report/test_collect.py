@@ -87,7 +87,7 @@ def test_incremental_refreshes_equal_a_fresh_one(tmp_path: Path, name: str) -> N
     with campaign_lock(tmp_path):
         stage = play(tmp_path, CONFIGS[name], look)
         assert collector.refresh().state == "running"
-    assert len(set(tests)) > 2, "some looks saw it in the middle"
+    assert len(set(tests)) > 2, "some refreshes were in the middle"
     assert tests == sorted(tests)
     story = collector.refresh()
     assert (story.state, story.claims, story.composition) == ("stopped", (), None)

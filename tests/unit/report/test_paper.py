@@ -205,7 +205,7 @@ def test_nothing_run_is_nothing_claimed() -> None:
 
 def test_people_read_the_median_and_the_range() -> None:
     lines = table.table_markdown(table.rows(FINISHED)).splitlines()
-    assert len({len(line) for line in lines}) == 1, "columns stand below each other"
+    assert len({len(line) for line in lines}) == 1, "columns are aligned"
     gap = [cell.strip() for cell in lines[4].strip("|").split("|")]
     assert gap == [
         *("sim_gap: e~ =", "0.1", "0.15", "0.05", "0.05", "0.3", "0.38", "", "", "3"),

@@ -328,7 +328,7 @@ def test_a_recorded_file(finished: Path) -> None:
     ],
 )
 def test_nothing_else_is_a_file(directory: Path, path: str) -> None:
-    """Nor is one that lies among the others, unrecorded."""
+    """Nor is an unrecorded one in the folder of the others."""
     shutil.copy(directory / RECORDED, directory / "trajectories/maximum/0/maximum.0.true.9.mcap")
     assert get(directory, path).status == 404
 
@@ -405,7 +405,7 @@ def test_an_event_when_something_changes_and_not_otherwise(stub: Stub) -> None:
     async def test(client: Client, _: SnapshotCache) -> None:
         answer = Answer()
         stream = client.open(answer.take)
-        await until(lambda: stub.refreshes >= 10)  # each with another time of the look
+        await until(lambda: stub.refreshes >= 10)  # each at another time
         assert answer.body.startswith(b"retry: 1000\n\n")
         assert answer.headers["content-type"].startswith("text/event-stream")
         assert [story["rollouts"] for story in answer.stories] == [6]

@@ -65,7 +65,7 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Parsed(HTMLParser):
-    """The inline parts of a page as a browser sees them."""
+    """The inline parts of a page as a browser parses them."""
 
     def __init__(self, text: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -266,7 +266,7 @@ def test_another_system_than_that_of_the_campaign_is_not_simulated(
 
 
 def test_pairs_need_no_simulation(finished: Path, story: ReportData, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nominal, "system_specs", lambda: pytest.fail("nobody needs it"))
+    monkeypatch.setattr(nominal, "system_specs", lambda: pytest.fail("no caller needs it"))
     assert nominal.with_nominal(finished, story) is story
 
 

@@ -1,4 +1,4 @@
-"""The page of a run, as its orchestrator sees it: where it is served, what it is told, and what it cannot break."""
+"""The page of a run, from the side of the orchestrator: address, feed, and isolation of its faults."""
 
 import json
 import os
@@ -71,7 +71,7 @@ def test_a_host_that_is_not_here(host: str) -> None:
 
 @pytest.fixture(scope="module")
 def looks(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
-    """What the page of a short campaign was told, look by look."""
+    """Messages to the page of a short campaign, one per status."""
     found: list[bytes] = []
     chosen = parse_campaign((FOLDER / "test-function.toml").read_bytes(), "test", resolution=5, max_tests=5)
     campaign(tmp_path_factory.mktemp("feed") / "run", chosen, log=_Told(found))

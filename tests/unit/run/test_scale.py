@@ -1,4 +1,4 @@
-"""What must not grow: the memory of a long campaign, and what a turn writes."""
+"""Limits of growth: the memory of a long campaign, and the rows that a turn writes."""
 
 import gc
 import shutil
@@ -98,7 +98,7 @@ def test_a_turn_is_one_statement_a_table(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("no_disk")
 def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> None:
-    """A reader holds the database open in the middle of its look while the writer goes on to the end."""
+    """A reader holds the database open in the middle of a refresh while the writer continues to the end."""
     stage, seen, watch = Stage(tmp_path, cheap(256), 8), list[int](), ChangeReader(tmp_path)
 
     def look() -> bool:
@@ -120,7 +120,7 @@ def test_readers_in_between_see_whole_turns_and_stop_nothing(tmp_path: Path) -> 
 
 @pytest.mark.usefixtures("no_disk")
 def test_whoever_reads_at_the_end_leaves_nothing_outside_the_database(tmp_path: Path) -> None:
-    """A copy of campaign.db alone has every fact, although a connection of somebody else outlives the writer's."""
+    """A copy of campaign.db alone has every fact, although a connection of another process outlives the writer's."""
     stage = Stage(tmp_path, cheap(32), 8)
     stage.play()
     with closing(sqlite3.connect(f"file:{tmp_path / DATABASE}?mode=ro", uri=True)) as reader:

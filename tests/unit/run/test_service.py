@@ -1,4 +1,4 @@
-"""A whole campaign in one process: the certificate does not depend on luck, and nothing bad is believed."""
+"""A whole campaign in one process: the certificate does not depend on timing, and no bad message is accepted."""
 
 import hashlib
 import random
@@ -98,7 +98,7 @@ def check_evidence(directory: Path, rollouts: int = 36) -> None:
     assert sorted(path.name for path in directory.rglob("*.mcap")) == sorted(Path(line).name for line in lines)
 
 
-# Luck
+# Random timing
 
 
 @pytest.mark.parametrize("workers", [2, 3])
@@ -124,11 +124,11 @@ def test_stops_and_resumes_change_nothing(
     tmp_path: Path, calm: Calm, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(service, "TICK", 0.001)  # a stop is asked for at ticks: as often as there are messages
-    directory, luck, stops = tmp_path / "run", random.Random(3), 0
+    directory, rng, stops = tmp_path / "run", random.Random(3), 0
     begin(directory, LOSSY)
     with Network(faults) as network, working(network, run_of(directory), [lambda uplink: uplink] * 2):
         while True:
-            stop = partial(_has_recorded, luck.randint(0, 9))
+            stop = partial(_has_recorded, rng.randint(0, 9))
             try:
                 found = serve(directory, network, Log(), stop=stop, resumed=stops > 0)
                 break
@@ -176,7 +176,7 @@ def test_only_a_second_signal_ends_the_wait_for_what_is_under_way(tmp_path: Path
     begin(directory, a_config(hung_after=30.0))
 
     def later(seen: RunStatus) -> bool:
-        """One signal when a worker is at work, and one 20 looks later."""
+        """One signal when a worker is at work, and one 20 statuses later."""
         looks.extend([seen] if looks or {"sent", "busy"} & set(seen.workers.values()) else [])
         return len(looks) in (1, 21)
 
@@ -192,7 +192,7 @@ def _muted(uplink: InMemoryUplink) -> InMemoryUplink:
 
 
 def test_a_rollback_leaves_nothing_behind(tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disk is full in the middle of a turn; the next orchestrator goes on."""
+    """The disk is full in the middle of a turn; the next orchestrator resumes."""
     directory = tmp_path / "run"
     begin(directory, a_config())
     writes = iter(range(10_000))
@@ -249,11 +249,11 @@ def test_a_file_that_comes_out_different_is_not_put_back(tmp_path: Path) -> None
     assert "restored" not in outcomes(directory)
 
 
-# Workers that are not to be believed
+# Untrusted workers
 
 
 class Altered:
-    """An uplink whose worker says something else than it means."""
+    """An uplink that changes the messages of its worker."""
 
     def __init__(
         self,
@@ -349,7 +349,7 @@ LIES: dict[str, tuple[Lie, str]] = {
 
 
 class Liar:
-    """Sends lies instead of its first attempts at two rollouts, and the truth before and afterwards."""
+    """Sends false results for its first attempts at two rollouts, and true ones before and afterwards."""
 
     def __init__(self, lie: Lie) -> None:
         self._lie = lie
@@ -359,7 +359,7 @@ class Liar:
 
     def __call__(self, header: ResultHeader, payload: bytes) -> tuple[ResultHeader, bytes]:
         key = (header.rollout, header.attempt)
-        if key not in self._sent:  # a parcel that is delivered again says the same again
+        if key not in self._sent:  # a repeated delivery has the same content
             self._sent[key] = self._said(header, payload)
         return self._sent[key]
 
@@ -451,7 +451,7 @@ class Clock:
 
 
 class Puppets:
-    """Three workers without threads: two answer at once, `slow` and the first one after the long turn when told to."""
+    """Three workers without threads: two answer at once, `slow` and the first one after the long turn on command."""
 
     endpoint = "memory/puppets:0"
 
@@ -583,7 +583,7 @@ def served(worker: WorkerProcess, uplink: Deaf, results: int) -> None:
 
 
 def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else the clock of progress of the next one stands still until it has caught up, and the worker seems to hang."""
+    """Else the clock of progress of the next one stops until it has caught up, and the worker seems to hang."""
     uplink = Deaf()
     worker = WorkerProcess("w", uplink)
 

@@ -1,4 +1,4 @@
-"""What systemd is told, on a socket of our own."""
+"""Messages to systemd, on a socket of the test."""
 
 import os
 import socket
@@ -66,5 +66,5 @@ def test_an_abstract_address(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_without_systemd_nothing_happens(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     Systemd().ready("serving")
-    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "no-socket"))
     Systemd().ready("serving")

@@ -30,7 +30,7 @@ def changed(old: str, new: str) -> str:
     return PAPER.replace(old, new, 1)
 
 
-# What a file says
+# Content of a file
 
 
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.toml")), ids=lambda file: file.stem)
@@ -82,7 +82,7 @@ def test_the_digest_tells_content_from_layout() -> None:
     assert one.digest != parse_campaign(PAPER.encode(), "one.toml", seed=2).digest
 
 
-# What is wrong with a file
+# Errors in a file
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_a_problem_that_is_hardly_one_is_a_fault_like_others(problem: str) -> No
     assert fault_of(f"problems = [{problem}]\n{start}").startswith("problems.")
 
 
-# What only the system can tell
+# Errors that only the system can detect
 
 
 SPEC = SystemSpec(

@@ -1,4 +1,4 @@
-"""What is generated from the models is current."""
+"""The files generated from the models: all are current."""
 
 import json
 import tomllib

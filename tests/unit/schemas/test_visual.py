@@ -1,4 +1,4 @@
-"""What Foxglove needs of our files, and the layout that opens them: every topic and column that it names is there."""
+"""The visual part of the files for Foxglove, and the layout that opens them: every topic and column in it exists."""
 
 import io
 import json

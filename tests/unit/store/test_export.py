@@ -1,4 +1,4 @@
-"""Tables for people: what stands in them is what the database says, in the unit and with the sign of the objective."""
+"""Tables for people: their values are those of the database, in the unit and with the sign of the objective."""
 
 import csv
 import io
@@ -90,7 +90,7 @@ def plain(cell: object) -> str:
     return "" if cell is None else str(cell)
 
 
-# What stands in the tables
+# Values of the tables
 
 
 def test_rollouts_are_those_of_the_database(campaign: Path) -> None:
@@ -468,7 +468,7 @@ def test_a_running_campaign_is_exported_whole_turn_by_whole_turn(tmp_path: Path)
 
 
 def test_all_tables_show_one_moment(tmp_path: Path) -> None:
-    """What is written between two tables is in neither of them."""
+    """Facts written between two tables are in neither of them."""
     journal = journal_of(tmp_path, config("segway-paper"))
     add(journal, ProposalFact("sim_gap", 0, Proposal(7, (1.0, 2.0), None, None, None, None)), rollout("sim_gap", 0, 0))
 

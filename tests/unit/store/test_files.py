@@ -117,7 +117,7 @@ def test_a_crash_is_swept_away(tmp_path: Path) -> None:
     assert names(tmp_path) == [NAME]
 
 
-# What a file says of itself
+# Content of a file
 
 
 def a_file(request: dict[str, Any]) -> bytes:

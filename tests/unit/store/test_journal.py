@@ -71,7 +71,7 @@ def edit(directory: Path, statement: str) -> None:
         connection.commit()
 
 
-# What is written
+# Writing
 
 
 def test_facts_come_back_in_their_order(journal: Journal, tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_the_highest_attempt_is_known_and_the_first_outcome_stands(journal: Jour
         assert connection.execute("SELECT outcome FROM outcomes").fetchall() == [("bad",)]
 
 
-# What cannot be used
+# Unusable databases
 
 
 def test_a_newer_schema_is_refused(journal: Journal, tmp_path: Path) -> None:

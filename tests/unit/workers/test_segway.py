@@ -335,7 +335,7 @@ def test_trap_9_the_place_in_the_world_does_not_matter(corner: Trajectory, monke
     assert moved[:, 1:8] == pytest.approx(corner.samples[:, 1:8], abs=5e-12)
 
 
-# What a person sees
+# The visual part
 
 
 def test_the_visual_follows_the_trajectory() -> None:
