@@ -28,7 +28,7 @@ $(VENV)/.installed-dev: requirements-dev.lock $(VENV)/.installed
 
 setup: $(VENV)/.installed ## Make the virtual environment with the locked versions
 
-run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORKERS=...); goes on where it stopped
+run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORKERS=...); continues where it stopped
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
 	else $(BIN)/perfbound run $(CAMPAIGN) --workers $(WORKERS) --out $(RUN_DIR); fi
 
@@ -79,10 +79,10 @@ SEED ?= 1
 faults: $(VENV)/.installed-dev ## Campaigns under seeded faults: kill, stop, partition, full disk, ... (MINUTES=10, SEED=1)
 	$(BIN)/python -m tests.faults --minutes $(MINUTES) --seed $(SEED)
 
-coverage: $(VENV)/.installed-dev ## How often bounds fail, over thousands of campaigns (half an hour; goes on where it stopped)
+coverage: $(VENV)/.installed-dev ## How often bounds fail, over thousands of campaigns (half an hour; continues where it stopped)
 	$(BIN)/python -m tests.coverage
 
-reproduce: setup ## The paper's tables and figures, into runs/paper (half an hour; goes on where it stopped)
+reproduce: setup ## The paper's tables and figures, into runs/paper (half an hour; continues where it stopped)
 	$(BIN)/perfbound reproduce paper --out runs/paper
 
 $(VENV)-bench/.installed: tests/benchmarks/requirements.txt

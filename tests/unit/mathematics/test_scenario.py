@@ -173,7 +173,7 @@ class TestBetting:
     def test_a_value_outside_is_refused(self, bad: float) -> None:
         sequence = sequence_of([0.5, 0.7], (0.05,))
         before = sequence.wealth().tobytes()
-        with pytest.raises(ValueError, match="must lie in"):
+        with pytest.raises(ValueError, match="must be in"):
             sequence.observe(bad, Past(1))
         assert sequence.wealth().tobytes() == before
 
