@@ -1,4 +1,4 @@
-"""The DSSE envelope of a signed certificate (https://github.com/secure-systems-lab/dsse, version 1)."""
+"""The model of the DSSE envelope of a signed certificate (https://github.com/secure-systems-lab/dsse, version 1)."""
 
 from pydantic import Field
 

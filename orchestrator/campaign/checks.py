@@ -1,4 +1,4 @@
-"""The checks of a campaign against its system: those that need both the file and the specification of the system."""
+"""All checks of a campaign against its system: those of `schemas.campaign_check`, and those of the parsed formula."""
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_check import check_against

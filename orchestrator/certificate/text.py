@@ -1,4 +1,4 @@
-"""A certificate as text: refuted assumptions first, then the claim, its problems and its other assumptions.
+"""A certificate printed on a console: refuted assumptions first, then the claim, its problems, its other assumptions.
 
 Bounds are rounded outward, so that no line claims more than the certificate. Everything is printed as plain text with
 styles, never as markup: names, paths and formulas may contain brackets.

@@ -11,7 +11,7 @@ import click
 from ..run.address import Address
 from . import signing
 from .exits import resumable
-from .group import RUN_DIRECTORY, cli, data
+from .group import RUN_DIRECTORY, cli, output_console
 from .report import draw
 from .stderr import STDERR
 from .web_option import web_option
@@ -162,7 +162,7 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
     from ..certificate import text  # noqa: PLC0415
     from ..run import session  # noqa: PLC0415
 
-    console, found = data(), session.finished_certificate(directory)
+    console, found = output_console(), session.finished_certificate(directory)
     if key is not None:
         signing.sign_directory(directory, key)
     text.print_certificate(found, console)
@@ -179,7 +179,7 @@ def status(directory: Path) -> None:
     """Show the progress of the campaign in DIRECTORY, while it runs and afterwards."""
     from . import status as view  # noqa: PLC0415
 
-    view.print_status(directory, data())
+    view.print_status(directory, output_console())
 
 
 @cli.group()

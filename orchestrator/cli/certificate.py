@@ -8,7 +8,7 @@ from typing import Literal
 import click
 
 from . import signing
-from .group import RUN_DIRECTORY, cli, data
+from .group import RUN_DIRECTORY, cli, output_console
 from .stderr import STDERR
 
 
@@ -33,7 +33,7 @@ def verify(*, path: Path, key: Path | None, again: int, as_json: bool) -> None:
     if as_json:
         click.echo(table.as_json(found))
     else:
-        table.print_verification(found, data())
+        table.print_verification(found, output_console())
     if not found.checks.good:
         sys.exit(1)
 

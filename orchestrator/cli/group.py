@@ -1,4 +1,4 @@
-"""The command group; each module beside this one adds its commands to it."""
+"""The command group, to which the modules beside this one add their commands, and what those share."""
 
 import sys
 from pathlib import Path
@@ -15,7 +15,7 @@ def cli() -> None:
     """Test campaigns for safety-critical systems that end with a certificate."""
 
 
-def data() -> Any:
+def output_console() -> Any:
     """Return a console for the output of a command, on stdout."""
     from rich.console import Console  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""Commands of a `workers` child process: the orchestrator itself imports no simulator."""
+"""Requests to a child process of `workers`, so that the orchestrator imports no simulator: its systems, one rollout."""
 
 import json
 import subprocess

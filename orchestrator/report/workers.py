@@ -1,4 +1,4 @@
-"""The nondeterministic part of the report: workers and timing."""
+"""Totals by worker and throughput over time: the part of the report data that differs from run to run."""
 
 from array import array
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""A campaign's tables as files, CSV or Parquet, all of one snapshot, also while the campaign runs."""
+"""A campaign's tables as CSV or Parquet files from one snapshot, also while the campaign runs."""
 
 import csv
 import io

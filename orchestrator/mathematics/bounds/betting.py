@@ -1,4 +1,4 @@
-"""Betting confidence sequences for the mean of values in [0, 1], on a grid of candidate means.
+"""Lower confidence sequences by betting for the mean of values in [0, 1], on a grid of candidate means.
 
 | symbol     | name          | meaning                                                              | shape  | unit |
 |------------|---------------|----------------------------------------------------------------------|--------|------|

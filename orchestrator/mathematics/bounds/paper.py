@@ -1,4 +1,4 @@
-"""Method `paper`: Algorithm 1 of [ARA] as printed, its open choices being options.
+"""Method `paper`: Algorithm 1 of [ARA] as printed, which bounds max J by UCB; its open choices are options.
 
 The notation is that of `bounds.paper_formulas`. The maximiser is searched on the nodes of a lattice, and with `refine`
 improved between them.

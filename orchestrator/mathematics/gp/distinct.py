@@ -1,4 +1,4 @@
-"""Distinct observed points, and the kernel between them and the nodes.
+"""Distinct observed points, and the kernel among them and between them and the nodes.
 
 | symbol   | name       | meaning                                                 | shape  | unit     |
 |----------|------------|---------------------------------------------------------|--------|----------|

@@ -1,4 +1,4 @@
-"""Predicates, the comparisons of arithmetic over the columns, and the distance of two trajectories in them.
+"""The margins of predicates at every sample of a trajectory, and the distance of two trajectories in them.
 
 | symbol   | name      | meaning                                                      | shape  | unit             |
 |----------|-----------|--------------------------------------------------------------|--------|------------------|

@@ -1,4 +1,4 @@
-"""The visual part of a Segway trajectory: simple solids that follow the frames world -> base_link -> pendulum."""
+"""The visual part of a Segway trajectory: solids, their frames world -> base_link -> pendulum, a log of the tilt."""
 
 from typing import Any
 
