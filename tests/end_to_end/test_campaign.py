@@ -148,7 +148,6 @@ def test_a_stopped_worker_is_lost_and_harmless_when_it_comes_back(
 ) -> None:
     process = start(started)
     rollout, worker = catch(directory, lambda: recorded(directory) >= 2)
-    worker.suspend()
     wait_for(lambda: (2, "recorded") in attempts(directory, rollout))
     worker.resume()
     assert process.running, "it comes back to a campaign that continues"
@@ -160,18 +159,21 @@ def test_a_stopped_worker_is_lost_and_harmless_when_it_comes_back(
 
 
 def catch(directory: Path, when: Callable[[], bool]) -> tuple[str, psutil.Process]:
-    """Return a rollout that is under way, on its first attempt, with the process of its worker."""
-    found: list[tuple[object, ...]] = []
-
-    def under_way_now() -> bool:
-        found[:] = under_way(directory) if when() else []
-        return bool(found)
-
-    wait_for(under_way_now)
-    rollout, attempt, _, pid = found[0]
-    assert attempt == 1
-    assert isinstance(pid, int)
-    return str(rollout), psutil.Process(pid)
+    """Stop a worker in the middle of a rollout, on its first attempt; return the rollout and the stopped process."""
+    while True:
+        wait_for(lambda: when() and under_way(directory))
+        if not (busy := under_way(directory)):
+            continue
+        rollout, attempt, _, pid = busy[0]
+        assert attempt == 1
+        assert isinstance(pid, int)
+        worker, count = psutil.Process(pid), recorded(directory)
+        worker.suspend()
+        # Its result may be on its way already: two later ones of the other worker would come behind it.
+        wait_for(lambda name=str(rollout), least=count + 2: attempts(directory, name) or recorded(directory) >= least)  # type: ignore[misc]
+        if not attempts(directory, str(rollout)):
+            return str(rollout), worker
+        worker.resume()
 
 
 def attempts(directory: Path, rollout: str) -> list[tuple[object, ...]]:
