@@ -19,7 +19,9 @@ DATABASE = "campaign.db"
 SCHEMA_VERSION = 2
 """Version 1 has no column `rules`; its campaigns follow rules 1."""
 READ_VERSIONS = (1, 2)
-_HEADER = ("run", "name", "seed", "config", "config_sha256", "system", "software")
+ADDED_IN = {("campaign", "rules"): 2}
+"""(table, column) to the schema version that added it; every other column is as old as version 1."""
+_HEADER = ("run", "name", "seed", "config", "config_sha256", "system", "software", "rules")
 
 
 def existing(directory: Path) -> Path:
@@ -47,12 +49,12 @@ def header_columns(directory: Path, version: int | None) -> tuple[str, ...]:
         JournalError: this perfbound does not read that version.
 
     """
-    if version not in READ_VERSIONS:
+    if version is None or version not in READ_VERSIONS:
         raise JournalError(
             f"{directory / DATABASE}: schema version {version}, this perfbound reads {SCHEMA_VERSION}; "
             "use the perfbound that wrote it, or a newer one"
         )
-    return _HEADER if version == 1 else (*_HEADER, "rules")
+    return tuple(name for name in _HEADER if ADDED_IN.get(("campaign", name), 1) <= version)
 
 
 def checked_header(directory: Path, rows: Sequence[Any]) -> Header:

@@ -7,6 +7,8 @@ nondeterministic part (workers, hosts and times) is in `attempts`, `outcomes` an
 from sqlalchemy import Column, ForeignKeyConstraint, Integer, MetaData, Table, Text, UniqueConstraint
 from sqlalchemy.types import REAL
 
+from .rows import ADDED_IN
+
 metadata = MetaData()
 
 schema = Table("schema", metadata, Column("version", Integer, primary_key=True), sqlite_strict=True)
@@ -139,4 +141,4 @@ def insert_only() -> list[str]:
 
 def columns_of_version(table: Table, version: int) -> list[str]:
     """Return the columns of a table in a database of this schema version."""
-    return [name for name, _ in table.c.items() if version > 1 or (table.name, name) != ("campaign", "rules")]
+    return [name for name, _ in table.c.items() if ADDED_IN.get((table.name, name), 1) <= version]
