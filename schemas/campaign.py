@@ -18,6 +18,9 @@ MAX_CANDIDATES = 100_000
 MAX_SCENARIOS = 1000
 MAX_NU = 40
 
+DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline"}
+"""Keys that change no number of a campaign, and so neither its identity nor its seeds."""
+
 SENSES: dict[ProblemName, Sense] = {
     "nominal_robustness": "min",
     "sim_gap": "max",
@@ -367,5 +370,5 @@ class CampaignConfig(Model):
 
     @property
     def digest(self) -> str:
-        """Identity of the campaign, whatever the layout of its file."""
-        return digest(self.model_dump(mode="json"))
+        """Identity of the campaign since rules 2: its keys that differ from their defaults and decide a number."""
+        return digest(self.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NOTHING))

@@ -24,7 +24,7 @@ RECORDED, RESTORED = "recorded", "restored"
 class Header:
     """The first fact: the campaign, its system and its software.
 
-    The digests are those of the texts as they were written: a later perfbound may know more keys, with defaults.
+    By rules 1 the digests are those of the texts as they were written, by later rules those of the parsed values.
     """
 
     run: str
@@ -49,6 +49,7 @@ class Header:
         return RequestTemplate.of(
             self.spec,
             config.system.options,
+            spec_sha256=self.system_sha256,
             horizon=config.horizon,
             visual=config.visual == "all",
             campaign=config.name,

@@ -74,12 +74,13 @@ class RequestTemplate:
         *,
         horizon: float,
         visual: bool,
+        spec_sha256: str | None = None,
         campaign: str = "simulate",
         config_sha256: str = "0" * 64,
     ) -> "RequestTemplate":
         """Fill in the system's defaults; without `campaign` and `config_sha256` the rollouts belong to none."""
         defaults = {option.name: option.default for option in spec.options}
-        return cls(spec, spec.digest, defaults | dict(options), horizon, visual, campaign, config_sha256)
+        return cls(spec, spec_sha256 or spec.digest, defaults | dict(options), horizon, visual, campaign, config_sha256)
 
     def request(self, rollout: RolloutId, x: Sequence[float], seed: int) -> RolloutRequest:
         """Return the request for a rollout that starts at `x` (p,), in the units of the parameters."""

@@ -4,13 +4,15 @@ A campaign keeps the rules that it was started with: `resume`, `verify` and `rep
 A change that gives another seed, digest or decision is a new number here, and a branch at the place that it changes.
 
     1   the rules of perfbound 0.1, and of every campaign whose header names none
+    2   digests over the keys that differ from their defaults and decide a number; seeds follow from seed and digest, so
+        that no two campaigns share rollouts
 """
 
 from .errors import JournalError
 
-RULES = 1
+RULES = 2
 """The rules of a new campaign."""
-KNOWN = frozenset({1})
+KNOWN = frozenset({1, 2})
 
 
 def check_rules(rules: int, place: str) -> int:

@@ -25,7 +25,7 @@ class Decisions:
     """
 
     def __init__(self, header: Header, methods: Methods, follow: Follow | None = None) -> None:
-        self._config = header.config
+        self._header = header
         self._methods = methods
         self._observer = Observer(header.config, header.spec)
         self._follow = follow
@@ -36,7 +36,7 @@ class Decisions:
         method = self._methods[problem]
         # Tests in flight: a method counts them as observed, so that a window > 1 does not repeat one start.
         pending = [fact.proposal.node for fact in account.proposals.values()]
-        first = first_node(self._config, problem, method.size) if test == 0 else None
+        first = first_node(self._header, problem, method.size) if test == 0 else None
         with _naming(f"problem {problem}, test {test}"):
             chosen = method.propose(first, pending)
             if self._follow is not None:

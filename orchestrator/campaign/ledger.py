@@ -105,7 +105,7 @@ class Ledger:
             fact = self.accounts[rollout.problem].proposals.get(rollout.test)
             # A damaged file may belong to a closed test, of which the account keeps sums alone.
             start = fact.proposal.x if fact else self._restoration.start(rollout)
-            found = self._template.request(rollout, start, rollout_seed(self.config, rollout))
+            found = self._template.request(rollout, start, rollout_seed(self.header, rollout))
             self._requests[rollout] = found
         return found
 

@@ -1,27 +1,34 @@
-"""The random choices of a campaign: functions of its seed and of the choice alone, never of time or machine."""
+"""The random choices of a campaign: functions of its identity and of the choice alone, never of time or machine."""
+
+import zlib
 
 import numpy as np
 
-from ...schemas.campaign import CampaignConfig
+from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 
 VARIANTS = ("nominal", "true")
 
 
-def rollout_seed(config: CampaignConfig, rollout: RolloutId) -> int:
+def rollout_seed(header: Header, rollout: RolloutId) -> int:
     """Return the seed of a rollout, below 2^53; a retry uses the same one."""
-    key = (problem_index(config, rollout.problem), rollout.test, VARIANTS.index(rollout.variant), rollout.replicate)
-    state = np.random.SeedSequence(config.seed, spawn_key=key).generate_state(1, np.uint64)
+    place = rollout.test, VARIANTS.index(rollout.variant), rollout.replicate
+    state = _sequence(header, rollout.problem, *place).generate_state(1, np.uint64)
     # 53 bits: every JSON reader keeps such a number exactly.
     return int(state[0] >> np.uint64(11))
 
 
-def first_node(config: CampaignConfig, problem: str, size: int) -> int:
+def first_node(header: Header, problem: str, size: int) -> int:
     """Return the lattice node of a problem's first test, uniform over `size` nodes."""
-    sequence = np.random.SeedSequence(config.seed, spawn_key=(problem_index(config, problem),))
-    return int(np.random.default_rng(sequence).integers(size))
+    return int(np.random.default_rng(_sequence(header, problem)).integers(size))
 
 
-def problem_index(config: CampaignConfig, problem: str) -> int:
-    """Return the position of a problem in the campaign file."""
-    return [each.name for each in config.problems].index(problem)  # type: ignore[arg-type]
+def _sequence(header: Header, problem: str, *place: int) -> np.random.SeedSequence:
+    config = header.config
+    # Rules 1: two campaigns with one seed share rollouts, whatever their files say.
+    if header.rules == 1:
+        index = [each.name for each in config.problems].index(problem)  # type: ignore[arg-type]
+        return np.random.SeedSequence(config.seed, spawn_key=(index, *place))
+    # By name, so that the order of the problems in the file changes no rollout.
+    identity = config.seed, int(header.config_sha256, 16)
+    return np.random.SeedSequence(identity, spawn_key=(zlib.crc32(problem.encode()), *place))

@@ -116,7 +116,7 @@ def _in_flight(header: Header, derived: Mapping[object, Fact], fact: Fact) -> bo
         return False
     test = f"{fact.rollout.problem}, test {fact.rollout.test}"
     open_test = (ProposalFact, test) in derived and (ObservationFact, test) not in derived
-    return open_test and fact.seed == rollout_seed(header.config, fact.rollout)
+    return open_test and fact.seed == rollout_seed(header, fact.rollout)
 
 
 def _by_key(facts: Iterable[Fact]) -> dict[object, Fact]:

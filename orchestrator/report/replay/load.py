@@ -43,7 +43,7 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     with reading(directory) as connection:
         header = read_header(connection, directory)
         fact, proposal = _find(connection, header, directory, text)
-    request = header.template.request(fact.rollout, proposal.proposal.x, rollout_seed(header.config, fact.rollout))
+    request = header.template.request(fact.rollout, proposal.proposal.x, rollout_seed(header, fact.rollout))
     try:
         file = read_recorded(directory, fact)
     except EvidenceError as error:  # a replay can restore a damaged file
