@@ -277,6 +277,15 @@ class CampaignConfig(Model):
     )
     hung_after: float = Field(default=10.0, ge=1, description="s without progress after which a worker is given up")
     deadline: float = Field(default=600.0, ge=1, description="s that one attempt may last")
+    spot_check: int = Field(
+        default=299, ge=0, le=100_000, description="fresh starts on a box that test every bound after its campaign"
+    )
+    spot_check_followups: int = Field(
+        default=299, ge=0, le=1_000_000, description="further rollouts at suspicious starts, where values are noisy"
+    )
+    recheck: int = Field(
+        default=20, ge=0, le=10_000, description="recorded rollouts that are simulated once more before the certificate"
+    )
     system: SystemChoice = Field(description="the system under test")
     space: Space = Field(description="D: all starting conditions, a range per parameter or a list of scenarios")
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(

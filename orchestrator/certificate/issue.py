@@ -48,8 +48,8 @@ def issue(ledger: Ledger, evidence: Manifest) -> document.Certificate:
         assumptions=tuple(found),
         evidence=document.Evidence(
             manifest_sha256=manifest_sha256,
-            # One chain per problem, because observations of two problems have no order; the head covers all.
-            chain_head=digest([account.link for account in accounts.values()]),
+            # One chain per problem and check, because observations of two series have no order; the head covers all.
+            chain_head=digest([series.link for series in ledger.series.values()]),
             rollouts=evidence.rollouts,
         ),
         software=header.software,

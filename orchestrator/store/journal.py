@@ -15,7 +15,7 @@ from sqlalchemy import Connection, Engine
 from ...schemas.atomic import move, temporary
 from ...schemas.errors import JournalError
 from ...schemas.facts import RECORDED, RESTORED, Fact, Header, ProposalFact, RolloutFact
-from ...schemas.ids import Attempt
+from ...schemas.ids import Attempt, RolloutId
 from . import tables
 from .read import read_facts, read_header
 from .rows import (
@@ -137,11 +137,22 @@ class Journal:
             return [rollout_fact(row) for row in self._connection.execute(newest)]
 
     def proposal(self, problem: str, test: int) -> ProposalFact:
-        """Return the proposal of a test that has one."""
+        """Return the proposal of a test that has one; inside or outside a transaction."""
         columns = tables.tests.c
-        query = sa.select(tables.tests).where(columns.problem == problem, columns.test == test)
-        with self._connection.begin():
-            return proposal_fact(self._connection.execute(query).one())
+        return proposal_fact(self._one(sa.select(tables.tests).where(columns.problem == problem, columns.test == test)))
+
+    def rollout(self, rollout: RolloutId) -> RolloutFact:
+        """Return a recorded rollout; inside or outside a transaction."""
+        columns = tables.rollouts.c
+        this = [columns[name] == value for name, value in rollout._asdict().items()]
+        return rollout_fact(self._one(sa.select(tables.rollouts).where(*this)))
+
+    def _one(self, query: sa.Select[Any]) -> sa.Row[Any]:
+        if not self._connection.in_transaction() and not self._pending:
+            with self._connection.begin():
+                return self._connection.execute(query).one()
+        self._flush()  # the row may be one of this transaction
+        return self._connection.execute(query).one()
 
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""

@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Engine
 
 from ...schemas.errors import JournalError
 from ...schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact
-from ...schemas.ids import RolloutId
+from ...schemas.ids import CHECKS, RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .readonly import is_still, open_readonly
@@ -99,7 +99,7 @@ def attempts(directory: Path) -> dict[RolloutId, int]:
 
 
 def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
-    """Return (rollout, sha256, path) of every rollout behind an observation, by problem, test and id.
+    """Return (rollout, sha256, path) of every rollout behind an observation, by series, test and id.
 
     Raises:
         JournalError: there is no campaign in `directory`, or it cannot be read.
@@ -113,7 +113,7 @@ def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
     )
     rollout = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
     with reading(directory) as connection:
-        order: list[str] = [problem.name for problem in read_header(connection, directory).config.problems]
+        order = [problem.name for problem in read_header(connection, directory).config.problems] + list(CHECKS)
         rows = connection.execute(sa.select(*rollout, rollouts.sha256, rollouts.path).select_from(joined)).all()
     found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
     return sorted(found, key=lambda entry: (order.index(entry[0].problem), *entry[0][1:]))

@@ -122,7 +122,7 @@ def _manifest(directory: Path, certificate: Certificate, checks: Checks) -> tupl
 
 def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks) -> None:
     tests = sum(isinstance(fact, ObservationFact) for fact in rerun.facts)
-    accounts = rerun.ledger.accounts
+    accounts = rerun.ledger.series
     ends = ", ".join(f"{name}: {a.last_bound.stopped_by}" for name, a in accounts.items() if a.last_bound)
     count = sum(sum(account.counts.values()) for account in accounts.values())
     checks.passed("requests", _plural(count, "rollout"))

@@ -33,6 +33,7 @@ from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
 from perfbound.workers.transport import Receiver
 from perfbound.workers.worker import WorkerProcess
+from tests.campaigns import UNCHECKED
 from tests.fakes.inmemory import (
     Faults,
     InMemoryUplink,
@@ -52,7 +53,7 @@ ATTEMPTS = 3
 
 
 def a_config(**changes: Any) -> CampaignConfig:
-    base = {"resolution": 11, "max_tests": 12, "replicates": 3, "max_attempts": ATTEMPTS}
+    base = {"resolution": 11, "max_tests": 12, "replicates": 3, "max_attempts": ATTEMPTS, **UNCHECKED}
     return parse_campaign(PRESET.read_bytes(), "test", **{**base, **changes})
 
 
