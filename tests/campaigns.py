@@ -12,7 +12,7 @@ REPLICATES = 8
 """Of a cheap campaign."""
 
 
-UNCHECKED = {"spot_check": 0, "recheck": 0}
+UNCHECKED: dict[str, Any] = {"spot_check": 0, "recheck": 0}
 """Most tests are about the problems alone, and shorter without the checks that follow."""
 
 

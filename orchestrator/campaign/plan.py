@@ -9,6 +9,7 @@ from ...schemas.campaign import (
     CampaignConfig,
     Gap,
     Problem,
+    ProblemName,
     RigorousProblem,
     ScenarioProblem,
     Scenarios,
@@ -49,7 +50,7 @@ class ProblemPlan:
     """Variants of which the replicates of a test share one rollout, because it does not depend on the seed."""
 
     @property
-    def name(self) -> str:
+    def name(self) -> ProblemName:
         """Name of the problem."""
         return self.problem.name
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...schemas.campaign import RigorousProblem
+from ...schemas.campaign import ProblemName, RigorousProblem
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory
@@ -65,6 +65,7 @@ class SpotCheck:
             )
             for plan in self._plans
         ]
+        self.hypotheses = {plan.name: each for plan, each in zip(self._plans, hypotheses, strict=True)}
         followups = config.spot_check_followups if any(each.noisy for each in hypotheses) else 0
         self.starts = _starts(header, self._plans)
         self._tests = SpotTests(self.starts, hypotheses, followups=followups, delta=LEVEL)
@@ -111,7 +112,7 @@ class SpotCheck:
         """Return the seed of a rollout."""
         return rollout_seed(self._header, rollout)
 
-    def findings(self) -> dict[str, SpotFinding]:
+    def findings(self) -> dict[ProblemName, SpotFinding]:
         """Return the finding of every tested problem, by name."""
         return {plan.name: self._tests.finding(k) for k, plan in enumerate(self._plans)}
 

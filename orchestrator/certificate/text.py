@@ -7,13 +7,23 @@ styles, never as markup: names, paths and formulas may contain brackets.
 import math
 import shlex
 import textwrap
-from collections.abc import Iterable, Sized
+from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.certificate import Assumption, Certificate, CertificateClaim, CompositionTerms, ProblemResult
+from ...schemas.certificate import (
+    Assumption,
+    Certificate,
+    CertificateClaim,
+    CompositionTerms,
+    Predicate,
+    ProblemResult,
+    Recheck,
+    SpotCheck,
+    SpotCheckedProblem,
+)
 
 WIDTH = 100
 DIGITS = 4
@@ -26,8 +36,10 @@ QUANTITIES = {
 VALID = "the bound is valid at every moment"
 BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
 """The reason, by method, why a problem that ended by its budget has a bound."""
-NAME = 22
-"""Columns of the name of an assumption; the longest is `deterministic_nominal`."""
+WEALTH = 20
+"""1 / level of the spot check."""
+NAME = 25
+"""Columns of the name of an assumption; the longest are `simulator_is_the_system` and `sampled_at_sample_times`."""
 
 
 def outward(bound: float, sense: str) -> str:
@@ -59,6 +71,10 @@ def print_certificate(certificate: Certificate, console: Console) -> None:
         console.print()
         _line(console, "The first claim was chosen beforehand. Each has its own probability; if you pick the best")
         _line(console, "claim afterwards, its failure probability is the sum of all their failure probabilities.")
+    if sentences := check_sentences(predicate):
+        _heading(console, "After the campaign", "bold")
+    for sentence in sentences:
+        _line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
     _heading(console, "Problems", "bold")
     for problem in predicate.problems:
         _problem(problem, console)
@@ -102,15 +118,51 @@ def _claim(title: str, claim: CertificateClaim, composition: CompositionTerms | 
     _line(console, f"       with probability at least {probability} ({source})")
     if composition is not None:
         terms = f"{_signed_term(composition.gap_term)} (gap) {_signed_term(composition.risk_term)} (risk)"
-        _line(console, f"       = {composition.nominal_bound:.4f} (nominal) {terms}")
+        _line(console, f"       = {outward(composition.nominal_bound, '>=')} (nominal) {terms}")
     # Beside every claim as well: a reader may copy these lines alone.
     if claim.refuted:
         _line(console, f"       It rests on {_count(claim.refuted)} REFUTED: do not rely on it.", "bold red")
 
 
+def check_sentences(predicate: Predicate) -> tuple[str, ...]:
+    """Return what fresh starts and repeated rollouts showed, a sentence each."""
+    return (*_spot_sentences(predicate.spot_check), *_recheck_sentences(predicate.recheck))
+
+
+def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
+    if spot is None:
+        return
+    confidence = outward(1 - spot.level, ">=")
+    yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
+    for each in spot.problems:
+        yield f"{each.name}: {_spot_finding(each)}."
+    if spot.failures is not None and spot.failure_probability is not None:
+        share = outward(spot.failure_probability, "<=")
+        violate = f"{spot.failures} of {spot.starts} rollouts violate the specification"
+        yield f"{violate}; at a uniform start a rollout violates it with probability at most {share}."
+
+
+def _spot_finding(found: SpotCheckedProblem) -> str:
+    """Return the finding for one bound: of a deterministic value by its violations, of a noisy one by a test."""
+    refuted = "REFUTED, " if found.status == "refuted" else "not refuted, "
+    if found.status == "not testable":
+        return "not tested, because nothing bounds its noise"
+    if found.violated_share is not None:
+        share = outward(100 * found.violated_share, "<=")
+        return f"{refuted}{found.violations} starts are beyond the bound, at most {share} % of the box"
+    left = f", {found.undecided} suspicious starts are undecided" if found.undecided else ""
+    return f"{refuted}evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts, {WEALTH} would refute{left}"
+
+
+def _recheck_sentences(recheck: Recheck | None) -> Iterator[str]:
+    if recheck is not None:
+        yield f"Recheck: {recheck.agreed} of {recheck.rollouts} rollouts, simulated once more, agree bit by bit."
+
+
 def _signed_term(term: float) -> str:
-    """Return a term that is subtracted, with one sign."""
-    return f"{'-' if term >= 0 else '+'} {abs(term):.4f}"
+    """Return a term that is subtracted, with one sign, and rounded so that the sum claims no more."""
+    rounded = float(outward(term, "<="))
+    return f"{'-' if rounded >= 0 else '+'} {abs(rounded):.{DIGITS}f}"
 
 
 def _problem(problem: ProblemResult, console: Console) -> None:

@@ -209,6 +209,8 @@ class ReportData:
     claims: tuple[Claim, ...]
     composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
+    checks: tuple[str, ...]
+    """What the spot check and the recheck after the campaign showed, a sentence each."""
     problems: tuple[Problem, ...]
     scenes: tuple[RolloutsOfTest, ...]
     """The worst test of each of the worst starts of every problem, the worst first; a live page requests the others."""

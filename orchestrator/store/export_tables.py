@@ -22,6 +22,7 @@ from sqlalchemy import Connection
 
 from ...schemas.campaign import SENSES, CampaignConfig, Problem
 from ...schemas.facts import RECORDED, Header
+from ...schemas.ids import CHECKS
 from ...schemas.system import SystemSpec
 from . import tables
 
@@ -75,7 +76,8 @@ def export_table(name: str, header: Header) -> ExportTable:
         case "observations":
             return _observations_table(header)
         case "counterexamples":
-            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0))
+            # Not of the recheck: it repeats rollouts that are listed.
+            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0, _r.problem != CHECKS[-1]))
     raise KeyError(name)
 
 
@@ -194,8 +196,9 @@ def _contributes_robustness(problem: Problem) -> bool:
 
 
 def _objectives(header: Header) -> dict[str, tuple[str, str]]:
-    """Return sense and unit of every problem's objective."""
-    return {
+    """Return sense and unit of every problem's objective; a check has neither."""
+    checks = dict.fromkeys(CHECKS, ("", ""))
+    return checks | {
         problem.name: (SENSES[problem.name], unit(problem, header.config, header.spec))
         for problem in header.config.problems
     }

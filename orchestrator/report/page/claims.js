@@ -149,6 +149,17 @@ function compositionSection(report) {
 }
 
 
+/** Spot check and recheck after the campaign. */
+function checkSection(report) {
+  const line = (text) => el(text.includes("REFUTED") ? "li.bad" : "li", text);
+  return el(
+    "section#checks",
+    { hidden: report.checks.length === 0 },
+    el("h2", "After the campaign"),
+    el("ul", report.checks.map(line)),
+  );
+}
+
 /** A row: label, bars with marks, number. */
 function barRow(label, bars, text, range, marks) {
   return [el("span", label), barPicture(bars, range, marks), el("span.value", text)];
