@@ -25,12 +25,15 @@ that are late, repeated or of unknown rollouts change nothing but are acknowledg
 
 The first valid result of a rollout wins, whichever attempt it came from. A rollout whose attempts failed
 `max_attempts` times is poisoned: the campaign fails and reports every attempt. Closed rollouts leave the state.
+The kind of a failure changes no retry. A failure of the system is recorded even if the rollout is closed; those that
+the machine itself finds (lost, hung, late) are failures of the infrastructure.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from .events import (
     Acknowledge,
@@ -245,13 +248,13 @@ def _adopt(state: DispatchState, event: Reported) -> DispatchState:
 def _deliver(state: DispatchState, event: Delivered) -> Outcome:
     acknowledge = Acknowledge(event.worker, event.attempt)
     state = _release(state, event.worker, event.attempt)
-    if event.attempt.rollout not in state.open:
-        return state, (
-            acknowledge,
-        )  # a repeat, late or of no use: without the acknowledgement the worker sends it again
-    if event.error is not None:
-        state, actions = _fail(state, event.worker, event.attempt, event.error)
+    failed, is_open = event.failure, event.attempt.rollout in state.open
+    # Late, but evidence all the same: if another attempt was recorded, the system does not repeat with its seed.
+    if failed is not None and (is_open or failed.kind == "system"):
+        state, actions = _fail(state, event.worker, event.attempt, failed)
         return state, (*actions, acknowledge)
+    if not is_open:  # a repeat, late or of no use: without the acknowledgement the worker sends it again
+        return state, (acknowledge,)
     # The first valid result counts, whichever attempt it is of: equal requests give equal bytes.
     state, cancels = _cancel_others(state, event.attempt.rollout, event.at)
     state = _close_rollouts(state, frozenset({event.attempt.rollout}))
@@ -292,7 +295,7 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
             return state, ()
         state = replace(state, workers={key: value for key, value in state.workers.items() if key != name})
         # The whole entry is removed: if the process is alive, its token makes it a `new` worker, and it reports first.
-        lost = f"worker lost for {limits.lost_after:g} s"
+        lost = Failure("infrastructure", f"worker lost for {limits.lost_after:g} s")
         return _fail(state, name, worker.attempt, lost) if worker.attempt else (state, ())
     # It neither reports idle nor disappears. `progress_at` starts anew, so that it is given up again later.
     if worker.phase in ("new", "shunned") and at - worker.progress_at >= limits.hung_after:
@@ -313,21 +316,21 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
 def _shun(state: DispatchState, name: str, worker: Worker, reason: str, at: float) -> Outcome:
     assert worker.attempt is not None
     state = _put(state, name, _shunned(worker, at))
-    state, actions = _fail(state, name, worker.attempt, reason)
+    state, actions = _fail(state, name, worker.attempt, Failure("infrastructure", reason))
     return state, (Revoke(name, worker.attempt), *actions, GiveUp(name))
 
 
-def _fail(state: DispatchState, name: str, attempt: Attempt, reason: str) -> Outcome:
+def _fail(state: DispatchState, name: str, attempt: Attempt, failure: Failure) -> Outcome:
     """Count the failure against the rollout, and queue the rollout again or poison it."""
     known = state.open.get(attempt.rollout)
     if known is None or not _is_current(state, attempt.rollout):
-        return state, (Fail(name, attempt, reason),)  # a repeat, or another attempt is under way: no second count
-    failures = (*known.failures, f"attempt {attempt.number} on {name}: {reason}")
+        return state, (Fail(name, attempt, failure),)  # a repeat, or another attempt is under way: no second count
+    failures = (*known.failures, f"attempt {attempt.number} on {name}: {failure.reason}")
     state = replace(state, open={**state.open, attempt.rollout: replace(known, failures=failures)})
     if len(failures) >= state.limits.max_attempts:
-        return state, (Fail(name, attempt, reason), Poison(attempt.rollout, failures))
+        return state, (Fail(name, attempt, failure), Poison(attempt.rollout, failures))
     # In front: the observation of its test, and all that follow in the problem, wait for it.
-    return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, reason),)
+    return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, failure),)
 
 
 def _is_current(state: DispatchState, rollout: RolloutId) -> bool:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 
 
@@ -49,12 +50,12 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
-    """The end of an attempt: a valid result, or the reason (`error`) why there is none."""
+    """The end of an attempt: a valid result, or the failure."""
 
     at: float
     worker: str
     attempt: Attempt
-    error: str | None
+    failure: Failure | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +121,7 @@ class Fail:
 
     worker: str
     attempt: Attempt
-    reason: str
+    failure: Failure
 
 
 @dataclass(frozen=True, slots=True)

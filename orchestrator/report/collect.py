@@ -152,6 +152,7 @@ class Collector:
             throughput=self._workers.throughput(),
             software=header.software,
             resume=resume_command(self.directory),
+            failed_attempts=self._workers.failed_attempts(),
         )
 
     def _start(self, rollout: RolloutId) -> tuple[float, ...]:

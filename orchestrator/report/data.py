@@ -185,6 +185,22 @@ class Throughput:
     """`recorded[k]` rollouts are recorded `seconds[k]` after the start; at most 200 points."""
     sessions: int
     failures: int
+    system_failures: int = 0
+    """Failures of the system among them; 0 in a database that does not tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class FailedAttempt:
+    """One attempt without a result."""
+
+    rollout: str
+    attempt: int
+    worker: str
+    kind: str | None
+    """"infrastructure" or "system"; None in a database that does not tell."""
+    reason: str
+    ended: float
+    """Unix time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +240,8 @@ class ReportData:
     software: Mapping[str, str]
     resume: str
     """Command that resumes the campaign."""
+    failed_attempts: tuple[FailedAttempt, ...] = ()
+    """The latest first, at most 50."""
 
 
 def to_json(data: ReportData | RolloutsOfTest) -> str:

@@ -217,9 +217,10 @@ class Service:
                 self._outgoing.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Acknowledge(worker, attempt):
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
-            case events.Fail(worker, attempt, reason):
-                self._journal.attempt_ended(attempt, worker, reason)
-                self._print_line(f"{attempt.rollout}, attempt {attempt.number} on {worker}: {reason}")
+            case events.Fail(worker, attempt, failure):
+                self._journal.attempt_ended(attempt, worker, failure)
+                name = f"{attempt.rollout}, attempt {attempt.number} on {worker}"
+                self._print_line(f"{name}, {failure.kind} failure: {failure.reason}")
             case events.GiveUp(worker):
                 state = self._roster.admitted(worker)
                 # A process id names one of our children on this host only.

@@ -490,8 +490,8 @@ def test_the_live_state_of_workers_is_added(finished: Path) -> None:
 
 def test_a_long_campaign_has_few_points(one: Path) -> None:
     statistics, about = WorkerStatistics(), ChangeReader(one).read().header
-    outcomes = tuple(AttemptOutcome("w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
-    lost = AttemptOutcome("w", "hung", 5000.0, 0.0, 10.0)
+    outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
+    lost = AttemptOutcome("r", 1, "w", "hung", 5000.0, 0.0, 10.0)
     statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2))
     found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200
