@@ -187,6 +187,10 @@ class Ledger:
         fact = self._store.rollout(rollout)
         return decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
 
+    def original(self, rollout: RolloutId) -> RolloutId | None:
+        """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""
+        return self.recheck.rollouts[rollout.test] if self.recheck and rollout.problem == self.recheck.name else None
+
     def _recorded_start(self, rollout: RolloutId) -> tuple[float, ...]:
         return self._store.proposal(rollout.problem, rollout.test).proposal.x
 

@@ -29,7 +29,7 @@ The kind of a failure changes no retry. A failure of the system is recorded even
 the machine itself finds (lost, hung, late) are failures of the infrastructure.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -119,10 +119,11 @@ class Worker:
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """A rollout that has no result yet."""
+    """A rollout that has no result yet; `avoid` is a worker that gets it only if there is no other one."""
 
     attempts: int = 0
     failures: tuple[str, ...] = ()
+    avoid: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +170,8 @@ def under_way(state: DispatchState) -> int:
 
 def _want(state: DispatchState, event: Wanted) -> Outcome:
     # Numbered on from the attempts before a restart: a late result of theirs must not pass for one of a new attempt.
-    new = {rollout: Open(attempts) for rollout, attempts in event.rollouts if rollout not in state.open}
+    fresh = ((rollout, attempts) for rollout, attempts in event.rollouts if rollout not in state.open)
+    new = {rollout: Open(attempts, avoid=event.avoid.get(rollout)) for rollout, attempts in fresh}
     return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
 
 
@@ -345,14 +347,33 @@ def _assign(state: DispatchState, at: float) -> Outcome:
         return state, ()
     # Sorted: the order of the mapping depends on the order in which the workers came.
     idle = sorted(name for name, worker in state.workers.items() if worker.phase == "idle")
-    starts = tuple(_next_attempt(state, *pair) for pair in zip(idle, state.waiting, strict=False))
+    pairs, waiting = _pairs(state, idle)
+    starts = tuple(_next_attempt(state, *pair) for pair in pairs)
     sent = {start.worker: Worker("sent", start.attempt, sent_at=at, started_at=at, progress_at=at) for start in starts}
     tried = {
         start.attempt.rollout: replace(state.open[start.attempt.rollout], attempts=start.attempt.number)
         for start in starts
     }
     workers, opened = {**state.workers, **sent}, {**state.open, **tried}
-    return replace(state, workers=workers, open=opened, waiting=state.waiting[len(starts) :]), starts
+    return replace(state, workers=workers, open=opened, waiting=waiting), starts
+
+
+def _pairs(state: DispatchState, idle: Sequence[str]) -> tuple[list[tuple[str, RolloutId]], tuple[RolloutId, ...]]:
+    """Return idle workers with a waiting rollout each, and the rollouts that wait on."""
+    alone = sum(worker.phase != "gone" for worker in state.workers.values()) == 1
+    free, pairs, left, reached = list(idle), [], [], 0
+    for rollout in state.waiting:
+        if not free:
+            break
+        reached += 1
+        avoid = None if alone else state.open[rollout].avoid
+        worker = next((name for name in free if name != avoid), None)
+        if worker is None:
+            left.append(rollout)
+        else:
+            free.remove(worker)
+            pairs.append((worker, rollout))
+    return pairs, (*left, *state.waiting[reached:])
 
 
 def _next_attempt(state: DispatchState, name: str, rollout: RolloutId) -> Start:

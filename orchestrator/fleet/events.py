@@ -1,6 +1,7 @@
 """Events and actions of the dispatch machine; `at` is in seconds of any one clock."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
@@ -12,6 +13,8 @@ class Wanted:
 
     at: float
     rollouts: tuple[tuple[RolloutId, int], ...]
+    avoid: Mapping[RolloutId, str] = field(default_factory=dict)
+    """Workers that shall not simulate a rollout while there is another one: a recheck by another process says more."""
 
 
 @dataclass(frozen=True, slots=True)

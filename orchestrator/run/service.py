@@ -235,7 +235,14 @@ class Service:
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
-            self._events.append(events.Wanted(now, tuple((each, attempts.get(each, 0)) for each in work.wanted)))
+            numbered = tuple((each, attempts.get(each, 0)) for each in work.wanted)
+            self._events.append(events.Wanted(now, numbered, self._recorders(work.wanted)))
+
+    def _recorders(self, wanted: Sequence[RolloutId]) -> dict[RolloutId, str]:
+        """Return the worker that recorded the original of each rollout that repeats one."""
+        originals = {each: self._ledger.original(each) for each in wanted}
+        found = {each: self._journal.recorder(original) for each, original in originals.items() if original}
+        return {each: worker for each, worker in found.items() if worker is not None}
 
     def _assign(self, worker: str, attempt: Attempt) -> None:
         request = self._ledger.request(attempt.rollout)

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Engine
 
 from ...schemas.atomic import move, temporary
 from ...schemas.errors import JournalError
-from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
+from ...schemas.facts import RECORDED, Fact, Header, ProposalFact, RolloutFact
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from . import tables
@@ -157,6 +157,13 @@ class Journal:
         columns = tables.rollouts.c
         this = [columns[name] == value for name, value in rollout._asdict().items()]
         return rollout_fact(self._one(sa.select(tables.rollouts).where(*this)))
+
+    def recorder(self, rollout: RolloutId) -> str | None:
+        """Return the worker whose result was recorded; inside `transaction`."""
+        self._flush()
+        columns = tables.outcomes.c
+        query = sa.select(columns.worker).where(columns.rollout == str(rollout), columns.outcome == RECORDED)
+        return self._connection.execute(query).scalars().first()
 
     def _one(self, query: sa.Select[Any]) -> sa.Row[Any]:
         if not self._connection.in_transaction() and not self._pending:
