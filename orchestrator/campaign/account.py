@@ -68,7 +68,7 @@ class Account:
         self.observations.append(found.y)
         self.each.append(found.each)
         self.nodes.append(self.last_proposal.node)
-        if fact.problem == "sim_gap":
+        if self.plan.objective.measured == "gap":
             # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
             self.excess = max(self.excess, objectives.excess(self.plan, robustness, found.each))

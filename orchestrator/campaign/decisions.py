@@ -45,7 +45,7 @@ class Decisions:
         return ProposalFact(problem, test, chosen)
 
     def robustness(self, rollout: RolloutId, trajectory: Trajectory) -> float | None:
-        """Return the clipped robustness of a rollout; None for a campaign without specification."""
+        """Return the robustness of a rollout as the claims read it; None for a campaign that measures none."""
         with _naming(f"rollout {rollout}"):
             return self._observer.robustness(trajectory)
 

@@ -7,6 +7,7 @@ from ...schemas.campaign import Linearised, PaperProblem, RigorousProblem, Scena
 from ...schemas.certificate import Assumption, Status
 from ..campaign.account import Account
 from ..campaign.methods import Methods, kernel
+from ..campaign.plan import UNBOUNDED
 from ..mathematics.bounds import audit
 from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
@@ -26,8 +27,8 @@ def assumptions(accounts: Mapping[str, Account], methods: Methods) -> list[Assum
             found.append(_dominates(account))
             if "nominal" in account.plan.shared:
                 found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
-        # A campaign without specification has no robustness, and so no clip.
-        if account.robustness:
+        # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
+        if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account))
     rollouts = sum(sum(account.counts.values()) for account in accounts.values())
     found.append(assumption("finite_rollouts", "derived", {"rollouts": rollouts}))
