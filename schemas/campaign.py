@@ -5,11 +5,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from .base import Model, digest
-from .system import OptionValue, Variant
+from .problems import CLAIMS, OBJECTIVES, MethodName, ProblemName, Sense, any_of
+from .system import OptionValue
 
-ProblemName = Literal["nominal_robustness", "sim_gap", "true_risk", "maximum"]
-MethodName = Literal["paper", "rigorous", "scenario"]
-Sense = Literal["min", "max"]
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -20,19 +18,6 @@ MAX_NU = 40
 
 DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline"}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
-
-SENSES: dict[ProblemName, Sense] = {
-    "nominal_robustness": "min",
-    "sim_gap": "max",
-    "true_risk": "min",
-    "maximum": "max",
-}
-ROLLED_OUT: dict[ProblemName, tuple[Variant, ...]] = {
-    "nominal_robustness": ("nominal",),
-    "sim_gap": ("nominal", "true"),
-    "true_risk": ("true",),
-    "maximum": ("true",),
-}
 
 
 class SystemChoice(Model, extra="allow"):
@@ -162,11 +147,12 @@ class _Problem(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> "_Problem":
-        if self.sense not in (None, SENSES[self.name]):
-            raise ValueError(f"sense: {self.sense!r} must be {SENSES[self.name]!r} for {self.name}, or be left out")
-        if self.column is not None and self.name != "maximum":
+        sense, of_column = OBJECTIVES[self.name].sense, OBJECTIVES[self.name].measured == "column"
+        if self.sense not in (None, sense):
+            raise ValueError(f"sense: {self.sense!r} must be {sense!r} for {self.name}, or be left out")
+        if self.column is not None and not of_column:
             raise ValueError(f"column: only problem 'maximum' has one, not {self.name!r}")
-        if self.column is None and self.name == "maximum":
+        if self.column is None and of_column:
             raise ValueError("column: required by problem 'maximum': the column whose expectation is maximised")
         return self
 
@@ -233,13 +219,13 @@ class RigorousProblem(_KernelProblem):
 
     @model_validator(mode="after")
     def _rigorous(self) -> "RigorousProblem":
-        if (self.linearised is None) == (self.name == "true_risk"):
+        if (self.linearised is None) == OBJECTIVES[self.name].risk:
             raise ValueError("linearised: required by problem 'true_risk' with method 'rigorous', and only there")
         if isinstance(self.regulariser, tuple) and sum(each.weight for each in self.regulariser) > 1 + 1e-12:
             raise ValueError("regulariser: the weights must sum to at most 1")
         if self.kernel.nu > MAX_NU:
             raise ValueError(f"kernel.nu: {self.kernel.nu:g} must be at most {MAX_NU} in method 'rigorous'")
-        if self.noise_scale == "derived" and self.name == "maximum":
+        if self.noise_scale == "derived" and OBJECTIVES[self.name].measured == "column":
             raise ValueError("noise_scale: 'derived' needs a clipped objective, which 'maximum' has not: give a number")
         if self.slack is not None and self.slack > self.alpha:
             raise ValueError(f"slack: {self.slack:g} must be at most alpha = {self.alpha:g}")
@@ -253,13 +239,16 @@ class ScenarioProblem(_Problem):
     method: Literal["scenario"] = Field(description="finitely many starts, no kernel")
     linearised: Linearised | None = Field(
         default=None,
-        description="constants of an expectation that bounds the risk; without them, Bhatia-Davis",
+        description="`true_risk` only: constants of an expectation that bounds the risk; without them, Bhatia-Davis",
     )
 
     @model_validator(mode="after")
     def _direct(self) -> "ScenarioProblem":
-        if self.name != "true_risk":
-            raise ValueError(f"name: method 'scenario' bounds 'true_risk', not {self.name!r}")
+        allowed = tuple(name for name, each in OBJECTIVES.items() if "scenario" in each.methods)
+        if self.name not in allowed:
+            raise ValueError(f"name: method 'scenario' bounds {any_of(allowed)}, not {self.name!r}")
+        if self.linearised is not None and not OBJECTIVES[self.name].risk:
+            raise ValueError(f"linearised: only problem 'true_risk' has it, not {self.name!r}; remove this key")
         return self
 
 
@@ -280,9 +269,15 @@ class CampaignConfig(Model):
     replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
     resolution: int = Field(default=21, ge=2, description="lattice nodes per parameter")
     max_tests: int = Field(default=2000, ge=1, le=1_000_000, description="largest number of tests per problem")
-    horizon: float = Field(default=0.0, ge=0, description="duration of a rollout in s; 0 for a function")
+    horizon: float = Field(
+        default=0.0, ge=0, description="duration of a rollout in s; 0 for a function, whose rollout is one sample"
+    )
     risk_weight: float = Field(default=0.2, gt=0, description="r of the risk E[rho] - r sd[rho]")
-    clip: tuple[float, float] | None = Field(default=None, description="[-m, M]: range to which robustness is clipped")
+    clip: tuple[float, float] | None = Field(
+        default=None,
+        description="[-m, M]: range to which robustness is clipped; not needed by `maximum`, nor by `robustness` with "
+        "noise_scale = 0",
+    )
     specification: str | None = Field(
         default=None, max_length=10_000, description="STL formula over trajectory columns"
     )
@@ -328,14 +323,28 @@ class CampaignConfig(Model):
         return self
 
     def _check_objective(self, problem: Problem) -> None:
-        if problem.name != "maximum":
-            for key in ("specification", "clip"):
-                if getattr(self, key) is None:
-                    raise ValueError(f"{key}: required by problem {problem.name!r}")
-            if self.horizon == 0:
-                raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
-        if problem.name == "sim_gap" and self.gap_of(problem) is None:
+        objective = OBJECTIVES[problem.name]
+        if objective.measured != "column":
+            if self.specification is None:
+                raise ValueError(f"specification: required by problem {problem.name!r}")
+            if self.clip is None:
+                self._check_unclipped(problem)
+        if self.horizon == 0 and not objective.static:
+            raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
+        if objective.measured == "gap" and self.gap_of(problem) is None:
             raise ValueError('gap: required by problem \'sim_gap\', e.g. { kind = "signal_sup", column = "phi" }')
+
+    @staticmethod
+    def _check_unclipped(problem: Problem) -> None:
+        """Refuse a robustness without a range where a mean, or a difference, has to be bounded."""
+        if not OBJECTIVES[problem.name].static:
+            raise ValueError(f"clip: required by problem {problem.name!r}")
+        # Without noise an observation is the value itself, and no mean of a bounded variable.
+        if not isinstance(problem, RigorousProblem) or problem.noise_scale != 0:
+            raise ValueError(
+                f"clip: required by problem {problem.name!r} with noise; give [low, high], or choose method 'rigorous' "
+                "with noise_scale = 0 for rollouts that do not depend on the seed"
+            )
 
     def _check_method(self, problem: Problem) -> None:
         where = f"problems.{problem.name}"
@@ -344,7 +353,7 @@ class CampaignConfig(Model):
         if problem.method == "paper":
             if not isinstance(self.space, dict):
                 raise ValueError(f"{where}.method: 'paper' needs a box under [space]: low and high per parameter")
-            if problem.name == "true_risk" and self.replicates_of(problem) < 2:
+            if OBJECTIVES[problem.name].risk and self.replicates_of(problem) < 2:
                 raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
             if self.window_of(problem) != 1:
                 raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
@@ -361,7 +370,7 @@ class CampaignConfig(Model):
             if len(names) != 1:
                 raise ValueError("composition: 'single' is for one problem; allowed here: 'product', 'sum'")
             if names & pair:
-                raise ValueError("composition: 'single' makes a claim of 'true_risk' or 'maximum' only")
+                raise ValueError(f"composition: 'single' makes a claim of {any_of(CLAIMS)} only")
             return
         if not pair <= names:
             raise ValueError(f"composition: {rule!r} needs the problems 'nominal_robustness' and 'sim_gap'")
@@ -374,8 +383,8 @@ class CampaignConfig(Model):
             raise ValueError("composition: 'pointwise' needs one resolution for both problems")
 
     def gap_of(self, problem: Problem) -> Gap | None:
-        """Return the gap of one problem."""
-        return problem.gap or self.gap
+        """Return the gap of one problem; None for one that compares no trajectories."""
+        return problem.gap or self.gap if OBJECTIVES[problem.name].measured == "gap" else None
 
     def window_of(self, problem: Problem) -> int:
         """Return the tests in flight of one problem."""

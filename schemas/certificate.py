@@ -6,7 +6,8 @@ from typing import Literal
 from pydantic import Field
 
 from .base import Model
-from .campaign import ProblemName, Rule, Sense
+from .campaign import Rule
+from .problems import ProblemName, Quantity, Sense
 from .values import StoppedBy
 
 STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
@@ -34,7 +35,7 @@ class CampaignId(Model):
 class CertificateClaim(Model):
     """P[quantity (>= | <=) bound] >= probability, resting on the named assumptions."""
 
-    quantity: Literal["rho_star", "J_star"]
+    quantity: Quantity
     sense: Literal[">=", "<="]
     bound: float
     probability: float

@@ -23,7 +23,7 @@ class Account(Series):
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test, as every series does, and take the robustness of its rollouts."""
         rollouts = Series.observe(self, fact)  # by name: `super()` finds no cell in a class with slots
-        if fact.problem == "sim_gap":
+        if self.plan.objective.measured == "gap":
             # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
             self.excess = max(self.excess, objectives.excess(self.plan, robustness, fact.observation.each))

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...schemas.campaign import ProblemName, RigorousProblem
+from ...schemas.campaign import RigorousProblem
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import RolloutId
+from ...schemas.problems import ProblemName
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.risk import linearised_range
@@ -119,7 +120,7 @@ class SpotCheck:
     def _value(self, plan: ProblemPlan, trajectories: Mapping[str, Trajectory]) -> float:
         used = {(variant, 0): trajectories[variant] for variant in self._variants if variant in _variants(plan)}
         # Algorithm 1 observes a sample risk, which one rollout has not: its mean is not below the risk that is claimed.
-        if plan.name == "true_risk" and plan.problem.method == "paper":
+        if plan.objective.risk and plan.problem.method == "paper":
             found = self._observer.robustness(trajectories["true"])
             assert found is not None, "a risk is one of the robustness"
             return -found
@@ -142,9 +143,9 @@ def _variants(plan: ProblemPlan) -> set[str]:
 def _range(plan: ProblemPlan) -> tuple[float | None, float | None]:
     """Return the least and the largest J of one rollout, in the unit of J; None where nothing bounds it."""
     (low, high), problem, gap = plan.clip, plan.problem, plan.gap
-    if problem.name == "maximum" or not math.isfinite(high - low):
+    if plan.objective.measured == "column" or not math.isfinite(high - low):
         return None, None
-    if problem.name == "sim_gap":
+    if plan.objective.measured == "gap":
         return (low - high if gap.kind == "robustness" else 0.0), (high - low) / gap.lipschitz
     if isinstance(problem, RigorousProblem) and problem.linearised is not None:
         constants = problem.linearised

@@ -10,6 +10,7 @@ from ..campaign.account import Account
 from ..campaign.copies import copies
 from ..campaign.ledger import Ledger
 from ..campaign.methods import Methods, kernel
+from ..campaign.plan import UNBOUNDED
 from ..mathematics.bounds import audit
 from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
@@ -48,8 +49,8 @@ def assumptions(
             found.append(_dominates(account))
             if "nominal" in account.plan.shared:
                 found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
-        # A campaign without specification has no robustness, and so no clip.
-        if account.robustness:
+        # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
+        if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account))
     rollouts = {"rollouts": sum(sum(account.counts.values()) for account in accounts.values())}
     if ledger.header.rules == 1:

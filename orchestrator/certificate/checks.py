@@ -1,7 +1,7 @@
 """Construction of the results of spot check and recheck."""
 
 from ...schemas import certificate as document
-from ...schemas.campaign import SENSES, ProblemName
+from ...schemas.problems import OBJECTIVES, ProblemName
 from ..campaign.ledger import Ledger
 from ..campaign.spot_check import LEVEL, SpotCheck, SpotSeries
 from ..mathematics.bounds.rounding import round_up
@@ -35,7 +35,7 @@ def _problem(check: SpotCheck, name: ProblemName) -> document.SpotCheckedProblem
     return document.SpotCheckedProblem(
         name=name,
         status=found.status,
-        limit=-hypothesis.limit if SENSES[name] == "min" else hypothesis.limit,
+        limit=-hypothesis.limit if OBJECTIVES[name].sense == "min" else hypothesis.limit,
         noisy=hypothesis.noisy,
         rollouts=found.rollouts,
         violations=found.violations,

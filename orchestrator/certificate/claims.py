@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig, Rule
+from ...schemas.problems import Quantity
 from ..campaign.methods import Methods
 from ..campaign.plan import Plans
 from ..mathematics.bounds.composition import (
@@ -43,7 +44,10 @@ def claims(
     found: list[tuple[document.CertificateClaim, document.CompositionTerms | None]] = []
     if set(PAIR) <= set(results):
         found += [_composed(plans, results, methods, assumptions, rule) for rule in _rules(config)]
-    found += [(_direct(result, assumptions), None) for result in results.values() if result.name not in PAIR]
+    for name, result in results.items():
+        quantity = plans[name].statement.quantity
+        if quantity is not None:
+            found.append((_direct(result, quantity, assumptions), None))
     # Stable. First comes the claim that was fixed beforehand: to pick the best afterwards costs the sum.
     found.sort(key=lambda pair: pair[0].rule != config.composition)
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
@@ -61,11 +65,12 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 
-def _direct(result: document.ProblemResult, assumptions: Sequence[document.Assumption]) -> document.CertificateClaim:
-    minimum = result.sense == "min"
+def _direct(
+    result: document.ProblemResult, quantity: Quantity, assumptions: Sequence[document.Assumption]
+) -> document.CertificateClaim:
     return document.CertificateClaim(
-        quantity="rho_star" if minimum else "J_star",
-        sense=">=" if minimum else "<=",
+        quantity=quantity,
+        sense=">=" if result.sense == "min" else "<=",
         bound=result.bound,
         probability=result.probability,
         rule="single",

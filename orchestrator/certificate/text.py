@@ -24,13 +24,16 @@ from ...schemas.certificate import (
     SpotCheck,
     SpotCheckedProblem,
 )
+from ...schemas.problems import Quantity
 
 WIDTH = 100
 DIGITS = 4
 COLOURS = {"refuted": "red", "derived": "green"}
-QUANTITIES = {
+QUANTITIES: dict[Quantity, str] = {
     "rho_star": "rho* (robustness risk of the true system at its worst start)",
     "J_star": "J* (maximum of the expectation)",
+    "robustness": "worst robustness over all starts",
+    "expected_robustness": "worst expected robustness over all starts",
 }
 
 VALID = "the bound is valid at every moment"

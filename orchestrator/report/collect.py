@@ -118,6 +118,8 @@ class Collector:
         results = {each.name: each for each in predicate.problems} if predicate else {}
         problems = tuple(each.data(results.get(each.problem.name)) for each in self._problems.values())
         claims = tuple(map(wording.worded, predicate.claims)) if predicate else ()
+        # Terms without a claim of their own compose to the risk.
+        of_risk = any(each.quantity in (None, "rho_star") for each in problems)
         return ReportData(
             name=config.name,
             seed=config.seed,
@@ -128,7 +130,7 @@ class Collector:
             doc=header.spec.doc,
             specification=config.specification,
             horizon=config.horizon,
-            risk_weight=config.risk_weight,
+            risk_weight=config.risk_weight if of_risk else None,
             clip=config.clip,
             axes=_axes(header),
             now=wording.current_bound(problems, claims),

@@ -13,6 +13,7 @@ from typing import Any, Literal
 from pydantic import BaseModel
 
 from ...schemas.certificate import Assumption, CompositionTerms
+from ...schemas.problems import Quantity
 
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
@@ -22,8 +23,7 @@ Series = tuple[float | None, ...]
 class Claim:
     """A claim of the certificate; the first one is fixed before the campaign."""
 
-    quantity: str
-    """"rho_star" or "J_star"."""
+    quantity: Quantity
     sense: str
     """">=" or "<="."""
     bound: float
@@ -86,6 +86,8 @@ class Problem:
 
     name: str
     objective: str
+    quantity: Quantity | None
+    """Of its claim; None for a term of a composition."""
     method: str
     sense: str
     """"min" or "max": the worst start is where the objective is least or greatest."""
@@ -217,7 +219,8 @@ class ReportData:
     doc: str
     specification: str | None
     horizon: float
-    risk_weight: float
+    risk_weight: float | None
+    """None where no claim is about the risk."""
     clip: tuple[float, float] | None
     axes: tuple[Axis, ...]
     now: str

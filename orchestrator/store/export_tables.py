@@ -21,9 +21,10 @@ from typing import Any, Literal
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
-from ...schemas.campaign import SENSES, CampaignConfig, Problem
+from ...schemas.campaign import CampaignConfig, Problem
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.ids import CHECKS
+from ...schemas.problems import OBJECTIVES
 from ...schemas.system import SystemSpec
 from . import tables
 
@@ -94,7 +95,7 @@ def robustness_unit(config: CampaignConfig, spec: SystemSpec) -> str:
 
 def unit(problem: Problem, config: CampaignConfig, spec: SystemSpec) -> str:
     """Return the unit of a problem's objective, or nothing if it is not known."""
-    gap = config.gap_of(problem) if problem.name == "sim_gap" else None
+    gap = config.gap_of(problem)
     column = gap.column if gap else problem.column
     units = {each.name: each.unit for each in spec.columns}
     return units.get(column, "") if column else robustness_unit(config, spec)
@@ -218,14 +219,14 @@ def _observations_table(header: Header) -> ExportTable:
 
 def _contributes_robustness(problem: Problem) -> bool:
     """Whether `each` of an observation contains robustness and not J: `perfbound.schemas.values.Observation`."""
-    return problem.name == "true_risk" and problem.method != "rigorous"
+    return problem.method == "scenario" or (problem.method == "paper" and OBJECTIVES[problem.name].risk)
 
 
 def _objectives(header: Header) -> dict[str, tuple[str, str]]:
     """Return sense and unit of every problem's objective; a check has neither."""
     checks = dict.fromkeys(CHECKS, ("", ""))
     return checks | {
-        problem.name: (SENSES[problem.name], unit(problem, header.config, header.spec))
+        problem.name: (OBJECTIVES[problem.name].sense, unit(problem, header.config, header.spec))
         for problem in header.config.problems
     }
 

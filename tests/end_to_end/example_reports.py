@@ -189,6 +189,7 @@ def _problem(name: str, sense: str, tests: int) -> Problem:
     return Problem(
         name=name,
         objective="min over d of E[robustness]",
+        quantity=None,
         method="paper",
         sense=sense,
         unit="rad",

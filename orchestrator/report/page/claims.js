@@ -16,7 +16,7 @@ function titleSection(report) {
     ["Starting conditions", spaceText(report)],
     ["Horizon", `${num(report.horizon)} s`],
     ["Robustness clipped to", report.clip === null ? null : `[${num(report.clip[0])}, ${num(report.clip[1])}]`],
-    ["Risk weight r", num(report.risk_weight)],
+    ["Risk weight r", report.risk_weight === null ? null : num(report.risk_weight)],
     ["Seed", report.seed],
     ["Rollouts", count(report.rollouts)],
   ];

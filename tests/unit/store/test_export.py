@@ -22,7 +22,7 @@ from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export
 from perfbound.orchestrator.store.export_tables import robustness_unit, unit
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.schemas.campaign import SENSES, CampaignConfig
+from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import (
     RECORDED,
@@ -35,6 +35,7 @@ from perfbound.schemas.facts import (
     RolloutFact,
 )
 from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.problems import OBJECTIVES
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.systems import load_system
@@ -215,7 +216,7 @@ def test_signs(tmp_path: Path, preset: str, problem: str, expected: dict[str, fl
     (row,) = found["tests"]
     assert {name: float(row[name]) for name in expected} == expected
     assert (row["sigma"], row["beta"], row["F"]) == ("0.1", "2.0", "0.2")
-    assert (row["sense"], row["unit"]) == (SENSES[problem], "1" if preset == "test-function" else "rad")  # type: ignore[index]
+    assert (row["sense"], row["unit"]) == (OBJECTIVES[problem].sense, "1" if preset == "test-function" else "rad")  # type: ignore[index]
     assert [float(row["contribution"]) for row in found["observations"]] == each
     assert {float(row["observation"]) for row in found["observations"]} == {expected["observation"]}
 
