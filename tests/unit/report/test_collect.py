@@ -18,7 +18,7 @@ from perfbound.orchestrator.report import band as surfaces
 from perfbound.orchestrator.report import curves, rollouts
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import Problem, ReportData, Surface, to_json
-from perfbound.orchestrator.report.workers import LiveState, WorkerStatistics
+from perfbound.orchestrator.report.workers import MOST_FAILED, LiveState, WorkerStatistics
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes
@@ -475,6 +475,18 @@ def test_work_adds_up(finished: Path) -> None:
     assert story.throughput.recorded[-1] == story.rollouts
     assert list(story.throughput.seconds) == sorted(story.throughput.seconds)
     assert story.throughput.sessions == 1
+
+
+def test_the_latest_failed_attempts_come_with_their_kind(one: Path) -> None:
+    for number in range(MOST_FAILED + 9):
+        row = {"rollout": "sim_gap.0.true.0", "attempt": number + 2, "worker": "w", "cpu_seconds": 0, "wall_seconds": 0}
+        kind = "system" if number % 2 else "infrastructure"
+        insert(one, "outcomes", **row, ended=float(number), outcome="x" * 4000, kind=kind)
+    story = collected(one)
+    assert (story.throughput.failures, story.throughput.system_failures) == (59, 29)
+    assert [each.ended for each in story.failed_attempts] == [float(number) for number in range(58, 8, -1)]
+    assert [each.kind for each in story.failed_attempts[:2]] == ["infrastructure", "system"]
+    assert {len(each.reason) for each in story.failed_attempts} == {500}
 
 
 def test_the_live_state_of_workers_is_added(finished: Path) -> None:
