@@ -31,6 +31,8 @@ class Account:
     observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
     each: list[tuple[float, ...]] = field(default_factory=list)
     nodes: list[int] = field(default_factory=list)
+    proposed: list[Proposal] = field(default_factory=list)
+    """The proposals of the closed tests, where a kernel method may be given them again; its kernel rows cost more."""
     excess: float = -math.inf
     """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
@@ -52,6 +54,12 @@ class Account:
             last.stopped_by if last else None,
         )
 
+    @property
+    def closed(self) -> list[tuple[Proposal, Observation]]:
+        """The closed tests of a problem with a kernel, in test order."""
+        observed = map(Observation, self.observations, self.each)
+        return list(zip(self.proposed, observed, strict=True))
+
     def next_link(self, test: int, observation: Observation) -> str:
         """Return the head of the hash chain after the observation of an open test."""
         return next_link(self.link, self.proposals[test], self.rollouts.get(test, ()), observation)
@@ -68,6 +76,8 @@ class Account:
         self.observations.append(found.y)
         self.each.append(found.each)
         self.nodes.append(self.last_proposal.node)
+        if self.plan.problem.method != "scenario":
+            self.proposed.append(self.last_proposal)
         if fact.problem == "sim_gap":
             # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}

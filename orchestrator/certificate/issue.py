@@ -2,15 +2,16 @@
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...schemas import certificate as document
 from ...schemas.base import digest
 from ...schemas.facts import Header
 from ..campaign.ledger import Ledger
 from .assumptions import assumptions
-from .claims import claims
+from .claims import Results, claims
 from .problem_results import result
+from .sensitivity import sensitivity, with_clip, without_rollouts
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +31,14 @@ def manifest(entries: Iterable[tuple[str, str]]) -> Manifest:
 def issue(ledger: Ledger, evidence: Manifest) -> document.Certificate:
     """Return the certificate of a campaign whose problems have all stopped."""
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
-    results = {name: result(account) for name, account in accounts.items()}
+    results: Results = {name: result(account) for name, account in accounts.items()}
     found = assumptions(accounts, ledger.methods)
     claimed = claims(config, ledger.plans, results, ledger.methods, found)
+    varied = None
+    if header.rules >= 2:
+        results = with_clip(results, config)
+        claimed = replace(claimed, claims=without_rollouts(claimed.claims, config, ledger.plans, results))
+        varied = sensitivity(claimed.claims, config, accounts, results)
     manifest_sha256 = hashlib.sha256(evidence.text.encode()).hexdigest()
     predicate = document.Predicate(
         question=question(header),
@@ -54,6 +60,7 @@ def issue(ledger: Ledger, evidence: Manifest) -> document.Certificate:
         ),
         software=header.software,
         rules=header.rules,
+        sensitivity=varied,
     )
     return document.Certificate(subject=(subject(manifest_sha256),), predicate=predicate)
 

@@ -108,7 +108,7 @@ class Collector:
         config, predicate = header.config, self._certificate.predicate if self._certificate else None
         results = {each.name: each for each in predicate.problems} if predicate else {}
         problems = tuple(each.data(results.get(each.problem.name)) for each in self._problems.values())
-        claims = tuple(map(wording.worded, predicate.claims)) if predicate else ()
+        claims = wording.worded(predicate) if predicate else ()
         return ReportData(
             name=config.name,
             seed=config.seed,

@@ -25,7 +25,7 @@ CHECKS = {
     "problems": "the bounds and parameters of the problems follow from the campaign file and the observations",
     "probabilities": "the probabilities follow from the campaign file",
     "composition": "the terms of the composition follow from the bounds",
-    "claims": "the claims follow, and name their assumptions",
+    "claims": "the claims follow, with these and with other constants, and name their assumptions",
     "audit": "the assumptions, their status and their numbers follow from the data",
     "software": "this machine has the numerical software of the campaign",
     "database": "the tables of facts agree: tests, rollouts, observations, bounds",

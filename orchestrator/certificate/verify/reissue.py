@@ -36,6 +36,7 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         ),
         ("probabilities", _probabilities_of, ROUND_OFF, f"problems: {problems}, claims: {claims}"),
         ("composition", lambda side: side["composition"], ROUND_OFF, rule),
+        ("claims", lambda side: side["sensitivity"], ROUND_OFF, ""),
         ("claims", lambda side: _without_probabilities(side["claims"]), ROUND_OFF, f"claims: {claims}"),
     ):
         fault = compare.difference(part(recomputed), part(recorded), name, tolerance=tolerance)
