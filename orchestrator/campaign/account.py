@@ -6,6 +6,7 @@ from collections.abc import MutableSequence
 from dataclasses import dataclass, field
 
 from ...schemas.facts import ObservationFact, RolloutFact
+from ...schemas.values import Observation, Proposal
 from . import objectives
 from .plan import ProblemPlan
 from .series import Series
@@ -16,13 +17,23 @@ class Account(Series):
     """The facts of one problem."""
 
     plan: ProblemPlan = field(kw_only=True)
+    proposed: list[Proposal] = field(default_factory=list)
+    """The proposals of the closed tests, where a kernel method may be given them again; its kernel rows cost more."""
     excess: float = -math.inf
     """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
 
+    @property
+    def closed(self) -> list[tuple[Proposal, Observation]]:
+        """The closed tests of a problem with a kernel, in test order."""
+        observed = map(Observation, self.observations, self.each)
+        return list(zip(self.proposed, observed, strict=True))
+
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test, as every series does, and take the robustness of its rollouts."""
         rollouts = Series.observe(self, fact)  # by name: `super()` finds no cell in a class with slots
+        if self.plan.problem.method != "scenario" and self.last_proposal is not None:
+            self.proposed.append(self.last_proposal)
         if self.plan.objective.measured == "gap":
             # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}

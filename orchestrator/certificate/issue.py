@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...schemas import certificate as document
 from ...schemas.base import digest
@@ -10,8 +10,9 @@ from ...schemas.facts import Header
 from ..campaign.ledger import Ledger
 from .assumptions import assumptions
 from .checks import recheck, spot_check
-from .claims import claims
+from .claims import Results, claims
 from .problem_results import result
+from .sensitivity import sensitivity, with_clip, without_rollouts
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +35,15 @@ def issue(ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False) -
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later.
     """
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
-    results = {name: result(account) for name, account in accounts.items()}
+    results: Results = {name: result(account) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)
     found = assumptions(ledger, checked, repeated, irreproducible=irreproducible)
     claimed = claims(config, ledger.plans, results, ledger.methods, found)
+    varied = None
+    if header.rules >= 2:
+        results = with_clip(results, config)
+        claimed = replace(claimed, claims=without_rollouts(claimed.claims, config, ledger.plans, results))
+        varied = sensitivity(claimed.claims, config, accounts, results)
     manifest_sha256 = hashlib.sha256(evidence.text.encode()).hexdigest()
     predicate = document.Predicate(
         question=question(header),
@@ -61,6 +67,7 @@ def issue(ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False) -
         ),
         software=header.software,
         rules=header.rules,
+        sensitivity=varied,
     )
     return document.Certificate(subject=(subject(manifest_sha256),), predicate=predicate)
 

@@ -117,7 +117,7 @@ class Collector:
         config, predicate = header.config, self._certificate.predicate if self._certificate else None
         results = {each.name: each for each in predicate.problems} if predicate else {}
         problems = tuple(each.data(results.get(each.problem.name)) for each in self._problems.values())
-        claims = tuple(map(wording.worded, predicate.claims)) if predicate else ()
+        claims = wording.worded(predicate) if predicate else ()
         # Terms without a claim of their own compose to the risk.
         of_risk = any(each.quantity in (None, "rho_star") for each in problems)
         return ReportData(

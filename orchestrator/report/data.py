@@ -34,6 +34,10 @@ class Claim:
     """The claim in words, bound and probability rounded to the safe side."""
     assumptions: tuple[str, ...]
     refuted: tuple[str, ...]
+    vacuous: bool | None = None
+    """Whether the clip alone proves it."""
+    notes: tuple[str, ...] = ()
+    """What it owes to its constants, in sentences."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +110,8 @@ class Problem:
     """Forecast of the remaining tests, in words."""
     surface: Surface | None
     tests: TestSeries
+    by_clip: float | None = None
+    """What the clip alone proves of the objective; `bound` is never weaker."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from ...schemas.certificate import ProblemResult
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.values import Observation, Proposal
 from ..campaign import forecast
+from ..campaign.clip import by_clip, floored
 from ..campaign.methods import method
 from ..campaign.plan import ProblemPlan
 from ..certificate.problem_results import objective
@@ -70,6 +71,8 @@ class ProblemCollector:
             self._pending.clear()
             self._surface, self._tests = band.surface(self._plan, self._method, last.bound), self._columns()
         stopped_by = last.stopped_by if last else None
+        bound = result.bound if result else signed(last.bound.upper if last else None, self._sense)
+        limit = by_clip(self._header.config, problem)
         return Problem(
             name=problem.name,
             objective=typeset(result.objective if result else objective(self._plan)),
@@ -80,7 +83,7 @@ class ProblemCollector:
             distance="F_i" if problem.method == "paper" else "U - L",
             alpha=problem.alpha,
             delta=problem.delta,
-            bound=result.bound if result else signed(last.bound.upper if last else None, self._sense),
+            bound=None if bound is None else floored(bound, self._sense, limit),
             partner=result.partner if result else signed(last.bound.lower if last else None, self._sense),
             probability=result.probability if result else self._probability(last),
             budget=self._plan.budget,
@@ -89,6 +92,7 @@ class ProblemCollector:
             left=None if stopped_by else self._left(),
             surface=self._surface,
             tests=self._tests,
+            by_clip=limit,
         )
 
     def worst_tests(self, number: int) -> list[int]:

@@ -67,7 +67,7 @@ class Plain:
         for problem, progress in zip(status.config.problems, status.problems.values(), strict=True):
             ended = progress.stopped_by is not None
             if (ended and problem.name not in self._ended) or (due and not ended):
-                self._problem(problem, progress)
+                self._problem(status.config, problem, progress)
             if ended:
                 self._ended.add(problem.name)
         for name, progress in status.checks.items():
@@ -80,8 +80,8 @@ class Plain:
             self._last = now
             self._workers(status, rate)
 
-    def _problem(self, problem: Problem, progress: ProblemProgress) -> None:
-        away, bound = remaining_distance(problem, progress), bound_in_sense(problem, progress)
+    def _problem(self, config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> None:
+        away, bound = remaining_distance(problem, progress), bound_in_sense(config, problem, progress)
         if self._json is None:
             name = "F" if problem.method == "paper" else "upper - lower"
             end = f"; stopped by {progress.stopped_by}" if progress.stopped_by else ""

@@ -7,13 +7,17 @@ from rich.table import Table
 from ...schemas.campaign import CampaignConfig, Problem
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
+from ..campaign.clip import by_clip, floored
 from .format import MINIMA, figure
 
 
-def bound_in_sense(problem: Problem, progress: ProblemProgress) -> float | None:
-    """Return the bound so far in the unit and sense of the problem: -eps for a minimum."""
+def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
+    """Return the bound so far in the unit and sense of the problem: -eps for a minimum; never weaker than the clip."""
     upper = progress.bound.upper if progress.bound else None
-    return -upper if upper is not None and problem.name in MINIMA else upper
+    if upper is None:
+        return None
+    minimum = problem.name in MINIMA
+    return floored(-upper if minimum else upper, "min" if minimum else "max", by_clip(config, problem))
 
 
 def remaining_distance(problem: Problem, progress: ProblemProgress) -> float | None:
@@ -44,7 +48,7 @@ def progress_table(
             f"{progress.tests} of {config.max_tests_of(problem)}",
             figure(remaining_distance(problem, progress)),
             f"{problem.alpha:g}",
-            figure(bound_in_sense(problem, progress)),
+            figure(bound_in_sense(config, problem, progress)),
             str(progress.rollouts),
             f"ended: {progress.stopped_by}" if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",

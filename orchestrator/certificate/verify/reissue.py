@@ -43,6 +43,7 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
             _checked(recomputed["spot_check"], "start"),
         ),
         ("recheck", lambda side: side["recheck"], ROUND_OFF, _checked(recomputed["recheck"], "rollout")),
+        ("claims", lambda side: side["sensitivity"], ROUND_OFF, ""),
         ("claims", lambda side: _without_probabilities(side["claims"]), ROUND_OFF, f"claims: {claims}"),
     ):
         fault = compare.difference(part(recomputed), part(recorded), name, tolerance=tolerance)
