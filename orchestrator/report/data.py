@@ -112,6 +112,8 @@ class Problem:
     tests: TestSeries
     by_clip: float | None = None
     """What the clip alone proves of the objective; `bound` is never weaker."""
+    starts: int | None = None
+    """Number of listed starts, since rules 2; None on a box."""
 
 
 @dataclass(frozen=True, slots=True)

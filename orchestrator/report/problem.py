@@ -72,10 +72,10 @@ class ProblemCollector:
             self._surface, self._tests = band.surface(self._plan, self._method, last.bound), self._columns()
         stopped_by = last.stopped_by if last else None
         bound = result.bound if result else signed(last.bound.upper if last else None, self._sense)
-        limit = by_clip(self._header.config, problem)
+        limit, rules = by_clip(self._header.config, problem), self._header.rules
         return Problem(
             name=problem.name,
-            objective=typeset(result.objective if result else objective(self._plan)),
+            objective=typeset(result.objective if result else objective(self._plan, rules)),
             quantity=self._plan.statement.quantity,
             method=problem.method,
             sense=self._sense,
@@ -93,6 +93,7 @@ class ProblemCollector:
             surface=self._surface,
             tests=self._tests,
             by_clip=limit,
+            starts=self._plan.listed if rules > 1 else None,
         )
 
     def worst_tests(self, number: int) -> list[int]:
