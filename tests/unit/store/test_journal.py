@@ -35,6 +35,7 @@ from perfbound.schemas.trajectory import decode
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
+from tests.campaigns import UNCHECKED
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 R0 = RolloutId("maximum", 0, "true", 0)
@@ -48,13 +49,21 @@ FACTS: list[Fact] = [
 
 
 def a_config(**changes: Any) -> CampaignConfig:
-    settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **changes}
+    settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **UNCHECKED, **changes}
     return parse_campaign(PRESET.read_bytes(), "test", **settings)
 
 
 def a_header() -> Header:
     spec = load_system("test-function").spec
     return Header.new(a_config(), spec, software(spec))
+
+
+@pytest.mark.parametrize(
+    "value", [Proposal(0, (0.0,), -0.0, -0.0, -0.0, -0.0), Observation(-0.0, (0.0,)), Bound(-0.0, -0.0, None)]
+)
+def test_a_value_has_no_zero_that_a_column_changes(value: Proposal | Observation | Bound) -> None:
+    """SQLite keeps no -0.0, and the hash chain is computed from the values."""
+    assert "-0.0" not in repr(value)
 
 
 @pytest.fixture
