@@ -35,6 +35,7 @@ from perfbound.schemas.trajectory import decode
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
+from tests.campaigns import UNCHECKED
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 R0 = RolloutId("maximum", 0, "true", 0)
@@ -48,7 +49,7 @@ FACTS: list[Fact] = [
 
 
 def a_config(**changes: Any) -> CampaignConfig:
-    settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **changes}
+    settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **UNCHECKED, **changes}
     return parse_campaign(PRESET.read_bytes(), "test", **settings)
 
 
