@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.errors import PerfboundError, Stopped, one_line
 from ...schemas.ids import CHECKS, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.values import ProblemProgress
@@ -220,7 +220,7 @@ class Service:
             case events.Fail(worker, attempt, failure):
                 self._journal.attempt_ended(attempt, worker, failure)
                 name = f"{attempt.rollout}, attempt {attempt.number} on {worker}"
-                self._print_line(f"{name}, {failure.kind} failure: {failure.reason}")
+                self._print_line(f"{name}, {failure.kind} failure: {one_line(failure.reason)}")
             case events.GiveUp(worker):
                 state = self._roster.admitted(worker)
                 # A process id names one of our children on this host only.
