@@ -142,10 +142,8 @@ def test_the_mean_of_the_paper_has_the_noise_of_a_mean() -> None:
 @settings(deadline=None)
 def test_an_observation_is_the_mean_of_the_robustness_that_the_claim_is_about(values: list[float]) -> None:
     trajectories = {("nominal", k): sample(value) for k, value in enumerate(values)}
-    cases: tuple[tuple[dict[str, Any], float, float], ...]
-    cases = (({}, -math.inf, math.inf), ({"clip": [-0.5, 1.2]}, -0.5, 1.2))
-    for keys, low, high in cases:
-        found = config(problem={"replicates": len(values)}, **keys)
+    for clip in (None, (-0.5, 1.2)):
+        found, (low, high) = config(problem={"replicates": len(values)}, clip=clip), clip or UNBOUNDED
         observed = Observer(found, PLAIN).observe(plan(found, PLAIN, found.problems[0]), trajectories)
         expected = [min(max(0.6 - value, low), high) for value in values]
         assert observed.each == tuple(-value for value in expected)
