@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from perfbound.orchestrator.mathematics.bounds.share import AllButShare
-from perfbound.orchestrator.mathematics.bounds.spot_check import Hypothesis, SpotCheck
+from perfbound.orchestrator.mathematics.bounds.spot_check import Hypothesis, SpotTests
 from perfbound.orchestrator.mathematics.bounds.stationarity import LEVEL, AdaptiveOrderTest, PlannedOrderTest
 from tests.statistical.vectorised import SpotChecks, cvar_wealth
 
@@ -56,7 +56,7 @@ class TestSpotCheck:
             node, active = checks.choose(DELTA)
             checks.add(node, column, active)
         for run, values in enumerate(excess):
-            check = SpotCheck(
+            check = SpotTests(
                 [(float(j),) for j in range(4)], [Hypothesis("J", 0.0, -0.5, 1.0, noisy=True)], followups=99
             )
             for value in values:
