@@ -43,6 +43,16 @@ class CertificateClaim(Model):
     method: str
     assumptions: tuple[str, ...]
     refuted: tuple[str, ...] = Field(description="those of the assumptions that are refuted: do not rely on the claim")
+    by_clip: float | None = Field(
+        default=None, description="what the clip alone proves; since rules 2, `bound` is never weaker"
+    )
+    without_data: float | None = Field(
+        default=None, description="what B, the prior mean and the clip prove before the first rollout; since rules 2"
+    )
+    vacuous: bool | None = Field(
+        default=None,
+        description="whether the clip alone proves `bound`, so that it shows nothing; since rules 2",
+    )
 
 
 class Rollouts(Model):
@@ -70,6 +80,9 @@ class ProblemResult(Model):
     stopped_by: StoppedBy
     parameters: dict[str, object]
     last_F: float | None  # noqa: N815  (the paper's symbol)
+    by_clip: float | None = Field(
+        default=None, description="what the clip alone proves of the objective; since rules 2"
+    )
 
 
 class Assumption(Model):
@@ -95,6 +108,61 @@ class CompositionTerms(Model):
     bound: float
 
 
+class SpotCheckedProblem(Model):
+    """The finding of the spot check for the bound of one problem; `limit` is that bound, in its sense."""
+
+    name: ProblemName
+    status: Literal["refuted", "not refuted", "not testable"]
+    limit: float
+    noisy: bool
+    rollouts: int = Field(description="that tested this bound, follow-ups included")
+    violations: int = Field(description="starts whose first rollout is beyond the limit; of noisy values no refutation")
+    violated_share: float | None = Field(
+        description="upper bound of the violated share of the box; not of noisy values"
+    )
+    start: tuple[float, ...] | None = Field(description="a start at which the bound is refuted, if one is known")
+    wealth: float | None = Field(description="of the test of noisy values; 1 / level refutes")
+    undecided: int | None = Field(description="starts whose noisy values are suspicious, and not refuted")
+
+
+class SpotCheck(Model):
+    """Fresh uniform starts after the campaign; each statement fails with probability `level` at most."""
+
+    starts: int
+    rollouts: Rollouts
+    level: float
+    failures: int | None = Field(description="starts whose first rollout violates the specification")
+    failure_probability: float | None = Field(
+        description="upper bound of the probability that a rollout at a uniform start violates the specification"
+    )
+    problems: tuple[SpotCheckedProblem, ...]
+
+
+class Recheck(Model):
+    """Recorded rollouts, drawn when the other evidence was fixed and simulated once more."""
+
+    rollouts: int
+    agreed: int = Field(description="rollouts that gave the same trajectory, bit by bit")
+    unseen_share: float = Field(
+        description="if a larger share of all rollouts were irreproducible, the recheck would have shown it with .95"
+    )
+
+
+class Sensitivity(Model):
+    """A claim with one constant of its kernel problems multiplied by `factor`, from the same tests.
+
+    It is what the last test proves, without the bounds after earlier tests, which may have been stronger.
+    """
+
+    claim: int = Field(ge=0, description="number of the claim, from 0")
+    constant: Literal["rkhs_norm", "length_scale"]
+    factor: float
+    bound: float | None = Field(
+        description="of the claim's quantity, with its sense and probability; null if the data refute that constant, "
+        "or the method gives no bound with it"
+    )
+
+
 class Evidence(Model):
     """The evidence behind the certificate: manifest, hash chain and number of rollouts."""
 
@@ -114,10 +182,15 @@ class Predicate(Model):
     problems: tuple[ProblemResult, ...]
     composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
+    spot_check: SpotCheck | None = Field(default=None, description="not in older certificates")
+    recheck: Recheck | None = Field(default=None, description="not in older certificates")
     evidence: Evidence
     software: dict[str, str]
     rules: int | None = Field(
         default=None, ge=1, description="of seeds, digests and decisions; not in older certificates, which follow 1"
+    )
+    sensitivity: tuple[Sensitivity, ...] | None = Field(
+        default=None, description="the claims that rest on a kernel, with other constants; since rules 2"
     )
 
 
@@ -135,8 +208,10 @@ class Certificate(Model):
         # Fields that an earlier perfbound did not have are left out, so that its certificates keep their bytes.
         predicate = value["predicate"]
         for part, key in (
-            (predicate, "rules"),
+            *((predicate, key) for key in ("rules", "sensitivity", "spot_check", "recheck")),
             (predicate["campaign"], "system_sha256"),
+            *((claim, key) for claim in predicate["claims"] for key in ("by_clip", "without_data", "vacuous")),
+            *((problem, "by_clip") for problem in predicate["problems"]),
             *((assumption, "values") for assumption in predicate["assumptions"]),
         ):
             if part[key] is None:

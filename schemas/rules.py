@@ -5,7 +5,8 @@ A change that gives another seed, digest or decision is a new number here, and a
 
     1   the rules of perfbound 0.1, and of every campaign whose header names none
     2   digests over the keys that differ from their defaults and decide a number; seeds follow from seed and digest, so
-        that no two campaigns share rollouts
+        that no two campaigns share rollouts; a certificate has the sensitivity of its claims, and a claim is never
+        weaker than what the clip alone proves
 """
 
 from .errors import JournalError

@@ -12,7 +12,7 @@ from ...schemas.campaign import (
     ScenarioProblem,
     Scenarios,
 )
-from ...schemas.problems import OBJECTIVES, Objective, Statement, rolled_out
+from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Statement, rolled_out
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import linearised_range
@@ -52,7 +52,7 @@ class ProblemPlan:
     """Variants of which the replicates of a test share one rollout, because it does not depend on the seed."""
 
     @property
-    def name(self) -> str:
+    def name(self) -> ProblemName:
         """Name of the problem."""
         return self.problem.name
 

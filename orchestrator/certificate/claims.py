@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig, Rule
-from ...schemas.problems import Quantity
+from ...schemas.problems import ProblemName, Quantity
 from ..campaign.methods import Methods
 from ..campaign.plan import Plans
 from ..mathematics.bounds.composition import (
@@ -16,14 +16,21 @@ from ..mathematics.bounds.composition import (
     least_risk,
     pointwise_mean,
 )
-from ..mathematics.bounds.paper import PaperMethod
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.bounds.rounding import round_down, round_up
 
 Results = Mapping[str, document.ProblemResult]
-PAIR = ("nominal_robustness", "sim_gap")
+PAIR: tuple[ProblemName, ProblemName] = ("nominal_robustness", "sim_gap")
 MULTIPLIED, ADDED = "independence", "accounting"
 """Assumptions of the two ways in which the probabilities of a pair are combined."""
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """What a claim follows from: its rule, and the problems that the rule combines."""
+
+    rule: Rule
+    problems: tuple[ProblemName, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,23 +41,37 @@ class Claimed:
     composition: document.CompositionTerms | None
 
 
+def bases(config: CampaignConfig) -> tuple[Basis, ...]:
+    """Return the bases in the order: chosen beforehand, other rules over the same pair, direct ones."""
+    names = [problem.name for problem in config.problems]
+    found: list[Basis] = []
+    if set(PAIR) <= set(names):
+        found += [Basis(rule, PAIR) for rule in _rules(config)]
+    found += [Basis("single", (name,)) for name in names if name not in PAIR]
+    # Stable. First comes the claim that was fixed beforehand: to pick the best afterwards costs the sum.
+    found.sort(key=lambda basis: basis.rule != config.composition)
+    return tuple(found)
+
+
 def claims(
     config: CampaignConfig, plans: Plans, results: Results, methods: Methods, assumptions: Sequence[document.Assumption]
 ) -> Claimed:
-    """Return the claims in the order: chosen beforehand, other rules over the same pair, direct ones.
+    """Return the claim of every basis, in their order.
 
     Each has its own probability; the failure probability of several together is at most their sum.
     """
-    found: list[tuple[document.CertificateClaim, document.CompositionTerms | None]] = []
-    if set(PAIR) <= set(results):
-        found += [_composed(plans, results, methods, assumptions, rule) for rule in _rules(config)]
-    for name, result in results.items():
-        quantity = plans[name].statement.quantity
-        if quantity is not None:
-            found.append((_direct(result, quantity, assumptions), None))
-    # Stable. First comes the claim that was fixed beforehand: to pick the best afterwards costs the sum.
-    found.sort(key=lambda pair: pair[0].rule != config.composition)
+    found = []
+    for basis in bases(config):
+        composed = None if basis.rule == "single" else terms(plans, results, methods, basis.rule)
+        found.append((_claim(basis, _quantity(basis, plans), results, composed, assumptions), composed))
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
+
+
+def bound(basis: Basis, plans: Plans, results: Results, methods: Methods | None) -> float:
+    """Return the bound of a claim from those of its problems; see `terms`."""
+    if basis.rule == "single":
+        return results[basis.problems[0]].bound
+    return terms(plans, results, methods, basis.rule).bound
 
 
 def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
@@ -65,41 +86,39 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 
-def _direct(
-    result: document.ProblemResult, quantity: Quantity, assumptions: Sequence[document.Assumption]
+def _quantity(basis: Basis, plans: Plans) -> Quantity:
+    """Return what a claim is about; the terms of a composition compose to the risk."""
+    return "rho_star" if basis.rule != "single" else plans[basis.problems[0]].statement.quantity or "rho_star"
+
+
+def _claim(
+    basis: Basis,
+    quantity: Quantity,
+    results: Results,
+    composed: document.CompositionTerms | None,
+    assumptions: Sequence[document.Assumption],
 ) -> document.CertificateClaim:
+    first = results[basis.problems[0]]
+    minimum = composed is not None or first.sense == "min"
+    used = _rests_on(assumptions, set(basis.problems), basis.rule)
     return document.CertificateClaim(
         quantity=quantity,
-        sense=">=" if result.sense == "min" else "<=",
-        bound=result.bound,
-        probability=result.probability,
-        rule="single",
-        method=result.method,
-        **_rests_on(assumptions, {result.name}, "single"),
+        sense=">=" if minimum else "<=",
+        bound=first.bound if composed is None else composed.bound,
+        probability=first.probability if composed is None else _probability(results, basis.rule),
+        rule=basis.rule,
+        method=" + ".join(dict.fromkeys(results[name].method for name in basis.problems)),
+        assumptions=tuple(each.id for each in used),
+        refuted=tuple(each.id for each in used if each.status == "refuted"),
     )
 
 
-def _composed(
-    plans: Plans, results: Results, methods: Methods, assumptions: Sequence[document.Assumption], rule: Rule
-) -> tuple[document.CertificateClaim, document.CompositionTerms]:
-    terms = _terms(plans, results, methods, rule)
-    claim = document.CertificateClaim(
-        quantity="rho_star",
-        sense=">=",
-        bound=terms.bound,
-        probability=_probability(results, rule),
-        rule=rule,
-        method=" + ".join(dict.fromkeys(results[name].method for name in PAIR)),
-        **_rests_on(assumptions, set(PAIR), rule),
-    )
-    return claim, terms
-
-
-def _terms(plans: Plans, results: Results, methods: Methods, rule: Rule) -> document.CompositionTerms:
+def terms(plans: Plans, results: Results, methods: Methods | None, rule: Rule) -> document.CompositionTerms:
+    """Return the terms of a composition of the pair; `methods` is None for bounds that follow from no data."""
     nominal, gap, plan = results["nominal_robustness"], results["sim_gap"], plans["sim_gap"]
     lipschitz, risk_weight, clip = plan.gap.lipschitz, plan.risk_weight, plan.clip
     # Theorem 2 as printed: extremes, and Popoviciu's inequality for the variance.
-    if isinstance(methods["sim_gap"], PaperMethod) and rule in ("product", "sum"):
+    if plan.problem.method == "paper" and rule in ("product", "sum"):
         composed = compose(
             nominal.bound,
             gap.bound,
@@ -112,7 +131,8 @@ def _terms(plans: Plans, results: Results, methods: Methods, rule: Rule) -> docu
         gap_term, risk_term, ell = composed.gap, composed.spread, composed.ell
     else:
         mean = compose_mean(nominal.bound, gap.bound, kind=plan.gap.kind, clip=clip, lipschitz=lipschitz)
-        if rule == "pointwise":
+        # Without data both bands are flat, so that no start is better than the two extremes.
+        if rule == "pointwise" and methods is not None:
             mean = _pointwise(plans, methods, mean)
         variance: VarianceBound = "popoviciu" if rule == "sum" else "bhatia-davis"
         ell = least_risk(mean, risk_weight=risk_weight, clip=clip, variance=variance)
@@ -152,16 +172,14 @@ def _pointwise(plans: Plans, methods: Methods, extremes: float) -> float:
     )
 
 
-def _rests_on(assumptions: Sequence[document.Assumption], problems: set[str], rule: Rule) -> dict[str, tuple[str, ...]]:
-    """Return the assumptions of a claim (of its problems, its rule and the campaign) and the refuted ones of them."""
+def _rests_on(
+    assumptions: Sequence[document.Assumption], problems: set[ProblemName], rule: Rule
+) -> list[document.Assumption]:
+    """Return the assumptions of a claim: those of its problems, its rule and the campaign."""
     # A claim that adds failures needs no independence, a single one needs neither.
     others = {"product": {ADDED}, "single": {ADDED, MULTIPLIED}}.get(rule, {MULTIPLIED})
-    used = [
+    return [
         each
         for each in assumptions
         if each.id not in others and ("/" not in each.id or each.id.split("/")[1] in problems)
     ]
-    return {
-        "assumptions": tuple(each.id for each in used),
-        "refuted": tuple(each.id for each in used if each.status == "refuted"),
-    }

@@ -3,7 +3,8 @@
 from typing import Literal
 
 from ...schemas import certificate as document
-from ...schemas.campaign import PaperProblem, RigorousProblem
+from ...schemas.campaign import PaperProblem, Problem, RigorousProblem
+from ...schemas.problems import OBJECTIVES
 from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.paper_formulas import Tail, mills_probability
@@ -35,7 +36,7 @@ def result(account: Account) -> document.ProblemResult:
         objective=objective(plan),
         method=problem.method,
         sense=sense,
-        bound=round_down(-upper) if minimum else round_up(upper),
+        bound=in_sense(problem, upper),
         partner=partner,
         probability=chances[problem.tail] if isinstance(problem, PaperProblem) else chances["bound"],
         probabilities=chances,
@@ -45,6 +46,11 @@ def result(account: Account) -> document.ProblemResult:
         parameters=_parameters(plan),
         last_F=proposal.F,
     )
+
+
+def in_sense(problem: Problem, upper: float) -> float:
+    """Return the bound of the objective that follows from an upper bound of J, rounded outward to 1e-9."""
+    return round_down(-upper) if OBJECTIVES[problem.name].sense == "min" else round_up(upper)
 
 
 def objective(plan: ProblemPlan) -> str:

@@ -7,14 +7,25 @@ styles, never as markup: names, paths and formulas may contain brackets.
 import math
 import shlex
 import textwrap
-from collections.abc import Iterable, Sized
+from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.certificate import Assumption, Certificate, CertificateClaim, CompositionTerms, ProblemResult
+from ...schemas.certificate import (
+    Assumption,
+    Certificate,
+    CertificateClaim,
+    CompositionTerms,
+    Predicate,
+    ProblemResult,
+    Recheck,
+    SpotCheck,
+    SpotCheckedProblem,
+)
 from ...schemas.problems import Quantity
+from ..campaign.clip import SAME, floored, is_vacuous
 
 WIDTH = 100
 DIGITS = 4
@@ -29,8 +40,13 @@ QUANTITIES: dict[Quantity, str] = {
 VALID = "the bound is valid at every moment"
 BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
 """The reason, by method, why a problem that ended by its budget has a bound."""
-NAME = 22
-"""Columns of the name of an assumption; the longest is `deterministic_nominal`."""
+WEALTH = 20
+"""1 / level of the spot check."""
+VACUOUS = "It shows nothing: the clip alone proves it."
+VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
+"""Names of the variations of the sensitivity."""
+NAME = 25
+"""Columns of the name of an assumption; the longest are `simulator_is_the_system` and `sampled_at_sample_times`."""
 
 
 def outward(bound: float, sense: str) -> str:
@@ -56,12 +72,16 @@ def print_certificate(certificate: Certificate, console: Console) -> None:
         _heading(console, f"REFUTED, by the data of this campaign or by derivation: {_count(broken)}", "bold red")
         _assumptions(broken, console)
     first_claim(certificate, console)
-    for claim in predicate.claims[1:]:
-        _claim("also", claim, None, console)
+    for number in range(1, len(predicate.claims)):
+        _claim("also", certificate, number, console)
     if len(predicate.claims) > 1:
         console.print()
         _line(console, "The first claim was chosen beforehand. Each has its own probability; if you pick the best")
         _line(console, "claim afterwards, its failure probability is the sum of all their failure probabilities.")
+    if sentences := check_sentences(predicate):
+        _heading(console, "After the campaign", "bold")
+    for sentence in sentences:
+        _line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
     _heading(console, "Problems", "bold")
     for problem in predicate.problems:
         _problem(problem, console)
@@ -77,8 +97,51 @@ def print_assumptions(certificate: Certificate, console: Console) -> None:
 
 def first_claim(certificate: Certificate, console: Console) -> None:
     """Print the claim that was chosen beforehand."""
-    # The terms of a composition are those of the first claim; the others have none in the certificate.
-    _claim("CLAIM", certificate.predicate.claims[0], certificate.predicate.composition, console)
+    _claim("CLAIM", certificate, 0, console)
+
+
+def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
+    """Return what a claim owes to its constants, in sentences; none for a claim without a kernel."""
+    claim = predicate.claims[number]
+    rows = [row for row in predicate.sensitivity or () if row.claim == number]
+    found = []
+    # A claim that shows nothing says so, and owes nothing to the constants.
+    if claim.without_data is not None and not claim.vacuous:
+        found.append(_without_data(claim, claim.without_data))
+    if rows and not (claim.vacuous and all(_nothing(claim, row.bound) for row in rows)):
+        both = "" if claim.rule == "single" else ", in both problems"
+        values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
+        found.append(f"The same tests{both}: {values}.")
+    return tuple(found)
+
+
+def _nothing(claim: CertificateClaim, value: float | None) -> bool:
+    return value is None or is_vacuous(value, claim.sense, claim.by_clip)
+
+
+def _without_data(claim: CertificateClaim, alone: float) -> str:
+    """Return a sentence about the share of the rollouts in a claim."""
+    source = "the clip" if is_vacuous(alone, claim.sense, claim.by_clip) else "B and the prior mean"
+    prove = "proves" if source == "the clip" else "prove"
+    gain = claim.bound - alone if claim.sense == ">=" else alone - claim.bound
+    start = f"Without any rollout {source} {prove} {outward(alone, claim.sense)}"
+    if gain > SAME:
+        return f"{start}; the rollouts {'raise' if claim.sense == '>=' else 'lower'} it to {_bound(claim)}."
+    if gain > -SAME:
+        return f"{start}: the rollouts add nothing."
+    return (
+        f"{start}, which is stronger than the claim: B or the prior mean is wrong, or the method is too weak for them."
+    )
+
+
+def _varied(claim: CertificateClaim, value: float | None) -> str:
+    if value is None:
+        return "no bound"
+    return "no more than the clip" if _nothing(claim, value) else outward(value, claim.sense)
+
+
+def _bound(claim: CertificateClaim) -> str:
+    return outward(claim.bound, claim.sense)
 
 
 def print_files(directory: Path, console: Console) -> None:
@@ -97,23 +160,74 @@ def print_files(directory: Path, console: Console) -> None:
     _line(console, f"  verify with  perfbound verify {shlex.quote(str(directory))}")
 
 
-def _claim(title: str, claim: CertificateClaim, composition: CompositionTerms | None, console: Console) -> None:
-    bound, probability = outward(claim.bound, claim.sense), outward(claim.probability, ">=")
-    _heading(console, f"{title}  {QUANTITIES[claim.quantity]} {claim.sense} {bound}", "bold")
+def _claim(title: str, certificate: Certificate, number: int, console: Console) -> None:
+    predicate = certificate.predicate
+    claim = predicate.claims[number]
+    _heading(console, f"{title}  {QUANTITIES[claim.quantity]} {claim.sense} {_bound(claim)}", "bold")
     rule = "" if claim.rule == "single" else f"{claim.rule} rule, "
     source = f"method {claim.method}, {rule}{_count(claim.assumptions)}"
-    _line(console, f"       with probability at least {probability} ({source})")
-    if composition is not None:
-        terms = f"{_signed_term(composition.gap_term)} (gap) {_signed_term(composition.risk_term)} (risk)"
-        _line(console, f"       = {composition.nominal_bound:.4f} (nominal) {terms}")
+    _line(console, f"       with probability at least {outward(claim.probability, '>=')} ({source})")
+    # The terms of a composition are those of the first claim; the others have none in the certificate.
+    if predicate.composition is not None and number == 0:
+        _composition(claim, predicate.composition, console)
+    if claim.vacuous:
+        _line(console, f"       {VACUOUS}", "bold red")
+    for note in notes(predicate, number):
+        _hanging(console, Text("       "), note)
     # Beside every claim as well: a reader may copy these lines alone.
     if claim.refuted:
         _line(console, f"       It rests on {_count(claim.refuted)} REFUTED: do not rely on it.", "bold red")
 
 
+def _composition(claim: CertificateClaim, composition: CompositionTerms, console: Console) -> None:
+    terms = f"{_signed_term(composition.gap_term)} (gap) {_signed_term(composition.risk_term)} (risk)"
+    line = f"{outward(composition.nominal_bound, '>=')} (nominal) {terms}"
+    # A claim is never weaker than what the clip alone proves, and then it is not the sum of the terms.
+    if claim.vacuous and composition.bound < claim.bound - SAME:
+        _line(console, f"       composed: {line} = {outward(composition.bound, claim.sense)}, below the clip")
+    else:
+        _line(console, f"       = {line}")
+
+
+def check_sentences(predicate: Predicate) -> tuple[str, ...]:
+    """Return what fresh starts and repeated rollouts showed, a sentence each."""
+    return (*_spot_sentences(predicate.spot_check), *_recheck_sentences(predicate.recheck))
+
+
+def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
+    if spot is None:
+        return
+    confidence = outward(1 - spot.level, ">=")
+    yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
+    for each in spot.problems:
+        yield f"{each.name}: {_spot_finding(each)}."
+    if spot.failures is not None and spot.failure_probability is not None:
+        share = outward(spot.failure_probability, "<=")
+        violate = f"{spot.failures} of {spot.starts} rollouts violate the specification"
+        yield f"{violate}; at a uniform start a rollout violates it with probability at most {share}."
+
+
+def _spot_finding(found: SpotCheckedProblem) -> str:
+    """Return the finding for one bound: of a deterministic value by its violations, of a noisy one by a test."""
+    refuted = "REFUTED, " if found.status == "refuted" else "not refuted, "
+    if found.status == "not testable":
+        return "not tested, because nothing bounds its noise"
+    if found.violated_share is not None:
+        share = outward(100 * found.violated_share, "<=")
+        return f"{refuted}{found.violations} starts are beyond the bound, at most {share} % of the box"
+    left = f", {found.undecided} suspicious starts are undecided" if found.undecided else ""
+    return f"{refuted}evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts, {WEALTH} would refute{left}"
+
+
+def _recheck_sentences(recheck: Recheck | None) -> Iterator[str]:
+    if recheck is not None:
+        yield f"Recheck: {recheck.agreed} of {recheck.rollouts} rollouts, simulated once more, agree bit by bit."
+
+
 def _signed_term(term: float) -> str:
-    """Return a term that is subtracted, with one sign."""
-    return f"{'-' if term >= 0 else '+'} {abs(term):.4f}"
+    """Return a term that is subtracted, with one sign, and rounded so that the sum claims no more."""
+    rounded = float(outward(term, "<="))
+    return f"{'-' if rounded >= 0 else '+'} {abs(rounded):.{DIGITS}f}"
 
 
 def _problem(problem: ProblemResult, console: Console) -> None:
@@ -126,8 +240,10 @@ def _problem(problem: ProblemResult, console: Console) -> None:
         "refuted": "REFUTED: the data contradict the assumptions, so this bound proves nothing",
     }[problem.stopped_by]
     _line(console, f"  {problem.name}", "bold")
-    bound, probability = outward(problem.bound, sense), outward(problem.probability, ">=")
-    _line(console, f"    {problem.objective} {sense} {bound}, probability {probability}")
+    shown = floored(problem.bound, sense, problem.by_clip)
+    alone = " (the clip alone proves it)" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
+    bound, probability = outward(shown, sense), outward(problem.probability, ">=")
+    _line(console, f"    {problem.objective} {sense} {bound}{alone}, probability {probability}")
     rollouts = f"{problem.rollouts.nominal} nominal and {problem.rollouts.true} true rollouts"
     _line(console, f"    {problem.tests} tests with {rollouts}")
     _line(console, f"    {end}", "" if problem.stopped_by == "converged" else "yellow")

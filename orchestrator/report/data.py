@@ -34,6 +34,10 @@ class Claim:
     """The claim in words, bound and probability rounded to the safe side."""
     assumptions: tuple[str, ...]
     refuted: tuple[str, ...]
+    vacuous: bool | None = None
+    """Whether the clip alone proves it."""
+    notes: tuple[str, ...] = ()
+    """What it owes to its constants, in sentences."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +110,10 @@ class Problem:
     """Forecast of the remaining tests, in words."""
     surface: Surface | None
     tests: TestSeries
+    by_clip: float | None = None
+    """What the clip alone proves of the objective; `bound` is never weaker."""
+    warnings: tuple[str, ...] = ()
+    """Constants that contradict each other or the data, in sentences."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +195,22 @@ class Throughput:
     """`recorded[k]` rollouts are recorded `seconds[k]` after the start; at most 200 points."""
     sessions: int
     failures: int
+    system_failures: int = 0
+    """Failures of the system among them; 0 in a database that does not tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class FailedAttempt:
+    """One attempt without a result."""
+
+    rollout: str
+    attempt: int
+    worker: str
+    kind: str | None
+    """"infrastructure" or "system"; None in a database that does not tell."""
+    reason: str
+    ended: float
+    """Unix time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,6 +236,8 @@ class ReportData:
     claims: tuple[Claim, ...]
     composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
+    checks: tuple[str, ...]
+    """What the spot check and the recheck after the campaign showed, a sentence each."""
     problems: tuple[Problem, ...]
     scenes: tuple[RolloutsOfTest, ...]
     """The worst test of each of the worst starts of every problem, the worst first; a live page requests the others."""
@@ -225,6 +251,8 @@ class ReportData:
     software: Mapping[str, str]
     resume: str
     """Command that resumes the campaign."""
+    failed_attempts: tuple[FailedAttempt, ...] = ()
+    """The latest first, at most 50."""
 
 
 def to_json(data: ReportData | RolloutsOfTest) -> str:

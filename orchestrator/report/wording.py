@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 from ...schemas import certificate as document
-from ..certificate.text import QUANTITIES, outward
+from ..campaign.clip import is_vacuous
+from ..certificate.text import QUANTITIES, VACUOUS, notes, outward
 from .data import Claim, Problem
 
 SIGNS = {">=": "≥", "<=": "≤", " -": " \u2212", "rho*": "ρ*"}
@@ -21,9 +22,16 @@ def typeset(text: str) -> str:
     return text
 
 
-def worded(claim: document.CertificateClaim) -> Claim:
-    """Return a claim of the certificate with its sentence."""
-    return Claim(**claim.model_dump(), sentence=claim_sentence(claim))
+def worded(predicate: document.Predicate) -> tuple[Claim, ...]:
+    """Return the claims of a certificate with their sentences."""
+    return tuple(
+        Claim(
+            **claim.model_dump(exclude={"by_clip", "without_data"}),
+            sentence=claim_sentence(claim),
+            notes=tuple(map(typeset, notes(predicate, number))),
+        )
+        for number, claim in enumerate(predicate.claims)
+    )
 
 
 def claim_sentence(claim: document.CertificateClaim) -> str:
@@ -35,6 +43,8 @@ def claim_sentence(claim: document.CertificateClaim) -> str:
     'J* (maximum of the expectation) ≤ 0.5124 with probability at least 0.9876'
     """
     text = _statement(QUANTITIES[claim.quantity], claim.bound, claim.sense, claim.probability)
+    if claim.vacuous:
+        text += f". {VACUOUS.removesuffix('.')}"
     if claim.refuted:
         number = len(claim.refuted)
         text += f". It rests on {number} assumption{'' if number == 1 else 's'} that the data refute: do not rely on it"
@@ -62,7 +72,8 @@ def _problem_bound(problem: Problem) -> str:
             f"{problem.name}: not yet a bound. Method {problem.method} claims one only where it stops; if its budget "
             f"ended here, it would be {would_be}."
         )
-    return f"{_statement(quantity, problem.bound, sense, problem.probability)}."
+    vacuous = f" {VACUOUS}" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
+    return f"{_statement(quantity, problem.bound, sense, problem.probability)}.{vacuous}"
 
 
 def _statement(quantity: str, bound: float, sense: str, probability: float) -> str:

@@ -1,19 +1,23 @@
 """Progress of a campaign as a table with one row per problem."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
 from ...schemas.campaign import CampaignConfig, Problem
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
+from ..campaign.clip import by_clip, floored
 from .format import MINIMA, figure
 
 
-def bound_in_sense(problem: Problem, progress: ProblemProgress) -> float | None:
-    """Return the bound so far in the unit and sense of the problem: -eps for a minimum."""
+def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
+    """Return the bound so far in the unit and sense of the problem: -eps for a minimum; never weaker than the clip."""
     upper = progress.bound.upper if progress.bound else None
-    return -upper if upper is not None and problem.name in MINIMA else upper
+    if upper is None:
+        return None
+    minimum = problem.name in MINIMA
+    return floored(-upper if minimum else upper, "min" if minimum else "max", by_clip(config, problem))
 
 
 def remaining_distance(problem: Problem, progress: ProblemProgress) -> float | None:
@@ -26,8 +30,15 @@ def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemP
     return forecast.tests_left(config, problem, remaining_distance(problem, progress), progress.tests)
 
 
-def progress_table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress, str]]) -> Table:
-    """Return one row per problem, in the order of the campaign file: its progress, and the text of column `left`."""
+def progress_table(
+    config: CampaignConfig,
+    rows: Sequence[tuple[ProblemProgress, str]],
+    checks: Mapping[str, ProblemProgress] | None = None,
+) -> Table:
+    """Return one row per problem, in the order of the campaign file: its progress, and the text of column `left`.
+
+    The checks that have begun follow.
+    """
     found = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
         found.add_column(name, justify="left" if name == "problem" else "right")
@@ -37,9 +48,13 @@ def progress_table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress,
             f"{progress.tests} of {config.max_tests_of(problem)}",
             figure(remaining_distance(problem, progress)),
             f"{problem.alpha:g}",
-            figure(bound_in_sense(problem, progress)),
+            figure(bound_in_sense(config, problem, progress)),
             str(progress.rollouts),
             f"ended: {progress.stopped_by}" if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",
         )
+    for name, progress in (checks or {}).items():
+        most = {"spot_check": config.spot_check + config.spot_check_followups, "recheck": config.recheck}[name]
+        end = "ended" if progress.stopped_by else f"of at most {most} tests"
+        found.add_row(name, str(progress.tests), "", "", "", str(progress.rollouts), end)
     return found

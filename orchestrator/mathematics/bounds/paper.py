@@ -6,7 +6,7 @@ improved between them.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,6 +104,24 @@ class PaperMethod(Method):
         """Add observations whose bounds are known; raises as `observe`."""
         for proposal, observation in tests:
             self._append(proposal, observation)
+
+    def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
+        """Add the tests of a whole campaign, proposed with other constants, and return the bound at the last of them.
+
+        Formula: eps = y_n + max(alpha, F_n) + c, F_n by the constants of this method; no bound after one test. Raises
+        as `observe`.
+        """
+        if len(tests) < 2:
+            self.recall(tests)
+            return Bound(None, None, None)
+        self.recall(tests[:-1])
+        proposal, observation = tests[-1]
+        acquisition = self._acquisition()
+        if self._refine:
+            _, sigma = acquisition.moments(proposal.x)
+        else:
+            sigma = float(acquisition.sigma[proposal.node])
+        return self.observe(replace(proposal, F=regret_bound(acquisition.beta, sigma)), observation)
 
     def stops(self, proposal: Proposal) -> bool:
         """Return whether the campaign may stop once this proposal's observation is recorded: F_i <= alpha."""

@@ -183,7 +183,14 @@ class RigorousMethod(Method):
             IndexError: no candidate has this index.
 
         """
-        self.recall([(proposal, observation)])
+        return self.bound_after([(proposal, observation)])
+
+    def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
+        """Add observations, and return the bound that follows from all of them, none being made in between.
+
+        Raises as `recall`.
+        """
+        self.recall(tests)
         old, now = self._bound, self._bound_now()
         # The sets C_n contain J for all n on one event, so running extremes cost nothing.
         lower, b_min = max(old.lower, now.lower), max(old.b_min, now.b_min)

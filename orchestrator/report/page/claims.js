@@ -44,6 +44,7 @@ function claimSection(report) {
     refutation(report),
     el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "Claim") : "Bounds so far"),
     el("p.claim#claim", sentence(first ? first.sentence : report.now)),
+    first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
     first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
     others.length ? otherClaims(others) : null,
   );
@@ -86,7 +87,7 @@ function assumptionRow(each) {
 function otherClaims(claims) {
   const broken = (claim) => (claim.refuted.length ? el("strong.bad", claim.refuted.length) : 0);
   const rows = claims.map((claim) => [
-    sentence(claim.sentence), words(claim.method), words(claim.rule), claim.assumptions.length, broken(claim),
+    [sentence(claim.sentence), ...claim.notes.map((note) => el("p.muted", sentence(note)))], words(claim.method), words(claim.rule), claim.assumptions.length, broken(claim),
   ]);
   return el(
     "details.more",
@@ -148,6 +149,17 @@ function compositionSection(report) {
   );
 }
 
+
+/** Spot check and recheck after the campaign. */
+function checkSection(report) {
+  const line = (text) => el(text.includes("REFUTED") ? "li.bad" : "li", text);
+  return el(
+    "section#checks",
+    { hidden: report.checks.length === 0 },
+    el("h2", "After the campaign"),
+    el("ul", report.checks.map(line)),
+  );
+}
 
 /** A row: label, bars with marks, number. */
 function barRow(label, bars, text, range, marks) {

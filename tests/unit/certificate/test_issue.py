@@ -36,9 +36,12 @@ def account(problem_index: int, y: float, campaign: str = "segway-paper", **chan
     problem = chosen.problems[problem_index]
     assert isinstance(problem, PaperProblem)
     return Account(
-        plan(chosen, SPEC, problem),
-        link="0" * 64,
+        "0" * 64,
+        plan=plan(chosen, SPEC, problem),
         observations=[y, y],
+        each=[(y,), (y,)],
+        nodes=[0, 3],
+        proposed=[Proposal(0, (0.0, 0.0), 0.0, 1.0, None, None), Proposal(3, (5.0, 0.0), 0.1, 0.01, 0.4, 0.0099)],
         robustness=[0.71, 0.75],
         counts={"nominal": 2, "true": 2 * (problem_index == 1)},
         last_proposal=Proposal(3, (5.0, 0.0), 0.1, 0.01, 0.4, 0.0099),
@@ -49,6 +52,7 @@ def account(problem_index: int, y: float, campaign: str = "segway-paper", **chan
 def issued(header: Header, accounts: dict[str, Account]) -> Certificate:
     ledger = Ledger(Path(), MemoryFactStore(header))
     ledger.accounts = accounts
+    ledger.series = {**accounts}
     return issue(ledger, manifest(FILES))
 
 

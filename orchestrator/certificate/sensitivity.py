@@ -1,0 +1,142 @@
+"""What a claim owes to its constants: its value by the clip, without rollouts, and with other constants.
+
+A claim from a kernel follows from B, the kernel and the prior mean as much as from the rollouts. Every number here is a
+function of the campaign file and of the observations, so that `verify` computes it again.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from ...schemas import certificate as document
+from ...schemas.campaign import CampaignConfig, PaperProblem, RigorousProblem
+from ..campaign.account import Account
+from ..campaign.clip import by_clip, floored, is_vacuous, least_risk
+from ..campaign.methods import Methods, ProblemMethod, method
+from ..campaign.plan import Plans, ProblemPlan
+from ..mathematics.bounds.rounding import decimal
+from ..mathematics.bounds.scenario import ScenarioMethod
+from .claims import Basis, Results, bases, bound
+from .problem_results import in_sense
+
+Constant = Literal["rkhs_norm", "length_scale"]
+
+VARIATIONS: tuple[tuple[Constant, float], ...] = (("rkhs_norm", 2.0), ("rkhs_norm", 4.0), ("length_scale", 0.5))
+"""The constants that a claim is computed again with, in the order of the certificate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Varied:
+    """The problems of a campaign with another constant: their results and methods, without those that give no bound."""
+
+    results: Results
+    methods: Methods
+
+
+def with_clip(results: Results, config: CampaignConfig) -> Results:
+    """Return the results with what the clip alone proves of each objective."""
+    limits = {problem.name: by_clip(config, problem) for problem in config.problems}
+    return {name: each.model_copy(update={"by_clip": limits[each.name]}) for name, each in results.items()}
+
+
+def without_rollouts(
+    claims: Sequence[document.CertificateClaim], config: CampaignConfig, plans: Plans, results: Results
+) -> tuple[document.CertificateClaim, ...]:
+    """Return the claims with what follows without any rollout, from the clip and from the constants."""
+    alone = {
+        name: each.model_copy(update={"bound": _without_data(plans[name], each.bound)})
+        for name, each in results.items()
+    }
+    found = []
+    for basis, claim in zip(bases(config), claims, strict=True):
+        limit = _limit(basis, config, results)
+        update: dict[str, float | bool | None] = {"by_clip": limit, "bound": floored(claim.bound, claim.sense, limit)}
+        if limit is not None:
+            update["vacuous"] = is_vacuous(claim.bound, claim.sense, limit)
+        if _from_kernels(basis, plans):
+            update["without_data"] = floored(bound(basis, plans, alone, None), claim.sense, limit)
+        found.append(claim.model_copy(update=update))
+    return tuple(found)
+
+
+def sensitivity(
+    claims: Sequence[document.CertificateClaim],
+    config: CampaignConfig,
+    accounts: Mapping[str, Account],
+    results: Results,
+) -> tuple[document.Sensitivity, ...] | None:
+    """Return every claim from kernels with other constants, from the recorded tests; None if there is no such claim."""
+    plans = {name: account.plan for name, account in accounts.items()}
+    numbered = [(k, basis) for k, basis in enumerate(bases(config)) if _from_kernels(basis, plans)]
+    if not numbered:
+        return None
+    varied = {each: _varied(accounts, results, *each) for each in VARIATIONS}
+    return tuple(
+        document.Sensitivity(
+            claim=k,
+            constant=constant,
+            factor=factor,
+            bound=_bound_with(varied[constant, factor], basis, plans, claims[k]),
+        )
+        for k, basis in numbered
+        for constant, factor in VARIATIONS
+    )
+
+
+def _bound_with(varied: Varied, basis: Basis, plans: Plans, claim: document.CertificateClaim) -> float | None:
+    # One problem without a bound, or with a refuted one: the claim rests on both.
+    if not set(basis.problems) <= set(varied.results):
+        return None
+    return floored(bound(basis, plans, varied.results, varied.methods), claim.sense, claim.by_clip)
+
+
+def _varied(accounts: Mapping[str, Account], results: Results, constant: Constant, factor: float) -> Varied:
+    found: dict[str, document.ProblemResult] = {}
+    methods: dict[str, ProblemMethod] = {}
+    for name, account in accounts.items():
+        changed = _with_constant(account.plan, constant, factor)
+        if changed is None:
+            continue
+        tests = account.closed
+        # A kernel can be out of the range of the mathematics with another constant; then it gives no bound.
+        try:
+            fresh = method(changed)
+            assert not isinstance(fresh, ScenarioMethod)
+            again = fresh.bound_after(tests)
+        except ValueError:
+            continue
+        if again.upper is None or again.verdict == "refuted":
+            continue
+        methods[name] = fresh
+        found[name] = results[name].model_copy(update={"bound": in_sense(changed.problem, again.upper)})
+    return Varied(found, methods)
+
+
+def _with_constant(plan: ProblemPlan, constant: Constant, factor: float) -> ProblemPlan | None:
+    """Return a plan with one constant multiplied; None for a problem without a kernel."""
+    problem = plan.problem
+    if not isinstance(problem, PaperProblem | RigorousProblem):
+        return None
+    if constant == "rkhs_norm":
+        return replace(plan, problem=problem.model_copy(update={"rkhs_norm": factor * problem.rkhs_norm}))
+    kernel = problem.kernel.model_copy(update={"length_scale": factor * problem.kernel.length_scale})
+    return replace(plan, problem=problem.model_copy(update={"kernel": kernel}))
+
+
+def _without_data(plan: ProblemPlan, otherwise: float) -> float:
+    """Return the bound of a problem before its first rollout; `otherwise` for a problem without a kernel."""
+    problem = plan.problem
+    if not isinstance(problem, PaperProblem | RigorousProblem):
+        return otherwise
+    tau = problem.misspecification if isinstance(problem, RigorousProblem) else 0.0
+    # k(z, z) = 1: no |J - m0| exceeds the norm bound. Summed as printed: .05 + .1 is .15.
+    return in_sense(problem, float(sum(map(decimal, (problem.prior_mean, problem.rkhs_norm, tau)))))
+
+
+def _limit(basis: Basis, config: CampaignConfig, results: Results) -> float | None:
+    """Return what the clip alone proves of the quantity of a claim; a composition is about the risk."""
+    return results[basis.problems[0]].by_clip if basis.rule == "single" else least_risk(config)
+
+
+def _from_kernels(basis: Basis, plans: Plans) -> bool:
+    return all(isinstance(plans[name].problem, PaperProblem | RigorousProblem) for name in basis.problems)
