@@ -32,6 +32,8 @@ class ProblemPlan:
     problem: Problem
     candidates: Lattice | Points
     """The starting conditions that tests are chosen from; parameters in the order of the system."""
+    parameters: tuple[str, ...]
+    """The names of the parameters, in this order."""
     window: int
     replicates: int
     budget: int
@@ -93,6 +95,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
     return ProblemPlan(
         problem=problem,
         candidates=candidates,
+        parameters=tuple(parameter.name for parameter in spec.parameters),
         window=config.window_of(problem),
         replicates=replicates,
         budget=tests,
