@@ -5,11 +5,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from .base import Model, digest
-from .system import OptionValue, Variant
+from .problems import CLAIMS, OBJECTIVES, MethodName, ProblemName, Sense, any_of
+from .system import OptionValue
 
-ProblemName = Literal["nominal_robustness", "sim_gap", "true_risk", "maximum"]
-MethodName = Literal["paper", "rigorous", "scenario"]
-Sense = Literal["min", "max"]
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -20,19 +18,6 @@ MAX_NU = 40
 
 DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline"}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
-
-SENSES: dict[ProblemName, Sense] = {
-    "nominal_robustness": "min",
-    "sim_gap": "max",
-    "true_risk": "min",
-    "maximum": "max",
-}
-ROLLED_OUT: dict[ProblemName, tuple[Variant, ...]] = {
-    "nominal_robustness": ("nominal",),
-    "sim_gap": ("nominal", "true"),
-    "true_risk": ("true",),
-    "maximum": ("true",),
-}
 
 
 class SystemChoice(Model, extra="allow"):
@@ -50,9 +35,9 @@ class SystemChoice(Model, extra="allow"):
 class Range(Model):
     """All values of one parameter of the starting condition d."""
 
-    low: float = Field(description="least value")
-    high: float = Field(description="greatest value")
-    unit: str = Field(default="", description="checked against the system's, if given")
+    low: float = Field(description="smallest value")
+    high: float = Field(description="largest value")
+    unit: str = Field(default="", description="if given, must be that of the system's parameter")
 
     @model_validator(mode="after")
     def _ordered(self) -> "Range":
@@ -99,7 +84,7 @@ Space = Annotated[
 class MaternKernel(Model):
     """Matern kernel of unit amplitude."""
 
-    nu: float = Field(gt=0, le=50, description="smoothness")
+    nu: float = Field(gt=0, le=50, description="smoothness; at most 40 in method `rigorous` and with `refine = true`")
     length_scale: Positive | Annotated[dict[str, Positive], Field(min_length=1)] = Field(
         description="distance over which the objective changes: one number per parameter by name, each in its unit; or "
         "one number for all of them"
@@ -129,12 +114,14 @@ class Gap(Model):
 
     kind: Literal["signal_sup", "predicate_sup", "robustness"] = Field(
         default="signal_sup",
-        description="largest difference over time: in one column, or in any predicate of the specification; "
-        "or the signed difference nominal - true of the robustness",
+        description="`signal_sup`: largest difference over time in one column; `predicate_sup`: in any predicate of "
+        "the specification; `robustness`: robustness of the nominal minus that of the true trajectory",
     )
-    column: str | None = Field(default=None, description="`signal_sup` only: a column of the system")
+    column: str | None = Field(default=None, description="`signal_sup` only, required: a column of the trajectory")
     lipschitz: float = Field(
-        default=1.0, gt=0, description="L: robustness changes by at most L times the gap; 1 but for `signal_sup`"
+        default=1.0,
+        gt=0,
+        description="L: robustness changes by at most L times the gap; must be 1 except for `signal_sup`",
     )
 
     @model_validator(mode="after")
@@ -150,8 +137,10 @@ class Gap(Model):
 class Linearised(Model):
     """E rho - r sd(rho) >= E[X], X = rho - (r/2) ((rho - centre)^2 / spread + spread)."""
 
-    centre: float = Field(description="about the mean of the robustness at the worst start")
-    spread: float = Field(gt=0, description="about its standard deviation there; larger is safer against falls")
+    centre: float = Field(description="choose about the mean robustness at the worst start")
+    spread: float = Field(
+        gt=0, description="choose about the standard deviation there; a larger one loses less by rare falls"
+    )
 
 
 class Weighted(Model):
@@ -165,10 +154,12 @@ class _Problem(Model):
     """The keys of every optimisation problem."""
 
     name: ProblemName = Field(description="which objective")
-    sense: Sense | None = Field(default=None, description="min or max; follows from the name")
-    column: str | None = Field(default=None, description="`maximum` only: the column whose expectation is maximised")
+    sense: Sense | None = Field(default=None, description="follows from the name; may be left out")
+    column: str | None = Field(
+        default=None, description="`maximum` only, required: the column whose expected peak is maximised"
+    )
     delta: float = Field(gt=0, lt=1, description="failure probability of the confidence band")
-    alpha: float = Field(gt=0, description="tolerance; unit of the objective")
+    alpha: float = Field(gt=0, description="tolerance at which the problem stops; unit of the objective")
     window: int | None = Field(default=None, ge=1, le=10_000, description="overrides the campaign's")
     replicates: int | None = Field(default=None, ge=1, le=100_000, description="overrides the campaign's")
     resolution: int | None = Field(default=None, ge=2, description="overrides the campaign's")
@@ -177,11 +168,12 @@ class _Problem(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> "_Problem":
-        if self.sense not in (None, SENSES[self.name]):
-            raise ValueError(f"sense: {self.sense!r} must be {SENSES[self.name]!r} for {self.name}, or be left out")
-        if self.column is not None and self.name != "maximum":
+        sense, of_column = OBJECTIVES[self.name].sense, OBJECTIVES[self.name].measured == "column"
+        if self.sense not in (None, sense):
+            raise ValueError(f"sense: {self.sense!r} must be {sense!r} for {self.name}, or be left out")
+        if self.column is not None and not of_column:
             raise ValueError(f"column: only problem 'maximum' has one, not {self.name!r}")
-        if self.column is None and self.name == "maximum":
+        if self.column is None and of_column:
             raise ValueError("column: required by problem 'maximum': the column whose expectation is maximised")
         return self
 
@@ -189,8 +181,10 @@ class _Problem(Model):
 class _KernelProblem(_Problem):
     """The keys of methods with a Gaussian process."""
 
-    rkhs_norm: float = Field(gt=0, description="B: bound on the norm of the centred objective")
-    prior_mean: float = Field(default=0.0, description="m0: the GP models J - m0, J the maximised objective")
+    rkhs_norm: float = Field(gt=0, description="B: bound on the norm of J - m0 in the space of the kernel")
+    prior_mean: float = Field(
+        default=0.0, description="m0: the Gaussian process models J - m0; J is the maximised objective"
+    )
     kernel: MaternKernel = Field(description="Matern kernel of unit amplitude; B sets the scale")
 
 
@@ -201,12 +195,18 @@ class PaperProblem(_KernelProblem):
     c: float = Field(gt=0, description="margin for the noise of the last observation; unit of the objective")
     noise_scale: float = Field(
         ge=0,
-        description="R: sub-Gaussian noise of one rollout; of one observation for true_risk, which is not a mean",
+        description="R: sub-Gaussian scale of the noise of one rollout; for `true_risk`, of one observation",
     )
-    regulariser: Literal["1+eta"] | Positive = Field(default="1+eta", description="lambda on the diagonal of K")
-    sigma: Literal["variance", "std"] = Field(default="variance", description="how eq. (GP_sigma) is read")
-    tail: Literal["gaussian", "sub-gaussian"] = Field(default="gaussian", description="tail of the noise in Delta")
-    refine: bool = Field(default=False, description="improve the best node between the nodes, to 1/16 of a cell")
+    regulariser: Literal["1+eta"] | Positive = Field(
+        default="1+eta", description="lambda, added to the diagonal of K; eta = 2/i"
+    )
+    sigma: Literal["variance", "std"] = Field(
+        default="variance", description="reading of sigma: posterior variance or standard deviation"
+    )
+    tail: Literal["gaussian", "sub-gaussian"] = Field(
+        default="gaussian", description="tail of the noise in the probability Delta"
+    )
+    refine: bool = Field(default=False, description="search around the best node as well, to 1/16 of a cell")
 
     @model_validator(mode="after")
     def _noisy(self) -> "PaperProblem":
@@ -222,27 +222,31 @@ class RigorousProblem(_KernelProblem):
 
     method: Literal["rigorous"] = Field(description="bounds that are valid at any time")
     noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] = Field(
-        description="R: sub-Gaussian noise of one rollout; 'derived' from the clip by Hoeffding; 0 without noise"
+        description="R: sub-Gaussian scale of the noise of one rollout; `derived`: from the clip (Hoeffding); 0: none"
     )
     regulariser: Annotated[float, Field(ge=1e-9)] | tuple[Weighted, ...] | None = Field(
-        default=None, description="lambda, or a mixture fixed beforehand; by default four values from R and B"
+        default=None, description="lambda, or a mixture of several; by default four values from R and B"
     )
     misspecification: float = Field(
-        default=0.0, ge=0, description="tau: J - m0 may differ so much from a function of norm B"
+        default=0.0, ge=0, description="tau: largest difference between J - m0 and a function of norm B"
     )
     round_off: float = Field(default=1e-9, gt=0, description="tau0: round-off of a simulator without noise")
-    slack: float | None = Field(default=None, gt=0, description="what the box may add to its lattice; default alpha/4")
-    linearised: Linearised | None = Field(default=None, description="`true_risk` only: the risk as an expectation")
+    slack: float | None = Field(
+        default=None, gt=0, description="tolerance of the maximum over a box; at most alpha, default alpha/4"
+    )
+    linearised: Linearised | None = Field(
+        default=None, description="`true_risk` only, required: constants of an expectation that bounds the risk"
+    )
 
     @model_validator(mode="after")
     def _rigorous(self) -> "RigorousProblem":
-        if (self.linearised is None) == (self.name == "true_risk"):
+        if (self.linearised is None) == OBJECTIVES[self.name].risk:
             raise ValueError("linearised: required by problem 'true_risk' with method 'rigorous', and only there")
         if isinstance(self.regulariser, tuple) and sum(each.weight for each in self.regulariser) > 1 + 1e-12:
             raise ValueError("regulariser: the weights must sum to at most 1")
         if self.kernel.nu > MAX_NU:
             raise ValueError(f"kernel.nu: {self.kernel.nu:g} must be at most {MAX_NU} in method 'rigorous'")
-        if self.noise_scale == "derived" and self.name == "maximum":
+        if self.noise_scale == "derived" and OBJECTIVES[self.name].measured == "column":
             raise ValueError("noise_scale: 'derived' needs a clipped objective, which 'maximum' has not: give a number")
         if self.slack is not None and self.slack > self.alpha:
             raise ValueError(f"slack: {self.slack:g} must be at most alpha = {self.alpha:g}")
@@ -252,15 +256,20 @@ class RigorousProblem(_KernelProblem):
 class ScenarioProblem(_Problem):
     """Betting bounds on finitely many starts, without a kernel."""
 
+    delta: float = Field(gt=0, lt=1, description="failure probability of the bound")
     method: Literal["scenario"] = Field(description="finitely many starts, no kernel")
     linearised: Linearised | None = Field(
-        default=None, description="the risk as an expectation; without it the mean and Bhatia-Davis"
+        default=None,
+        description="`true_risk` only: constants of an expectation that bounds the risk; without them, Bhatia-Davis",
     )
 
     @model_validator(mode="after")
     def _direct(self) -> "ScenarioProblem":
-        if self.name != "true_risk":
-            raise ValueError(f"name: method 'scenario' bounds 'true_risk', not {self.name!r}")
+        allowed = tuple(name for name, each in OBJECTIVES.items() if "scenario" in each.methods)
+        if self.name not in allowed:
+            raise ValueError(f"name: method 'scenario' bounds {any_of(allowed)}, not {self.name!r}")
+        if self.linearised is not None and not OBJECTIVES[self.name].risk:
+            raise ValueError(f"linearised: only problem 'true_risk' has it, not {self.name!r}; remove this key")
         return self
 
 
@@ -275,33 +284,50 @@ PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
 class CampaignConfig(Model):
     """A whole campaign file."""
 
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$", description="names the run directory")
-    seed: int = Field(ge=0, lt=2**53, description="every random choice follows from it; `--seed` overrides it")
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$", description="also names the run directory")
+    seed: int = Field(ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
     window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")
     replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
     resolution: int = Field(default=21, ge=2, description="lattice nodes per parameter")
-    max_tests: int = Field(default=2000, ge=1, le=1_000_000, description="budget per problem")
-    horizon: float = Field(default=0.0, ge=0, description="length of a rollout in s; 0 for a function")
-    risk_weight: float = Field(default=0.2, gt=0, description="r of rho* = min E - r sd")
-    clip: tuple[float, float] | None = Field(default=None, description="[-m, M]: robustness is clipped to it")
-    specification: str | None = Field(default=None, max_length=10_000, description="STL formula over the columns")
-    gap: Gap | None = Field(default=None, description="how true and nominal trajectory are compared")
+    max_tests: int = Field(default=2000, ge=1, le=1_000_000, description="largest number of tests per problem")
+    horizon: float = Field(
+        default=0.0, ge=0, description="duration of a rollout in s; 0 for a function, whose rollout is one sample"
+    )
+    risk_weight: float = Field(default=0.2, gt=0, description="r of the risk E[rho] - r sd[rho]")
+    clip: tuple[float, float] | None = Field(
+        default=None,
+        description="[-m, M]: range to which robustness is clipped; not needed by `maximum`, nor by `robustness` with "
+        "noise_scale = 0",
+    )
+    specification: str | None = Field(
+        default=None, max_length=10_000, description="STL formula over trajectory columns"
+    )
+    gap: Gap | None = Field(default=None, description="how `sim_gap` compares two trajectories")
     composition: Rule = Field(
-        description="how the first claim follows: Theorem 2 with the product or the sum rule, Bhatia-Davis from two "
-        "extremes or pointwise, or one problem alone"
+        description="rule of the first claim: Theorem 2 with multiplied probabilities, or with added failure "
+        "probabilities; Bhatia-Davis with two extremes, or pointwise; one problem alone"
     )
     visual: Literal["all", "none"] = Field(
-        default="all", description="visual part of the trajectory files, for viewers: drawn in each of them, or in none"
+        default="all", description="trajectory files with a visual part, for viewers: all, or none"
     )
     max_attempts: int = Field(
-        default=5, ge=1, le=1000, description="failed attempts of a rollout that end the campaign"
+        default=5, ge=1, le=1000, description="number of failed attempts of one rollout that ends the campaign"
     )
-    hung_after: float = Field(default=10.0, ge=1, description="s without progress after which a worker is given up")
-    deadline: float = Field(default=600.0, ge=1, description="s that one attempt may last")
+    hung_after: float = Field(default=10.0, ge=1, description="seconds without progress that end an attempt")
+    deadline: float = Field(default=600.0, ge=1, description="longest duration of an attempt in s")
+    spot_check: int = Field(
+        default=299, ge=0, le=100_000, description="fresh starts on a box that test every bound after its campaign"
+    )
+    spot_check_followups: int = Field(
+        default=299, ge=0, le=1_000_000, description="further rollouts at suspicious starts, where values are noisy"
+    )
+    recheck: int = Field(
+        default=20, ge=0, le=10_000, description="recorded rollouts that are simulated once more before the certificate"
+    )
     system: SystemChoice = Field(description="the system under test")
-    space: Space = Field(description="D: all starting conditions, a range per parameter or a list of scenarios")
+    space: Space = Field(description="D, all starting conditions: a range per parameter, or scenarios")
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
-        min_length=1, description="what is bounded"
+        min_length=1, description="the optimisation problems"
     )
 
     @model_validator(mode="after")
@@ -318,14 +344,28 @@ class CampaignConfig(Model):
         return self
 
     def _check_objective(self, problem: Problem) -> None:
-        if problem.name != "maximum":
-            for key in ("specification", "clip"):
-                if getattr(self, key) is None:
-                    raise ValueError(f"{key}: required by problem {problem.name!r}")
-            if self.horizon == 0:
-                raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
-        if problem.name == "sim_gap" and self.gap_of(problem) is None:
+        objective = OBJECTIVES[problem.name]
+        if objective.measured != "column":
+            if self.specification is None:
+                raise ValueError(f"specification: required by problem {problem.name!r}")
+            if self.clip is None:
+                self._check_unclipped(problem)
+        if self.horizon == 0 and not objective.static:
+            raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
+        if objective.measured == "gap" and self.gap_of(problem) is None:
             raise ValueError('gap: required by problem \'sim_gap\', e.g. { kind = "signal_sup", column = "phi" }')
+
+    @staticmethod
+    def _check_unclipped(problem: Problem) -> None:
+        """Refuse a robustness without a range where a mean, or a difference, has to be bounded."""
+        if not OBJECTIVES[problem.name].static:
+            raise ValueError(f"clip: required by problem {problem.name!r}")
+        # Without noise an observation is the value itself, and no mean of a bounded variable.
+        if not isinstance(problem, RigorousProblem) or problem.noise_scale != 0:
+            raise ValueError(
+                f"clip: required by problem {problem.name!r} with noise; give [low, high], or choose method 'rigorous' "
+                "with noise_scale = 0 for rollouts that do not depend on the seed"
+            )
 
     def _check_method(self, problem: Problem) -> None:
         where = f"problems.{problem.name}"
@@ -334,7 +374,7 @@ class CampaignConfig(Model):
         if problem.method == "paper":
             if not isinstance(self.space, dict):
                 raise ValueError(f"{where}.method: 'paper' needs a box under [space]: low and high per parameter")
-            if problem.name == "true_risk" and self.replicates_of(problem) < 2:
+            if OBJECTIVES[problem.name].risk and self.replicates_of(problem) < 2:
                 raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
             if self.window_of(problem) != 1:
                 raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
@@ -351,7 +391,7 @@ class CampaignConfig(Model):
             if len(names) != 1:
                 raise ValueError("composition: 'single' is for one problem; allowed here: 'product', 'sum'")
             if names & pair:
-                raise ValueError("composition: 'single' makes a claim of 'true_risk' or 'maximum' only")
+                raise ValueError(f"composition: 'single' makes a claim of {any_of(CLAIMS)} only")
             return
         if not pair <= names:
             raise ValueError(f"composition: {rule!r} needs the problems 'nominal_robustness' and 'sim_gap'")
@@ -364,8 +404,8 @@ class CampaignConfig(Model):
             raise ValueError("composition: 'pointwise' needs one resolution for both problems")
 
     def gap_of(self, problem: Problem) -> Gap | None:
-        """Return the gap of one problem."""
-        return problem.gap or self.gap
+        """Return the gap of one problem; None for one that compares no trajectories."""
+        return problem.gap or self.gap if OBJECTIVES[problem.name].measured == "gap" else None
 
     def window_of(self, problem: Problem) -> int:
         """Return the tests in flight of one problem."""

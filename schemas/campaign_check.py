@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator
 
-from .campaign import ROLLED_OUT, CampaignConfig, Scenarios
+from .campaign import CampaignConfig, Scenarios
 from .errors import CampaignError
+from .problems import rolled_out
 from .system import SystemSpec
 
 
@@ -100,10 +101,11 @@ def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     if config.horizon > spec.max_horizon:
         faults.append(f"horizon: {config.horizon:g} s is more than the {spec.max_horizon:g} s of {spec.name}")
     for problem in config.problems:
-        missing = set(ROLLED_OUT[problem.name]) - set(spec.variants)
+        variants = set(rolled_out(problem.name, spec))
+        missing = variants - set(spec.variants)
         if missing:
             faults.append(f"problems.{problem.name}: {spec.name} has no variant {', '.join(sorted(missing))}")
-        noisy = set(ROLLED_OUT[problem.name]) & set(spec.noisy)
+        noisy = variants & set(spec.noisy)
         if problem.method == "rigorous" and problem.noise_scale == 0 and noisy:
             faults.append(
                 f"problems.{problem.name}.noise_scale: 0 has no meaning for the {' and '.join(sorted(noisy))} variant "

@@ -15,7 +15,6 @@ from pydantic import ValidationError
 from .base import Model
 from .campaign import (
     PROBLEM_MODELS,
-    SENSES,
     CampaignConfig,
     Gap,
     Linearised,
@@ -26,6 +25,7 @@ from .campaign import (
     Weighted,
 )
 from .errors import CampaignError
+from .problems import OBJECTIVES
 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""
@@ -139,7 +139,7 @@ def _key(location: Location, table: dict[str, Any]) -> str:
     if parts and parts[0] == "problems" and len(parts) > 1 and parts[2:] != ["name"]:
         problem = table["problems"][int(parts[1])]
         name = problem.get("name") if isinstance(problem, dict) else None
-        parts[1] = name if isinstance(name, str) and name in SENSES else parts[1]
+        parts[1] = name if isinstance(name, str) and name in OBJECTIVES else parts[1]
     return ".".join(parts)
 
 

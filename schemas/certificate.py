@@ -6,7 +6,8 @@ from typing import Literal
 from pydantic import Field
 
 from .base import Model
-from .campaign import ProblemName, Rule, Sense
+from .campaign import Rule
+from .problems import ProblemName, Quantity, Sense
 from .values import StoppedBy
 
 STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
@@ -34,7 +35,7 @@ class CampaignId(Model):
 class CertificateClaim(Model):
     """P[quantity (>= | <=) bound] >= probability, resting on the named assumptions."""
 
-    quantity: Literal["rho_star", "J_star"]
+    quantity: Quantity
     sense: Literal[">=", "<="]
     bound: float
     probability: float
@@ -107,6 +108,46 @@ class CompositionTerms(Model):
     bound: float
 
 
+class SpotCheckedProblem(Model):
+    """The finding of the spot check for the bound of one problem; `limit` is that bound, in its sense."""
+
+    name: ProblemName
+    status: Literal["refuted", "not refuted", "not testable"]
+    limit: float
+    noisy: bool
+    rollouts: int = Field(description="that tested this bound, follow-ups included")
+    violations: int = Field(description="starts whose first rollout is beyond the limit; of noisy values no refutation")
+    violated_share: float | None = Field(
+        description="upper bound of the violated share of the box; not of noisy values"
+    )
+    start: tuple[float, ...] | None = Field(description="a start at which the bound is refuted, if one is known")
+    wealth: float | None = Field(description="of the test of noisy values; 1 / level refutes")
+    undecided: int | None = Field(description="starts whose noisy values are suspicious, and not refuted")
+
+
+class SpotCheck(Model):
+    """Fresh uniform starts after the campaign; each statement fails with probability `level` at most."""
+
+    starts: int
+    rollouts: Rollouts
+    level: float
+    failures: int | None = Field(description="starts whose first rollout violates the specification")
+    failure_probability: float | None = Field(
+        description="upper bound of the probability that a rollout at a uniform start violates the specification"
+    )
+    problems: tuple[SpotCheckedProblem, ...]
+
+
+class Recheck(Model):
+    """Recorded rollouts, drawn when the other evidence was fixed and simulated once more."""
+
+    rollouts: int
+    agreed: int = Field(description="rollouts that gave the same trajectory, bit by bit")
+    unseen_share: float = Field(
+        description="if a larger share of all rollouts were irreproducible, the recheck would have shown it with .95"
+    )
+
+
 class Sensitivity(Model):
     """A claim with one constant of its kernel problems multiplied by `factor`, from the same tests.
 
@@ -141,6 +182,8 @@ class Predicate(Model):
     problems: tuple[ProblemResult, ...]
     composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
+    spot_check: SpotCheck | None = Field(default=None, description="not in older certificates")
+    recheck: Recheck | None = Field(default=None, description="not in older certificates")
     evidence: Evidence
     software: dict[str, str]
     rules: int | None = Field(
@@ -165,8 +208,7 @@ class Certificate(Model):
         # Fields that an earlier perfbound did not have are left out, so that its certificates keep their bytes.
         predicate = value["predicate"]
         for part, key in (
-            (predicate, "rules"),
-            (predicate, "sensitivity"),
+            *((predicate, key) for key in ("rules", "sensitivity", "spot_check", "recheck")),
             (predicate["campaign"], "system_sha256"),
             *((claim, key) for claim in predicate["claims"] for key in ("by_clip", "without_data", "vacuous")),
             *((problem, "by_clip") for problem in predicate["problems"]),

@@ -29,6 +29,10 @@ class EvidenceError(PerfboundError):
     """A trajectory file is missing, or is not the one that was recorded."""
 
 
+class UnusableTrajectoryError(TrajectoryError, EvidenceError):
+    """The file is intact, but its trajectory is not finite, not ordered or not whole, or has other columns."""
+
+
 class RequestError(EvidenceError):
     """The trajectory was simulated for another request."""
 

@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+CHECKS = ("spot_check", "recheck")
+"""Series of tests that follow those of the problems, in this order."""
+
 
 class RolloutId(NamedTuple):
     """One rollout of the campaign."""

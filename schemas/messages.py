@@ -1,11 +1,12 @@
 """The messages between the orchestrator and its workers; each one is validated and bounded."""
 
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from .base import Model
 from .errors import MessageError
+from .failure import FailureKind
 from .rollout import MAX_FILE_BYTES, RolloutRequest
 
 PROTOCOL = 1
@@ -77,8 +78,15 @@ class ResultHeader(Model):
     outcome: Literal["done", "failed"]
     sha256: str = Field(default="", pattern=r"^([0-9a-f]{64})?$")
     error: str = Field(default="", max_length=4000)
+    kind: FailureKind | None = Field(default=None, description="of a failed attempt; if it is missing, infrastructure")
     cpu_seconds: float = Field(default=0.0, ge=0)
     wall_seconds: float = Field(default=0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        if self.outcome == "done" and self.kind is not None:
+            raise ValueError("a result has no kind of failure")
+        return self
 
 
 T = TypeVar("T")

@@ -19,13 +19,23 @@ from .campaign import (
     SystemChoice,
     Weighted,
 )
+from .problems import OBJECTIVES, Objective
 
 HEAD = """# Reference: campaign files
 
-This page is generated from `schemas/campaign.py` by `make schemas`; the same keys as
-[JSON Schema](../schemas/json/v1/campaign.json). A campaign file is written in TOML; a file with an unknown key is
-refused. Length scales have the unit of the system's parameters, robustness has the unit of the predicates, and times
-are in s.
+This page is generated from `schemas/campaign.py` and `schemas/problems.py` by `make schemas`; a
+[JSON Schema](../schemas/json/v1/campaign.json) has the same keys. A campaign file is written in TOML; a file with an
+unknown key is refused. Robustness has the unit of the predicates. [Theory](theory.md) explains the symbols,
+[STL](stl.md) the specifications.
+"""
+PROBLEMS = """
+## Problems
+
+The names of `[[problems]]`. The bound of a problem with a quantity is a claim by itself; alone it has
+`composition = "single"`. The others are terms of a composition.
+
+| name | bounded | rolled out | methods | quantity |
+|---|---|---|---|---|
 """
 TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Top level", "", CampaignConfig),
@@ -34,30 +44,57 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("[space], scenarios", "Instead of ranges: `scenarios = [[0.5, 0.5], [1.5, 0.5]]`.", Scenarios),
     ("[[problems]], method paper", "One table per optimisation problem; each name at most once.", PaperProblem),
     ("[[problems]], method rigorous", "", RigorousProblem),
-    ("[[problems]], method scenario", "", ScenarioProblem),
+    ("[[problems]], method scenario", "`resolution` and `gap` have no effect with this method.", ScenarioProblem),
     ("kernel", "", MaternKernel),
     ("gap", "", Gap),
     ("linearised", "", Linearised),
     ("regulariser, entries of a mixture", "", Weighted),
 )
+ALLOWED = {
+    (CampaignConfig, "space"): "tables, or a list of scenarios",
+    (PaperProblem, "window"): "`1`",
+    (PaperProblem, "max_tests"): "whole number >= 2 <= 1e+06",
+    (PaperProblem, "noise_scale"): "number > 0",
+    (ScenarioProblem, "name"): "`true_risk`",
+    (ScenarioProblem, "sense"): "`min`",
+    (Scenarios, "scenarios"): "lists of numbers, or text",
+}
+"""Values that the type of a key does not show: the file's reader or a validator decides them."""
+OMITTED = {(ScenarioProblem, name) for name in ("column", "resolution", "gap")}
+"""Keys that a method inherits and refuses or ignores."""
+SECTIONS = {"SystemChoice": "system", "MaternKernel": "kernel", "Gap": "gap", "Linearised": "linearised"}
+"""The section of this page that describes a table, by the name of its model."""
 
 
 def page() -> str:
     """Return the page as Markdown."""
-    return HEAD + "".join(
+    sections = [
         f"\n## {title}\n\n{note + chr(10) * 2 if note else ''}{_key_table(model)}" for title, note, model in TABLES
-    )
+    ]
+    return HEAD + "".join(sections) + PROBLEMS + "".join(_problem_row(*row) for row in OBJECTIVES.items())
+
+
+def _problem_row(name: str, objective: Objective) -> str:
+    variants = " and ".join(f"`{each}`" for each in objective.variants) or "`true`, or the only variant"
+    methods = ", ".join(f"`{each}`" for each in objective.methods)
+    words = objective.statement.words.format(gap="gap")
+    quantity = f"`{objective.statement.quantity}`" if objective.statement.quantity else "-"
+    if objective.exact:
+        words += f"; with `noise_scale = 0`, and then without need of a clip, {objective.exact.words}"
+        quantity += f" or `{objective.exact.quantity}`"
+    return f"| `{name}` | {words} | {variants} | {methods} | {quantity} |\n"
 
 
 def _key_table(model: type[BaseModel]) -> str:
     schema = TypeAdapter(model).json_schema()
-    rows = [_row(name, part, name in schema.get("required", ())) for name, part in schema["properties"].items()]
+    shown = ((name, part) for name, part in schema["properties"].items() if (model, name) not in OMITTED)
+    rows = [_row(name, part, name in schema.get("required", ()), ALLOWED.get((model, name))) for name, part in shown]
     return "| key | allowed | default | meaning |\n|---|---|---|---|\n" + "".join(rows)
 
 
-def _row(name: str, part: dict[str, Any], required: bool) -> str:
+def _row(name: str, part: dict[str, Any], required: bool, stated: str | None) -> str:
     default = "required" if required else "-" if part.get("default") is None else f"`{json.dumps(part['default'])}`"
-    allowed = " or ".join(dict.fromkeys(_allowed_values(part)))
+    allowed = stated or " or ".join(dict.fromkeys(_allowed_values(part)))
     return f"| `{name}` | {allowed} | {default} | {part.get('description', '')} |\n"
 
 
@@ -68,7 +105,8 @@ def _allowed_values(part: dict[str, Any]) -> Iterator[str]:
     if "const" in part or "enum" in part:
         yield ", ".join(f"`{value}`" for value in part.get("enum", [part.get("const")]))
     elif "$ref" in part:
-        yield f"a {part['$ref'].rsplit('/', 1)[1]} table"
+        section = SECTIONS[part["$ref"].rsplit("/", 1)[1]]
+        yield f"table, see [{section}](#{section})"
     elif part.get("type") == "array":
         yield "[low, high]" if "prefixItems" in part else "tables"
     elif part.get("type") == "object":

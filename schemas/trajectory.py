@@ -31,7 +31,7 @@ from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from .base import canonical_json
-from .errors import TrajectoryError
+from .errors import TrajectoryError, UnusableTrajectoryError
 from .rollout import MAX_FILE_BYTES
 from .visual import Floats, Transform, Visual, channels
 
@@ -146,7 +146,8 @@ def read_mcap(data: bytes) -> File:
     Every byte is covered by a checksum that is verified here, and nothing larger than the file is allocated.
 
     Raises:
-        TrajectoryError: the file is damaged, cut, too large or incomplete, or its content is no trajectory.
+        UnusableTrajectoryError: the file is intact, but `Trajectory` refuses its content.
+        TrajectoryError: the file is damaged, cut, too large or incomplete.
 
     """
     try:
@@ -158,11 +159,18 @@ def read_mcap(data: bytes) -> File:
         request = json.loads(attachments[REQUEST])
         if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
             raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
-        return File(Trajectory(tuple(columns), _from_npy(attachments[EVIDENCE])), request, record)
+        return File(_usable(tuple(columns), _from_npy(attachments[EVIDENCE])), request, record)
     except TrajectoryError:
         raise
     except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
         raise TrajectoryError(f"not a trajectory file: {type(error).__name__}: {error}") from error
+
+
+def _usable(columns: tuple[str, ...], samples: Floats) -> Trajectory:
+    try:
+        return Trajectory(columns, samples)
+    except ValueError as error:
+        raise UnusableTrajectoryError(f"not a usable trajectory: {error}") from None
 
 
 def _check_columns(columns: tuple[str, ...]) -> None:

@@ -30,7 +30,8 @@ class Proposal:
 class Observation:
     """y of a test, and the contribution of each replicate to it, in the order of the replicates.
 
-    `each` has the values of J whose mean is y; for a risk (`true_risk` without linearisation) it has the robustness.
+    `each` has the values of J whose mean is y; in method `scenario`, and for the sample risk of method `paper`, it has
+    the robustness.
     """
 
     y: float

@@ -19,22 +19,35 @@ def run_request(request: RolloutRequest, progress: Progress) -> bytes:
         Cancelled: raised by `progress`.
 
     """
-    return run_request_on(load_system(request.system), request, progress)
+    return run_request_on(requested_system(request), request, progress)
 
 
-def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> bytes:
-    """Simulate a rollout on `system`.
+def requested_system(request: RolloutRequest) -> SystemUnderTest:
+    """Return the installed system that a request names.
 
     Raises:
-        SimulationError: the system is another one than the request expects, or has no usable trajectory.
-        Cancelled: raised by `progress`.
+        UnknownSystemError: the system is not installed.
+        SimulationError: it is another build than the request expects.
 
     """
+    system = load_system(request.system)
     spec = system.spec
     # A campaign keeps the rules that it was started with, and so the digest of its system.
     if request.spec_sha256 not in {spec.digest_by(rules) for rules in KNOWN}:
         installed = ", ".join(f"{name} {version}" for name, version in spec.versions.items())
         raise SimulationError(f"the campaign expects another build of {spec.name} than this one ({installed})")
+    return system
+
+
+def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: Progress) -> bytes:
+    """Simulate a rollout on `system`; every exception but `Cancelled` is a failure of the system.
+
+    Raises:
+        SimulationError: the system has no usable trajectory.
+        Cancelled: raised by `progress`.
+
+    """
+    spec = system.spec
     trajectory = system.rollout(
         request.x,
         variant=request.variant,

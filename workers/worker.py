@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from ..schemas import __version__
 from ..schemas.errors import PerfboundError, RefusedError
+from ..schemas.failure import Failure, FailureKind
 from ..schemas.messages import (
     MAX_RESULT,
     PROTOCOL,
@@ -21,7 +22,8 @@ from ..schemas.messages import (
     ResultHeader,
     WorkerState,
 )
-from .simulate import run_request
+from ..schemas.rollout import RolloutRequest
+from .simulate import requested_system, run_request_on
 from .systems import available, load_system
 from .systems.base import Cancelled
 from .transport import Uplink
@@ -53,6 +55,7 @@ class WorkerProcess:
         self._outbox: dict[Key, _Parcel] = {}
         self._accepted: Assign | None = None
         self._cancelled: Key | None = None
+        self._interrupted: Key | None = None
         self._progress: tuple[Key | None, int] = (None, 0)
         self._leaving = False
         self._changed = threading.Event()
@@ -108,26 +111,20 @@ class WorkerProcess:
         self._progress = (key, 0)
         self._changed.set()
         cpu, wall = time.process_time(), time.monotonic()
-        payload, error = b"", ""
-        try:
-            payload = run_request(assign.request, lambda step: self._advance(key, step))
-        except Cancelled:
+        found = self._run(assign.request, key)
+        # A system may turn `Cancelled` into an error of its own, or into a trajectory that ends there.
+        if self._interrupted == key:
             self._finish(assign)
             return
-        except PerfboundError as fault:
-            error = str(fault) or type(fault).__name__
-        except Exception as fault:  # noqa: BLE001  (any: the orchestrator decides what a failed attempt means)
-            error = f"{type(fault).__name__}: {fault}"
-        if len(payload) > MAX_RESULT:
-            error = f"the trajectory's file has {len(payload)} bytes, more than the {MAX_RESULT} of a result"
-            payload = b""
+        failure, payload = (found, b"") if isinstance(found, Failure) else (None, found)
         header = ResultHeader(
             rollout=key[0],
             attempt=key[1],
             worker=self.name,
-            outcome="failed" if error else "done",
-            sha256="" if error else hashlib.sha256(payload).hexdigest(),
-            error=error.encode(errors="backslashreplace").decode()[:4000],  # a file name in it may be no UTF-8
+            outcome="failed" if failure else "done",
+            sha256="" if failure else hashlib.sha256(payload).hexdigest(),
+            error=_text(failure.reason) if failure else "",
+            kind=failure.kind if failure else None,
             cpu_seconds=time.process_time() - cpu,
             wall_seconds=time.monotonic() - wall,
         )
@@ -136,9 +133,26 @@ class WorkerProcess:
         self._finish(assign)
         self._uplink.deliver(header, payload)
 
+    def _run(self, request: RolloutRequest, key: Key) -> bytes | Failure:
+        """Return the trajectory's file, or the failure of the attempt."""
+        kind: FailureKind = "infrastructure"  # this worker has another system, or none
+        try:
+            system = requested_system(request)
+            kind = "system"
+            payload = run_request_on(system, request, lambda step: self._advance(key, step))
+        except PerfboundError as fault:
+            return Failure(kind, str(fault) or type(fault).__name__)
+        except (Exception, SystemExit) as fault:  # noqa: BLE001  (any: the orchestrator decides on a retry)
+            return Failure(kind, f"{type(fault).__name__}: {fault}")
+        if len(payload) > MAX_RESULT:
+            size = f"{len(payload)} bytes, more than the {MAX_RESULT} of a result"
+            return Failure("system", f"the trajectory's file has {size}")
+        return payload
+
     def _advance(self, key: Key, step: int) -> None:
         self._progress = (key, step)
         if self._cancelled == key:
+            self._interrupted = key
             raise Cancelled
 
     def _finish(self, assign: Assign) -> None:
@@ -177,6 +191,11 @@ class WorkerProcess:
         for parcel in late:
             parcel.sent_at = now
             self._uplink.deliver(parcel.header, parcel.payload)
+
+
+def _text(reason: str) -> str:
+    """Return what a header takes of a reason: a file name in it may be no UTF-8."""
+    return reason.encode(errors="backslashreplace").decode()[:4000]
 
 
 def _attempt_key(assign: Assign) -> Key:

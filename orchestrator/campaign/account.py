@@ -1,58 +1,27 @@
-"""The account of a problem: its open tests by number, and the sums over its closed ones."""
+"""The account of a problem: the series of its tests, and what its audit needs of their rollouts."""
 
 import math
 from array import array
 from collections.abc import MutableSequence
 from dataclasses import dataclass, field
 
-from ...schemas.errors import IllegalEvent
-from ...schemas.facts import BoundFact, ObservationFact, ProposalFact, RolloutFact, next_link
-from ...schemas.values import Bound, Observation, ProblemProgress, Proposal
+from ...schemas.facts import ObservationFact, RolloutFact
+from ...schemas.values import Observation, Proposal
 from . import objectives
 from .plan import ProblemPlan
-
-ROUND_OFF = 1e-9
-"""A bound recomputed on another CPU may differ by less."""
+from .series import Series
 
 
 @dataclass(slots=True)
-class Account:
-    """The facts of one problem: whole while their test is open, and summed up once it is closed.
+class Account(Series):
+    """The facts of one problem."""
 
-    So the memory grows by some numbers per test, not by its facts. A fact that does not follow from those before it
-    raises `IllegalEvent`.
-    """
-
-    plan: ProblemPlan
-    link: str
-    """The head of the problem's hash chain."""
-    proposals: dict[int, ProposalFact] = field(default_factory=dict)
-    rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
-    observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
-    each: list[tuple[float, ...]] = field(default_factory=list)
-    nodes: list[int] = field(default_factory=list)
+    plan: ProblemPlan = field(kw_only=True)
     proposed: list[Proposal] = field(default_factory=list)
     """The proposals of the closed tests, where a kernel method may be given them again; its kernel rows cost more."""
     excess: float = -math.inf
     """Of a gap: the most by which a robustness differed beyond L times the gap; above 0 it dominates nothing."""
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
-    counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
-    last_proposal: Proposal | None = None
-    due: BoundFact | None = None
-    """The bound that follows from the last observation, until its fact is there."""
-    last_bound: BoundFact | None = None
-
-    @property
-    def progress(self) -> ProblemProgress:
-        """The progress of the problem."""
-        last, proposal = self.last_bound, self.last_proposal
-        return ProblemProgress(
-            len(self.observations),
-            sum(self.counts.values()),
-            proposal.F if proposal and last else None,
-            last.bound if last else None,
-            last.stopped_by if last else None,
-        )
 
     @property
     def closed(self) -> list[tuple[Proposal, Observation]]:
@@ -60,45 +29,16 @@ class Account:
         observed = map(Observation, self.observations, self.each)
         return list(zip(self.proposed, observed, strict=True))
 
-    def next_link(self, test: int, observation: Observation) -> str:
-        """Return the head of the hash chain after the observation of an open test."""
-        return next_link(self.link, self.proposals[test], self.rollouts.get(test, ()), observation)
-
-    def observe(self, fact: ObservationFact) -> None:
-        """Close an observed test: move it from the open ones into the sums."""
-        found = fact.observation
-        # The link covers the proposal, the digests and y: an edit of one of them in the database shows here.
-        if self.next_link(fact.test, found) != fact.chain:
-            raise IllegalEvent(f"test {fact.test} of {fact.problem} was changed after it was written (hash chain)")
-        self.last_proposal = self.proposals.pop(fact.test).proposal
-        rollouts = self.rollouts.pop(fact.test, [])
-        self.link = fact.chain
-        self.observations.append(found.y)
-        self.each.append(found.each)
-        self.nodes.append(self.last_proposal.node)
-        if self.plan.problem.method != "scenario":
+    def observe(self, fact: ObservationFact) -> list[RolloutFact]:
+        """Close an observed test, as every series does, and take the robustness of its rollouts."""
+        rollouts = Series.observe(self, fact)  # by name: `super()` finds no cell in a class with slots
+        if self.plan.problem.method != "scenario" and self.last_proposal is not None:
             self.proposed.append(self.last_proposal)
-        if fact.problem == "sim_gap":
+        if self.plan.objective.measured == "gap":
             # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.
             robustness = {(each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in rollouts}
-            self.excess = max(self.excess, objectives.excess(self.plan, robustness, found.each))
+            self.excess = max(self.excess, objectives.excess(self.plan, robustness, fact.observation.each))
         for rollout in rollouts:
-            self.counts[rollout.rollout.variant] += 1
             if rollout.robustness is not None:
                 self.robustness.append(rollout.robustness)
-
-    def bound(self, fact: BoundFact) -> None:
-        """Take the bound after an observation; it is the one that is due."""
-        due, self.due = self.due, None
-        # Not in the hash chain, because it follows: so an edited bound shows only by computing it again.
-        if due is None or due.stopped_by != fact.stopped_by or not _same_bound(due.bound, fact.bound):
-            raise IllegalEvent(
-                f"the bound after test {fact.test} of {fact.problem} is not the one that follows from the observations"
-            )
-        self.last_bound = fact
-
-
-def _same_bound(recomputed: Bound, recorded: Bound) -> bool:
-    pairs = ((recomputed.upper, recorded.upper), (recomputed.lower, recorded.lower))
-    # Equal first: two infinities are the same bound, but their difference is no number.
-    return all(a is b if a is None or b is None else a == b or abs(a - b) <= ROUND_OFF for a, b in pairs)
+        return rollouts

@@ -5,7 +5,7 @@ import hashlib
 import numpy as np
 
 from ...schemas.base import canonical_json
-from ...schemas.errors import EvidenceError, RequestError, TrajectoryError
+from ...schemas.errors import EvidenceError, RequestError, TrajectoryError, UnusableTrajectoryError
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory import Trajectory, read_mcap
 
@@ -22,7 +22,8 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
 
     Raises:
         RequestError: the file answers another request.
-        EvidenceError: the bytes have another digest, are no trajectory, or are not one from 0 to the horizon.
+        UnusableTrajectoryError: the trajectory is not finite, has other columns, or does not cover 0 to the horizon.
+        EvidenceError: the bytes have another digest, or are no trajectory file.
 
     """
     # Before everything else: a decoder reads no bytes that were damaged on their way.
@@ -30,6 +31,8 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
         raise EvidenceError("the result does not have the sha256 that its sender announces")
     try:
         file = read_mcap(payload)
+    except UnusableTrajectoryError:
+        raise
     except TrajectoryError as fault:
         raise EvidenceError(f"the result is not a trajectory: {fault}") from None
     wanted = request.model_dump(mode="json")
@@ -45,10 +48,10 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
 
 def _check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float) -> None:
     if trajectory.columns != columns:
-        raise EvidenceError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
+        raise UnusableTrajectoryError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
     # A trajectory that starts late or ends early would be scored on a part of what the specification covers.
     t = trajectory.samples[:, 0]
     step = min(float(np.max(np.diff(t), initial=0.0)), horizon / SAMPLES)
     if t[0] > ROUND_OFF or not horizon - step - ROUND_OFF <= t[-1] <= horizon + ROUND_OFF:
         span = f"{t[0]:g} to {t[-1]:g} s"
-        raise EvidenceError(f"the trajectory covers {span}, the campaign requests 0 to {horizon:g} s")
+        raise UnusableTrajectoryError(f"the trajectory covers {span}, the campaign requests 0 to {horizon:g} s")

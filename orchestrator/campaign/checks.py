@@ -35,7 +35,7 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) 
 def _check_gap(config: CampaignConfig, read: frozenset[str], source: str) -> None:
     """Refuse a gap in one column where the robustness depends on others."""
     for problem in config.problems:
-        gap = config.gap_of(problem) if problem.name == "sim_gap" else None
+        gap = config.gap_of(problem)
         # The composition needs |rho(s) - rho(z)| <= L * gap: a gap in one column bounds nothing that others change.
         if gap is not None and gap.kind == "signal_sup" and read != {gap.column}:
             raise CampaignError(

@@ -1,6 +1,7 @@
 """What the clip alone proves, before any rollout: no bound is worth more attention that says no more."""
 
-from ...schemas.campaign import SENSES, CampaignConfig, Problem
+from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.problems import OBJECTIVES
 from ..mathematics.bounds.risk import RiskReading
 from ..mathematics.bounds.rounding import round_down, round_up
 
@@ -18,12 +19,12 @@ def by_clip(config: CampaignConfig, problem: Problem) -> float | None:
 
     A lower bound for sense min, an upper one for sense max.
     """
-    if config.clip is None or problem.name == "maximum":
+    if config.clip is None or OBJECTIVES[problem.name].measured == "column":
         return None  # a column has no clip
     low, high = config.clip
-    if problem.name == "true_risk":
+    if OBJECTIVES[problem.name].risk:
         return least_risk(config)
-    if SENSES[problem.name] == "min":
+    if OBJECTIVES[problem.name].sense == "min":
         return round_down(low)
     gap = config.gap_of(problem)
     # Method paper does not clip a sup gap. Elsewhere no two clipped values differ by more than M + m.

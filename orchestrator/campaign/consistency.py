@@ -6,7 +6,7 @@ Every function is pure: of the plan alone before the start, of the plan and the 
 import math
 from collections.abc import Iterator, Sequence
 
-from ...schemas.campaign import ROLLED_OUT, PaperProblem, Problem, RigorousProblem
+from ...schemas.campaign import PaperProblem, Problem, RigorousProblem
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.audit import replicate_spread
 from ..mathematics.gp.lattice import Lattice
@@ -45,7 +45,7 @@ def of_plan(plan: ProblemPlan, spec: SystemSpec) -> Iterator[str]:
             f"{name}: kernel.length_scale = {length:g} is one length for parameters in {_listed(units)}: the objective "
             "then changes as fast along each of them; give one length per parameter: { name = number, ... }"
         )
-    noisy = set(ROLLED_OUT[name]) & set(spec.noisy)
+    noisy = set(plan.variants) & set(spec.noisy)
     if noisy and plan.replicates == 1 and problem.noise_scale != "derived" and problem.noise_scale > 0:
         yield (
             f"{name}: noise_scale = {problem.noise_scale:g} is a guess that no data are compared with, because "

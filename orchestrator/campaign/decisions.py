@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Protocol
 
 from ...schemas.errors import PerfboundError
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
@@ -11,63 +12,96 @@ from ...schemas.values import Proposal
 from .account import Account
 from .methods import Methods
 from .observation import Observer, Trajectories
-from .seeds import first_node
+from .seeds import first_node, rollout_seed
+from .series import Series
 
 Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | None]], Proposal]
 """(problem, test, the method's proposal, the rival at a given start) -> the proposal to take."""
 
 
-class Decisions:
-    """The methods and objectives of a campaign, called in the order of the facts.
+class Decider(Protocol):
+    """The decisions about one series of tests, called in the order of its facts.
 
-    Every decision depends on the account that it is given, on the calls before and on the seed; never on time, worker
-    or file. An error of the mathematics becomes a `PerfboundError` that names problem and test.
+    Every decision depends on the series, on the calls before and on the seed; never on time, worker or file order.
     """
 
-    def __init__(self, header: Header, methods: Methods, follow: Follow | None = None) -> None:
-        self._header = header
-        self._methods = methods
-        self._observer = Observer(header.config, header.spec)
-        self._follow = follow
+    def proposal(self, series: Series, test: int) -> ProposalFact:
+        """Choose the next test."""
+        ...
 
-    def proposal(self, account: Account, test: int) -> ProposalFact:
-        """Choose the next test of a problem."""
-        problem = account.plan.name
-        method = self._methods[problem]
+    def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
+        """Turn the trajectories of a test into its observation."""
+        ...
+
+    def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
+        """Take an observation, once, and return the bound after it."""
+        ...
+
+    def seed(self, rollout: RolloutId) -> int:
+        """Return the seed of a rollout of the series."""
+        ...
+
+
+class ProblemDecisions:
+    """The decider of one problem: its method and its objective.
+
+    An error of the mathematics becomes a `PerfboundError` that names problem and test.
+    """
+
+    def __init__(
+        self, account: Account, header: Header, methods: Methods, observer: Observer, follow: Follow | None = None
+    ) -> None:
+        self._plan, self._method = account.plan, methods[account.plan.name]
+        self._header, self._observer, self._follow = header, observer, follow
+
+    def proposal(self, series: Series, test: int) -> ProposalFact:
+        """Choose the next test of the problem."""
+        problem, method = self._plan.name, self._method
         # Tests in flight: a method counts them as observed, so that a window > 1 does not repeat one start.
-        pending = [fact.proposal.node for fact in account.proposals.values()]
+        pending = [fact.proposal.node for fact in series.proposals.values()]
         first = first_node(self._header, problem, method.size) if test == 0 else None
-        with _naming(f"problem {problem}, test {test}"):
+        with naming(f"problem {problem}, test {test}"):
             chosen = method.propose(first, pending)
             if self._follow is not None:
                 # The first test is drawn by the seed alone: it has no rival.
                 chosen = self._follow(problem, test, chosen, lambda x: method.rival(x, pending) if test else None)
         return ProposalFact(problem, test, chosen)
 
-    def robustness(self, rollout: RolloutId, trajectory: Trajectory) -> float | None:
-        """Return the clipped robustness of a rollout; None for a campaign without specification."""
-        with _naming(f"rollout {rollout}"):
-            return self._observer.robustness(trajectory)
+    def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
+        """Turn the trajectories of a test into the value of the objective."""
+        problem = self._plan.name
+        with naming(f"problem {problem}, test {test}"):
+            found = self._observer.observe(self._plan, trajectories)
+        return ObservationFact(problem, test, found, series.next_link(test, found))
 
-    def observation(self, account: Account, test: int, trajectories: Trajectories) -> ObservationFact:
-        """Turn the trajectories of a test into its observation."""
-        problem = account.plan.name
-        with _naming(f"problem {problem}, test {test}"):
-            found = self._observer.observe(account.plan, trajectories)
-        return ObservationFact(problem, test, found, account.next_link(test, found))
-
-    def bound(self, account: Account, fact: ObservationFact) -> BoundFact:
-        """Give an observation to the method of its problem, once, and return the bound after it."""
-        assert account.last_proposal is not None
-        with _naming(f"problem {fact.problem}, test {fact.test}"):
-            bound = self._methods[fact.problem].observe(account.last_proposal, fact.observation)
+    def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
+        """Give an observation to the method, once, and return the bound after it."""
+        assert series.last_proposal is not None
+        with naming(f"problem {fact.problem}, test {fact.test}"):
+            bound = self._method.observe(series.last_proposal, fact.observation)
         # A method has no budget: its own verdict comes first, also at the last test.
-        spent = bound.verdict is None and fact.test + 1 >= account.plan.budget
+        spent = bound.verdict is None and fact.test + 1 >= self._plan.budget
         return BoundFact(fact.problem, fact.test, bound, budget=spent)
+
+    def seed(self, rollout: RolloutId) -> int:
+        """Return the seed of a rollout."""
+        return rollout_seed(self._header, rollout)
+
+
+def robustness(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -> float | None:
+    """Return the clipped robustness of a rollout; None for a campaign without specification.
+
+    Raises:
+        PerfboundError: it cannot be evaluated; the message names the rollout.
+
+    """
+    with naming(f"rollout {rollout}"):
+        return observer.robustness(trajectory)
 
 
 @contextmanager
-def _naming(name: str) -> Iterator[None]:
+def naming(name: str) -> Iterator[None]:
+    """Turn a ValueError of the mathematics into a `PerfboundError` that names the place."""
     try:
         yield
     except ValueError as error:

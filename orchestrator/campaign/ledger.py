@@ -18,12 +18,15 @@ from ...schemas.trajectory import Trajectory, decode
 from ..store import files as evidence
 from . import state
 from .account import Account
-from .decisions import Decisions, Follow
+from .decisions import Decider, Follow, ProblemDecisions, robustness
 from .methods import methods
+from .observation import Observer
 from .plan import plans
 from .ports import FactStore, FileStore, RecordedRollouts
+from .recheck import Recheck
 from .restoration import Restoration
-from .seeds import rollout_seed
+from .series import Series
+from .spot_check import SpotCheck, SpotSeries
 
 
 @dataclass(slots=True)
@@ -45,11 +48,19 @@ class Ledger:
         self.config: CampaignConfig = header.config
         self.plans = plans(header.config, header.spec)
         self.methods = methods(self.plans)
-        self.accounts = {name: Account(plan, first_link(header, name)) for name, plan in self.plans.items()}
+        self.accounts = {name: Account(first_link(header, name), plan=plan) for name, plan in self.plans.items()}
+        self.series: dict[str, Series] = dict(self.accounts)
+        """The accounts of the problems, then the checks that have begun."""
+        self.spot_check: SpotCheck | None = None
+        self.recheck: Recheck | None = None
         self.state = state.initial(
             tuple(state.Plan(name, each.window, each.budget, each.rollouts) for name, each in self.plans.items())
         )
-        self._decisions = Decisions(header, self.methods, follow)
+        self._observer = Observer(header.config, header.spec)
+        self._deciders: dict[str, Decider] = {
+            name: ProblemDecisions(account, header, self.methods, self._observer, follow)
+            for name, account in self.accounts.items()
+        }
         self._directory, self._store = directory, store
         self._files: FileStore = files or evidence.Batch()
         self._template = header.template
@@ -80,7 +91,7 @@ class Ledger:
             for fact in self._store.facts():
                 self._apply(fact)
             # Both are written in one transaction, so no crash leaves one of them.
-            if any(account.due for account in self.accounts.values()):
+            if any(series.due for series in self.series.values()):
                 raise IllegalEvent("an observation without its bound")
         except (IllegalEvent, KeyError) as error:
             raise JournalError(
@@ -102,10 +113,10 @@ class Ledger:
         """Return the request for an open or a damaged rollout."""
         found = self._requests.get(rollout)
         if found is None:  # kept: needed when it is assigned, and when its result is admitted
-            fact = self.accounts[rollout.problem].proposals.get(rollout.test)
-            # A damaged file may belong to a closed test, of which the account keeps sums alone.
+            fact = self.series[rollout.problem].proposals.get(rollout.test)
+            # A damaged file may belong to a closed test, of which the series keeps sums alone.
             start = fact.proposal.x if fact else self._restoration.start(rollout)
-            found = self._template.request(rollout, start, rollout_seed(self.header, rollout))
+            found = self._template.request(rollout, start, self._deciders[rollout.problem].seed(rollout))
             self._requests[rollout] = found
         return found
 
@@ -127,11 +138,11 @@ class Ledger:
             # No fact: it has been recorded. The campaign continues when the last damaged file is back.
             self._restoration.restore(rollout, payload, sha256, self._files)
             return Work() if self._restoration else self.outstanding()
-        robustness = self._decisions.robustness(rollout, trajectory)
+        value = robustness(self._observer, rollout, trajectory)
         path = evidence.relative_path(rollout)
         self._files.write(self._directory / path, payload)
         self._trajectories[rollout] = trajectory
-        return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, robustness)))
+        return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, value)))
 
     def _advance(self, actions: Iterable[state.Action]) -> Work:
         """Carry out actions and those that follow from them, until only simulations are left."""
@@ -139,9 +150,9 @@ class Ledger:
         while pending:
             match pending.popleft():
                 case state.Propose(problem, test):
-                    pending.extend(self._write(self._decisions.proposal(self.accounts[problem], test)))
+                    pending.extend(self._write(self._deciders[problem].proposal(self.series[problem], test)))
                 case state.Observe(problem, test):
-                    pending.extend(self._observe(self.accounts[problem], test))
+                    pending.extend(self._observe(problem, test))
                 case state.Simulate(rollouts):
                     work.wanted += rollouts
                 case state.Withdraw(rollouts):
@@ -152,18 +163,36 @@ class Ledger:
                     pass  # `done` is true from here on; the caller issues the certificate
         return work
 
-    def _observe(self, account: Account, test: int) -> tuple[state.Action, ...]:
+    def _observe(self, name: str, test: int) -> tuple[state.Action, ...]:
+        series = self.series[name]
         # By id: the order of arrival depends on the workers, and an observation must not.
-        facts = sorted(account.rollouts[test], key=lambda fact: fact.rollout)
+        facts = sorted(series.rollouts[test], key=lambda fact: fact.rollout)
         trajectories = {fact.rollout[2:]: self._trajectory(fact) for fact in facts}
-        self._write(self._decisions.observation(account, test, trajectories))
-        assert account.due is not None
-        return self._write(account.due)
+        self._write(self._deciders[name].observation(series, test, trajectories))
+        assert series.due is not None
+        return self._write(series.due)
 
     def _trajectory(self, fact: RolloutFact) -> Trajectory:
         # After a restart the rollouts of a test may be recorded and the test not yet observed: they are read again.
         kept = self._trajectories.pop(fact.rollout, None)
         return kept or decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
+
+    def trajectory(self, rollout: RolloutId) -> Trajectory:
+        """Return the trajectory of a recorded rollout, from its file.
+
+        Raises:
+            EvidenceError: the file is missing or damaged.
+
+        """
+        fact = self._store.rollout(rollout)
+        return decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
+
+    def original(self, rollout: RolloutId) -> RolloutId | None:
+        """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""
+        return self.recheck.rollouts[rollout.test] if self.recheck and rollout.problem == self.recheck.name else None
+
+    def _recorded_start(self, rollout: RolloutId) -> tuple[float, ...]:
+        return self._store.proposal(rollout.problem, rollout.test).proposal.x
 
     def _write(self, fact: Fact) -> tuple[state.Action, ...]:
         self._store.add(fact)
@@ -173,19 +202,37 @@ class Ledger:
         event: state.Event
         match fact:
             case ProposalFact(problem, test):
-                self.accounts[problem].proposals[test] = fact
+                self.series[problem].proposals[test] = fact
                 event = state.Proposed(problem, test)
             case RolloutFact(rollout):
-                self.accounts[rollout.problem].rollouts.setdefault(rollout.test, []).append(fact)
+                self.series[rollout.problem].rollouts.setdefault(rollout.test, []).append(fact)
                 event = state.Recorded(rollout)
             case ObservationFact(problem):
-                account = self.accounts[problem]
-                account.observe(fact)
+                series = self.series[problem]
+                series.observe(fact)
                 # In a replay as well: the method takes its data here, and a recorded bound is compared with this one.
-                account.due = self._decisions.bound(account, fact)
+                series.due = self._deciders[problem].bound(series, fact)
                 return ()
             case BoundFact(problem, test):
-                self.accounts[problem].bound(fact)
+                self.series[problem].bound(fact)
                 event = state.Observed(problem, test, fact.bound.verdict)
         self.state, actions = state.step(self.state, event)
+        return self._begin_check() if state.Certify() in actions else actions
+
+    def _begin_check(self) -> tuple[state.Action, ...]:
+        """Begin the next check of a campaign whose series have all stopped; without one it can be certified."""
+        header, check = self.header, self.recheck
+        if self.spot_check is None and check is None and SpotCheck.wanted(header, self.accounts):
+            self.spot_check = SpotCheck(header, self.accounts, self._observer)
+            return self._begin(self.spot_check, SpotSeries(first_link(header, SpotCheck.name)))
+        if check is None and Recheck.wanted(header):
+            plans = {each.plan.problem: each.plan for each in self.state.problems}
+            checked = {name: (series, plans[name]) for name, series in self.series.items()}
+            self.recheck = Recheck(header, checked, self._recorded_start, self.trajectory)
+            return self._begin(self.recheck, Series(first_link(header, Recheck.name)))
+        return (state.Certify(),)
+
+    def _begin(self, check: SpotCheck | Recheck, series: Series) -> tuple[state.Action, ...]:
+        self.series[check.name], self._deciders[check.name] = series, check
+        self.state, actions = state.extended(self.state, check.plan)
         return actions

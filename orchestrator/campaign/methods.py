@@ -8,7 +8,7 @@ from ..mathematics.bounds.confidence import Premises, mixture
 from ..mathematics.bounds.paper import PaperMethod
 from ..mathematics.bounds.paper_formulas import PaperParameters
 from ..mathematics.bounds.rigorous import RigorousMethod
-from ..mathematics.bounds.scenario import ScenarioMethod
+from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
 from .plan import Plans, ProblemPlan
@@ -62,16 +62,17 @@ def method(plan: ProblemPlan) -> ProblemMethod:
                 prior_mean=problem.prior_mean,
                 slack=problem.slack,
             )
-        # Without constants the method bounds the mean, and [BD] the variance: no risk is observed.
+        # Of a risk without constants the method bounds the mean, and [BD] the variance: no risk is observed.
         case ScenarioProblem():
             constants = problem.linearised
+            of_risk: Risk = "bhatia-davis" if constants is None else "linearised"
             return ScenarioMethod(
                 plan.candidates,
                 clip=plan.clip,
                 risk_weight=plan.risk_weight,
                 delta=problem.delta,
                 alpha=problem.alpha,
-                risk="bhatia-davis" if constants is None else "linearised",
+                risk=of_risk if plan.objective.risk else "mean",
                 constants=None if constants is None else (constants.centre, constants.spread),
             )
 

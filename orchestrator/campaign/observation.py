@@ -1,10 +1,11 @@
 """The observation of a test: the value y of the maximised objective J and its parts, from the trajectories."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from weakref import WeakKeyDictionary
 
-from ...schemas.campaign import CampaignConfig, ProblemName
+from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import CampaignError
+from ...schemas.problems import OBJECTIVES
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Observation
@@ -12,7 +13,7 @@ from ..mathematics.bounds.risk import linearised
 from ..mathematics.stl.parser import Formula, parse_formula
 from ..mathematics.stl.predicates import predicate_sup
 from . import objectives
-from .plan import ProblemPlan
+from .plan import UNBOUNDED, ProblemPlan
 
 Trajectories = Mapping[tuple[str, int], Trajectory]
 """(variant, replicate) -> trajectory of one test."""
@@ -28,15 +29,11 @@ class Observer:
 
     def __init__(self, config: CampaignConfig, spec: SystemSpec) -> None:
         self._columns = tuple(column.name for column in spec.columns)
-        self._clip = config.clip
+        # Columns alone have no robustness without a clip: their certificates must not depend on a specification.
+        columns_alone = all(OBJECTIVES[problem.name].measured == "column" for problem in config.problems)
+        self._clip = config.clip or (None if columns_alone else UNBOUNDED)
         self._parsed = None if config.specification is None else parse_formula(config.specification, self._columns)
         self._scored: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
-        self._objectives: dict[ProblemName, Callable[[ProblemPlan, Trajectories], Observation]] = {
-            "nominal_robustness": self._nominal_robustness,
-            "sim_gap": self._sim_gap,
-            "true_risk": self._true_risk,
-            "maximum": self._maximum,
-        }
 
     @property
     def _formula(self) -> Formula:
@@ -45,7 +42,7 @@ class Observer:
         return self._parsed
 
     def robustness(self, trajectory: Trajectory) -> float | None:
-        """Return the clipped robustness; None for a campaign without specification.
+        """Return the robustness, clipped if the campaign has a clip; None for a campaign that measures none.
 
         Raises:
             ValueError: the formula cannot be evaluated on this trajectory.
@@ -66,12 +63,22 @@ class Observer:
             ValueError: a value is not finite, or two trajectories have different time grids.
 
         """
-        return self._objectives[plan.problem.name](plan, trajectories)
+        match plan.objective.measured:
+            case "robustness":
+                return self._risk(plan, trajectories) if plan.objective.risk else self._robustness(plan, trajectories)
+            case "gap":
+                return self._sim_gap(plan, trajectories)
+            case "column":
+                return self._maximum(plan, trajectories)
 
-    def _nominal_robustness(self, _plan: ProblemPlan, trajectories: Trajectories) -> Observation:
-        return _mean([-value for value in self._scores(trajectories)])
+    def _robustness(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
+        values = self._scores(trajectories)
+        # Method `scenario` takes the robustness: it mirrors its bounds and not its data.
+        if plan.problem.method == "scenario":
+            return Observation(-objectives.mean(values), tuple(values))
+        return _mean([-value for value in values])
 
-    def _true_risk(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
+    def _risk(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         problem, values, weight = plan.problem, self._scores(trajectories), plan.risk_weight
         # The paper observes the sample risk itself; the replicates are kept for the audit.
         if problem.method == "paper":

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...schemas.campaign import (
-    ROLLED_OUT,
     CampaignConfig,
     Gap,
     Problem,
@@ -13,7 +12,8 @@ from ...schemas.campaign import (
     ScenarioProblem,
     Scenarios,
 )
-from ...schemas.system import SystemSpec
+from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Statement, rolled_out
+from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import linearised_range
 from ..mathematics.gp.lattice import Lattice
@@ -30,6 +30,8 @@ class ProblemPlan:
     """One problem before its first test."""
 
     problem: Problem
+    variants: tuple[Variant, ...]
+    """Rolled out by every replicate of a test."""
     candidates: Lattice | Points
     """The starting conditions that tests are chosen from; parameters in the order of the system."""
     parameters: tuple[str, ...]
@@ -45,15 +47,31 @@ class ProblemPlan:
     hoeffding: float
     """R of one rollout by Hoeffding's lemma, half the range of the clipped objective; infinite without a clip."""
     clip: tuple[float, float]
+    """`UNBOUNDED` where the claim is about the robustness itself."""
     risk_weight: float
     gap: Gap
     shared: frozenset[str]
     """Variants of which the replicates of a test share one rollout, because it does not depend on the seed."""
 
     @property
-    def name(self) -> str:
+    def name(self) -> ProblemName:
         """Name of the problem."""
         return self.problem.name
+
+    @property
+    def objective(self) -> Objective:
+        """The properties of the problem that its name alone decides."""
+        return OBJECTIVES[self.problem.name]
+
+    @property
+    def exact(self) -> bool:
+        """Whether an observation is the objective itself: R = 0, which method `rigorous` alone has."""
+        return isinstance(self.problem, RigorousProblem) and self.noise == 0
+
+    @property
+    def statement(self) -> Statement:
+        """The subject of the bound: the value itself where the claim lists that nothing is random, else a mean."""
+        return (self.objective.exact if self.exact else None) or self.objective.statement
 
     @property
     def rollouts(self) -> tuple[tuple[str, int], ...]:
@@ -61,7 +79,7 @@ class ProblemPlan:
         return tuple(
             (variant, replicate)
             for replicate in range(self.replicates)
-            for variant in ROLLED_OUT[self.problem.name]
+            for variant in self.variants
             if replicate == 0 or variant not in self.shared
         )
 
@@ -83,17 +101,19 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
     """Return the plan of one problem of a campaign that was checked."""
     clip, gap = config.clip or UNBOUNDED, config.gap_of(problem) or NO_GAP
     replicates, tests = config.replicates_of(problem), config.max_tests_of(problem)
+    objective, variants = OBJECTIVES[problem.name], rolled_out(problem.name, spec)
     candidates = _candidates(config, spec, problem)
     hoeffding = _hoeffding(config, spec, problem, clip, gap)
     noise = _noise(problem, hoeffding)
     if isinstance(problem, RigorousProblem) and noise == 0:
         tests = min(tests, candidates.size)  # without noise a second test at a candidate adds nothing
     # A deterministic variant gives one trajectory for every seed: one rollout serves all replicates of a test.
-    common = problem.name == "sim_gap" and problem.method == "rigorous"
+    common = objective.measured == "gap" and problem.method == "rigorous"
     # R / sqrt(replicates) is for means; the paper observes mean - r sd, whose R is in the file as it is.
-    mean = not (problem.method == "paper" and problem.name == "true_risk")
+    mean = not (problem.method == "paper" and objective.risk)
     return ProblemPlan(
         problem=problem,
+        variants=variants,
         candidates=candidates,
         parameters=tuple(parameter.name for parameter in spec.parameters),
         window=config.window_of(problem),
@@ -105,7 +125,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         clip=clip,
         risk_weight=config.risk_weight,
         gap=gap,
-        shared=frozenset(ROLLED_OUT[problem.name]) - set(spec.noisy) if common else frozenset(),
+        shared=frozenset(variants) - set(spec.noisy) if common else frozenset(),
     )
 
 
@@ -126,17 +146,19 @@ def _noise(problem: Problem, hoeffding: float) -> float:
 def _hoeffding(
     config: CampaignConfig, spec: SystemSpec, problem: Problem, clip: tuple[float, float], gap: Gap
 ) -> float:
-    if problem.name == "maximum":
-        return math.inf  # a column has no clip
+    measured = OBJECTIVES[problem.name].measured
+    if measured == "column" or clip == UNBOUNDED:
+        return math.inf
     if isinstance(problem, RigorousProblem) and problem.linearised is not None:
         constants = problem.linearised
         low, high = linearised_range(clip, config.risk_weight, constants.centre, constants.spread)
         return (high - low) / 2
-    compared = problem.name == "sim_gap"
+    compared = measured == "gap"
     return derived_noise_scale(
         gap.kind if compared else "nominal_robustness",
         clip,
-        deterministic_nominal="nominal" not in spec.noisy,
+        # Of a robustness the variant that is observed, of a gap the one that the other is subtracted from.
+        deterministic_nominal=rolled_out(problem.name, spec)[0] not in spec.noisy,
         common_seeds=False,
         lipschitz=gap.lipschitz if compared else 1.0,
     )

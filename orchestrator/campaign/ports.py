@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
+from ...schemas.ids import RolloutId
 
 
 class FactStore(Protocol):
@@ -25,6 +26,14 @@ class FactStore(Protocol):
         """Yield all facts in their order."""
         ...
 
+    def rollout(self, rollout: RolloutId) -> RolloutFact:
+        """Return a recorded rollout; inside `transaction`."""
+        ...
+
+    def proposal(self, problem: str, test: int) -> ProposalFact:
+        """Return the proposal of a test that has one; inside `transaction`."""
+        ...
+
 
 class RecordedRollouts(Protocol):
     """The recorded rollouts of a campaign, of which a resume checks the files."""
@@ -34,7 +43,7 @@ class RecordedRollouts(Protocol):
         ...
 
     def proposal(self, problem: str, test: int) -> ProposalFact:
-        """Return the proposal of a test that has one."""
+        """Return the proposal of a test that has one; inside or outside a transaction."""
         ...
 
 

@@ -1,12 +1,15 @@
 """The random choices of a campaign: functions of its identity and of the choice alone, never of time or machine."""
 
+import hashlib
 import zlib
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 
+Floats = NDArray[np.float64]
 VARIANTS = ("nominal", "true")
 
 
@@ -21,6 +24,17 @@ def rollout_seed(header: Header, rollout: RolloutId) -> int:
 def first_node(header: Header, problem: str, size: int) -> int:
     """Return the lattice node of a problem's first test, uniform over `size` nodes."""
     return int(np.random.default_rng(_sequence(header, problem)).integers(size))
+
+
+def uniform(header: Header, name: str, shape: tuple[int, ...]) -> Floats:
+    """Return numbers in [0, 1), of the series `name`."""
+    return np.random.default_rng(_sequence(header, name)).random(shape)
+
+
+def drawn(header: Header, name: str, evidence: str, size: int, count: int) -> list[int]:
+    """Return `count` of `size` numbers without repetition, in order; they follow from the digest of the evidence."""
+    words = int(hashlib.sha256((header.config_sha256 + name + evidence).encode()).hexdigest(), 16)
+    return sorted(int(each) for each in np.random.default_rng(words).permutation(size)[:count])
 
 
 def _sequence(header: Header, problem: str, *place: int) -> np.random.SeedSequence:

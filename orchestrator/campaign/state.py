@@ -16,6 +16,9 @@ tests, numbered from 0; a test goes through four phases, and this table lists ev
    that its z depends on the observations 0 .. i-window and never on the speed of a worker.
 3. A problem that has stopped proposes and observes nothing more; its open tests are withdrawn and count as closed.
 
+The checks of a finished campaign (spot check, recheck) are series of tests like a problem's: `extended` adds one when
+every series before it has stopped.
+
 The state contains the open tests; closed ones are a counter, so that a step costs the same at the end of a campaign.
 """
 
@@ -47,6 +50,12 @@ class Plan:
     max_tests: int
     rollouts: tuple[tuple[str, int], ...]
     """(variant, replicate) of every rollout of a test."""
+    variants: tuple[str, ...] = ()
+    """The variant of the one rollout of each test, where the tests differ in it."""
+
+    def rollouts_of(self, test: int) -> tuple[tuple[str, int], ...]:
+        """Return (variant, replicate) of every rollout of one test."""
+        return ((self.variants[test], 0),) if self.variants else self.rollouts
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +207,19 @@ def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
     return state, (*actions, Certify()) if isinstance(event, Observed) and state.done else actions
 
 
+def extended(state: State, plan: Plan) -> tuple[State, tuple[Action, ...]]:
+    """Add a series of tests to a campaign in which every series has stopped.
+
+    Raises:
+        IllegalEvent: a series has not stopped, or has this name.
+
+    """
+    if not state.done or any(plan.problem == each.plan.problem for each in state.problems):
+        raise IllegalEvent(f"{plan.problem} is not allowed now: it comes once, after everything before it has stopped")
+    problem = ProblemState(plan)
+    return State((*state.problems, problem)), _next(problem)
+
+
 def outstanding(state: State) -> tuple[Action, ...]:
     """Return every action that is due: the first ones of a campaign, and those after a restart."""
     if state.done:
@@ -225,7 +247,7 @@ def _propose(problem: ProblemState, event: Proposed) -> tuple[ProblemState, tupl
 
 def _record(problem: ProblemState, event: Recorded) -> tuple[ProblemState, tuple[Action, ...]]:
     test = event.rollout.test
-    if (event.rollout.variant, event.rollout.replicate) not in problem.plan.rollouts:
+    if (event.rollout.variant, event.rollout.replicate) not in problem.plan.rollouts_of(test):
         raise IllegalEvent(f"{event} is not allowed: test {test} has no such rollout")
     # At-least-once delivery: a rollout of a complete or closed test may arrive again, and changes nothing.
     if problem.phase(test) != "running":
@@ -264,7 +286,7 @@ def _next(problem: ProblemState) -> tuple[Action, ...]:
 
 
 def _rollouts(plan: Plan, test: int) -> tuple[RolloutId, ...]:
-    return tuple(RolloutId(plan.problem, test, variant, replicate) for variant, replicate in plan.rollouts)
+    return tuple(RolloutId(plan.problem, test, variant, replicate) for variant, replicate in plan.rollouts_of(test))
 
 
 def _missing(plan: Plan, test: OpenTest) -> tuple[RolloutId, ...]:

@@ -1,45 +1,119 @@
 """The audit of a finished campaign: every assumption of its claims, with its status by the data."""
 
 import itertools
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator
 
 from ...schemas.campaign import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
-from ...schemas.certificate import Assumption, Status
+from ...schemas.certificate import Assumption, Recheck, SpotCheck, Status
 from ..campaign.account import Account
+from ..campaign.copies import copies
+from ..campaign.ledger import Ledger
 from ..campaign.methods import Methods, kernel
+from ..campaign.plan import UNBOUNDED
 from ..mathematics.bounds import audit
 from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.stationarity import AdaptiveOrderTest
 from ..mathematics.gp.lattice import Lattice
 from .claims import PAIR
 from .sentences import assumption
 
 ROUNDING = 1e-9
+TRUSTED = (
+    "only_campaign",
+    "fixed_beforehand",
+    "sampled_at_sample_times",
+    "simulator_is_the_system",
+    "workers_honest",
+)
+"""Assumptions of every campaign that no data of its own can test."""
 
 
-def assumptions(accounts: Mapping[str, Account], methods: Methods) -> list[Assumption]:
-    """Return every assumption of the campaign, problem by problem, then those of the whole."""
+def assumptions(
+    ledger: Ledger, spot_check: SpotCheck | None, recheck: Recheck | None, *, irreproducible: bool
+) -> list[Assumption]:
+    """Return every assumption of the campaign, problem by problem, then those of the whole.
+
+    With `irreproducible` the system failed in an attempt at a rollout that was recorded later.
+    """
+    accounts = ledger.accounts
     found: list[Assumption] = []
     for name, account in accounts.items():
-        found += _of_problem(account, methods)
+        of_problem = list(_of_problem(account, ledger.methods, ledger.header.rules))
+        # Rules 1 know no assumption of these: a certificate keeps the list that it was issued with.
+        if ledger.header.rules > 1:
+            of_problem = [*_spot_checked(of_problem, name, spot_check), *_sampled(ledger, account)]
+        found += of_problem
         if name == "sim_gap":
             found.append(_dominates(account))
             if "nominal" in account.plan.shared:
                 found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
-        # A campaign without specification has no robustness, and so no clip.
-        if account.robustness:
+        # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
+        if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account))
-    rollouts = sum(sum(account.counts.values()) for account in accounts.values())
-    found.append(assumption("finite_rollouts", "derived", {"rollouts": rollouts}))
+    rollouts = {"rollouts": sum(sum(account.counts.values()) for account in accounts.values())}
+    if ledger.header.rules == 1:
+        found.append(assumption("finite_rollouts", "derived", rollouts, form="finite_rollouts_1"))
+    else:
+        found.append(assumption("finite_rollouts", "derived", rollouts))
+        found.append(_reproducible(recheck, irreproducible=irreproducible))
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
             found.append(assumption("independence", "derived"))
         found.append(assumption("accounting", "derived"))
-    return [*found, assumption("fixed_beforehand", "assumed"), assumption("workers_honest", "assumed")]
+    if ledger.header.rules == 1:
+        fixed = assumption("fixed_beforehand", "assumed", form="fixed_beforehand_1")
+        return [*found, fixed, assumption("workers_honest", "assumed")]
+    return [*found, *(assumption(name, "assumed") for name in TRUSTED)]
 
 
-def _of_problem(account: Account, methods: Methods) -> Iterator[Assumption]:
+def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:
+    """Yield the assumptions of a problem; the one on its norm is refuted where the spot check refutes the bound."""
+    results = {each.name: each for each in check.problems} if check else {}
+    result = results.get(name)  # type: ignore[call-overload]
+    for each in found:
+        if each.id != f"rkhs_norm/{name}" or result is None or result.status != "refuted":
+            yield each
+            continue
+        start = "one of its starts" if result.start is None else ", ".join(f"{v:.6g}" for v in result.start)
+        values = {"limit": result.limit, "start": start}
+        yield assumption(each.id, "refuted", values, form="norm_noisy_start" if result.noisy else "norm_start")
+
+
+def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
+    """Yield what the bound of a noisy problem needs of its samples: independence, and one law per start."""
+    name, plan = account.plan.name, account.plan
+    noisy = {variant for variant, _ in plan.rollouts} & set(ledger.header.spec.noisy)
+    if not noisy:
+        return
+    compared, copied = copies(account, noisy, ledger.trajectory)
+    values = {"rollouts": sum(account.counts[variant] for variant in noisy), "compared": compared, "copies": copied}
+    yield assumption(f"independent_rollouts/{name}", "refuted" if copied else "assumed", values)
+    # A list of starts is fixed beforehand; on a box nobody knows how many candidates are tested twice.
+    listed = None if isinstance(plan.candidates, Lattice) else plan.candidates.size
+    order = AdaptiveOrderTest(starts=listed)
+    for test, (node, each) in enumerate(zip(account.nodes, account.each, strict=True)):
+        for value in each:
+            order.observe(node, test, value)
+    yield assumption(f"one_law_per_start/{name}", *order.finding())
+
+
+def _reproducible(recheck: Recheck | None, *, irreproducible: bool) -> Assumption:
+    """Return the assumption that a rollout follows from its seed; in fixed words where an attempt failed."""
+    name, values = "reproducible_rollouts", {}
+    if recheck is not None and recheck.rollouts:
+        percent = math.ceil(1000 * recheck.unseen_share) / 10
+        values = {"rechecked": recheck.rollouts, "agreed": recheck.agreed, "percent": percent}
+    if irreproducible:
+        return assumption(name, "refuted", values, form="failures_vary")
+    if not values:
+        return assumption(name, "assumed")
+    return assumption(name, "not refuted" if recheck and recheck.agreed == recheck.rollouts else "refuted", values)
+
+
+def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assumption]:
     problem = account.plan.problem
     match problem:
         case PaperProblem():
@@ -49,7 +123,7 @@ def _of_problem(account: Account, methods: Methods) -> Iterator[Assumption]:
             assert isinstance(method, RigorousMethod)
             return _rigorous(account, problem, method)
         case ScenarioProblem():
-            return _scenario(account, problem)
+            return _scenario(account, problem, rules)
 
 
 def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
@@ -137,15 +211,20 @@ def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[A
         yield assumption(f"replicate_spread/{name}", *spread)
 
 
-def _scenario(account: Account, problem: ScenarioProblem) -> Iterator[Assumption]:
+def _scenario(account: Account, problem: ScenarioProblem, rules: int) -> Iterator[Assumption]:
     name, last = problem.name, account.last_bound
     yield _listed(account)
-    yield assumption(f"independent_rollouts/{name}", "derived", {"rollouts": sum(account.counts.values())})
+    # Rules 1 derive independence from the seeds; since rules 2 `_sampled` compares trajectories and their order.
+    first = rules == 1
+    if first:
+        rollouts = {"rollouts": sum(account.counts.values())}
+        yield assumption(f"independent_rollouts/{name}", "derived", rollouts, form="independent_rollouts_1")
     if last is not None and last.bound.upper is not None and last.bound.lower is not None:
         # J = -risk. The limit bounds the expectation from above: a bound beyond it would refute the single law.
         ell, limit = -last.bound.upper, -last.bound.lower
         status: Status = "refuted" if limit < ell else "not refuted"
-        yield assumption(f"one_law_per_start/{name}", status, {"ell": ell, "limit": limit})
+        limits = f"one_law_per_start/{name}" if first else f"limit_agrees/{name}"
+        yield assumption(limits, status, {"ell": ell, "limit": limit}, form="limit_agrees")
     if problem.linearised is not None:
         yield _linearised(name, problem.linearised)
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ...schemas import certificate as document
-from ...schemas.campaign import CampaignConfig, ProblemName, Rule
+from ...schemas.campaign import CampaignConfig, Rule
+from ...schemas.problems import ProblemName, Quantity
 from ..campaign.methods import Methods
 from ..campaign.plan import Plans
 from ..mathematics.bounds.composition import (
@@ -62,7 +63,7 @@ def claims(
     found = []
     for basis in bases(config):
         composed = None if basis.rule == "single" else terms(plans, results, methods, basis.rule)
-        found.append((_claim(basis, results, composed, assumptions), composed))
+        found.append((_claim(basis, _quantity(basis, plans), results, composed, assumptions), composed))
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
 
 
@@ -85,8 +86,14 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 
+def _quantity(basis: Basis, plans: Plans) -> Quantity:
+    """Return what a claim is about; the terms of a composition compose to the risk."""
+    return "rho_star" if basis.rule != "single" else plans[basis.problems[0]].statement.quantity or "rho_star"
+
+
 def _claim(
     basis: Basis,
+    quantity: Quantity,
     results: Results,
     composed: document.CompositionTerms | None,
     assumptions: Sequence[document.Assumption],
@@ -95,7 +102,7 @@ def _claim(
     minimum = composed is not None or first.sense == "min"
     used = _rests_on(assumptions, set(basis.problems), basis.rule)
     return document.CertificateClaim(
-        quantity="rho_star" if minimum else "J_star",
+        quantity=quantity,
         sense=">=" if minimum else "<=",
         bound=first.bound if composed is None else composed.bound,
         probability=first.probability if composed is None else _probability(results, basis.rule),

@@ -9,6 +9,7 @@ from ...schemas.base import digest
 from ...schemas.facts import Header
 from ..campaign.ledger import Ledger
 from .assumptions import assumptions
+from .checks import recheck, spot_check
 from .claims import Results, claims
 from .problem_results import result
 from .sensitivity import sensitivity, with_clip, without_rollouts
@@ -28,11 +29,15 @@ def manifest(entries: Iterable[tuple[str, str]]) -> Manifest:
     return Manifest("".join(lines), len(lines))
 
 
-def issue(ledger: Ledger, evidence: Manifest) -> document.Certificate:
-    """Return the certificate of a campaign whose problems have all stopped."""
+def issue(ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False) -> document.Certificate:
+    """Return the certificate of a campaign whose problems have all stopped.
+
+    With `irreproducible` the system failed in an attempt at a rollout that was recorded later.
+    """
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
     results: Results = {name: result(account) for name, account in accounts.items()}
-    found = assumptions(accounts, ledger.methods)
+    checked, repeated = spot_check(ledger), recheck(ledger)
+    found = assumptions(ledger, checked, repeated, irreproducible=irreproducible)
     claimed = claims(config, ledger.plans, results, ledger.methods, found)
     varied = None
     if header.rules >= 2:
@@ -52,10 +57,12 @@ def issue(ledger: Ledger, evidence: Manifest) -> document.Certificate:
         problems=tuple(results.values()),
         composition=claimed.composition,
         assumptions=tuple(found),
+        spot_check=checked,
+        recheck=repeated,
         evidence=document.Evidence(
             manifest_sha256=manifest_sha256,
-            # One chain per problem, because observations of two problems have no order; the head covers all.
-            chain_head=digest([account.link for account in accounts.values()]),
+            # One chain per problem and check, because observations of two series have no order; the head covers all.
+            chain_head=digest([series.link for series in ledger.series.values()]),
             rollouts=evidence.rollouts,
         ),
         software=header.software,

@@ -141,10 +141,24 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "choice of them is valid, and a good one loses less. The limit of the bound is not above the risk.",
     },
     "independent_rollouts": {
+        "refuted": "{copies} of {compared} pairs of rollouts with equal values are copies of each other, bit by bit, "
+        "although their seeds differ: the simulator does not draw its noise from the seed, so {rollouts} rollouts are "
+        "fewer independent ones.",
+        "assumed": "the {rollouts} noisy rollouts have different seeds, and no two of one start are copies of each "
+        "other; that the simulator draws its noise from the seed alone is assumed.",
+    },
+    "independent_rollouts_1": {
         "derived": "the {rollouts} rollouts have different seeds, and those of one start differ in nothing else; of "
         "the noise, the bound needs only this and the clip.",
     },
     "one_law_per_start": {
+        "refuted": "later rollouts of a start rank above or below its earlier ones (evidence {e_value} against "
+        "{threshold}, a false alarm of probability {level}): the simulator drifts, so its rollouts have no single law.",
+        "not refuted": "later rollouts of a start do not rank above or below its earlier ones (evidence {e_value} "
+        "against {threshold}, {values} values at {starts} starts); a slow drift can pass.",
+        "assumed": "no start was tested twice, so nothing shows whether the simulator drifts during the campaign.",
+    },
+    "limit_agrees": {
         "refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence: they contradict "
         "each other, so the rollouts of one start do not have one law.",
         "not refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence; that they do "
@@ -154,7 +168,19 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "derived": "{at_low} of {values} robustness values are at the lower clip {low}, {at_high} at the upper clip "
         "{high}; every claim is about the clipped robustness, so it does not distinguish values beyond a clip.",
     },
+    "norm_start": {
+        "refuted": "at the start ({start}) of the spot check the value is beyond the bound {limit}: the norm bound, "
+        "the kernel or the prior mean is wrong, and the bound is false there.",
+    },
+    "norm_noisy_start": {
+        "refuted": "the rollouts of the spot check contradict that the expectation keeps the bound {limit} at every "
+        "start (most clearly at {start}): the norm bound, the kernel, the prior mean or the noise scale is wrong.",
+    },
     "finite_rollouts": {
+        "derived": "all {rollouts} rollouts behind the bounds are finite: a rollout that never becomes finite ends the "
+        "campaign without a certificate.",
+    },
+    "finite_rollouts_1": {
         "derived": "all {rollouts} rollouts behind the bounds are finite, and none was dropped or repeated because of "
         "its outcome: a rollout that never becomes finite ends the campaign without a certificate.",
     },
@@ -166,7 +192,35 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "derived": "the failure probabilities of nominal_robustness and sim_gap are added, which is valid whatever the "
         "dependence between the problems.",
     },
+    "reproducible_rollouts": {
+        "refuted": "{rechecked} recorded rollouts were simulated once more with their seeds, and only {agreed} gave "
+        "the same trajectory: a rollout does not follow from its seed, and no one can repeat the evidence.",
+        "not refuted": "{rechecked} recorded rollouts, drawn after all others were fixed, were simulated once more "
+        "with their seeds, and all of them gave the same trajectory; up to {percent} % of all rollouts could differ "
+        "unseen (confidence .95).",
+        "assumed": "no rollout was simulated once more, so nothing shows whether a rollout follows from its seed.",
+    },
+    "failures_vary": {
+        "refuted": "the system failed in a rollout that ran through when it was repeated with the same seed: failures "
+        "depend on more than the seed, so the recorded rollouts may be selected by their outcome.",
+    },
+    "only_campaign": {
+        "assumed": "this is assumed to be the only campaign for its question; whoever picks the best of several "
+        "certificates adds up all their failure probabilities.",
+    },
+    "sampled_at_sample_times": {
+        "assumed": "the specification is evaluated at the sample times of a trajectory; between two samples it is "
+        "assumed to be as good.",
+    },
+    "simulator_is_the_system": {
+        "assumed": "every claim is about the simulator; that the real system has the same trajectories is assumed.",
+    },
     "fixed_beforehand": {
+        "assumed": "specification, clip, risk weight, starts, alpha, delta, composition, window, norm bounds, noise "
+        "scales, kernels, prior means, constants, replicates, budgets, software and the seed are assumed to be chosen "
+        "without knowledge of rollouts with these seeds.",
+    },
+    "fixed_beforehand_1": {
         "assumed": "norm bounds, noise scales, kernels, prior means, constants, replicates, budgets and the seed are "
         "assumed to be chosen without knowledge of rollouts with these seeds: a campaign file that was changed after "
         "its results were known needs a new seed.",

@@ -7,7 +7,7 @@ styles, never as markup: names, paths and formulas may contain brackets.
 import math
 import shlex
 import textwrap
-from collections.abc import Iterable, Sized
+from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 
 from rich.console import Console
@@ -20,25 +20,33 @@ from ...schemas.certificate import (
     CompositionTerms,
     Predicate,
     ProblemResult,
+    Recheck,
+    SpotCheck,
+    SpotCheckedProblem,
 )
+from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
 
 WIDTH = 100
 DIGITS = 4
 COLOURS = {"refuted": "red", "derived": "green"}
-QUANTITIES = {
+QUANTITIES: dict[Quantity, str] = {
     "rho_star": "rho* (robustness risk of the true system at its worst start)",
     "J_star": "J* (maximum of the expectation)",
+    "robustness": "worst robustness over all starts",
+    "expected_robustness": "worst expected robustness over all starts",
 }
 
 VALID = "the bound is valid at every moment"
 BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
 """The reason, by method, why a problem that ended by its budget has a bound."""
+WEALTH = 20
+"""1 / level of the spot check."""
 VACUOUS = "It shows nothing: the clip alone proves it."
 VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
 """Names of the variations of the sensitivity."""
-NAME = 22
-"""Columns of the name of an assumption; the longest is `deterministic_nominal`."""
+NAME = 25
+"""Columns of the name of an assumption; the longest are `simulator_is_the_system` and `sampled_at_sample_times`."""
 
 
 def outward(bound: float, sense: str) -> str:
@@ -70,6 +78,10 @@ def print_certificate(certificate: Certificate, console: Console) -> None:
         console.print()
         _line(console, "The first claim was chosen beforehand. Each has its own probability; if you pick the best")
         _line(console, "claim afterwards, its failure probability is the sum of all their failure probabilities.")
+    if sentences := check_sentences(predicate):
+        _heading(console, "After the campaign", "bold")
+    for sentence in sentences:
+        _line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
     _heading(console, "Problems", "bold")
     for problem in predicate.problems:
         _problem(problem, console)
@@ -169,7 +181,7 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console) 
 
 def _composition(claim: CertificateClaim, composition: CompositionTerms, console: Console) -> None:
     terms = f"{_signed_term(composition.gap_term)} (gap) {_signed_term(composition.risk_term)} (risk)"
-    line = f"{composition.nominal_bound:.4f} (nominal) {terms}"
+    line = f"{outward(composition.nominal_bound, '>=')} (nominal) {terms}"
     # A claim is never weaker than what the clip alone proves, and then it is not the sum of the terms.
     if claim.vacuous and composition.bound < claim.bound - SAME:
         _line(console, f"       composed: {line} = {outward(composition.bound, claim.sense)}, below the clip")
@@ -177,9 +189,45 @@ def _composition(claim: CertificateClaim, composition: CompositionTerms, console
         _line(console, f"       = {line}")
 
 
+def check_sentences(predicate: Predicate) -> tuple[str, ...]:
+    """Return what fresh starts and repeated rollouts showed, a sentence each."""
+    return (*_spot_sentences(predicate.spot_check), *_recheck_sentences(predicate.recheck))
+
+
+def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
+    if spot is None:
+        return
+    confidence = outward(1 - spot.level, ">=")
+    yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
+    for each in spot.problems:
+        yield f"{each.name}: {_spot_finding(each)}."
+    if spot.failures is not None and spot.failure_probability is not None:
+        share = outward(spot.failure_probability, "<=")
+        violate = f"{spot.failures} of {spot.starts} rollouts violate the specification"
+        yield f"{violate}; at a uniform start a rollout violates it with probability at most {share}."
+
+
+def _spot_finding(found: SpotCheckedProblem) -> str:
+    """Return the finding for one bound: of a deterministic value by its violations, of a noisy one by a test."""
+    refuted = "REFUTED, " if found.status == "refuted" else "not refuted, "
+    if found.status == "not testable":
+        return "not tested, because nothing bounds its noise"
+    if found.violated_share is not None:
+        share = outward(100 * found.violated_share, "<=")
+        return f"{refuted}{found.violations} starts are beyond the bound, at most {share} % of the box"
+    left = f", {found.undecided} suspicious starts are undecided" if found.undecided else ""
+    return f"{refuted}evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts, {WEALTH} would refute{left}"
+
+
+def _recheck_sentences(recheck: Recheck | None) -> Iterator[str]:
+    if recheck is not None:
+        yield f"Recheck: {recheck.agreed} of {recheck.rollouts} rollouts, simulated once more, agree bit by bit."
+
+
 def _signed_term(term: float) -> str:
-    """Return a term that is subtracted, with one sign."""
-    return f"{'-' if term >= 0 else '+'} {abs(term):.4f}"
+    """Return a term that is subtracted, with one sign, and rounded so that the sum claims no more."""
+    rounded = float(outward(term, "<="))
+    return f"{'-' if rounded >= 0 else '+'} {abs(rounded):.{DIGITS}f}"
 
 
 def _problem(problem: ProblemResult, console: Console) -> None:

@@ -85,6 +85,7 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
     rollouts         a row a rollout: its start, robustness, file, worker and times
     observations     a row a replicate: its contribution to the test
     counterexamples  those of the rollouts that violate the specification
+    failures         a row a failed attempt: its worker, its reason, and whether the system failed
 
     Without TABLES all are written.
     """

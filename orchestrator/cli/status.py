@@ -47,9 +47,10 @@ def _work(progress: CampaignProgress, *, running: bool) -> list[str]:
     for name, rollouts, last in progress.workers:
         ago = f", the last {duration(max(0.0, now - last))} ago" if running else ""
         lines.append(f"worker {name}: {_number(rollouts, 'rollout')}{ago}")
+    of_system = f" ({progress.system_failures} failed in the system)" if progress.system_failures else ""
     lines.append(
         f"{progress.rate:.1f} rollouts/s in the last minute of work; {_number(progress.failures, 'attempt')} without a "
-        f"result; {_number(progress.sessions, 'start')} of the orchestrator"
+        f"result{of_system}; {_number(progress.sessions, 'start')} of the orchestrator"
     )
     return lines
 

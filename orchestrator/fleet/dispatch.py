@@ -25,12 +25,15 @@ that are late, repeated or of unknown rollouts change nothing but are acknowledg
 
 The first valid result of a rollout wins, whichever attempt it came from. A rollout whose attempts failed
 `max_attempts` times is poisoned: the campaign fails and reports every attempt. Closed rollouts leave the state.
+The kind of a failure changes no retry. A failure of the system is recorded even if the rollout is closed; those that
+the machine itself finds (lost, hung, late) are failures of the infrastructure.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from .events import (
     Acknowledge,
@@ -116,10 +119,11 @@ class Worker:
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """A rollout that has no result yet."""
+    """A rollout that has no result yet; `avoid` is a worker that gets it only if there is no other one."""
 
     attempts: int = 0
     failures: tuple[str, ...] = ()
+    avoid: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +170,8 @@ def under_way(state: DispatchState) -> int:
 
 def _want(state: DispatchState, event: Wanted) -> Outcome:
     # Numbered on from the attempts before a restart: a late result of theirs must not pass for one of a new attempt.
-    new = {rollout: Open(attempts) for rollout, attempts in event.rollouts if rollout not in state.open}
+    fresh = ((rollout, attempts) for rollout, attempts in event.rollouts if rollout not in state.open)
+    new = {rollout: Open(attempts, avoid=event.avoid.get(rollout)) for rollout, attempts in fresh}
     return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
 
 
@@ -245,13 +250,13 @@ def _adopt(state: DispatchState, event: Reported) -> DispatchState:
 def _deliver(state: DispatchState, event: Delivered) -> Outcome:
     acknowledge = Acknowledge(event.worker, event.attempt)
     state = _release(state, event.worker, event.attempt)
-    if event.attempt.rollout not in state.open:
-        return state, (
-            acknowledge,
-        )  # a repeat, late or of no use: without the acknowledgement the worker sends it again
-    if event.error is not None:
-        state, actions = _fail(state, event.worker, event.attempt, event.error)
+    failed, is_open = event.failure, event.attempt.rollout in state.open
+    # Late, but evidence all the same: if another attempt was recorded, the system does not repeat with its seed.
+    if failed is not None and (is_open or failed.kind == "system"):
+        state, actions = _fail(state, event.worker, event.attempt, failed)
         return state, (*actions, acknowledge)
+    if not is_open:  # a repeat, late or of no use: without the acknowledgement the worker sends it again
+        return state, (acknowledge,)
     # The first valid result counts, whichever attempt it is of: equal requests give equal bytes.
     state, cancels = _cancel_others(state, event.attempt.rollout, event.at)
     state = _close_rollouts(state, frozenset({event.attempt.rollout}))
@@ -292,7 +297,7 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
             return state, ()
         state = replace(state, workers={key: value for key, value in state.workers.items() if key != name})
         # The whole entry is removed: if the process is alive, its token makes it a `new` worker, and it reports first.
-        lost = f"worker lost for {limits.lost_after:g} s"
+        lost = Failure("infrastructure", f"worker lost for {limits.lost_after:g} s")
         return _fail(state, name, worker.attempt, lost) if worker.attempt else (state, ())
     # It neither reports idle nor disappears. `progress_at` starts anew, so that it is given up again later.
     if worker.phase in ("new", "shunned") and at - worker.progress_at >= limits.hung_after:
@@ -313,21 +318,21 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
 def _shun(state: DispatchState, name: str, worker: Worker, reason: str, at: float) -> Outcome:
     assert worker.attempt is not None
     state = _put(state, name, _shunned(worker, at))
-    state, actions = _fail(state, name, worker.attempt, reason)
+    state, actions = _fail(state, name, worker.attempt, Failure("infrastructure", reason))
     return state, (Revoke(name, worker.attempt), *actions, GiveUp(name))
 
 
-def _fail(state: DispatchState, name: str, attempt: Attempt, reason: str) -> Outcome:
+def _fail(state: DispatchState, name: str, attempt: Attempt, failure: Failure) -> Outcome:
     """Count the failure against the rollout, and queue the rollout again or poison it."""
     known = state.open.get(attempt.rollout)
     if known is None or not _is_current(state, attempt.rollout):
-        return state, (Fail(name, attempt, reason),)  # a repeat, or another attempt is under way: no second count
-    failures = (*known.failures, f"attempt {attempt.number} on {name}: {reason}")
+        return state, (Fail(name, attempt, failure),)  # a repeat, or another attempt is under way: no second count
+    failures = (*known.failures, f"attempt {attempt.number} on {name}: {failure.reason}")
     state = replace(state, open={**state.open, attempt.rollout: replace(known, failures=failures)})
     if len(failures) >= state.limits.max_attempts:
-        return state, (Fail(name, attempt, reason), Poison(attempt.rollout, failures))
+        return state, (Fail(name, attempt, failure), Poison(attempt.rollout, failures))
     # In front: the observation of its test, and all that follow in the problem, wait for it.
-    return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, reason),)
+    return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, failure),)
 
 
 def _is_current(state: DispatchState, rollout: RolloutId) -> bool:
@@ -342,14 +347,33 @@ def _assign(state: DispatchState, at: float) -> Outcome:
         return state, ()
     # Sorted: the order of the mapping depends on the order in which the workers came.
     idle = sorted(name for name, worker in state.workers.items() if worker.phase == "idle")
-    starts = tuple(_next_attempt(state, *pair) for pair in zip(idle, state.waiting, strict=False))
+    pairs, waiting = _pairs(state, idle)
+    starts = tuple(_next_attempt(state, *pair) for pair in pairs)
     sent = {start.worker: Worker("sent", start.attempt, sent_at=at, started_at=at, progress_at=at) for start in starts}
     tried = {
         start.attempt.rollout: replace(state.open[start.attempt.rollout], attempts=start.attempt.number)
         for start in starts
     }
     workers, opened = {**state.workers, **sent}, {**state.open, **tried}
-    return replace(state, workers=workers, open=opened, waiting=state.waiting[len(starts) :]), starts
+    return replace(state, workers=workers, open=opened, waiting=waiting), starts
+
+
+def _pairs(state: DispatchState, idle: Sequence[str]) -> tuple[list[tuple[str, RolloutId]], tuple[RolloutId, ...]]:
+    """Return idle workers with a waiting rollout each, and the rollouts that wait on."""
+    alone = sum(worker.phase != "gone" for worker in state.workers.values()) == 1
+    free, pairs, left, reached = list(idle), [], [], 0
+    for rollout in state.waiting:
+        if not free:
+            break
+        reached += 1
+        avoid = None if alone else state.open[rollout].avoid
+        worker = next((name for name in free if name != avoid), None)
+        if worker is None:
+            left.append(rollout)
+        else:
+            free.remove(worker)
+            pairs.append((worker, rollout))
+    return pairs, (*left, *state.waiting[reached:])
 
 
 def _next_attempt(state: DispatchState, name: str, rollout: RolloutId) -> Start:

@@ -1,7 +1,9 @@
 """Events and actions of the dispatch machine; `at` is in seconds of any one clock."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
+from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 
 
@@ -11,6 +13,8 @@ class Wanted:
 
     at: float
     rollouts: tuple[tuple[RolloutId, int], ...]
+    avoid: Mapping[RolloutId, str] = field(default_factory=dict)
+    """Workers that shall not simulate a rollout while there is another one: a recheck by another process says more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +53,12 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
-    """The end of an attempt: a valid result, or the reason (`error`) why there is none."""
+    """The end of an attempt: a valid result, or the failure."""
 
     at: float
     worker: str
     attempt: Attempt
-    error: str | None
+    failure: Failure | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +124,7 @@ class Fail:
 
     worker: str
     attempt: Attempt
-    reason: str
+    failure: Failure
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.campaign import SENSES, PaperProblem, Problem, RigorousProblem, ScenarioProblem
+from ...schemas.campaign import PaperProblem, Problem, RigorousProblem, ScenarioProblem
 from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan
@@ -31,7 +31,7 @@ def surface(plan: ProblemPlan, method: ProblemMethod, bound: Bound) -> Surface:
     shape = None
     if isinstance(space, Lattice):
         band, shape = _thinned(_projected(band, space))
-    minimum = SENSES[problem.name] == "min"
+    minimum = plan.objective.sense == "min"
     mean, lower, upper = (_series(each, minimum=minimum) for each in (band.mean, band.lower, band.upper))
     return Surface(
         shape=shape,

@@ -9,9 +9,11 @@ from pathlib import Path
 from ...schemas.campaign import Scenarios
 from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
-from ...schemas.facts import Header, RolloutFact
+from ...schemas.facts import Header, ProposalFact, RolloutFact
+from ...schemas.ids import CHECKS, RolloutId
 from ..campaign.plan import plans
 from ..certificate import files
+from ..certificate.text import check_sentences
 from ..run.format import resume_command
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, rollouts_of
@@ -40,6 +42,8 @@ class Collector:
         self._header: Header | None = None
         self._certificate: Certificate | None = None
         self._problems: dict[str, ProblemCollector] = {}
+        self._checked: dict[tuple[str, int], tuple[float, ...]] = {}
+        """The start of each test of a check."""
         self._workers = WorkerStatistics()
         self._violations: list[RolloutFact] = []
         self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
@@ -93,15 +97,20 @@ class Collector:
     def _add(self, changes: Changes) -> None:
         try:
             for fact in changes.decisions:
-                self._problems[fact.problem].add(fact)
+                if fact.problem not in CHECKS:
+                    self._problems[fact.problem].add(fact)
+                elif isinstance(fact, ProposalFact):
+                    self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
-                self._problems[problem].rollouts += number
+                if problem not in CHECKS:
+                    self._problems[problem].rollouts += number
         except (KeyError, ValueError) as error:
             raise JournalError(
                 f"{self.directory}: the facts contradict each other ({error}); restore the database from a copy"
             ) from None
         self._workers.add(changes)
-        self._violations += changes.violations
+        # A recheck repeats rollouts that have been counted.
+        self._violations += (fact for fact in changes.violations if fact.rollout.problem != CHECKS[-1])
         self._violations.sort(key=lambda fact: (fact.robustness, fact.rollout))
 
     def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
@@ -109,6 +118,8 @@ class Collector:
         results = {each.name: each for each in predicate.problems} if predicate else {}
         problems = tuple(each.data(results.get(each.problem.name)) for each in self._problems.values())
         claims = wording.worded(predicate) if predicate else ()
+        # Terms without a claim of their own compose to the risk.
+        of_risk = any(each.quantity in (None, "rho_star") for each in problems)
         return ReportData(
             name=config.name,
             seed=config.seed,
@@ -119,13 +130,14 @@ class Collector:
             doc=header.spec.doc,
             specification=config.specification,
             horizon=config.horizon,
-            risk_weight=config.risk_weight,
+            risk_weight=config.risk_weight if of_risk else None,
             clip=config.clip,
             axes=_axes(header),
             now=wording.current_bound(problems, claims),
             claims=claims,
             composition=predicate.composition if predicate else None,
             assumptions=predicate.assumptions if predicate else (),
+            checks=check_sentences(predicate) if predicate else (),
             problems=problems,
             scenes=tuple(
                 self._rollouts(name, test)
@@ -133,7 +145,7 @@ class Collector:
                 for test in each.worst_tests(WORST_STARTS)
             ),
             counterexamples=tuple(
-                rollouts.described(self.directory, fact, self._problems[fact.rollout.problem].starts[fact.rollout.test])
+                rollouts.described(self.directory, fact, self._start(fact.rollout))
                 for fact in self._violations[:MOST_COUNTEREXAMPLES]
             ),
             violations=len(self._violations),
@@ -142,7 +154,13 @@ class Collector:
             throughput=self._workers.throughput(),
             software=header.software,
             resume=resume_command(self.directory),
+            failed_attempts=self._workers.failed_attempts(),
         )
+
+    def _start(self, rollout: RolloutId) -> tuple[float, ...]:
+        if rollout.problem in CHECKS:
+            return self._checked[rollout.problem, rollout.test]
+        return self._problems[rollout.problem].starts[rollout.test]
 
     def _state(self) -> State:
         if self._certificate is not None:

@@ -41,10 +41,10 @@ def formula(header: Header) -> Formula | None:
 
 def relevant_columns(header: Header, problem: Problem) -> tuple[str, ...]:
     """Return the columns that a problem's objective reads, in the order of the system."""
-    gap = header.config.gap_of(problem) if problem.name == "sim_gap" else None
+    gap = header.config.gap_of(problem)
     tree = formula(header)
     wanted: frozenset[str | None] = columns(tree) if tree else frozenset()
-    if problem.name == "maximum":
+    if problem.column is not None:
         wanted = frozenset({problem.column})
     elif gap is not None and gap.column is not None:
         wanted = frozenset({gap.column})

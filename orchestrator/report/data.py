@@ -13,6 +13,7 @@ from typing import Any, Literal
 from pydantic import BaseModel
 
 from ...schemas.certificate import Assumption, CompositionTerms
+from ...schemas.problems import Quantity
 
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
@@ -22,8 +23,7 @@ Series = tuple[float | None, ...]
 class Claim:
     """A claim of the certificate; the first one is fixed before the campaign."""
 
-    quantity: str
-    """"rho_star" or "J_star"."""
+    quantity: Quantity
     sense: str
     """">=" or "<="."""
     bound: float
@@ -90,6 +90,8 @@ class Problem:
 
     name: str
     objective: str
+    quantity: Quantity | None
+    """Of its claim; None for a term of a composition."""
     method: str
     sense: str
     """"min" or "max": the worst start is where the objective is least or greatest."""
@@ -193,6 +195,22 @@ class Throughput:
     """`recorded[k]` rollouts are recorded `seconds[k]` after the start; at most 200 points."""
     sessions: int
     failures: int
+    system_failures: int = 0
+    """Failures of the system among them; 0 in a database that does not tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class FailedAttempt:
+    """One attempt without a result."""
+
+    rollout: str
+    attempt: int
+    worker: str
+    kind: str | None
+    """"infrastructure" or "system"; None in a database that does not tell."""
+    reason: str
+    ended: float
+    """Unix time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +227,8 @@ class ReportData:
     doc: str
     specification: str | None
     horizon: float
-    risk_weight: float
+    risk_weight: float | None
+    """None where no claim is about the risk."""
     clip: tuple[float, float] | None
     axes: tuple[Axis, ...]
     now: str
@@ -217,6 +236,8 @@ class ReportData:
     claims: tuple[Claim, ...]
     composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
+    checks: tuple[str, ...]
+    """What the spot check and the recheck after the campaign showed, a sentence each."""
     problems: tuple[Problem, ...]
     scenes: tuple[RolloutsOfTest, ...]
     """The worst test of each of the worst starts of every problem, the worst first; a live page requests the others."""
@@ -230,6 +251,8 @@ class ReportData:
     software: Mapping[str, str]
     resume: str
     """Command that resumes the campaign."""
+    failed_attempts: tuple[FailedAttempt, ...] = ()
+    """The latest first, at most 50."""
 
 
 def to_json(data: ReportData | RolloutsOfTest) -> str:

@@ -6,7 +6,6 @@ lower change places for a minimum.
 
 from itertools import islice
 
-from ...schemas.campaign import SENSES
 from ...schemas.certificate import ProblemResult
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.values import Observation, Proposal
@@ -33,7 +32,7 @@ class ProblemCollector:
         """z of every proposed test."""
         self.observed: list[ObservedTest] = []
         self._plan, self._method, self._header = plan, method(plan), header
-        self._sense = SENSES[plan.problem.name]
+        self._sense = plan.objective.sense
         self._proposals: dict[int, ProposalFact] = {}
         self._values: dict[int, ObservationFact] = {}
         self._pending: list[tuple[Proposal, Observation]] = []
@@ -80,6 +79,7 @@ class ProblemCollector:
         return Problem(
             name=problem.name,
             objective=typeset(result.objective if result else objective(self._plan)),
+            quantity=self._plan.statement.quantity,
             method=problem.method,
             sense=self._sense,
             unit=unit(problem, self._header.config, self._header.spec),

@@ -61,9 +61,7 @@ def current_bound(problems: Sequence[Problem], claims: Sequence[Claim]) -> str:
 
 def _problem_bound(problem: Problem) -> str:
     sense = ">=" if problem.sense == "min" else "<="
-    # true_risk and maximum are claims by themselves; the others are terms of a composition
-    direct = {"true_risk": "rho_star", "maximum": "J_star"}.get(problem.name)
-    quantity = QUANTITIES[direct] if direct else problem.objective.partition(", through")[0]
+    quantity = QUANTITIES[problem.quantity] if problem.quantity else problem.objective.partition(", through")[0]
     if problem.stopped_by == "refuted":
         return f"{problem.name}: its assumptions are refuted, so its bound is worth nothing."
     if problem.bound is None:

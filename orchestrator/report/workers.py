@@ -1,6 +1,7 @@
 """Totals by worker and throughput over time: the part of the report data that differs from run to run."""
 
 from array import array
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
@@ -8,9 +9,13 @@ from typing import NamedTuple
 from ...schemas.facts import RECORDED, RESTORED
 from ..store.changes import AttemptOutcome, Changes
 from ..store.progress import RECENT, rate
-from .data import Throughput, WorkerRow
+from .data import FailedAttempt, Throughput, WorkerRow
 
 MOST_POINTS = 200
+MOST_FAILED = 50
+"""Failed attempts in the data; the export lists all of them."""
+LONGEST_REASON = 500
+"""Characters of a reason."""
 
 
 class LiveState(NamedTuple):
@@ -41,12 +46,14 @@ class _Totals:
 
 @dataclass(slots=True)
 class WorkerStatistics:
-    """Totals by worker, and the times of all recorded rollouts."""
+    """Totals by worker, the times of all recorded rollouts, and the latest failed attempts."""
 
     _totals: dict[str, _Totals] = field(default_factory=dict)
     _hosts: dict[str, str] = field(default_factory=dict)
     _ended: "array[float]" = field(default_factory=lambda: array("d"))
     _sessions: int = 0
+    _system_failures: int = 0
+    _failed: deque[FailedAttempt] = field(default_factory=lambda: deque(maxlen=MOST_FAILED))
 
     def add(self, changes: Changes) -> None:
         """Add the outcomes of new attempts."""
@@ -56,6 +63,9 @@ class WorkerStatistics:
             self._totals.setdefault(outcome.worker, _Totals()).add(outcome)
             if outcome.outcome == RECORDED:
                 self._ended.append(outcome.ended)
+            elif outcome.outcome != RESTORED:
+                self._system_failures += outcome.kind == "system"
+                self._failed.append(_failed_attempt(outcome))
 
     def rows(self, live: Mapping[str, LiveState]) -> tuple[WorkerRow, ...]:
         """Return every worker by name; the state of one that `live` lacks is unknown."""
@@ -80,7 +90,17 @@ class WorkerStatistics:
             recorded=tuple(at + 1 for at in positions),
             sessions=self._sessions,
             failures=sum(each.failures for each in self._totals.values()),
+            system_failures=self._system_failures,
         )
+
+    def failed_attempts(self) -> tuple[FailedAttempt, ...]:
+        """Return the latest failed attempts, the last one first."""
+        return tuple(reversed(self._failed))
+
+
+def _failed_attempt(outcome: AttemptOutcome) -> FailedAttempt:
+    reason = outcome.outcome[:LONGEST_REASON]
+    return FailedAttempt(outcome.rollout, outcome.attempt, outcome.worker, outcome.kind, reason, outcome.ended)
 
 
 def _positions(count: int) -> Sequence[int]:

@@ -3,9 +3,9 @@
 import shlex
 from pathlib import Path
 
-from ...schemas.campaign import SENSES
+from ...schemas.problems import OBJECTIVES
 
-MINIMA = tuple(name for name, sense in SENSES.items() if sense == "min")
+MINIMA = tuple(name for name, each in OBJECTIVES.items() if each.sense == "min")
 """Problems whose bound is the negative of the method's."""
 
 

@@ -41,7 +41,9 @@ class Terminal:
             (each, _time_left(config, problem, each, rate / max(1, running)))
             for problem, each in zip(config.problems, status.problems.values(), strict=True)
         ]
-        self._live.update(Group(progress_table(config, rows), Text(worker_line(status, rate), style="dim")))
+        self._live.update(
+            Group(progress_table(config, rows, status.checks), Text(worker_line(status, rate), style="dim"))
+        )
 
 
 class Plain:
@@ -68,6 +70,12 @@ class Plain:
                 self._problem(status.config, problem, progress)
             if ended:
                 self._ended.add(problem.name)
+        for name, progress in status.checks.items():
+            ended = progress.stopped_by is not None
+            if (ended and name not in self._ended) or (due and not ended):
+                self._check(name, progress)
+            if ended:
+                self._ended.add(name)
         if due:
             self._last = now
             self._workers(status, rate)
@@ -90,6 +98,13 @@ class Plain:
             bound=bound,
             stopped_by=progress.stopped_by,
         )
+
+    def _check(self, name: str, progress: ProblemProgress) -> None:
+        if self._json is None:
+            self.print_line(f"{name}: test {progress.tests}{'; ended' if progress.stopped_by else ''}")
+        else:
+            event = "check ended" if progress.stopped_by else "progress of a check"
+            self._json.line(event, check=name, tests=progress.tests, rollouts=progress.rollouts)
 
     def _workers(self, status: RunStatus, rate: float) -> None:
         if self._json is None:

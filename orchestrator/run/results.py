@@ -2,8 +2,9 @@
 
 from collections.abc import Container
 
-from ...schemas.errors import EvidenceError
+from ...schemas.errors import EvidenceError, UnusableTrajectoryError
 from ...schemas.facts import RECORDED, RESTORED
+from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from ...schemas.trajectory import Trajectory
 from ..campaign.admission import admit
@@ -24,20 +25,23 @@ class Results:
     def take(self, message: Result, *, open_rollouts: Container[RolloutId]) -> events.Delivered:
         """Take a result of an admitted worker; return the event for the dispatch machine."""
         attempt = Attempt(RolloutId.parse(message.header.rollout), message.header.attempt)
-        # A result that is no longer needed is acknowledged unread, so that the worker drops it.
-        error = self._admit(attempt, message) if attempt.rollout in open_rollouts else None
-        return events.Delivered(message.at, message.worker, attempt, error)
-
-    def _admit(self, attempt: Attempt, message: Result) -> str | None:
-        """Keep a result until it is decided on; return the reason if it is refused."""
-        header = message.header
+        header, failure = message.header, None
         if header.outcome == "failed":
-            return header.error or "the worker gave no reason"
+            failure = Failure(header.kind or "infrastructure", header.error or "the worker gave no reason")
+        elif attempt.rollout in open_rollouts:
+            failure = self._admit(attempt, message)
+        # A result that is no longer needed is acknowledged unread, so that the worker drops it.
+        return events.Delivered(message.at, message.worker, attempt, failure)
+
+    def _admit(self, attempt: Attempt, message: Result) -> Failure | None:
+        """Keep a result until it is decided on; return the failure of the attempt if it is refused."""
         request = self._ledger.request(attempt.rollout)
         try:
-            trajectory = admit(request, self._columns, message.payload, header.sha256)
+            trajectory = admit(request, self._columns, message.payload, message.header.sha256)
+        except UnusableTrajectoryError as fault:
+            return Failure("system", str(fault))
         except EvidenceError as fault:
-            return str(fault)
+            return Failure("infrastructure", str(fault))
         self._admitted[attempt] = message, trajectory
         return None
 

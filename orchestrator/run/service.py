@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped
-from ...schemas.ids import Attempt, RolloutId
+from ...schemas.errors import PerfboundError, Stopped, one_line
+from ...schemas.ids import CHECKS, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
@@ -48,6 +48,8 @@ class RunStatus:
     config: CampaignConfig
     problems: Mapping[str, ProblemProgress]
     """By name, in the order of the campaign file."""
+    checks: Mapping[str, ProblemProgress]
+    """Those that have begun, by name."""
     workers: Mapping[str, str]
     """Name and phase of every worker."""
     known: Mapping[str, WorkerRecord]
@@ -215,9 +217,10 @@ class Service:
                 self._outgoing.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Acknowledge(worker, attempt):
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
-            case events.Fail(worker, attempt, reason):
-                self._journal.attempt_ended(attempt, worker, reason)
-                self._print_line(f"{attempt.rollout}, attempt {attempt.number} on {worker}: {reason}")
+            case events.Fail(worker, attempt, failure):
+                self._journal.attempt_ended(attempt, worker, failure)
+                name = f"{attempt.rollout}, attempt {attempt.number} on {worker}"
+                self._print_line(f"{name}, {failure.kind} failure: {one_line(failure.reason)}")
             case events.GiveUp(worker):
                 state = self._roster.admitted(worker)
                 # A process id names one of our children on this host only.
@@ -232,7 +235,14 @@ class Service:
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
-            self._events.append(events.Wanted(now, tuple((each, attempts.get(each, 0)) for each in work.wanted)))
+            numbered = tuple((each, attempts.get(each, 0)) for each in work.wanted)
+            self._events.append(events.Wanted(now, numbered, self._recorders(work.wanted)))
+
+    def _recorders(self, wanted: Sequence[RolloutId]) -> dict[RolloutId, str]:
+        """Return the worker that recorded the original of each rollout that repeats one."""
+        originals = {each: self._ledger.original(each) for each in wanted}
+        found = {each: self._journal.recorder(original) for each, original in originals.items() if original}
+        return {each: worker for each, worker in found.items() if worker is not None}
 
     def _assign(self, worker: str, attempt: Attempt) -> None:
         request = self._ledger.request(attempt.rollout)
@@ -262,6 +272,7 @@ class Service:
         status = RunStatus(
             self._ledger.config,
             {name: account.progress for name, account in self._ledger.accounts.items()},
+            {name: each.progress for name, each in self._ledger.series.items() if name in CHECKS},
             {name: worker.phase for name, worker in self._state.workers.items()},
             self._roster.records,
             self._state.recorded,

@@ -259,7 +259,8 @@ def _certify(directory: Path, ledger: "Ledger") -> None:
     from ..certificate.issue import issue, manifest  # noqa: PLC0415
 
     found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
-    files.write(directory, issue(ledger, found), found.text)
+    irreproducible = read.irreproducible(directory) > 0
+    files.write(directory, issue(ledger, found, irreproducible=irreproducible), found.text)
 
 
 @contextmanager

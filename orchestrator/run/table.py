@@ -1,6 +1,6 @@
 """Progress of a campaign as a table with one row per problem."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
@@ -30,8 +30,15 @@ def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemP
     return forecast.tests_left(config, problem, remaining_distance(problem, progress), progress.tests)
 
 
-def progress_table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress, str]]) -> Table:
-    """Return one row per problem, in the order of the campaign file: its progress, and the text of column `left`."""
+def progress_table(
+    config: CampaignConfig,
+    rows: Sequence[tuple[ProblemProgress, str]],
+    checks: Mapping[str, ProblemProgress] | None = None,
+) -> Table:
+    """Return one row per problem, in the order of the campaign file: its progress, and the text of column `left`.
+
+    The checks that have begun follow.
+    """
     found = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
         found.add_column(name, justify="left" if name == "problem" else "right")
@@ -46,4 +53,8 @@ def progress_table(config: CampaignConfig, rows: Sequence[tuple[ProblemProgress,
             f"ended: {progress.stopped_by}" if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",
         )
+    for name, progress in (checks or {}).items():
+        most = {"spot_check": config.spot_check + config.spot_check_followups, "recheck": config.recheck}[name]
+        end = "ended" if progress.stopped_by else f"of at most {most} tests"
+        found.add_row(name, str(progress.tests), "", "", "", str(progress.rollouts), end)
     return found

@@ -1,6 +1,7 @@
 """The rows that were added to a campaign database since the last call; nothing stays open between two calls."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,8 @@ from sqlalchemy import Connection
 from ...schemas.errors import JournalError
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from . import tables
-from .read import read_header, reading
-from .rows import DATABASE, READERS
+from .read import read_header, read_version, reading
+from .rows import DATABASE, READERS, SCHEMA_VERSION
 
 _SINCE: sa.BindParameter[int] = sa.bindparam("since")
 _rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.attempts.c
@@ -28,7 +29,6 @@ _COUNTS = (
 )
 _VIOLATING = _rollouts.robustness < 0
 _VIOLATIONS = sa.select(tables.rollouts).where(_rollouts.seq > _SINCE, _VIOLATING).order_by(_rollouts.seq)
-_OUTCOMES = sa.select(tables.outcomes, _ENDED.label("rowid")).where(_ENDED > _SINCE).order_by(_ENDED)
 _HOSTS = (
     sa.select(_attempts.worker, _attempts.host, sa.func.max(_STARTED).label("rowid"))
     .where(_STARTED > _SINCE)
@@ -38,6 +38,7 @@ _HOSTS = (
 _RUN = sa.select(tables.campaign.c.run)
 _SESSIONS = sa.select(sa.func.count()).select_from(tables.sessions)
 
+
 Decision = ProposalFact | ObservationFact | BoundFact
 
 
@@ -45,11 +46,24 @@ Decision = ProposalFact | ObservationFact | BoundFact
 class AttemptOutcome:
     """The end of one attempt: `ended` is Unix time, the others are s."""
 
+    rollout: str
+    attempt: int
     worker: str
     outcome: str
     ended: float
     cpu_seconds: float
     wall_seconds: float
+    kind: str | None = None
+    """Of a failure: `schemas.failure.FailureKind`, or None in a database of an earlier schema version."""
+
+
+_OUTCOME_FIELDS = tuple(each.name for each in fields(AttemptOutcome))
+
+
+@cache
+def _outcomes_query(version: int) -> sa.Select[Any]:
+    columns = tables.readable(tables.outcomes, version)
+    return sa.select(*columns, _ENDED.label("rowid")).where(_ENDED > _SINCE).order_by(_ENDED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +88,7 @@ class ChangeReader:
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._header: Header | None = None
+        self._version = SCHEMA_VERSION
         self._seq = self._ended = self._started = 0
 
     def read(self) -> Changes:
@@ -94,7 +109,7 @@ class ChangeReader:
             ]
             counts = connection.execute(_COUNTS, seq).all()
             violations = connection.execute(_VIOLATIONS, seq).all()
-            outcomes = connection.execute(_OUTCOMES, {"since": self._ended}).all()
+            outcomes = connection.execute(_outcomes_query(self._version), {"since": self._ended}).all()
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
             sessions = connection.execute(_SESSIONS).scalar_one()
         decisions.sort(key=lambda pair: pair[0])  # the sequence number is common to all tables of facts
@@ -103,10 +118,7 @@ class ChangeReader:
             tuple(fact for _, fact in decisions),
             {row.problem: row.number for row in counts},
             tuple(_rollout(row, self._directory) for row in violations),
-            tuple(
-                AttemptOutcome(row.worker, row.outcome, row.ended, row.cpu_seconds, row.wall_seconds)
-                for row in outcomes
-            ),
+            tuple(AttemptOutcome(**{name: getattr(row, name) for name in _OUTCOME_FIELDS}) for row in outcomes),
             {row.worker: row.host for row in hosts},
             sessions,
         )
@@ -119,6 +131,7 @@ class ChangeReader:
 
     def _checked(self, connection: Connection) -> Header:
         if self._header is None:
+            self._version = read_version(connection, self._directory)
             return read_header(connection, self._directory)
         # Its sequence numbers start again: the increments of two campaigns must not be added up.
         if connection.execute(_RUN).scalar() != self._header.run:

@@ -16,7 +16,7 @@ from ...schemas.facts import Header
 from . import export_tables
 from .export_tables import TABLES, ExportColumn, ExportTable, Row, Value
 from .files import FOLDER
-from .read import read_header, reading
+from .read import read_header, read_version, reading
 from .rows import DATABASE
 
 __all__ = ["TABLES", "counterexamples", "export", "stream"]
@@ -81,7 +81,8 @@ def _open_campaign(directory: Path, names: Sequence[str]) -> Iterator[tuple[Conn
         raise PerfboundError(f"there is no table {unknown[0]!r}; allowed are {', '.join(TABLES)}")
     with reading(directory) as connection:
         header = read_header(connection, directory)
-        yield connection, header, [export_tables.export_table(name, header) for name in names]
+        version = read_version(connection, directory)
+        yield connection, header, [export_tables.export_table(name, header, version) for name in names]
 
 
 def _counted(table: ExportTable, connection: Connection, progress: Progress) -> Iterator[Row]:

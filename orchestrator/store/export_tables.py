@@ -6,6 +6,7 @@
 | `rollouts`        | a recorded rollout, its file, and the attempt that brought it                  |
 | `observations`    | what one replicate contributed to an observed test                             |
 | `counterexamples` | a rollout with robustness below 0                                              |
+| `failures`        | an attempt that failed, and whether it failed in the system                    |
 
 Rows are in the order of the facts. Numbers are in the unit of their objective: for sense min they are robustness,
 where the database has J = -robustness. So `lower` is a bound from below and `upper` one from above, in both senses.
@@ -20,12 +21,14 @@ from typing import Any, Literal
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
-from ...schemas.campaign import SENSES, CampaignConfig, Problem
-from ...schemas.facts import RECORDED, Header
+from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.facts import RECORDED, RESTORED, Header
+from ...schemas.ids import CHECKS
+from ...schemas.problems import OBJECTIVES
 from ...schemas.system import SystemSpec
 from . import tables
 
-TABLES = ("tests", "rollouts", "observations", "counterexamples")
+TABLES = ("tests", "rollouts", "observations", "counterexamples", "failures")
 BATCH = 1000
 """Rows that are fetched at a time."""
 
@@ -60,8 +63,8 @@ class ExportTable:
             yield from self.expand(row)
 
 
-def export_table(name: str, header: Header) -> ExportTable:
-    """Return one of `TABLES` of a campaign.
+def export_table(name: str, header: Header, version: int) -> ExportTable:
+    """Return one of `TABLES` of a campaign whose database has this schema version.
 
     Raises:
         KeyError: there is no such table.
@@ -75,7 +78,10 @@ def export_table(name: str, header: Header) -> ExportTable:
         case "observations":
             return _observations_table(header)
         case "counterexamples":
-            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0))
+            # Not of the recheck: it repeats rollouts that are listed.
+            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0, _r.problem != CHECKS[-1]))
+        case "failures":
+            return _failures_table(version)
     raise KeyError(name)
 
 
@@ -89,7 +95,7 @@ def robustness_unit(config: CampaignConfig, spec: SystemSpec) -> str:
 
 def unit(problem: Problem, config: CampaignConfig, spec: SystemSpec) -> str:
     """Return the unit of a problem's objective, or nothing if it is not known."""
-    gap = config.gap_of(problem) if problem.name == "sim_gap" else None
+    gap = config.gap_of(problem)
     column = gap.column if gap else problem.column
     units = {each.name: each.unit for each in spec.columns}
     return units.get(column, "") if column else robustness_unit(config, spec)
@@ -167,6 +173,29 @@ def _rollout_row(row: Any) -> Iterator[Row]:
     yield *which, *json.loads(row.x), row.robustness, row.path, row.size, row.sha256, *attempt
 
 
+# failures
+
+_FAILURE = (
+    ExportColumn("rollout", "text"),
+    ExportColumn("attempt", "integer"),
+    ExportColumn("worker", "text"),
+    ExportColumn("kind", "text"),
+    ExportColumn("reason", "text"),
+    ExportColumn("ended", unit="s"),
+)
+
+
+def _failures_table(version: int) -> ExportTable:
+    columns = tables.readable(tables.outcomes, version)
+    query = sa.select(*columns).where(_outcome.outcome.not_in((RECORDED, RESTORED)))
+    # Outcomes have no sequence number: the order of the rows is that in which they were written.
+    return ExportTable("failures", _FAILURE, query.order_by(sa.literal_column("outcomes.rowid")), _failure_row)
+
+
+def _failure_row(row: Any) -> Iterator[Row]:
+    yield row.rollout, row.attempt, row.worker, row.kind, row.outcome, row.ended
+
+
 # observations
 
 _OBSERVATIONS = sa.select(tables.observations).order_by(_o.seq)
@@ -190,13 +219,14 @@ def _observations_table(header: Header) -> ExportTable:
 
 def _contributes_robustness(problem: Problem) -> bool:
     """Whether `each` of an observation contains robustness and not J: `perfbound.schemas.values.Observation`."""
-    return problem.name == "true_risk" and problem.method != "rigorous"
+    return problem.method == "scenario" or (problem.method == "paper" and OBJECTIVES[problem.name].risk)
 
 
 def _objectives(header: Header) -> dict[str, tuple[str, str]]:
-    """Return sense and unit of every problem's objective."""
-    return {
-        problem.name: (SENSES[problem.name], unit(problem, header.config, header.spec))
+    """Return sense and unit of every problem's objective; a check has neither."""
+    checks = dict.fromkeys(CHECKS, ("", ""))
+    return checks | {
+        problem.name: (OBJECTIVES[problem.name].sense, unit(problem, header.config, header.spec))
         for problem in header.config.problems
     }
 

@@ -14,17 +14,20 @@ from sqlalchemy import Connection, Engine
 
 from ...schemas.atomic import move, temporary
 from ...schemas.errors import JournalError
-from ...schemas.facts import RECORDED, RESTORED, Fact, Header, ProposalFact, RolloutFact
-from ...schemas.ids import Attempt
+from ...schemas.facts import RECORDED, Fact, Header, ProposalFact, RolloutFact
+from ...schemas.failure import Failure
+from ...schemas.ids import Attempt, RolloutId
 from . import tables
-from .read import read_facts, read_header
+from .read import read_facts, read_header, read_version
 from .rows import (
     DATABASE,
     SCHEMA_VERSION,
     attempt_key,
     existing,
     fact_row,
+    has_column,
     header_row,
+    outcome_fields,
     proposal_fact,
     rollout_fact,
 )
@@ -42,7 +45,7 @@ class Journal:
         self.directory, self.header = directory, header
         self._engine = engine
         self._connection = engine.connect()
-        self._seq = self._last_seq()
+        self._version, self._seq = self._position()
         self._pending: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
         self.session = self._open_session()
 
@@ -105,13 +108,18 @@ class Journal:
         row = {"worker": worker, "host": host, "pid": pid, "session": self.session, "started": time.time()}
         self._pending[tables.attempts].append(attempt_key(attempt) | row)
 
-    def attempt_ended(self, attempt: Attempt, worker: str, outcome: str, cpu: float = 0.0, wall: float = 0.0) -> None:
-        """Write the outcome of an attempt: the first failure, and a result even after it."""
-        # A worker that was given up may still deliver its result, or report its failure once more.
-        if outcome not in (RECORDED, RESTORED) and self._has_ended(attempt):
+    def attempt_ended(
+        self, attempt: Attempt, worker: str, outcome: str | Failure, cpu: float = 0.0, wall: float = 0.0
+    ) -> None:
+        """Write the outcome of an attempt: RECORDED, RESTORED or a failure.
+
+        A worker that was given up may still deliver its result, or report a failure. A result is written in any case,
+        a failure of the infrastructure as the first outcome alone, a failure of the system as the first of its kind.
+        """
+        if isinstance(outcome, Failure) and self._has_failed(attempt, outcome):
             return
-        row = {"worker": worker, "ended": time.time(), "outcome": outcome, "cpu_seconds": cpu, "wall_seconds": wall}
-        self._pending[tables.outcomes].append(attempt_key(attempt) | row)
+        row = {"worker": worker, "ended": time.time(), "cpu_seconds": cpu, "wall_seconds": wall}
+        self._pending[tables.outcomes].append(attempt_key(attempt) | row | outcome_fields(outcome, self._version))
 
     def _flush(self) -> None:
         """Write the pending rows, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
@@ -119,10 +127,13 @@ class Journal:
             if rows := self._pending.pop(table, None):
                 self._connection.execute(insert, rows)
 
-    def _has_ended(self, attempt: Attempt) -> bool:
+    def _has_failed(self, attempt: Attempt, failure: Failure) -> bool:
+        """Whether an outcome of the attempt is written to which the failure adds nothing."""
         self._flush()
         columns = tables.outcomes.c
         this = (columns.rollout == str(attempt.rollout)) & (columns.attempt == attempt.number)
+        if failure.kind == "system" and has_column("outcomes", "kind", self._version):
+            this &= columns.kind == "system"
         return self._connection.execute(sa.select(columns.attempt).where(this)).first() is not None
 
     def facts(self) -> Iterator[Fact]:
@@ -137,11 +148,29 @@ class Journal:
             return [rollout_fact(row) for row in self._connection.execute(newest)]
 
     def proposal(self, problem: str, test: int) -> ProposalFact:
-        """Return the proposal of a test that has one."""
+        """Return the proposal of a test that has one; inside or outside a transaction."""
         columns = tables.tests.c
-        query = sa.select(tables.tests).where(columns.problem == problem, columns.test == test)
-        with self._connection.begin():
-            return proposal_fact(self._connection.execute(query).one())
+        return proposal_fact(self._one(sa.select(tables.tests).where(columns.problem == problem, columns.test == test)))
+
+    def rollout(self, rollout: RolloutId) -> RolloutFact:
+        """Return a recorded rollout; inside or outside a transaction."""
+        columns = tables.rollouts.c
+        this = [columns[name] == value for name, value in rollout._asdict().items()]
+        return rollout_fact(self._one(sa.select(tables.rollouts).where(*this)))
+
+    def recorder(self, rollout: RolloutId) -> str | None:
+        """Return the worker whose result was recorded; inside `transaction`."""
+        self._flush()
+        columns = tables.outcomes.c
+        query = sa.select(columns.worker).where(columns.rollout == str(rollout), columns.outcome == RECORDED)
+        return self._connection.execute(query).scalars().first()
+
+    def _one(self, query: sa.Select[Any]) -> sa.Row[Any]:
+        if not self._connection.in_transaction() and not self._pending:
+            with self._connection.begin():
+                return self._connection.execute(query).one()
+        self._flush()  # the row may be one of this transaction
+        return self._connection.execute(query).one()
 
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
@@ -154,11 +183,11 @@ class Journal:
         self._connection.close()
         self._engine.dispose()
 
-    def _last_seq(self) -> int:
+    def _position(self) -> tuple[int, int]:
+        """Return the schema version of the database and its last sequence number."""
         with self._connection.begin():
-            return max(
-                self._connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() or 0 for table in tables.FACTS
-            )
+            last = [self._connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in tables.FACTS]
+            return read_version(self._connection, self.directory), max(seq or 0 for seq in last)
 
     def _open_session(self) -> int:
         with self._connection.begin():

@@ -15,7 +15,7 @@ from ...schemas.errors import JournalError
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.values import ProblemProgress
 from .readonly import is_still, open_readonly
-from .rows import DATABASE, bound_fact, checked_header, existing, header_columns
+from .rows import DATABASE, bound_fact, checked_header, checked_version, existing, has_column, header_columns
 
 RECENT = 1000
 MINUTE = 60.0
@@ -29,6 +29,7 @@ _LAST_BOUNDS = """
 """
 _WORKERS = "SELECT worker, count(*), max(ended) FROM outcomes WHERE outcome = ? GROUP BY worker ORDER BY worker"
 _FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?)"
+_SYSTEM_FAILURES = "SELECT count(*) FROM outcomes WHERE kind = 'system'"
 _RECENT = "SELECT ended FROM outcomes WHERE outcome = ? ORDER BY rowid DESC LIMIT ?"
 _SESSIONS = "SELECT count(*) FROM sessions"
 
@@ -43,6 +44,8 @@ class CampaignProgress:
     workers: tuple[tuple[str, int, float], ...]
     """(worker, rollouts recorded, Unix time of the last one)."""
     failures: int
+    system_failures: int | None
+    """Failures of the system among them; None if the database does not tell."""
     sessions: int
     rate: float
     """Rollouts per second over the last minute of work, or over its last thousand rollouts."""
@@ -65,8 +68,9 @@ def read_progress(directory: Path) -> CampaignProgress:
 
 
 def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
-    version = connection.execute(_VERSION).fetchone()
-    columns = ", ".join(header_columns(directory, version and version[0]))
+    found = connection.execute(_VERSION).fetchone()
+    version = checked_version(directory, found and found[0])
+    columns = ", ".join(header_columns(version))
     query = f"SELECT {columns} FROM campaign LIMIT 2"  # noqa: S608  (names of a tuple of constants)
     header = checked_header(directory, _named(connection.execute(query)))
     rollouts = {str(row[0]): int(row[1]) for row in connection.execute(_ROLLOUTS)}
@@ -76,6 +80,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         tuple(_problem_progress(last.get(each.name), rollouts.get(each.name, 0)) for each in header.config.problems),
         tuple((str(row[0]), int(row[1]), float(row[2])) for row in connection.execute(_WORKERS, [RECORDED])),
         int(connection.execute(_FAILURES, [RECORDED, RESTORED]).fetchone()[0]),
+        connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
         int(connection.execute(_SESSIONS).fetchone()[0]),
         rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])]),
     )

@@ -11,12 +11,12 @@ import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
 from ...schemas.errors import JournalError
-from ...schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact
-from ...schemas.ids import RolloutId
+from ...schemas.facts import RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
+from ...schemas.ids import CHECKS, RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .readonly import is_still, open_readonly
-from .rows import DATABASE, READERS, checked_header, existing, header_columns
+from .rows import DATABASE, READERS, checked_header, checked_version, existing, has_column, header_columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +61,16 @@ def _reading_engine(path: Path, *, immutable: bool) -> Engine:
     )
 
 
+def read_version(connection: Connection, directory: Path) -> int:
+    """Return the schema version of the database.
+
+    Raises:
+        JournalError: this perfbound does not read it.
+
+    """
+    return checked_version(directory, connection.execute(sa.select(tables.schema.c.version)).scalar())
+
+
 def read_header(connection: Connection, directory: Path) -> Header:
     """Return the first fact.
 
@@ -68,8 +78,7 @@ def read_header(connection: Connection, directory: Path) -> Header:
         JournalError: the database is of another schema version, or its header is missing or was changed.
 
     """
-    version = connection.execute(sa.select(tables.schema.c.version)).scalar()
-    columns = [tables.campaign.c[name] for name in header_columns(directory, version)]
+    columns = [tables.campaign.c[name] for name in header_columns(read_version(connection, directory))]
     return checked_header(directory, connection.execute(sa.select(*columns).limit(2)).all())
 
 
@@ -98,8 +107,27 @@ def attempts(directory: Path) -> dict[RolloutId, int]:
         return {RolloutId.parse(rollout): number for rollout, number in connection.execute(query)}
 
 
+def irreproducible(directory: Path) -> int:
+    """Return how many recorded rollouts have an attempt that failed in the system, so that a retry chose their outcome.
+
+    Databases of schema versions below 3 do not tell failures of the system from others; the number is 0.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    columns = tables.outcomes.c
+    recorded = sa.select(columns.rollout).where(columns.outcome == RECORDED)
+    failed: sa.ColumnElement[bool] = columns.kind == "system"
+    query = sa.select(sa.func.count(columns.rollout.distinct())).where(failed, columns.rollout.in_(recorded))
+    with reading(directory) as connection:
+        if not has_column("outcomes", "kind", read_version(connection, directory)):
+            return 0
+        return connection.execute(query).scalar_one()
+
+
 def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
-    """Return (rollout, sha256, path) of every rollout behind an observation, by problem, test and id.
+    """Return (rollout, sha256, path) of every rollout behind an observation, by series, test and id.
 
     Raises:
         JournalError: there is no campaign in `directory`, or it cannot be read.
@@ -113,7 +141,7 @@ def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
     )
     rollout = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
     with reading(directory) as connection:
-        order: list[str] = [problem.name for problem in read_header(connection, directory).config.problems]
+        order = [problem.name for problem in read_header(connection, directory).config.problems] + list(CHECKS)
         rows = connection.execute(sa.select(*rollout, rollouts.sha256, rollouts.path).select_from(joined)).all()
     found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
     return sorted(found, key=lambda entry: (order.index(entry[0].problem), *entry[0][1:]))

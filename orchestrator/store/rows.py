@@ -9,18 +9,31 @@ from typing import Any
 from ...schemas.base import canonical_json
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import JournalError
-from ...schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.facts import (
+    RECORDED,
+    RESTORED,
+    BoundFact,
+    Fact,
+    Header,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+)
+from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from ...schemas.rules import check_rules
 from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 
 DATABASE = "campaign.db"
-SCHEMA_VERSION = 2
-"""Version 1 has no column `rules`; its campaigns follow rules 1."""
-READ_VERSIONS = (1, 2)
-ADDED_IN = {("campaign", "rules"): 2}
-"""(table, column) to the schema version that added it; every other column is as old as version 1."""
+SCHEMA_VERSION = 3
+"""Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
+READ_VERSIONS = (1, 2, 3)
+ADDED_IN = {("campaign", "rules"): 2, ("outcomes", "kind"): 3}
+"""(table, column) to the schema version that added it; every other column is as old as version 1.
+
+Campaigns without `rules` follow rules 1; the kind of a failure without `kind` is unknown.
+"""
 _HEADER = ("run", "name", "seed", "config", "config_sha256", "system", "software", "rules")
 
 
@@ -42,11 +55,11 @@ def existing(directory: Path) -> Path:
 # From rows to facts; a row has the columns of its table as attributes.
 
 
-def header_columns(directory: Path, version: int | None) -> tuple[str, ...]:
-    """Return the columns of table `campaign` in a database of this schema version.
+def checked_version(directory: Path, version: int | None) -> int:
+    """Return the schema version of a database.
 
     Raises:
-        JournalError: this perfbound does not read that version.
+        JournalError: this perfbound does not read it.
 
     """
     if version is None or version not in READ_VERSIONS:
@@ -54,7 +67,17 @@ def header_columns(directory: Path, version: int | None) -> tuple[str, ...]:
             f"{directory / DATABASE}: schema version {version}, this perfbound reads {SCHEMA_VERSION}; "
             "use the perfbound that wrote it, or a newer one"
         )
-    return tuple(name for name in _HEADER if ADDED_IN.get(("campaign", name), 1) <= version)
+    return version
+
+
+def has_column(table: str, column: str, version: int) -> bool:
+    """Whether a table has a column in databases of this schema version."""
+    return ADDED_IN.get((table, column), 1) <= version
+
+
+def header_columns(version: int) -> tuple[str, ...]:
+    """Return the columns of table `campaign` in a database of this schema version."""
+    return tuple(name for name in _HEADER if has_column("campaign", name, version))
 
 
 def checked_header(directory: Path, rows: Sequence[Any]) -> Header:
@@ -171,6 +194,14 @@ def fact_row(fact: Fact) -> tuple[str, dict[str, Any]]:
 def attempt_key(attempt: Attempt) -> dict[str, Any]:
     """Return the key of an attempt in `attempts` and `outcomes`."""
     return {"rollout": str(attempt.rollout), "attempt": attempt.number}
+
+
+def outcome_fields(outcome: str | Failure, version: int) -> dict[str, Any]:
+    """Return the outcome of an attempt as columns of `outcomes` in a database of this schema version."""
+    kind, text = (outcome.kind, outcome.reason) if isinstance(outcome, Failure) else (None, outcome)
+    if kind and text in (RECORDED, RESTORED):  # a reason is text of a system under test, and may be anything
+        text = f"failed: {text}"
+    return {"outcome": text} | ({"kind": kind} if has_column("outcomes", "kind", version) else {})
 
 
 def _fields(value: RolloutFact | Proposal) -> dict[str, Any]:

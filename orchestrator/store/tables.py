@@ -4,10 +4,22 @@ Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollo
 nondeterministic part (workers, hosts and times) is in `attempts`, `outcomes` and `sessions`, outside the hash chain.
 """
 
-from sqlalchemy import Column, ForeignKeyConstraint, Integer, MetaData, Table, Text, UniqueConstraint
+from typing import Any
+
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    ForeignKeyConstraint,
+    Integer,
+    MetaData,
+    Table,
+    Text,
+    UniqueConstraint,
+    null,
+)
 from sqlalchemy.types import REAL
 
-from .rows import ADDED_IN
+from .rows import has_column
 
 metadata = MetaData()
 
@@ -113,6 +125,7 @@ outcomes = Table(
     Column("outcome", Text, primary_key=True),  # "recorded", or why there is no result; both, if it came late
     Column("cpu_seconds", REAL, nullable=False),
     Column("wall_seconds", REAL, nullable=False),
+    Column("kind", Text),  # schemas.failure, of a failed attempt
     sqlite_strict=True,
 )
 
@@ -140,5 +153,11 @@ def insert_only() -> list[str]:
 
 
 def columns_of_version(table: Table, version: int) -> list[str]:
-    """Return the columns of a table in a database of this schema version."""
-    return [name for name, _ in table.c.items() if ADDED_IN.get((table.name, name), 1) <= version]
+    """Return the names of a table's columns in a database of this schema version."""
+    return [name for name, _ in table.c.items() if has_column(table.name, name, version)]
+
+
+def readable(table: Table, version: int) -> list[ColumnElement[Any]]:
+    """Return all columns of a table for a query; NULL for those that a database of this schema version lacks."""
+    there = columns_of_version(table, version)
+    return [column if name in there else null().label(name) for name, column in table.c.items()]

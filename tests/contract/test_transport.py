@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import pytest
 import zenoh
@@ -14,6 +14,7 @@ import zenoh
 from perfbound.orchestrator.fleet import transport as port
 from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport, listen
 from perfbound.schemas import keys
+from perfbound.schemas.failure import FailureKind
 from perfbound.schemas.link import LOCAL, connect_config
 from perfbound.schemas.messages import (
     MAX_MESSAGE,
@@ -137,6 +138,12 @@ def a_header(worker: str) -> ResultHeader:
     return ResultHeader(rollout="maximum.0.true.0", attempt=1, worker=worker, outcome="done", sha256="a" * 64)
 
 
+def a_failure(worker: str, kind: FailureKind | None) -> ResultHeader:
+    return ResultHeader(
+        rollout="maximum.0.true.0", attempt=1, worker=worker, outcome="failed", error="it raised", kind=kind
+    )
+
+
 def test_a_token_comes_and_goes(rig: Rig) -> None:
     heard = listening(rig)
     with joined(rig, "early"), joined(rig, "w"):
@@ -191,6 +198,20 @@ def test_a_result_arrives_as_it_was_sent(rig: Rig, size: int) -> None:
         assert result.payload == payload
 
 
+@pytest.mark.parametrize("kind", [*get_args(FailureKind), None])
+def test_a_failure_arrives_with_its_kind(rig: Rig, kind: FailureKind | None) -> None:
+    heard = listening(rig)
+    with joined(rig, "w") as uplink:
+        heard.next(Token, worker="w")
+        uplink.deliver(a_failure("w", kind), b"")
+        assert heard.next(Result, worker="w").header == a_failure("w", kind)
+
+
+def test_a_header_of_an_older_worker_has_no_kind() -> None:
+    assert b"kind" not in encode_message(a_failure("w", None))
+    assert b"kind" not in encode_message(a_header("w"))
+
+
 def test_a_request_reaches_its_worker_alone_and_in_order(rig: Rig) -> None:
     heard = listening(rig)
     mine: list[Request] = []
@@ -242,6 +263,8 @@ STATE, RESULT = keys.state_key(RUN, "w"), keys.result_key(RUN, "w", "maximum.0.t
         (RESULT, b"x", encode_message(a_header("w")).replace(b"maximum.0", b"maximum/0")),
         (RESULT, b"x", encode_message(a_header("w")).replace(b":1,", b":0,")),
         (RESULT, b"x", encode_message(a_header("w")) + b" " * MAX_MESSAGE),
+        (RESULT, b"x", encode_message(a_header("w")).replace(b'"done"', b'"done","kind":"system"')),
+        (RESULT, b"", encode_message(a_failure("w", "system")).replace(b'"system"', b'"moon"')),
         (RESULT, b"x" * 1001, encode_message(a_header("w"))),
     ],
 )

@@ -94,7 +94,7 @@ def _claimed(found: Found) -> str:
 CAMPAIGNS: Column = ("campaigns", lambda found: str(found.campaigns))
 LIMIT: Column = ("allowed", lambda found: str(found.allowed))
 RULED: list[Column] = [LIMIT, ("verdict", _verdict)]
-PLACE: list[Column] = [("Z", lambda found: found.row.place), ("p", _of("dimension")), ("nu", _of("nu"))]
+PLACE: list[Column] = [("domain", lambda found: found.row.place), ("dimension", _of("dimension")), ("nu", _of("nu"))]
 
 TABLES: dict[str, tuple[str, list[Column]]] = {
     "rigorous": (
@@ -120,15 +120,15 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
     "scenario": (
         "Method `scenario`: campaigns in which a statement was ever false",
         [
-            ("robustness", lambda found: found.row.law),
-            ("starts", lambda found: f"{found.row.size}{', tied' if found.row.tied and found.row.size > 1 else ''}"),
-            ("risk", lambda found: found.row.risk),
+            ("distribution", lambda found: found.row.law),
+            ("starts", lambda found: f"{found.row.size}{' equal' if found.row.tied and found.row.size > 1 else ''}"),
+            ("risk bound", lambda found: found.row.risk),
             ("window", _of("window")),
             ("claimed delta", _claimed),
             CAMPAIGNS,
             ("ell", _sum("ell")),
             ("a bound of one start", _sum("each")),
-            ("partner U", _sum("upper")),
+            ("bound on the limit of ell", _sum("upper")),
             *RULED,
             ("converged", _sum("converged")),
             ("mean tests", _mean("tests", 1)),
@@ -155,8 +155,8 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
         "The audit of `rigorous`: false alarms in the rows with B and R right, power in the others",
         [
             ("true R", _of("noise_scale")),
-            ("B too small by", _of("small_b")),
-            ("R too small by", _of("small_r")),
+            ("B too small by a factor", _of("small_b")),
+            ("R too small by a factor", _of("small_r")),
             CAMPAIGNS,
             ("B refuted", _share("refuted")),
             ("R refuted (replicates)", _share("spread")),
@@ -172,7 +172,7 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
         [
             ("claim", lambda found: "rho* >= ell, product" if found.row.composed else "J* <= eps"),
             ("sigma", lambda found: found.row.sigma),
-            ("B too small by", _of("small_b")),
+            ("B too small by a factor", _of("small_b")),
             CAMPAIGNS,
             ("claimed to fail at most", lambda found: f"{100 * found.row.claimed:.1f} %"),
             ("false on the lattice", _share("nodes")),
@@ -226,7 +226,7 @@ def write(page: Path, found: Sequence[Found]) -> None:
 def _sums(found: Sequence[Found]) -> str:
     """Return the failures of each kind over all its judged rows with a claim of the same size."""
     lines = [
-        "| kind | claimed delta | rows | campaigns | statements false | share | 95 % limit of it |",
+        "| kind | claimed delta | rows | campaigns | statements false | share | 95 % upper limit |",
         "|" + "---|" * 7,
     ]
     judged = [each for each in found if each.judged]
@@ -248,7 +248,7 @@ NAMES = {
     ("rigorous", "failed"): "set, band, bound or refutation",
     ("scenario", "ell"): "ell",
     ("scenario", "each"): "a bound of one start",
-    ("scenario", "upper"): "partner U",
+    ("scenario", "upper"): "bound on the limit of ell",
     ("composition", "failed"): "any rule, or refutation",
     ("audit", "refuted"): "false alarm about B",
     ("audit", "spread"): "false alarm about R",
@@ -267,5 +267,5 @@ def _origin() -> str:
     today = datetime.datetime.now(datetime.UTC).date()
     return (
         f"Written on {today} by `{command}` on {os.cpu_count()} cores with a load of {os.getloadavg()[0]:.1f} "
-        f"(Python {platform.python_version()}, numpy {np.__version__}); digests of the code under study: {digests}."
+        f"(Python {platform.python_version()}, numpy {np.__version__}); the code under study had the digests {digests}."
     )

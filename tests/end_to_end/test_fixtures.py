@@ -46,3 +46,19 @@ def test_the_stopped_campaign_resumes_to_the_certificate_of_the_finished_one(sta
     assert decided(directory / "certificate.json") == decided(calm / "certificate.json")
     assert (directory / "manifest.sha256").read_bytes() == (calm / "manifest.sha256").read_bytes()
     assert started.run("perfbound", "verify", directory).code == 0
+
+
+@pytest.mark.parametrize(("name", "version"), [("rules-1/rigorous-pair-stopped", 1), ("schema-2", 2)])
+def test_an_older_database_is_resumed_as_it_is(started: Processes, name: str, version: int) -> None:
+    """Both are stopped runs of the campaign of `rigorous-pair`; the database is written without newer columns."""
+    directory = Path(shutil.copytree(RULES_1.parent / name, started.folder / "run"))
+    before = query(directory, "SELECT sql FROM sqlite_master")
+    ended = started.run("perfbound", "resume", directory, "--workers", "2")
+    assert ended.code == 0, ended.err
+    assert query(directory, "SELECT version FROM schema") == [(version,)]
+    assert query(directory, "SELECT sql FROM sqlite_master") == before
+    manifest = (RULES_1 / "rigorous-pair" / "manifest.sha256").read_bytes()
+    assert (directory / "manifest.sha256").read_bytes() == manifest
+    for command in ("verify", "status", "export", "report"):
+        ended = started.run("perfbound", command, directory)
+        assert ended.code == 0, ended.err

@@ -18,7 +18,7 @@ def test_a_real_campaign_with_random_rollouts_simulated_again(started: Processes
     ended = started.run("perfbound", "verify", copy, "--resimulate", "4")
     assert ended.code == 0, ended.out + ended.err
     assert "\nVERIFIED (the signature was not checked): " in ended.out
-    assert "bitwise the same: workers_honest is spot-checked" in " ".join(ended.out.split())
+    assert "bitwise the same: workers_honest is sampled" in " ".join(ended.out.split())
     assert "CLAIM" in ended.out
 
 

@@ -347,7 +347,7 @@ def serve(
             port.start(journal.header.run, server.inbox.put)
             server.run()
         found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
-        files.write(directory, issue(ledger, found), found.text)
+        files.write(directory, issue(ledger, found, irreproducible=read.irreproducible(directory) > 0), found.text)
     return (directory / files.CERTIFICATE).read_text()
 
 

@@ -21,6 +21,8 @@ window = 4
 max_attempts = {max_attempts}
 hung_after = {hung_after}
 deadline = {deadline}
+spot_check = 8
+recheck = 4
 
 [system]
 name = "faulty-function"

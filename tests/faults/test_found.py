@@ -14,6 +14,7 @@ import sqlalchemy as sa
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.facts import Header
+from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
@@ -27,10 +28,10 @@ def test_a_result_that_comes_after_its_attempt_was_given_up_shows_as_recorded(tm
     campaign = config("test-function")
     with closing(Journal.create(tmp_path, Header.new(campaign, load_system("test-function").spec, {}))) as journal:
         with journal.transaction():
-            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", "worker lost for 3 s")
-            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", "no progress for 2 s")
+            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "worker lost for 3 s"))
+            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "no progress for 2 s"))
             journal.attempt_ended(Attempt(ROLLOUT, 1), "w", "recorded")
-            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", "the worker failed at last")
+            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "the worker failed at last"))
         with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
             told = connection.execute("SELECT outcome FROM outcomes ORDER BY rowid").fetchall()
     assert told == [("worker lost for 3 s",), ("recorded",)]

@@ -154,5 +154,7 @@ def chain_head(header: Header, recomputed: Sequence[Fact], recorded: Sequence[Pr
     for fact in recomputed:
         if isinstance(fact, ObservationFact):
             test = (fact.problem, fact.test)
-            links[fact.problem] = next_link(links[fact.problem], chosen[test], rollouts[test], fact.observation)
+            # A check has its first link when its first test comes.
+            link = links.setdefault(fact.problem, first_link(header, fact.problem))
+            links[fact.problem] = next_link(link, chosen[test], rollouts[test], fact.observation)
     return digest(list(links.values()))

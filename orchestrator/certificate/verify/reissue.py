@@ -13,9 +13,9 @@ from .rerun import Rerun
 PROBABILITIES = ("probability", "probabilities")
 
 
-def reissue(rerun: Rerun) -> Certificate:
-    """Return the certificate that follows from the evidence."""
-    return issue(rerun.ledger, manifest(rerun.observed()))
+def reissue(rerun: Rerun, *, irreproducible: bool) -> Certificate:
+    """Return the certificate that follows from the evidence, and from whether attempts failed irreproducibly."""
+    return issue(rerun.ledger, manifest(rerun.observed()), irreproducible=irreproducible)
 
 
 def compared(header: Header, reissued: Certificate, certificate: Certificate) -> Iterator[tuple[str, str | None, str]]:
@@ -36,6 +36,13 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         ),
         ("probabilities", _probabilities_of, ROUND_OFF, f"problems: {problems}, claims: {claims}"),
         ("composition", lambda side: side["composition"], ROUND_OFF, rule),
+        (
+            "spot check",
+            lambda side: side["spot_check"],
+            compare.SIX_DIGITS,
+            _checked(recomputed["spot_check"], "start"),
+        ),
+        ("recheck", lambda side: side["recheck"], ROUND_OFF, _checked(recomputed["recheck"], "rollout")),
         ("claims", lambda side: side["sensitivity"], ROUND_OFF, ""),
         ("claims", lambda side: _without_probabilities(side["claims"]), ROUND_OFF, f"claims: {claims}"),
     ):
@@ -43,6 +50,11 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         if fault or detail:
             yield name, fault, detail
     yield "audit", *_audit(reissued.predicate.assumptions, certificate.predicate.assumptions)
+
+
+def _checked(part: Mapping[str, Any] | None, noun: str) -> str:
+    count = 0 if part is None else part["starts" if noun == "start" else "rollouts"]
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _audit(recomputed: Sequence[Assumption], recorded: Sequence[Assumption]) -> tuple[str | None, str]:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ....schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError
-from ....schemas.facts import Fact, Header, ObservationFact, RolloutFact
+from ....schemas.facts import Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from ....schemas.ids import RolloutId
 from ....schemas.trajectory import read_mcap
 from ....schemas.values import Proposal
@@ -40,6 +40,15 @@ class MemoryFactStore:
     def facts(self) -> Iterator[Fact]:
         """Yield all facts in their order."""
         return iter(self.written)
+
+    def rollout(self, rollout: RolloutId) -> RolloutFact:
+        """Return a recorded rollout."""
+        return next(fact for fact in self.written if isinstance(fact, RolloutFact) and fact.rollout == rollout)
+
+    def proposal(self, problem: str, test: int) -> ProposalFact:
+        """Return the proposal of a test that has one."""
+        key = problem, test
+        return next(f for f in self.written if isinstance(f, ProposalFact) and (f.problem, f.test) == key)
 
 
 class NullFileStore:
@@ -78,7 +87,7 @@ class Rerun:
     def observed(self) -> list[tuple[str, str]]:
         """Return (sha256, path) of every rollout behind an observation, in the order of the manifest."""
         tests = {(fact.problem, fact.test) for fact in self.facts if isinstance(fact, ObservationFact)}
-        order = list(self.ledger.accounts)
+        order = list(self.ledger.series)
         found = [f for f in self.facts if isinstance(f, RolloutFact) and f.rollout[:2] in tests]
         found.sort(key=lambda fact: (order.index(fact.rollout.problem), *fact.rollout[1:]))
         return [(fact.sha256, fact.path) for fact in found]
@@ -116,7 +125,7 @@ class Rerun:
                 raise CheckFailed("evidence", f"{each.plan.problem} needs {wanted}, the manifest lists {listed}")
 
     def _stopped(self) -> set[str]:
-        bounds = {name: account.last_bound for name, account in self.ledger.accounts.items()}
+        bounds = {name: account.last_bound for name, account in self.ledger.series.items()}
         return {name for name, bound in bounds.items() if bound is not None and bound.stopped_by is not None}
 
     def _step(self, act: Callable[[], Work]) -> Sequence[RolloutId]:

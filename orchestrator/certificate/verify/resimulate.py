@@ -1,4 +1,4 @@
-"""The re-simulation of random rollouts: a spot check that the trajectories come from the simulator."""
+"""The re-simulation of random rollouts: a test on a sample that the trajectories come from the simulator."""
 
 import math
 import random
@@ -78,8 +78,8 @@ def _sample_difference(a: Trajectory, b: Trajectory) -> float:
     return float(np.max(np.abs(a.samples - b.samples)))
 
 
-def spot_check(again: tuple[Resimulation, ...], total: int) -> str:
-    """Return the finding of the spot check for `workers_honest`, as a sentence."""
+def finding(again: tuple[Resimulation, ...], total: int) -> str:
+    """Return the finding for `workers_honest`, as a sentence."""
     count = len(again)
     same = sum(each.bitwise for each in again)
     how = "bitwise the same" if same == count else f"{same} bitwise the same, the others within {TOLERANCE:g}"
@@ -88,6 +88,6 @@ def spot_check(again: tuple[Resimulation, ...], total: int) -> str:
     # With a share p of false rollouts, `count` random ones miss them all with probability (1 - p)^count = .05.
     percent = math.ceil(1000 * (1.0 - 0.05 ** (1.0 / count))) / 10
     return (
-        f"{count} of {total} rollouts, {how}: workers_honest is spot-checked; if more than {percent:g} % were false, "
+        f"{count} of {total} rollouts, {how}: workers_honest is sampled; if more than {percent:g} % were false, "
         "this check would fail with probability at least .95"
     )

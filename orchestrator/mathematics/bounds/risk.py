@@ -4,7 +4,7 @@
 |----------|---------------|----------------------------------------------|-------|--------------------|
 | rho      | `value`       | robustness of a rollout, clipped to [-m, M]  | ()    | unit of robustness |
 | [-m, M]  | `clip`        | M > -m                                       | (2,)  | unit of robustness |
-| r        | `risk_weight` | weight of the standard deviation, r >= 0     | ()    | -                  |
+| r        | `risk_weight` | weight of the standard deviation, r >= 0; 0 for the mean | () | -         |
 | c, s     | `c`, `s`      | about the mean and the sd of rho; s > 0      | ()    | unit of robustness |
 | X        | `linearised`  | E[X] is not above the risk                   | ()    | unit of robustness |
 | phi      | `bhatia_davis` | phi(E rho) is not above the risk            | ()    | unit of robustness |
@@ -108,6 +108,8 @@ def check_clip(clip: tuple[float, float]) -> tuple[float, float]:
 class RiskReading:
     """Map from the mean of values x in [0, 1] to the risk of one law: X with `constants`, or phi without.
 
+    With r = 0 both are the mean of rho itself.
+
     Raises:
         ValueError: a number is outside its range.
 
@@ -127,9 +129,9 @@ class RiskReading:
         check_risk(self.clip, self.risk_weight)
         given = self.clip if self.constants is None else linearised_range(self.clip, self.risk_weight, *self.constants)
         object.__setattr__(self, "ends", given)
-        lowest = bhatia_davis(self.clip[0], self.clip, self.risk_weight)
-        # 1e-12 is far more than phi can lose to rounding.
-        object.__setattr__(self, "least", math.floor(Fraction(lowest - 1e-12) * STEP) / STEP)
+        # 1e-12 is far more than phi can lose to rounding; a mean loses nothing.
+        lowest = bhatia_davis(self.clip[0], self.clip, self.risk_weight) - 1e-12 if self.risk_weight else self.clip[0]
+        object.__setattr__(self, "least", math.floor(Fraction(lowest) * STEP) / STEP)
 
     def unit(self, value: float) -> float:
         """Return x of one robustness within the clip, in [0, 1]."""
@@ -150,6 +152,6 @@ class RiskReading:
         """Return X or phi at a mean of x: exactly, or moved outward by the round-off of phi."""
         low, high = (Fraction(end) for end in self.ends)
         value = low + (high - low) * mean
-        if self.constants is None:
+        if self.constants is None and self.risk_weight:
             return Fraction(bhatia_davis(float(value), self.clip, self.risk_weight) + round_off)
         return value

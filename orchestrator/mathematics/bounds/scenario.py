@@ -1,14 +1,14 @@
-"""Method `scenario`: the least risk of K scenarios from rollouts alone, without a kernel.
+"""Method `scenario`: the least risk, or the least mean, of K scenarios from rollouts alone, without a kernel.
 
 | symbol  | name          | meaning                                                | shape  | unit               |
 |---------|---------------|--------------------------------------------------------|--------|--------------------|
 | z_k     | `scenarios`   | the K starting conditions that Z consists of           | (K, p) | parameter          |
-| rho     | `values`      | robustness of true rollouts, clipped to [-m, M]        | ()     | unit of robustness |
+| rho     | `values`      | robustness of the rollouts, clipped to [-m, M]         | ()     | unit of robustness |
 | [-m, M] | `clip`        |                                                        | (2,)   | unit of robustness |
-| r       | `risk_weight` | weight of the standard deviation                       | ()     | -                  |
+| r       | `risk_weight` | weight of the standard deviation; 0 for `mean`         | ()     | -                  |
 | risk_k  |               | E rho - r sd(rho) in scenario k; rho* = min_k risk_k   | (K,)   | unit of robustness |
 | c, s    | `constants`   | of the linearised risk X, fixed beforehand             | ()     | unit of robustness |
-| x       |               | X (or rho, for `bhatia-davis`) moved and scaled to [0, 1] | ()  | -                  |
+| x       |               | X (or rho, without constants) moved and scaled to [0, 1] | ()   | -                  |
 | L_k     | `lower`       | betting lower bound of risk_k at the full delta        | (K,)   | unit of robustness |
 | ell     | `ell`         | min_k L_k                                              | ()     | unit of robustness |
 | U       | `upper`       | upper bound of the limit of ell                        | ()     | unit of robustness |
@@ -23,6 +23,7 @@ Three claims, each with its own 1 - delta, each at all times at once (two of the
 `simultaneous_lower`  risk_k >= its value for all k at once, by a union: each runs at delta/K.
 `upper` min_k E[X_k] <= U (phi(min_k E[rho_k]) <= U for `bhatia-davis`). That is what ell tends to with ever more
         rollouts, and not above rho*; so U limits the gain of further rollouts, and is no upper bound of rho* itself.
+        For `mean` the limit is rho* = min_k E[rho_k] itself, and U an upper bound of it.
         (Neither ell nor U is ever reported below c0 - h sqrt(1 + r^2), the least risk that a law on the clip can have.)
         One wealth for all scenarios: if every mean of 1 - x is at most m, then betting on any of them loses.
 
@@ -33,7 +34,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -45,7 +46,7 @@ from .betting import CAREFUL, GRID, BettingSequence, Past
 from .method import Method
 from .risk import RiskReading
 
-Risk = Literal["linearised", "bhatia-davis"]
+Risk = Literal["linearised", "bhatia-davis", "mean"]
 
 MAX_SCENARIOS = 1000
 """Each scenario keeps about 100 kB of wealth."""
@@ -56,7 +57,7 @@ class ScenarioState:
     """The bounds of one scenario; all but `rollouts` in the unit of robustness, bounds rounded down to 1e-9.
 
     `lower` serves the minimum over scenarios alone; `simultaneous_lower` (delta/K) is the claim about this scenario
-    that is valid together with those about all others. `mean` is the mean of X so far, or of rho for `bhatia-davis`;
+    that is valid together with those about all others. `mean` is the mean of X so far, or of rho without constants;
     None without a rollout.
     """
 
@@ -92,7 +93,8 @@ class ScenarioMethod(Method):
     """Betting bounds of K scenarios, and the choice of the next one to test.
     Implements eq. (scenario) of [PB].
 
-    A test is a batch of true rollouts of one scenario. `constants` are (c, s) and belong to `linearised`.
+    A test is a batch of rollouts of one scenario. `constants` are (c, s) and belong to `linearised`; `mean` bounds
+    E rho and has no use for `risk_weight`.
 
     Raises:
         ValueError: a parameter is outside its range, constants are missing or too many, or there are more than
@@ -124,12 +126,14 @@ class ScenarioMethod(Method):
     ) -> None:
         if not (0.0 < delta < 1.0 and math.isfinite(alpha) and alpha > 0):
             raise ValueError(f"delta must be in (0, 1) and alpha be positive, not {delta!r} and {alpha!r}")
-        if risk not in {"linearised", "bhatia-davis"} or (constants is None) == (risk == "linearised"):
-            raise ValueError(f"risk is 'linearised' with constants (c, s), or 'bhatia-davis' without; not {risk!r}")
+        if risk not in get_args(Risk) or (constants is None) == (risk == "linearised"):
+            raise ValueError(
+                f"risk is 'linearised' with constants (c, s), or 'bhatia-davis' or 'mean' without; not {risk!r}"
+            )
         if scenarios.size > MAX_SCENARIOS:
             raise ValueError(f"{scenarios.size} scenarios exceed {MAX_SCENARIOS}: shorten the list")
         self._candidates, self._delta, self._alpha = scenarios, delta, alpha
-        self._reading = RiskReading(clip, risk_weight, constants)
+        self._reading = RiskReading(clip, 0.0 if risk == "mean" else risk_weight, constants)
         self._scenarios = [_Scenario(delta, scenarios.size, self._reading) for _ in range(scenarios.size)]
         # On the largest mean of 1 - x, all scenarios together.
         self._upper = BettingSequence((delta,), CAREFUL)

@@ -104,7 +104,7 @@ class SpotFinding:
     """Noisy: starts that are still suspicious, and not named."""
 
 
-class SpotCheck:
+class SpotTests:
     """The choice of starts and the tests of all hypotheses; the state is a function of the observations alone.
     Implements eq. (spot check) of [PB].
 
@@ -115,7 +115,7 @@ class SpotCheck:
     Raises:
         ValueError: no start or no hypothesis, differing lengths, a number outside its range, or a name given twice.
 
-    >>> check = SpotCheck(((0.0,), (1.0,), (2.0,)), (Hypothesis("gap", 0.5, None, None, noisy=False),), followups=10)
+    >>> check = SpotTests(((0.0,), (1.0,), (2.0,)), (Hypothesis("gap", 0.5, None, None, noisy=False),), followups=10)
     >>> for value in (0.4, 0.7, 0.3):
     ...     check.observe(check.propose().node, [value])
     >>> finding = check.finding(0)

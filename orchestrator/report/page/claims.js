@@ -16,7 +16,7 @@ function titleSection(report) {
     ["Starting conditions", spaceText(report)],
     ["Horizon", `${num(report.horizon)} s`],
     ["Robustness clipped to", report.clip === null ? null : `[${num(report.clip[0])}, ${num(report.clip[1])}]`],
-    ["Risk weight r", num(report.risk_weight)],
+    ["Risk weight r", report.risk_weight === null ? null : num(report.risk_weight)],
     ["Seed", report.seed],
     ["Rollouts", count(report.rollouts)],
   ];
@@ -149,6 +149,17 @@ function compositionSection(report) {
   );
 }
 
+
+/** Spot check and recheck after the campaign. */
+function checkSection(report) {
+  const line = (text) => el(text.includes("REFUTED") ? "li.bad" : "li", text);
+  return el(
+    "section#checks",
+    { hidden: report.checks.length === 0 },
+    el("h2", "After the campaign"),
+    el("ul", report.checks.map(line)),
+  );
+}
 
 /** A row: label, bars with marks, number. */
 function barRow(label, bars, text, range, marks) {

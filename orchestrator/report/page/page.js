@@ -40,6 +40,7 @@ function tree(report, selected, data) {
     titleSection(report),
     claimSection(report),
     compositionSection(report),
+    checkSection(report),
     assumptionSection(report),
     report.problems.map((problem, index) => problemSection(report, index, shownSeries(problem), selected)),
     testSection(report, selected, data, page.live !== null),

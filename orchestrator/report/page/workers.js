@@ -5,7 +5,7 @@ function workerSection(report) {
   const facts = [
     ["Recorded", plural(report.rollouts, "rollout")],
     ["Rate over the last active minute", `${num(throughput.rate, 3)} rollouts/s`],
-    ["Failed attempts", count(throughput.failures)],
+    ["Failed attempts", failureText(throughput)],
     ["Sessions (run and resumes)", count(throughput.sessions)],
     ["First result", utc(throughput.start)],
   ];
@@ -15,7 +15,27 @@ function workerSection(report) {
     definitions(".facts", facts),
     throughput.seconds.length > 1 ? chartFigure("throughput", "Rollouts recorded over time") : null,
     workers.length ? workerTable(report) : el("p.muted", "No worker has joined yet."),
+    report.failed_attempts.length ? failureTable(report) : null,
   );
+}
+
+function failureText({ failures, system_failures }) {
+  return system_failures ? `${count(failures)}, ${count(system_failures)} of them in the system` : count(failures);
+}
+
+/** The latest failed attempts; kind is null in databases that do not tell. */
+function failureTable({ failed_attempts, throughput }) {
+  const shown = failed_attempts.length < throughput.failures ? `the latest ${failed_attempts.length} of ${count(throughput.failures)}` : plural(failed_attempts.length, "failed attempt");
+  const kind = (value) => (value === "system" ? el("strong.bad", "system") : value === null ? num(null) : short(value, 20));
+  const rows = failed_attempts.map((each) => [
+    nameElement(each.rollout, 60),
+    count(each.attempt),
+    nameElement(each.worker, 60),
+    kind(each.kind),
+    nameElement(each.reason, 120),
+    utc(each.ended),
+  ]);
+  return el("details", el("summary", `Failed attempts: ${shown}`), table(["Rollout", "#Attempt", "Worker", "Kind", "Reason", "#Ended"], rows));
 }
 
 /** A live page has states, heartbeats and ages; a report, which does not depend on the clock, has times. */

@@ -9,9 +9,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from ....schemas.campaign import CampaignConfig, MethodName, ProblemName
+from ....schemas.campaign import CampaignConfig
 from ....schemas.errors import PerfboundError
 from ....schemas.link import LOCAL
+from ....schemas.problems import MethodName, ProblemName
 from ...certificate import files
 from ...run import session
 from ...run.format import duration

@@ -92,7 +92,7 @@ def test_every_line_is_printed_once_in_a_run(tmp_path: Path) -> None:
     listener = Contradictions(accounts, lines.append)
     progress = {name: account.progress for name, account in accounts.items()}
     for _ in range(3):
-        listener.show(RunStatus(campaign, progress, {}, {}, 0, 0, 0.0))
+        listener.show(RunStatus(campaign, progress, {}, {}, {}, 0, 0, 0.0))
     clipped = [line for line in lines if "at the lower clip 0.4" in line]
     assert len(clipped) == 1, "of sim_gap: the other problem has eight rollouts"
     assert len(lines) == len(set(lines))

@@ -36,8 +36,8 @@ def account(problem_index: int, y: float, campaign: str = "segway-paper", **chan
     problem = chosen.problems[problem_index]
     assert isinstance(problem, PaperProblem)
     return Account(
-        plan(chosen, SPEC, problem),
-        link="0" * 64,
+        "0" * 64,
+        plan=plan(chosen, SPEC, problem),
         observations=[y, y],
         each=[(y,), (y,)],
         nodes=[0, 3],
@@ -52,6 +52,7 @@ def account(problem_index: int, y: float, campaign: str = "segway-paper", **chan
 def issued(header: Header, accounts: dict[str, Account]) -> Certificate:
     ledger = Ledger(Path(), MemoryFactStore(header))
     ledger.accounts = accounts
+    ledger.series = {**accounts}
     return issue(ledger, manifest(FILES))
 
 

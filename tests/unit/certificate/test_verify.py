@@ -37,6 +37,7 @@ from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.facts import Fact, RolloutFact
 from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from tests.campaigns import table
 from tests.fakes.puppets import Stage
@@ -218,8 +219,8 @@ def rewrite(directory: Path, edit: Callable[[Any], object]) -> None:
         (lambda p: p["assumptions"][0]["values"].update(rkhs_norm=0.31), "audit"),
         (lambda p: p["assumptions"][0].pop("values"), None),
         (lambda p: p["assumptions"][-1].update(detail="all is well"), None),
-        (lambda p: p.update(rules=2), "header"),
-        (lambda p: p.pop("rules"), None),
+        (lambda p: p.update(rules=1), "header"),
+        (lambda p: p.pop("rules"), "header"),
         (lambda p: p["question"].update(specification="always (abs(phi) <= 2)"), "header"),
         (lambda p: p["campaign"].update(seed=2), "header"),
         (lambda p: p["software"].update(numpy="9.9"), "header"),
@@ -517,7 +518,7 @@ def respecify(directory: Path, edit: Callable[[Any], object]) -> None:
         edit(value)
         new = canonical_json(value)
         database.execute("UPDATE campaign SET system = ?", (new,))
-    digest = hashlib.sha256(new.encode()).hexdigest()
+    digest = SystemSpec.model_validate_json(new).digest
     rewrite(directory, lambda predicate: predicate["campaign"].update(system_sha256=digest))
 
 

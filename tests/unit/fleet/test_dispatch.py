@@ -40,6 +40,7 @@ from perfbound.orchestrator.fleet.events import (
     WorkerDown,
     WorkerUp,
 )
+from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 
 LIMITS = Limits(resend_after=1.5, lost_after=3.0, hung_after=10.0, deadline=60.0, max_attempts=3)
@@ -79,10 +80,13 @@ def busy(rollout: RolloutId, number: int = 1, *, worker: str = "w", at: float = 
     return Reported(at, worker, Attempt(rollout, number), progress)
 
 
+BAD, RAISED = Failure("infrastructure", "bad"), Failure("system", "the solver did not converge")
+
+
 def done(
-    rollout: RolloutId, number: int = 1, *, worker: str = "w", at: float = 0.0, error: str | None = None
+    rollout: RolloutId, number: int = 1, *, worker: str = "w", at: float = 0.0, failure: Failure | None = None
 ) -> Delivered:
-    return Delivered(at, worker, Attempt(rollout, number), error)
+    return Delivered(at, worker, Attempt(rollout, number), failure)
 
 
 def up(worker: str = "w", at: float = 0.0) -> tuple[Event, Event]:
@@ -151,7 +155,7 @@ VARIANTS: dict[str, list[Event]] = {
     "WorkerUp": [WorkerUp(1, "w")],
     "WorkerDown": [WorkerDown(1, "w")],
     "Reported": [idle(at=1), busy(R[0], at=1, progress=1), busy(R[5], at=1), busy(R[0], 2, at=1)],
-    "Delivered": [done(R[0], at=1), done(R[5], at=1), done(R[0], at=1, error="broken")],
+    "Delivered": [done(R[0], at=1), done(R[5], at=1), done(R[0], at=1, failure=BAD)],
     "Tick": [Tick(1), Tick(5), Tick(10), Tick(70)],
 }
 
@@ -215,12 +219,12 @@ def test_after_a_restart_busy_workers_are_adopted_and_numbers_go_on() -> None:
     restart: list[Event] = [want(R[0], attempts=2), WorkerUp(0, "w"), busy(R[0], 2)]
     state, actions = after(*restart, *up("v"), hold_until=2.5)
     assert (actions, state.workers["w"].phase, state.workers["v"].phase) == ([], "busy", "idle")
-    state, actions = after(*restart, done(R[0], 2, error="bad"), Tick(2.5), hold_until=2.5)
+    state, actions = after(*restart, done(R[0], 2, failure=BAD), Tick(2.5), hold_until=2.5)
     assert actions == [Start("w", first(R[0], 3))]
 
 
 def test_an_adopted_attempt_that_nobody_wrote_down_counts_all_the_same() -> None:
-    _, actions = after(want(R[0]), WorkerUp(0, "w"), busy(R[0], 4), done(R[0], 4, error="bad"))
+    _, actions = after(want(R[0]), WorkerUp(0, "w"), busy(R[0], 4), done(R[0], 4, failure=BAD))
     assert actions[-1] == Start("w", first(R[0], 5))
 
 
@@ -257,26 +261,44 @@ def test_the_first_valid_result_wins_and_the_other_worker_is_cancelled() -> None
 
 
 def test_a_failed_attempt_is_tried_again_first() -> None:
-    _, actions = after(*up(), want(R[0], R[1]), done(R[0], error="bad"))
-    assert actions == [Fail("w", first(R[0]), "bad"), Acknowledge("w", first(R[0])), Start("w", first(R[0], 2))]
+    _, actions = after(*up(), want(R[0], R[1]), done(R[0], failure=BAD))
+    assert actions == [Fail("w", first(R[0]), BAD), Acknowledge("w", first(R[0])), Start("w", first(R[0], 2))]
 
 
 def test_a_repeated_failure_counts_once() -> None:
     """The acknowledgement was lost, so the worker reported its failure again, and had the next attempt already."""
-    failed: list[Event] = [*up(), want(R[0]), done(R[0], error="bad")]
-    state, actions = after(*failed, done(R[0], error="bad"))
-    assert actions == [Fail("w", first(R[0]), "bad"), Acknowledge("w", first(R[0]))]
+    failed: list[Event] = [*up(), want(R[0]), done(R[0], failure=BAD)]
+    state, actions = after(*failed, done(R[0], failure=BAD))
+    assert actions == [Fail("w", first(R[0]), BAD), Acknowledge("w", first(R[0]))]
     assert len(state.open[R[0]].failures) == 1
     assert state.waiting == ()
 
 
+def test_a_failure_of_the_system_is_recorded_even_when_the_rollout_is_closed() -> None:
+    """Another attempt was recorded meanwhile: its outcome is one that a retry chose."""
+    lost: list[Event] = [*up("a"), want(R[0]), busy(R[0], worker="a"), WorkerDown(1, "a"), Tick(4), *up("b", 4)]
+    closed = [*lost, done(R[0], 2, worker="b", at=5)]
+    _, actions = after(*closed, done(R[0], worker="a", at=6, failure=RAISED))
+    assert actions == [Fail("a", first(R[0]), RAISED), Acknowledge("a", first(R[0]))]
+    assert after(*closed, done(R[0], worker="a", at=6, failure=BAD))[1] == [Acknowledge("a", first(R[0]))]
+
+
+def test_the_kind_of_a_failure_changes_no_retry() -> None:
+    histories = [[*up(), want(R[0]), *(done(R[0], n, failure=each) for n in (1, 2, 3))] for each in (BAD, RAISED)]
+    for length in range(2, 7):
+        one, other = (after(*history[:length]) for history in histories)
+        assert [type(action) for action in one[1]] == [type(action) for action in other[1]]
+        assert one[0].waiting == other[0].waiting
+        assert one[0].workers == other[0].workers
+
+
 def test_poison_is_given_up_with_its_story() -> None:
-    failures: list[Event] = [done(R[0], number, error="bad") for number in (1, 2, 3)]
+    failures: list[Event] = [done(R[0], number, failure=BAD) for number in (1, 2, 3)]
     _, actions = after(*up(), want(R[0]), *failures)
     story = tuple(f"attempt {number} on w: bad" for number in (1, 2, 3))
-    assert actions == [Fail("w", first(R[0], 3), "bad"), Poison(R[0], story), Acknowledge("w", first(R[0], 3))]
-    assert after(*up(), want(R[0]), *failures, done(R[0], 3, error="bad"))[1] == [
-        Fail("w", first(R[0], 3), "bad"),
+    assert actions == [Fail("w", first(R[0], 3), BAD), Poison(R[0], story), Acknowledge("w", first(R[0], 3))]
+    assert after(*up(), want(R[0]), *failures, done(R[0], 3, failure=BAD))[1] == [
+        Fail("w", first(R[0], 3), BAD),
         Acknowledge("w", first(R[0], 3)),
     ]
     _, actions = after(*up(), want(R[0]), *failures, done(R[0], 2))
@@ -289,7 +311,7 @@ def test_a_hung_worker_is_shunned(at: float, reason: str) -> None:
     if at == 60.0:
         history += [busy(R[0], at=second, progress=second) for second in range(1, 60)]
     state, actions = after(*history, Tick(at))
-    assert actions == [Revoke("w", first(R[0])), Fail("w", first(R[0]), reason), GiveUp("w")]
+    assert actions == [Revoke("w", first(R[0])), Fail("w", first(R[0]), Failure("infrastructure", reason)), GiveUp("w")]
     assert after(*history, Tick(at - 0.1))[1] == []
     # A heartbeat without progress is no sign of life, and a lost cancel is sent again.
     assert step(state, busy(R[0], at=at, progress=99))[1] == (Revoke("w", first(R[0])),)
@@ -325,7 +347,7 @@ def test_a_lost_worker_loses_its_attempt_after_a_while() -> None:
     history: list[Event] = [*up(), want(R[0]), busy(R[0]), WorkerDown(1, "w")]
     assert after(*history, Tick(3.9))[1] == []
     state, actions = after(*history, Tick(4))
-    assert actions == [Fail("w", first(R[0]), "worker lost for 3 s")]
+    assert actions == [Fail("w", first(R[0]), Failure("infrastructure", "worker lost for 3 s"))]
     assert (state.workers, state.waiting) == ({}, (R[0],))
 
 
@@ -393,7 +415,7 @@ class Process:
     running: Attempt | None = None
     progress: int = 0
     cancelled: set[Attempt] = field(default_factory=set)
-    outbox: dict[Attempt, str | None] = field(default_factory=dict)
+    outbox: dict[Attempt, Failure | None] = field(default_factory=dict)
 
 
 class World:
@@ -503,6 +525,9 @@ class World:
     def _step(self, event: Event) -> None:
         before = self.state
         self.state, actions = step(before, event)
+        if isinstance(event, Delivered) and event.failure == RAISED:
+            told = Fail(event.worker, event.attempt, RAISED)
+            assert told in actions, "no failure of the system is acknowledged without a record"
         for action in actions:
             self._act(action, before, event)
 
@@ -558,11 +583,11 @@ class World:
             self._to_orchestrator(process, lambda: Reported(self.now, process.name, current, progress))
 
     def _deliver(self, process: Process) -> None:
-        for attempt, error in process.outbox.items() if process.alive else ():
-            self._hand_in(process, attempt, error)
+        for attempt, failure in process.outbox.items() if process.alive else ():
+            self._hand_in(process, attempt, failure)
 
-    def _hand_in(self, process: Process, attempt: Attempt, error: str | None) -> None:
-        self._to_orchestrator(process, lambda: Delivered(self.now, process.name, attempt, error))
+    def _hand_in(self, process: Process, attempt: Attempt, failure: Failure | None) -> None:
+        self._to_orchestrator(process, lambda: Delivered(self.now, process.name, attempt, failure))
 
     def _assigned(self, process: Process, attempt: Attempt) -> None:
         current = process.accepted
@@ -586,10 +611,11 @@ class World:
             self._finish(process)
         elif self.rng.random() < 0.08:  # four seconds a rollout
             failing = self.chaos.failing if self.now < self.chaos.until else 0.0
-            error = "bad" if attempt.rollout in self.always_fails or self.rng.random() < failing else None
-            process.outbox[attempt] = error
+            fails = attempt.rollout in self.always_fails or self.rng.random() < failing
+            failure = self.rng.choice([BAD, RAISED]) if fails else None
+            process.outbox[attempt] = failure
             self._finish(process)
-            self._hand_in(process, attempt, error)
+            self._hand_in(process, attempt, failure)
 
     def _finish(self, process: Process) -> None:
         if process.accepted == process.running:

@@ -11,6 +11,7 @@ from perfbound.orchestrator.campaign import state as campaign
 from perfbound.orchestrator.campaign.state import Plan
 from perfbound.orchestrator.fleet import dispatch, events
 from perfbound.schemas.errors import IllegalEvent
+from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.architecture.diagrams import FOLDER, texts
 from tests.architecture.transitions import Transition, of_campaign, of_dispatch
@@ -36,6 +37,7 @@ def test_every_label_is_in_its_diagram() -> None:
 
 ROLLOUTS = [RolloutId("p", number, "true", 0) for number in range(4)]
 WORKERS = ["a", "b", "c"]
+FAILURES = [Failure("infrastructure", "it broke"), Failure("system", "it raised")]
 
 
 def an_event(rng: random.Random, at: float) -> events.Event:
@@ -49,7 +51,7 @@ def an_event(rng: random.Random, at: float) -> events.Event:
         lambda: events.WorkerDown(at, worker),
         lambda: events.Reported(at, worker, rng.choice([None, attempt]), rng.randint(0, 9)),
         lambda: events.Reported(at, worker, rng.choice([None, attempt]), rng.randint(0, 9)),
-        lambda: events.Delivered(at, worker, attempt, rng.choice([None, None, "it broke"])),
+        lambda: events.Delivered(at, worker, attempt, rng.choice([None, None, *FAILURES])),
         lambda: events.Tick(at),
         lambda: events.HandOut(at),
         lambda: events.Unwanted(at, (rollout,)),

@@ -215,6 +215,10 @@ def bhatia(size: int = 3, **changed: Any) -> ScenarioMethod:
     return method(size, risk="bhatia-davis", constants=None, **changed)
 
 
+def of_mean(size: int = 3, **changed: Any) -> ScenarioMethod:
+    return method(size, risk="mean", constants=None, **changed)
+
+
 batches = st.lists(st.tuples(st.integers(0, 2), st.lists(st.floats(*CLIP), min_size=1, max_size=5)), max_size=8)
 
 
@@ -261,8 +265,24 @@ class TestScenarioMethod:
             assert a._peak.tobytes() == b._peak.tobytes()
         assert one.propose() == other.propose()
 
+    @given(tests=batches, r=st.floats(0, 2))
+    @settings(max_examples=20, deadline=None)
+    def test_the_mean_has_no_term_of_the_variance(self, tests: Any, r: float) -> None:
+        """Its bets are those of `bhatia-davis`: phi maps one bound to the other, whatever r is."""
+        running, other = of_mean(risk_weight=r), bhatia()
+        for index, values in tests:
+            running.observe(*an_observation(index, values))
+            other.observe(*an_observation(index, values))
+        mean, risk = running.bound(), other.bound()
+        assert CLIP[0] - 2e-9 <= mean.ell
+        assert mean.upper <= CLIP[1]
+        assert risk.ell == pytest.approx(bhatia_davis(mean.ell, CLIP, 0.2), abs=5e-9)
+        assert mean.ell >= risk.ell
+        assert [each.mean for each in mean.scenarios] == [each.mean for each in risk.scenarios]
+
     def test_constant_rollouts_lead_to_their_risk(self) -> None:
-        for make, value, target in ((method, 0.7, 0.7 - 0.1 * 0.09), (bhatia, 0.75, 0.75)):
+        cases = ((method, 0.7, 0.7 - 0.1 * 0.09), (bhatia, 0.75, 0.75), (of_mean, 0.3, 0.3), (of_mean, -0.05, -0.05))
+        for make, value, target in cases:
             running = make(2)
             for _ in range(400):
                 running.observe(*an_observation(running.propose().node, [value] * 10))
@@ -362,6 +382,7 @@ class TestScenarioMethod:
             ({"constants": None}, "constants"),
             ({"constants": (0.7, 0.0)}, "constants"),
             ({"risk": "bhatia-davis"}, "constants"),
+            ({"risk": "mean"}, "constants"),
             ({"risk": "popoviciu"}, "risk"),
         ],
     )

@@ -14,7 +14,7 @@ from perfbound.orchestrator.mathematics.bounds.share import clopper_pearson_uppe
 from perfbound.orchestrator.mathematics.bounds.spot_check import (
     VIOLATION,
     Hypothesis,
-    SpotCheck,
+    SpotTests,
     failure_share,
 )
 
@@ -23,11 +23,11 @@ EXACT = Hypothesis("nominal", 0.5, None, None, noisy=False)
 UNBOUNDED = Hypothesis("gap", 0.5, None, None, noisy=True)
 
 
-def check_of(*hypotheses: Hypothesis, size: int = 4, followups: int = 10, delta: float = 0.05) -> SpotCheck:
-    return SpotCheck(tuple((float(j), 0.5) for j in range(size)), hypotheses, followups=followups, delta=delta)
+def check_of(*hypotheses: Hypothesis, size: int = 4, followups: int = 10, delta: float = 0.05) -> SpotTests:
+    return SpotTests(tuple((float(j), 0.5) for j in range(size)), hypotheses, followups=followups, delta=delta)
 
 
-def campaign(check: SpotCheck, simulate: Callable[[int], list[float]], window: int) -> list[int]:
+def campaign(check: SpotTests, simulate: Callable[[int], list[float]], window: int) -> list[int]:
     """Run a check with `window` tests in flight, and return the starts in the order of their tests."""
     flight: list[int] = []
     order: list[int] = []
@@ -239,8 +239,8 @@ class TestFailureShare:
         lambda: check_of(NOISY, NOISY),
         lambda: check_of(NOISY, followups=-1),
         lambda: check_of(NOISY, delta=0.0),
-        lambda: SpotCheck(((0.0,), (0.0, 1.0)), (NOISY,), followups=1),
-        lambda: SpotCheck(((math.inf,),), (NOISY,), followups=1),
+        lambda: SpotTests(((0.0,), (0.0, 1.0)), (NOISY,), followups=1),
+        lambda: SpotTests(((math.inf,),), (NOISY,), followups=1),
         lambda: check_of(NOISY).observe(0, []),
         lambda: check_of(NOISY).observe(0, [1.1]),
         lambda: check_of(EXACT).observe(0, [math.nan]),

@@ -18,7 +18,7 @@ from perfbound.orchestrator.report import band as surfaces
 from perfbound.orchestrator.report import curves, rollouts
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import Problem, ReportData, Surface, to_json
-from perfbound.orchestrator.report.workers import LiveState, WorkerStatistics
+from perfbound.orchestrator.report.workers import MOST_FAILED, LiveState, WorkerStatistics
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes
@@ -477,6 +477,18 @@ def test_work_adds_up(finished: Path) -> None:
     assert story.throughput.sessions == 1
 
 
+def test_the_latest_failed_attempts_come_with_their_kind(one: Path) -> None:
+    for number in range(MOST_FAILED + 9):
+        row = {"rollout": "sim_gap.0.true.0", "attempt": number + 2, "worker": "w", "cpu_seconds": 0, "wall_seconds": 0}
+        kind = "system" if number % 2 else "infrastructure"
+        insert(one, "outcomes", **row, ended=float(number), outcome="x" * 4000, kind=kind)
+    story = collected(one)
+    assert (story.throughput.failures, story.throughput.system_failures) == (59, 29)
+    assert [each.ended for each in story.failed_attempts] == [float(number) for number in range(58, 8, -1)]
+    assert [each.kind for each in story.failed_attempts[:2]] == ["infrastructure", "system"]
+    assert {len(each.reason) for each in story.failed_attempts} == {500}
+
+
 def test_the_live_state_of_workers_is_added(finished: Path) -> None:
     story = Collector(finished).refresh(
         {"puppet-00001": LiveState("busy", "sim_gap.3.true.0", 5.0), "new": LiveState("idle")}, 7.0
@@ -490,8 +502,8 @@ def test_the_live_state_of_workers_is_added(finished: Path) -> None:
 
 def test_a_long_campaign_has_few_points(one: Path) -> None:
     statistics, about = WorkerStatistics(), ChangeReader(one).read().header
-    outcomes = tuple(AttemptOutcome("w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
-    lost = AttemptOutcome("w", "hung", 5000.0, 0.0, 10.0)
+    outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
+    lost = AttemptOutcome("r", 1, "w", "hung", 5000.0, 0.0, 10.0)
     statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2))
     found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200

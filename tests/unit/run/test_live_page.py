@@ -15,9 +15,8 @@ from perfbound.orchestrator.run import live_page as live
 from perfbound.orchestrator.run.address import Address, bind
 from perfbound.orchestrator.run.live_page import LivePage, live_page, message
 from perfbound.orchestrator.run.service import RunStatus
-from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError
-from tests.campaigns import FOLDER, config
+from tests.campaigns import config
 from tests.fakes.inmemory import Log, campaign
 
 BEGAN = time.time()
@@ -73,7 +72,7 @@ def test_a_host_that_is_not_here(host: str) -> None:
 def looks(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     """Messages to the page of a short campaign, one per status."""
     found: list[bytes] = []
-    chosen = parse_campaign((FOLDER / "test-function.toml").read_bytes(), "test", resolution=5, max_tests=5)
+    chosen = config("test-function", resolution=5, max_tests=5)
     campaign(tmp_path_factory.mktemp("feed") / "run", chosen, log=_Told(found))
     return found
 
@@ -102,7 +101,7 @@ def test_the_page_is_told_what_workers_do(looks: list[bytes]) -> None:
 def status(monkeypatch: pytest.MonkeyPatch) -> RunStatus:
     """No workers; shown as often as asked."""
     monkeypatch.setattr(live, "PERIOD", 0.0)
-    return RunStatus(config("test-function"), {}, {}, {}, 0, 0, 0.0)
+    return RunStatus(config("test-function"), {}, {}, {}, {}, 0, 0, 0.0)
 
 
 def said(page: LivePage) -> list[str]:

@@ -1,5 +1,6 @@
 """A whole campaign in one process: the certificate does not depend on timing, and no bad message is accepted."""
 
+import copy
 import hashlib
 import random
 import sqlite3
@@ -19,20 +20,23 @@ from perfbound.orchestrator.fleet.transport import Heartbeat, Result, Sink, Toke
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.service import RunStatus, Service
 from perfbound.orchestrator.store import files as evidence
+from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas import __version__
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped
-from perfbound.schemas.messages import MAX_RESULT, PROTOCOL, Assign, Request, ResultHeader, WorkerState
+from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped, UnknownSystemError
+from perfbound.schemas.messages import MAX_RESULT, PROTOCOL, Assign, Cancel, Request, ResultHeader, WorkerState
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers import worker as module
-from perfbound.workers.simulate import run_request
+from perfbound.workers.simulate import requested_system, run_request, run_request_on
 from perfbound.workers.systems import load_system
+from perfbound.workers.systems.base import Cancelled, SystemUnderTest
 from perfbound.workers.transport import Receiver
 from perfbound.workers.worker import WorkerProcess
+from tests.campaigns import UNCHECKED
 from tests.fakes.inmemory import (
     Faults,
     InMemoryUplink,
@@ -52,7 +56,7 @@ ATTEMPTS = 3
 
 
 def a_config(**changes: Any) -> CampaignConfig:
-    base = {"resolution": 11, "max_tests": 12, "replicates": 3, "max_attempts": ATTEMPTS}
+    base = {"resolution": 11, "max_tests": 12, "replicates": 3, "max_attempts": ATTEMPTS, **UNCHECKED}
     return parse_campaign(PRESET.read_bytes(), "test", **{**base, **changes})
 
 
@@ -84,8 +88,13 @@ Calm = Callable[[CampaignConfig], str]
 
 
 def outcomes(directory: Path) -> list[str]:
+    return [outcome for outcome, _ in kinds(directory)]
+
+
+def kinds(directory: Path) -> list[tuple[str, str | None]]:
+    """Return outcome and kind of failure of every attempt."""
     with closing(sqlite3.connect(directory / DATABASE)) as connection:
-        return [row[0] for row in connection.execute("SELECT outcome FROM outcomes")]
+        return connection.execute("SELECT outcome, kind FROM outcomes ORDER BY rowid").fetchall()
 
 
 def check_evidence(directory: Path, rollouts: int = 36) -> None:
@@ -325,6 +334,16 @@ def rewritten(
     return encode(trajectory, request=changed, metadata=record, units=dict.fromkeys(columns, "1"))
 
 
+def with_nan(payload: bytes) -> bytes:
+    """The file of a worker that checks no number, with true checksums."""
+    file = read_mcap(payload)
+    trajectory = copy.copy(file.trajectory)
+    object.__setattr__(trajectory, "samples", trajectory.samples * np.nan)
+    units = dict.fromkeys(trajectory.columns, "1")
+    record = {name: text for name, text in file.metadata.items() if name != "columns"}
+    return encode(trajectory, request=file.request, metadata=record, units=units)
+
+
 COLUMNS = ("t", "value")
 Lie = Callable[[bytes, bytes], tuple[bytes, bool]]
 """(first payload, this payload) -> (what is sent, whether the header has its digest)."""
@@ -344,8 +363,11 @@ LIES: dict[str, tuple[Lie, str]] = {
         "metadata of the trajectory",
     ),
     "time": (lambda _, mine: (rewritten(mine, COLUMNS, time=1.0), True), "covers 1 to 1 s, the campaign requests 0"),
+    "nan": (lambda _, mine: (with_nan(mine), True), "not a usable trajectory: samples are not finite from row 0 on"),
     "more": (lambda _, mine: (rewritten(mine, COLUMNS, comment=""), True), "another request (other comment)"),
 }
+OF_SYSTEM = {"columns", "order", "time", "nan"}
+"""Lies that are whole files with an unusable trajectory."""
 
 
 class Liar:
@@ -384,9 +406,11 @@ def test_a_lie_is_a_failed_attempt_and_the_rollout_is_tried_again(
     config = SMALL
     assert campaign(tmp_path / "run", config, workers=0, wraps=[wrap], log=log) == calm(config)
     # On a busy machine the hurried clocks may lose the worker for a moment, and a parcel may come twice.
-    failed = [outcome for outcome in outcomes(tmp_path / "run") if reason in outcome]
+    failed = [kind_of for outcome, kind_of in kinds(tmp_path / "run") if reason in outcome]
     told = {line for line in log.lines if reason in line}
     assert len(failed) == len(liar.lied_about) == len(told) == 2
+    assert set(failed) == {"system" if kind in OF_SYSTEM else "infrastructure"}
+    assert read.irreproducible(tmp_path / "run") == (2 if kind in OF_SYSTEM else 0)
     assert all("\n" not in line and len(line) < 500 for line in log.lines)
     check_evidence(tmp_path / "run", 8)
 
@@ -395,7 +419,7 @@ def test_a_lie_is_a_failed_attempt_and_the_rollout_is_tried_again(
 
 
 def failing(fault: Callable[[], bytes]) -> Callable[..., bytes]:
-    def never(request: RolloutRequest, progress: object) -> bytes:
+    def never(system: object, request: RolloutRequest, progress: object) -> bytes:
         return fault()
 
     return never
@@ -423,7 +447,7 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
 ) -> None:
     directory, config = tmp_path / "run", SMALL
     begin(directory, config)
-    monkeypatch.setattr(module, "run_request", failing(fault))
+    monkeypatch.setattr(module, "run_request_on", failing(fault))
     with Network() as network, working(network, run_of(directory), [lambda uplink: uplink]):
         with pytest.raises(PerfboundError) as end:
             serve(directory, network, Log())
@@ -431,10 +455,60 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
         assert str(end.value).count(story) == ATTEMPTS
         assert "then resume" in str(end.value)
         assert not (directory / files.CERTIFICATE).exists()
+        assert [kind for outcome, kind in kinds(directory) if story in outcome] == ["system"] * ATTEMPTS
         assert outcomes(directory).count("recorded") == 0
-        monkeypatch.setattr(module, "run_request", run_request)
+        assert read.irreproducible(directory) == 0, "a rollout without a result was not selected"
+        monkeypatch.setattr(module, "run_request_on", run_request_on)
         assert serve(directory, network, Log(), resumed=True) == calm(config)
     check_evidence(directory, 8)
+    assert read.irreproducible(directory) >= 1, "the resume repeats a rollout that had failed with its seed"
+
+
+@pytest.mark.parametrize(
+    ("fault", "story"),
+    [
+        (raising(RuntimeError("recorded")), "RuntimeError: recorded"),
+        (raising(SimulationError("recorded")), "failed: recorded"),
+        (raising(SystemExit("no licence")), "SystemExit: no licence"),
+    ],
+)
+def test_a_system_that_fails_once_is_irreproducible(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Callable[[], bytes], story: str
+) -> None:
+    directory, log, failed = tmp_path / "run", Log(), list[str]()
+
+    def once(system: SystemUnderTest, request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
+        if request.test == 2 and not failed:
+            failed.append(request.rollout)
+            fault()
+        return run_request_on(system, request, progress)
+
+    monkeypatch.setattr(module, "run_request_on", once)
+    campaign(directory, SMALL, workers=2, log=log)
+    check_evidence(directory, 8)
+    assert [row for row in kinds(directory) if row[1] == "system"] == [(story, "system")]
+    assert outcomes(directory).count("recorded") == 8
+    assert read.irreproducible(directory) == 1
+    said = [line for line in log.lines if line.startswith(failed[0]) and "system failure: " in line]
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize("fault", [UnknownSystemError("not installed"), SimulationError("another build")])
+def test_a_worker_without_the_system_is_a_failure_of_the_infrastructure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: PerfboundError
+) -> None:
+    directory, failed = tmp_path / "run", list[str]()
+
+    def once(request: RolloutRequest) -> SystemUnderTest:
+        if not failed:
+            failed.append(request.rollout)
+            raise fault
+        return requested_system(request)
+
+    monkeypatch.setattr(module, "requested_system", once)
+    campaign(directory, SMALL)
+    assert (str(fault), "infrastructure") in kinds(directory)
+    assert read.irreproducible(directory) == 0
 
 
 # A busy orchestrator
@@ -587,7 +661,7 @@ def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch
     uplink = Deaf()
     worker = WorkerProcess("w", uplink)
 
-    def work(request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
+    def work(system: object, request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
         progress(900 if request.test == 0 else 1)
         if request.test == 0:
             worker.receive(an_assign(1))
@@ -596,7 +670,7 @@ def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch
                 time.sleep(0.005)
         return b"done"
 
-    monkeypatch.setattr(module, "run_request", work)
+    monkeypatch.setattr(module, "run_request_on", work)
     worker.receive(an_assign(0))
     served(worker, uplink, 2)
     told = {state.progress for state in uplink.states if state.rollout == "maximum.1.true.0"}
@@ -608,7 +682,7 @@ def test_an_assignment_is_taken_once_and_never_an_older_attempt(monkeypatch: pyt
     uplink, ran = Deaf(), []
     worker = WorkerProcess("w", uplink)
 
-    def work(request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
+    def work(system: object, request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
         ran.append(request.test)
         if len(ran) == 1:
             worker.receive(an_assign(0, 2))
@@ -616,10 +690,49 @@ def test_an_assignment_is_taken_once_and_never_an_older_attempt(monkeypatch: pyt
             worker.receive(an_assign(1))
         return b"done"
 
-    monkeypatch.setattr(module, "run_request", work)
+    monkeypatch.setattr(module, "run_request_on", work)
     worker.receive(an_assign(0, 2))
     served(worker, uplink, 2)
     assert [(header.rollout, header.attempt) for header in uplink.results] == [
         ("maximum.0.true.0", 2),
         ("maximum.1.true.0", 1),
     ]
+
+
+@pytest.mark.parametrize("how", ["raises", "ends early", "obeys"])
+def test_what_follows_a_cancel_is_no_failure_of_the_system(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    """A system may catch `Cancelled`, raise its own error, or return what it has: the cancel is not its fault."""
+    uplink = Deaf()
+    worker = WorkerProcess("w", uplink)
+
+    def work(system: object, request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
+        if request.test == 0:
+            worker.receive(Cancel(rollout=request.rollout, attempt=1))
+            worker.receive(an_assign(1))
+            try:
+                progress(1)
+            except Cancelled as cancelled:
+                if how == "raises":
+                    raise RuntimeError("the step failed") from cancelled
+                if how == "obeys":
+                    raise
+        return b"done"
+
+    monkeypatch.setattr(module, "run_request_on", work)
+    worker.receive(an_assign(0))
+    served(worker, uplink, 1)
+    assert [header.rollout for header in uplink.results] == ["maximum.1.true.0"]
+
+
+def test_a_failure_before_its_cancel_is_one_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    uplink = Deaf()
+    worker = WorkerProcess("w", uplink)
+
+    def work(system: object, request: RolloutRequest, progress: Callable[[int], None]) -> bytes:
+        worker.receive(Cancel(rollout=request.rollout, attempt=1))
+        raise RuntimeError("the step failed")
+
+    monkeypatch.setattr(module, "run_request_on", work)
+    worker.receive(an_assign(0))
+    served(worker, uplink, 1)
+    assert [(header.kind, header.error) for header in uplink.results] == [("system", "RuntimeError: the step failed")]

@@ -5,6 +5,7 @@ import io
 import math
 import os
 import resource
+import shutil
 import sqlite3
 import sys
 import tracemalloc
@@ -22,7 +23,7 @@ from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export
 from perfbound.orchestrator.store.export_tables import robustness_unit, unit
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.schemas.campaign import SENSES, CampaignConfig
+from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import (
     RECORDED,
@@ -34,7 +35,9 @@ from perfbound.schemas.facts import (
     ProposalFact,
     RolloutFact,
 )
+from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.problems import OBJECTIVES
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.systems import load_system
@@ -215,7 +218,7 @@ def test_signs(tmp_path: Path, preset: str, problem: str, expected: dict[str, fl
     (row,) = found["tests"]
     assert {name: float(row[name]) for name in expected} == expected
     assert (row["sigma"], row["beta"], row["F"]) == ("0.1", "2.0", "0.2")
-    assert (row["sense"], row["unit"]) == (SENSES[problem], "1" if preset == "test-function" else "rad")  # type: ignore[index]
+    assert (row["sense"], row["unit"]) == (OBJECTIVES[problem].sense, "1" if preset == "test-function" else "rad")  # type: ignore[index]
     assert [float(row["contribution"]) for row in found["observations"]] == each
     assert {float(row["observation"]) for row in found["observations"]} == {expected["observation"]}
 
@@ -248,7 +251,7 @@ def test_the_attempt_is_the_one_that_brought_the_result(tmp_path: Path) -> None:
     with journal.transaction():
         for try_ in (1, 2, 3):
             journal.attempt_started(Attempt(which, try_), f"w{try_}", "host", 1)
-        journal.attempt_ended(Attempt(which, 1), "w1", "lost", 9.0, 9.0)
+        journal.attempt_ended(Attempt(which, 1), "w1", Failure("infrastructure", "lost"), 9.0, 9.0)
         journal.attempt_ended(Attempt(which, 2), "w2", RECORDED, 0.25, 0.5)
         journal.attempt_ended(Attempt(which, 3), "w3", RESTORED, 8.0, 8.0)
     journal.close()
@@ -256,6 +259,34 @@ def test_the_attempt_is_the_one_that_brought_the_result(tmp_path: Path) -> None:
     attempt = ("worker", "attempts", "wall (s)", "cpu (s)")
     assert [first[name] for name in attempt] == ["w2", "3", "0.5", "0.25"]
     assert [second[name] for name in attempt] == ["", "0", "", ""]
+
+
+def test_failures_are_the_attempts_without_a_result(tmp_path: Path) -> None:
+    journal, which = journal_of(tmp_path, config("segway-paper")), RolloutId("sim_gap", 0, "true", 0)
+    with journal.transaction():
+        journal.attempt_ended(Attempt(which, 2), "w2", Failure("system", "=1+1"))
+        journal.attempt_ended(Attempt(which, 1), "w1", Failure("infrastructure", "worker lost for 3 s"))
+        journal.attempt_ended(Attempt(which, 3), "w3", RECORDED)
+        journal.attempt_ended(Attempt(which, 4), "w3", RESTORED)
+    journal.close()
+    found = exported(tmp_path)["failures"]
+    titles = ("rollout", "attempt", "worker", "kind", "reason")
+    assert [[row[name] for name in titles] for row in found] == [
+        ["sim_gap.0.true.0", "2", "w2", "system", "'=1+1"],
+        ["sim_gap.0.true.0", "1", "w1", "infrastructure", "worker lost for 3 s"],
+    ]
+    assert all(float(row["ended (s)"]) > 1.7e9 for row in found)
+
+
+@pytest.mark.parametrize("name", ["rules-1/rigorous-pair-stopped", "schema-2"])
+def test_failures_in_a_database_without_kinds_have_none(tmp_path: Path, name: str) -> None:
+    shutil.copy(Path(__file__).parents[2] / "fixtures" / name / "campaign.db", tmp_path)
+    journal = Journal.open(tmp_path)
+    with journal.transaction():
+        journal.attempt_ended(Attempt(RolloutId("sim_gap", 0, "true", 0), 9), "w", Failure("system", "it raised"))
+    journal.close()
+    (row,) = exported(tmp_path)["failures"]
+    assert (row["worker"], row["kind"], row["reason"]) == ("w", "", "it raised")
 
 
 # Names and units
@@ -477,10 +508,10 @@ def test_all_tables_show_one_moment(tmp_path: Path) -> None:
             add(journal, rollout("sim_gap", 0, 1), rollout("sim_gap", 0, 2, -0.01))
 
     found = exported(tmp_path, progress=progress)
-    assert [len(found[name]) for name in export.TABLES] == [1, 1, 0, 0]
+    assert [len(found[name]) for name in export.TABLES] == [1, 1, 0, 0, 0]
     again = exported(tmp_path)
     journal.close()
-    assert [len(again[name]) for name in export.TABLES] == [1, 3, 0, 1]
+    assert [len(again[name]) for name in export.TABLES] == [1, 3, 0, 1, 0]
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
@@ -515,7 +546,7 @@ def test_the_command_says_what_it_wrote(campaign: Path) -> None:
     assert result.stdout.splitlines() == [
         f"{campaign / 'export' / 'tests.csv'}  {ROLLOUTS // 8} rows",
         *(f"{campaign / 'export' / name}.csv  {ROLLOUTS} rows" for name in ("rollouts", "observations")),
-        f"{campaign / 'export' / 'counterexamples.csv'}  0 rows",
+        *(f"{campaign / 'export' / name}.csv  0 rows" for name in ("counterexamples", "failures")),
     ]
 
 

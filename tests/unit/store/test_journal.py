@@ -18,20 +18,24 @@ import sqlalchemy as sa
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.store import read, tables
+from perfbound.orchestrator.store.changes import ChangeReader
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock, is_held
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE, SCHEMA_VERSION
+from perfbound.orchestrator.store.untrusted import read_untrusted
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import decode
 from perfbound.schemas.values import Bound, Observation, Proposal
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
+from tests.campaigns import UNCHECKED
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 R0 = RolloutId("maximum", 0, "true", 0)
@@ -45,7 +49,7 @@ FACTS: list[Fact] = [
 
 
 def a_config(**changes: Any) -> CampaignConfig:
-    settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **changes}
+    settings: dict[str, Any] = {"resolution": 5, "max_tests": 4, **UNCHECKED, **changes}
     return parse_campaign(PRESET.read_bytes(), "test", **settings)
 
 
@@ -175,11 +179,109 @@ def test_the_highest_attempt_is_known_and_the_first_outcome_stands(journal: Jour
     with journal.transaction():
         for attempt in (Attempt(R0, 1), Attempt(R0, 3), Attempt(other, 2)):
             journal.attempt_started(attempt, "w", "h", 1)
-        journal.attempt_ended(Attempt(R0, 1), "w", "bad")
-        journal.attempt_ended(Attempt(R0, 1), "w", "worse")
+        journal.attempt_ended(Attempt(R0, 1), "w", LOST)
+        journal.attempt_ended(Attempt(R0, 1), "w", Failure("infrastructure", "worse"))
     assert read.attempts(tmp_path) == {R0: 3, other: 2}
+    assert ended(tmp_path) == [("worker lost for 3 s", "infrastructure")]
+
+
+# Failures and their kinds
+
+LOST, RAISED = Failure("infrastructure", "worker lost for 3 s"), Failure("system", "the solver did not converge")
+PAST = Path(__file__).parents[2] / "fixtures"
+FIXTURES = {1: PAST / "rules-1" / "rigorous-pair-stopped", 2: PAST / "schema-2"}
+
+
+def ended(directory: Path) -> list[tuple[str, str | None]]:
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        return connection.execute("SELECT outcome, kind FROM outcomes ORDER BY rowid").fetchall()
+
+
+def end(journal: Journal, *outcomes: tuple[RolloutId, int, str | Failure]) -> None:
+    for rollout, number, outcome in outcomes:
+        with journal.transaction():
+            journal.attempt_ended(Attempt(rollout, number), "w", outcome)
+
+
+def test_a_failure_of_the_system_is_written_after_one_of_the_infrastructure(journal: Journal, tmp_path: Path) -> None:
+    """The worker was given up, and reports later that the system had failed: a retry chooses among outcomes."""
+    other = Failure("system", "another story")
+    end(journal, (R0, 1, LOST), (R0, 1, RAISED), (R0, 1, RAISED), (R0, 1, other), (R0, 1, LOST), (R0, 2, "recorded"))
+    assert ended(tmp_path) == [
+        ("worker lost for 3 s", "infrastructure"),
+        ("the solver did not converge", "system"),
+        ("recorded", None),
+    ]
+
+
+def test_a_failure_that_is_called_like_a_result_is_none(journal: Journal, tmp_path: Path) -> None:
+    """The reason is text of the system under test: such an attempt counted as recorded."""
+    end(journal, (R0, 1, Failure("system", "recorded")), (R0, 2, Failure("system", "restored")))
+    assert ended(tmp_path) == [("failed: recorded", "system"), ("failed: restored", "system")]
+    assert read_progress(tmp_path).failures == 2
+
+
+R1 = RolloutId("maximum", 1, "true", 0)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "expected"),
+    [
+        ([], 0),
+        ([(R0, 1, "recorded")], 0),
+        ([(R0, 1, LOST), (R0, 2, "recorded")], 0),
+        ([(R0, 1, RAISED), (R0, 2, RAISED)], 0),
+        ([(R0, 1, RAISED), (R1, 1, "recorded")], 0),
+        ([(R0, 1, RAISED), (R0, 2, "recorded")], 1),
+        ([(R0, 2, "recorded"), (R0, 1, RAISED)], 1),
+        ([(R0, 1, LOST), (R0, 1, RAISED), (R0, 2, RAISED), (R0, 3, "recorded")], 1),
+        ([(R0, 1, RAISED), (R1, 1, RAISED), (R0, 2, "recorded"), (R1, 2, "recorded")], 2),
+        ([(R0, 1, RAISED), (R0, 2, "restored")], 0),
+    ],
+)
+def test_a_rollout_that_failed_in_the_system_and_was_recorded_is_irreproducible(
+    journal: Journal, tmp_path: Path, outcomes: list[tuple[RolloutId, int, str | Failure]], expected: int
+) -> None:
+    end(journal, *outcomes)
+    assert read.irreproducible(tmp_path) == expected
+    found = read_progress(tmp_path)
+    assert found.system_failures == sum(outcome == RAISED for _, _, outcome in outcomes)
+
+
+@pytest.mark.parametrize("version", FIXTURES)
+def test_a_database_without_kinds_is_read_and_written_as_it_is(tmp_path: Path, version: int) -> None:
+    shutil.copy(FIXTURES[version] / DATABASE, tmp_path)
     with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
-        assert connection.execute("SELECT outcome FROM outcomes").fetchall() == [("bad",)]
+        assert connection.execute("SELECT version FROM schema").fetchall() == [(version,)]
+        before = connection.execute("SELECT sql FROM sqlite_master").fetchall()
+    opened = Journal.open(tmp_path)
+    facts = list(opened.facts())
+    end(opened, (R0, 1, LOST), (R0, 1, RAISED), (R0, 2, RAISED), (R0, 3, "recorded"))
+    opened.close()
+    with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
+        assert connection.execute("SELECT sql FROM sqlite_master").fetchall() == before, "it is not migrated"
+        rows = connection.execute("SELECT attempt, outcome FROM outcomes WHERE rollout = ?", [str(R0)]).fetchall()
+    # Without a column for the kind, a second failure of an attempt adds nothing.
+    assert rows == [(1, LOST.reason), (2, RAISED.reason), (3, "recorded")]
+    assert len(facts) > 20
+    assert len(read_untrusted(tmp_path).rollouts) > 5
+    assert read.irreproducible(tmp_path) == 0
+    found = read_progress(tmp_path)
+    assert found.failures == 2
+    assert found.system_failures is None
+    assert {each.kind for each in ChangeReader(tmp_path).read().outcomes} == {None}
+
+
+@pytest.mark.parametrize("name", ["kind", "shape"])
+def test_a_table_with_the_columns_of_no_version_is_not_perfbound_s(journal: Journal, tmp_path: Path, name: str) -> None:
+    journal.close()
+    with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
+        connection.execute(f"ALTER TABLE outcomes RENAME COLUMN kind TO {name}")
+    if name == "kind":
+        assert read_untrusted(tmp_path).rollouts == ()
+        return
+    with pytest.raises(JournalError, match="the table outcomes has other columns"):
+        read_untrusted(tmp_path)
 
 
 # Unusable databases

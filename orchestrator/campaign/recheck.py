@@ -1,0 +1,74 @@
+"""The recheck before a certificate: rollouts drawn from the evidence are simulated once more and compared."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Mapping
+from itertools import accumulate
+
+from ...schemas.base import digest
+from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.ids import RolloutId
+from ...schemas.trajectory import Trajectory
+from ...schemas.values import Bound, Observation, Proposal
+from . import state
+from .copies import same_trajectory
+from .observation import Trajectories
+from .seeds import drawn, rollout_seed
+from .series import Series
+
+NAME = "recheck"
+
+
+class Recheck:
+    """The decider of the recheck: test i repeats the i-th drawn rollout; its y is 1 where both trajectories agree.
+
+    Drawn when all other evidence is fixed, from the digests of its files: before, nobody can know which rollouts are
+    compared. `checked` are the series to draw from, with the rollouts of each of their tests; `start` and
+    `load` return the start and the trajectory of a recorded rollout.
+    """
+
+    name = NAME
+
+    def __init__(
+        self,
+        header: Header,
+        checked: Mapping[str, tuple[Series, state.Plan]],
+        start: Callable[[RolloutId], tuple[float, ...]],
+        load: Callable[[RolloutId], Trajectory],
+    ) -> None:
+        self._header, self._start, self._load = header, start, load
+        sizes = [len(series.observations) * len(plan.rollouts) for series, plan in checked.values()]
+        ends = list(accumulate(sizes))
+        files = digest([series.files for series, _ in checked.values()])
+        numbers = drawn(header, NAME, files, sum(sizes), min(header.config.recheck, sum(sizes)))
+        names, plans = list(checked), [plan for _, plan in checked.values()]
+        self.rollouts: list[RolloutId] = []
+        for number in numbers:
+            index = bisect_right(ends, number)
+            test, place = divmod(number - (ends[index] - sizes[index]), len(plans[index].rollouts))
+            self.rollouts.append(RolloutId(names[index], test, *plans[index].rollouts[place]))
+        variants = tuple(rollout.variant for rollout in self.rollouts)
+        self.plan = state.Plan(NAME, len(numbers), len(numbers), (), variants)
+
+    @classmethod
+    def wanted(cls, header: Header) -> bool:
+        """Whether the campaign has a recheck: since rules 2."""
+        return header.rules > 1 and header.config.recheck > 0
+
+    def proposal(self, series: Series, test: int) -> ProposalFact:  # noqa: ARG002  (the draw is fixed)
+        """Return the start of the test's original."""
+        return ProposalFact(NAME, test, Proposal(test, self._start(self.rollouts[test]), None, None, None, None))
+
+    def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
+        """Compare the test's trajectory with its original, bit by bit."""
+        (again,) = trajectories.values()
+        agrees = float(same_trajectory(self._load(self.rollouts[test]), again))
+        found = Observation(agrees, (agrees,))
+        return ObservationFact(NAME, test, found, series.next_link(test, found))
+
+    def bound(self, series: Series, fact: ObservationFact) -> BoundFact:  # noqa: ARG002  (nothing is bounded)
+        """Return the end of the series after its last test."""
+        return BoundFact(NAME, fact.test, Bound(None, None, None), budget=fact.test + 1 >= len(self.rollouts))
+
+    def seed(self, rollout: RolloutId) -> int:
+        """Return the seed of the original."""
+        return rollout_seed(self._header, self.rollouts[rollout.test])

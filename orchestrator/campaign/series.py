@@ -1,0 +1,92 @@
+"""A series of tests: its open tests by number, and sums over its closed ones."""
+
+import hashlib
+from array import array
+from collections.abc import MutableSequence
+from dataclasses import dataclass, field
+
+from ...schemas.base import canonical_json
+from ...schemas.errors import IllegalEvent
+from ...schemas.facts import BoundFact, ObservationFact, ProposalFact, RolloutFact, next_link
+from ...schemas.values import Bound, Observation, ProblemProgress, Proposal
+
+ROUND_OFF = 1e-9
+"""A bound recomputed on another CPU may differ by less."""
+
+
+@dataclass(slots=True)
+class Series:
+    """The facts of the tests of one problem, or of one check: whole while a test is open, and summed up afterwards.
+
+    So the memory grows by some numbers per test, not by its facts. A fact that does not follow from those before it
+    raises `IllegalEvent`.
+    """
+
+    link: str
+    """The head of the hash chain."""
+    files: str = ""
+    """The head of a second chain, over the rollouts alone: unlike `link` it is the same on every CPU."""
+    proposals: dict[int, ProposalFact] = field(default_factory=dict)
+    rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
+    observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
+    each: list[tuple[float, ...]] = field(default_factory=list)
+    nodes: list[int] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
+    last_proposal: Proposal | None = None
+    due: BoundFact | None = None
+    """The bound that follows from the last observation, until its fact is there."""
+    last_bound: BoundFact | None = None
+
+    @property
+    def progress(self) -> ProblemProgress:
+        """The progress of the series."""
+        last, proposal = self.last_bound, self.last_proposal
+        return ProblemProgress(
+            len(self.observations),
+            sum(self.counts.values()),
+            proposal.F if proposal and last else None,
+            last.bound if last else None,
+            last.stopped_by if last else None,
+        )
+
+    def next_link(self, test: int, observation: Observation) -> str:
+        """Return the head of the hash chain after the observation of an open test."""
+        return next_link(self.link, self.proposals[test], self.rollouts.get(test, ()), observation)
+
+    def observe(self, fact: ObservationFact) -> list[RolloutFact]:
+        """Close an observed test: move it from the open ones into the sums; return its rollouts."""
+        found = fact.observation
+        # The link covers the proposal, the digests and y: an edit of one of them in the database shows here.
+        if self.next_link(fact.test, found) != fact.chain:
+            raise IllegalEvent(f"test {fact.test} of {fact.problem} was changed after it was written (hash chain)")
+        self.last_proposal = self.proposals.pop(fact.test).proposal
+        rollouts = self.rollouts.pop(fact.test, [])
+        self.link = fact.chain
+        self.files = _files_link(self.files, rollouts)
+        self.observations.append(found.y)
+        self.each.append(found.each)
+        self.nodes.append(self.last_proposal.node)
+        for rollout in rollouts:
+            self.counts[rollout.rollout.variant] += 1
+        return rollouts
+
+    def bound(self, fact: BoundFact) -> None:
+        """Take the bound after an observation; it is the one that is due."""
+        due, self.due = self.due, None
+        # Not in the hash chain, because it follows: so an edited bound shows only by computing it again.
+        if due is None or due.stopped_by != fact.stopped_by or not _same_bound(due.bound, fact.bound):
+            raise IllegalEvent(
+                f"the bound after test {fact.test} of {fact.problem} is not the one that follows from the observations"
+            )
+        self.last_bound = fact
+
+
+def _files_link(link: str, rollouts: list[RolloutFact]) -> str:
+    listed = sorted([str(each.rollout), each.seed, each.sha256] for each in rollouts)
+    return hashlib.sha256((link + canonical_json(listed)).encode()).hexdigest()
+
+
+def _same_bound(recomputed: Bound, recorded: Bound) -> bool:
+    pairs = ((recomputed.upper, recorded.upper), (recomputed.lower, recorded.lower))
+    # Equal first: two infinities are the same bound, but their difference is no number.
+    return all(a is b if a is None or b is None else a == b or abs(a - b) <= ROUND_OFF for a, b in pairs)

@@ -1,0 +1,163 @@
+"""The spot check of a finished campaign on a box: fresh uniform starts that test every bound without smoothness."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...schemas.campaign import RigorousProblem
+from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.ids import RolloutId
+from ...schemas.problems import ProblemName
+from ...schemas.trajectory import Trajectory
+from ...schemas.values import Bound, Observation
+from ..mathematics.bounds.risk import linearised_range
+from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests
+from ..mathematics.gp.lattice import Lattice
+from . import state
+from .account import Account
+from .decisions import naming
+from .observation import Observer, Trajectories
+from .plan import ProblemPlan
+from .seeds import rollout_seed, uniform
+from .series import Series
+
+NAME = "spot_check"
+LEVEL = 0.05
+"""Failure probability of each of its statements."""
+WINDOW = 64
+"""Tests in flight while follow-ups are chosen, each of them from the observations before."""
+
+
+@dataclass(slots=True)
+class SpotSeries(Series):
+    """The facts of a spot check."""
+
+    robustness: dict[int, float] = field(default_factory=dict)
+    """Of the first rollout at each start, by the number of the start; the true system's where there is one."""
+
+    def observe(self, fact: ObservationFact) -> list[RolloutFact]:
+        """Close an observed test, as every series does, and take the robustness of a first rollout."""
+        rollouts = Series.observe(self, fact)  # by name: `super()` finds no cell in a class with slots
+        last = max(rollouts, key=lambda each: each.rollout.variant, default=None)
+        if last is not None and last.robustness is not None:
+            self.robustness.setdefault(self.nodes[-1], last.robustness)
+        return rollouts
+
+
+class SpotCheck:
+    """The decider of the spot check; a test is one rollout of every variant that some problem needs, at one start.
+
+    `each` of an observation has J of every tested problem, in the order of the campaign file.
+    """
+
+    name = NAME
+
+    def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer) -> None:
+        config, noisy = header.config, set(header.spec.noisy)
+        self._header, self._observer = header, observer
+        self._plans = [account.plan for account in accounts.values() if math.isfinite(_limit(account))]
+        used = {variant for plan in self._plans for variant, _ in plan.rollouts}
+        self._variants: tuple[str, ...] = tuple(variant for variant in ("nominal", "true") if variant in used)
+        hypotheses = [
+            Hypothesis(
+                plan.name, _limit(accounts[plan.name]), *_range(plan), noisy=not noisy.isdisjoint(_variants(plan))
+            )
+            for plan in self._plans
+        ]
+        self.hypotheses = {plan.name: each for plan, each in zip(self._plans, hypotheses, strict=True)}
+        followups = config.spot_check_followups if any(each.noisy for each in hypotheses) else 0
+        self.starts = _starts(header, self._plans)
+        self._tests = SpotTests(self.starts, hypotheses, followups=followups, delta=LEVEL)
+        count = config.spot_check
+        # Without follow-ups no start depends on an observation.
+        self._budget = count + followups
+        self.plan = state.Plan(
+            NAME, WINDOW if followups else count, self._budget, tuple((variant, 0) for variant in self._variants)
+        )
+
+    @classmethod
+    def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:
+        """Whether the campaign has a spot check: since rules 2, on a box, where some problem has a bound."""
+        box = all(isinstance(account.plan.candidates, Lattice) for account in accounts.values())
+        bounded = any(math.isfinite(_limit(account)) for account in accounts.values())
+        return header.rules > 1 and header.config.spot_check > 0 and box and bounded
+
+    def proposal(self, series: Series, test: int) -> ProposalFact:
+        """Choose the next start: each one once, then the most suspicious ones."""
+        pending = [fact.proposal.node for fact in series.proposals.values()]
+        # The window is kept full: where every suspicious start has a test in flight, the first one gets one more.
+        chosen = self._tests.propose(pending) or self._tests.propose()
+        assert chosen is not None, "a spot check that is complete has ended"
+        return ProposalFact(NAME, test, chosen)
+
+    def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
+        """Return J of every tested problem; y is the first one."""
+        single = {variant: trajectories[variant, 0] for variant in self._variants}
+        with naming(f"{NAME}, test {test}"):
+            values = tuple(self._value(plan, single) for plan in self._plans)
+        found = Observation(values[0], values)
+        return ObservationFact(NAME, test, found, series.next_link(test, found))
+
+    def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
+        """Take an observation; the check ends with its budget, or when no start is suspicious."""
+        assert series.last_proposal is not None
+        with naming(f"{NAME}, test {fact.test}"):
+            self._tests.observe(series.last_proposal.node, fact.observation.each)
+        spent = fact.test + 1 >= self._budget
+        done = not spent and self._tests.propose() is None
+        return BoundFact(NAME, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
+
+    def seed(self, rollout: RolloutId) -> int:
+        """Return the seed of a rollout."""
+        return rollout_seed(self._header, rollout)
+
+    def findings(self) -> dict[ProblemName, SpotFinding]:
+        """Return the finding of every tested problem, by name."""
+        return {plan.name: self._tests.finding(k) for k, plan in enumerate(self._plans)}
+
+    def _value(self, plan: ProblemPlan, trajectories: Mapping[str, Trajectory]) -> float:
+        used = {(variant, 0): trajectories[variant] for variant in self._variants if variant in _variants(plan)}
+        # Algorithm 1 observes a sample risk, which one rollout has not: its mean is not below the risk that is claimed.
+        if plan.objective.risk and plan.problem.method == "paper":
+            found = self._observer.robustness(trajectories["true"])
+            assert found is not None, "a risk is one of the robustness"
+            return -found
+        value = self._observer.observe(replace(plan, replicates=1), used).y
+        low, high = _range(plan)
+        # The paper clips no gap; where the expectation of a gap is at most its bound, so is that of the clipped one.
+        return value if low is None or high is None else min(max(value, low), high)
+
+
+def _limit(account: Account) -> float:
+    """Return the bound on J that the spot check tests; infinite where the problem has none."""
+    upper = account.last_bound.bound.upper if account.last_bound else None
+    return math.inf if upper is None else upper
+
+
+def _variants(plan: ProblemPlan) -> set[str]:
+    return {variant for variant, _ in plan.rollouts}
+
+
+def _range(plan: ProblemPlan) -> tuple[float | None, float | None]:
+    """Return the least and the largest J of one rollout, in the unit of J; None where nothing bounds it."""
+    (low, high), problem, gap = plan.clip, plan.problem, plan.gap
+    if plan.objective.measured == "column" or not math.isfinite(high - low):
+        return None, None
+    if plan.objective.measured == "gap":
+        return (low - high if gap.kind == "robustness" else 0.0), (high - low) / gap.lipschitz
+    if isinstance(problem, RigorousProblem) and problem.linearised is not None:
+        constants = problem.linearised
+        least, largest = linearised_range(plan.clip, plan.risk_weight, constants.centre, constants.spread)
+        return -largest, -least
+    return -high, -low
+
+
+def _starts(header: Header, plans: list[ProblemPlan]) -> list[tuple[float, ...]]:
+    """Return the starts, uniform over the box, parameters in the order of the system."""
+    box = plans[0].candidates
+    assert isinstance(box, Lattice)
+    low, high = np.array(box.low), np.array(box.high)
+    shares = uniform(header, NAME, (header.config.spot_check, len(low)))
+    return [tuple(float(v) for v in row) for row in low + shares * (high - low)]

@@ -1,0 +1,19 @@
+"""The failure of an attempt: its reason, and whether it is one of the system under test."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+FailureKind = Literal["infrastructure", "system"]
+"""`system`: the system raised, or its trajectory was not usable. `infrastructure`: all else, such as a lost worker.
+
+The retry after a failure of the system is a second draw. If it succeeds, good outcomes were selected, and the rollout
+is not a function of its seed. Failures of the infrastructure do not depend on the outcome of the rollout.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why an attempt has no result."""
+
+    kind: FailureKind
+    reason: str
