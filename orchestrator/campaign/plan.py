@@ -34,6 +34,8 @@ class ProblemPlan:
     """Rolled out by every replicate of a test."""
     candidates: Lattice | Points
     """The starting conditions that tests are chosen from; parameters in the order of the system."""
+    parameters: tuple[str, ...]
+    """The names of the parameters, in this order."""
     window: int
     replicates: int
     budget: int
@@ -113,6 +115,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         problem=problem,
         variants=variants,
         candidates=candidates,
+        parameters=tuple(parameter.name for parameter in spec.parameters),
         window=config.window_of(problem),
         replicates=replicates,
         budget=tests,

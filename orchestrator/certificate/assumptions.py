@@ -150,7 +150,7 @@ def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
     lattice = plan.candidates
     # The paper maximises over the box, the method over nodes: the audit bounds the difference.
     if isinstance(lattice, Lattice):
-        rise = audit.rise_between_nodes(lattice, kernel(problem), problem.rkhs_norm)
+        rise = audit.rise_between_nodes(lattice, kernel(plan, problem), problem.rkhs_norm)
         values = {"nodes": lattice.size, "resolution": lattice.resolution, "rise": rise, "rkhs_norm": problem.rkhs_norm}
         form = "lattice_refined" if problem.refine else "lattice_alone"
         yield assumption(f"lattice/{name}", "assumed", values, form=form)
@@ -168,7 +168,7 @@ def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod
     values = {
         "tau": problem.misspecification,
         "nu": problem.kernel.nu,
-        "length_scale": problem.kernel.length_scale,
+        "length_scale": problem.kernel.described,
         "rkhs_norm": problem.rkhs_norm,
     }
     form = "kernel_near" if problem.misspecification else "kernel_ball"

@@ -97,7 +97,7 @@ class RigorousMethod(Method):
             raise ValueError(f"prior_mean must be finite, not {prior_mean!r}")
         self.candidates, self._premises, self._radial = candidates, premises, Radial(kernel)
         self._prior_mean, self._alpha, self._slack = prior_mean, alpha, slack or alpha / 4.0
-        self._rows = candidates.kernel_rows(kernel)
+        self._rows = candidates.kernel_rows(kernel, kernel.axes)
         self._data = Observations(self._rows)
         # Before any data |J - m0| <= B + tau, because k(z, z) = 1.
         reach = premises.rkhs_norm + premises.tau
