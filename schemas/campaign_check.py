@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator
 
-from .campaign import CampaignConfig, Scenarios
+from .campaign import CampaignConfig
 from .errors import CampaignError
 from .problems import rolled_out
+from .space import Scenarios
 from .system import SystemSpec
 
 

@@ -13,19 +13,10 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 
 from .base import Model
-from .campaign import (
-    PROBLEM_MODELS,
-    CampaignConfig,
-    Gap,
-    Linearised,
-    MaternKernel,
-    Range,
-    Scenarios,
-    SystemChoice,
-    Weighted,
-)
+from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised, MaternKernel, Weighted
 from .errors import CampaignError
 from .problems import OBJECTIVES
+from .space import Range, Scenarios, SystemChoice
 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""

@@ -12,14 +12,12 @@ from .campaign import (
     Linearised,
     MaternKernel,
     PaperProblem,
-    Range,
     RigorousProblem,
     ScenarioProblem,
-    Scenarios,
-    SystemChoice,
     Weighted,
 )
 from .problems import OBJECTIVES, Objective
+from .space import Range, Scenarios, SystemChoice
 
 HEAD = """# Reference: campaign files
 

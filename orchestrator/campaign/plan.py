@@ -4,15 +4,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ...schemas.campaign import (
-    CampaignConfig,
-    Gap,
-    Problem,
-    RigorousProblem,
-    ScenarioProblem,
-    Scenarios,
-)
+from ...schemas.campaign import CampaignConfig, Gap, Problem, RigorousProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Statement, rolled_out
+from ...schemas.space import Scenarios
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import linearised_range

@@ -88,7 +88,7 @@ def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     noisy = {variant for variant, _ in plan.rollouts} & set(ledger.header.spec.noisy)
     if not noisy:
         return
-    compared, copied = copies(account, noisy, ledger.trajectory)
+    compared, copied = copies(account, noisy, ledger.recorded.trajectory)
     values = {"rollouts": sum(account.counts[variant] for variant in noisy), "compared": compared, "copies": copied}
     yield assumption(f"independent_rollouts/{name}", "refuted" if copied else "assumed", values)
     # A list of starts is fixed beforehand; on a box nobody knows how many candidates are tested twice.

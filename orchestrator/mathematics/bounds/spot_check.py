@@ -38,6 +38,7 @@ from ....schemas.values import Proposal
 from ..gp.kernels import Floats
 from ..gp.lattice import check_index
 from .betting import RICHEST, ROUND_OFF
+from .rollout_spread import Spread
 from .rounding import decimal, floor_to_step
 from .share import clopper_pearson_upper
 
@@ -52,7 +53,6 @@ OUTSIDE = 1e-9
 """A value may leave its range by this much, which is round-off."""
 EXPLORE = 1.0
 """Weight of the standard error in the choice of a follow-up."""
-BORROWED = 3.0
 SUSPICIOUS = 2.0
 """A start is suspicious while its mean excess plus this many standard errors is positive."""
 
@@ -242,7 +242,7 @@ class _Record:
         self.first = np.full(size, math.nan)  # (m,) J of the first rollout
         self._testable = self.bounded or hypothesis.scale is not None
         width = 4.0 * hypothesis.scale if hypothesis.scale is not None else math.inf
-        self._spread = _Spread(size, self._high - self._low if self.bounded else width)
+        self._spread = Spread(size, self._high - self._low if self.bounded else width)
         self._wealth = np.full((len(DEFICITS), size), 1.0 / len(DEFICITS))  # (S, m)
         self._peak = 1.0  # of the mean wealth
         self._own_peak = np.ones(size)  # (m,)
@@ -332,47 +332,6 @@ class _Record:
         # The best lambda for a mean excess of `deficit` scales; the exponent is capped, so that nothing overflows.
         assert self._hypothesis.scale is not None
         return math.exp(min(deficit * excess / self._hypothesis.scale - deficit * deficit / 2.0, MOST_EXPONENT))
-
-
-class _Spread:
-    """Mean excess of every start, and a standard deviation of one rollout that small samples share.
-
-    The variance within starts is pooled; while it has few degrees of freedom, the variance between first rollouts
-    counts as BORROWED of them, and a quarter of the range as the first of those. A start's own variance enters by its
-    degrees of freedom. It serves bets and choices, which may be any function of the past: no claim depends on it.
-    """
-
-    def __init__(self, size: int, width: float) -> None:
-        self.count = np.zeros(size)  # (m,)
-        self.mean = np.zeros(size)  # (m,) unit J
-        self._squares = np.zeros(size)  # (m,) squared deviations from the mean of the start
-        self._within = self._degrees = 0.0  # sums over the starts
-        self._started = self._centre = 0.0  # number and mean of the first rollouts
-        self._between = (width / 4.0) ** 2 if math.isfinite(width) else 1.0
-        self._least = 1e-6 * width if math.isfinite(width) else 1e-6
-
-    def add(self, node: int, excess: float) -> None:
-        """Add the excess of one rollout [Welford's update]."""
-        if self.count[node]:
-            self._degrees += 1.0
-        else:
-            self._started += 1.0
-            shift = excess - self._centre
-            self._centre += shift / self._started
-            self._between += shift * (excess - self._centre)
-        self.count[node] += 1.0
-        shift = excess - self.mean[node]
-        self.mean[node] += shift / self.count[node]
-        square = shift * (excess - self.mean[node])
-        self._squares[node] += square
-        self._within += square
-
-    def sd(self) -> Floats:
-        """Return the estimated standard deviation of one rollout at every start (m,), positive."""
-        between = self._between / (self._started + 1.0)
-        common = (self._within + BORROWED * between) / (self._degrees + BORROWED)
-        own = (self._squares + BORROWED * common) / (np.maximum(self.count - 1.0, 0.0) + BORROWED)
-        return np.maximum(np.sqrt(own), self._least)
 
 
 def failure_share(failures: int, count: int, theta: float, delta: float) -> float:
