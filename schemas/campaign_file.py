@@ -18,13 +18,12 @@ from .campaign import (
     CampaignConfig,
     Gap,
     Linearised,
-    MaternKernel,
     Range,
     Scenarios,
     SystemChoice,
-    Weighted,
 )
 from .errors import CampaignError
+from .kernel import MaternKernel, Weighted
 from .problems import OBJECTIVES
 
 Location = tuple[int | str, ...]
