@@ -64,6 +64,11 @@ class ProblemPlan:
         return OBJECTIVES[self.problem.name]
 
     @property
+    def listed(self) -> int | None:
+        """Number of listed starts, the only ones that the bound covers; None on a box."""
+        return self.candidates.size if isinstance(self.candidates, Points) else None
+
+    @property
     def exact(self) -> bool:
         """Whether an observation is the objective itself: R = 0, which method `rigorous` alone has."""
         return isinstance(self.problem, RigorousProblem) and self.noise == 0

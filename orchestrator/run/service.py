@@ -219,8 +219,7 @@ class Service:
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Fail(worker, attempt, failure):
                 self._journal.attempt_ended(attempt, worker, failure)
-                name = f"{attempt.rollout}, attempt {attempt.number} on {worker}"
-                self._print_line(f"{name}, {failure.kind} failure: {one_line(failure.reason)}")
+                self._print_line(_failure_line(action))
             case events.GiveUp(worker):
                 state = self._roster.admitted(worker)
                 # A process id names one of our children on this host only.
@@ -281,3 +280,10 @@ class Service:
         )
         for listener in self._listeners:
             listener.show(status)
+
+
+def _failure_line(action: events.Fail) -> str:
+    attempt, failure = action.attempt, action.failure
+    # The reason is text of a system under test.
+    reason = one_line(failure.reason)
+    return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"
