@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from .base import Model, digest
+from .kernel import MaternKernel, Positive, Weighted
 from .problems import CLAIMS, OBJECTIVES, MethodName, ProblemName, Sense, any_of
 from .space import Scenarios, Space, SystemChoice
 
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
-Positive = Annotated[float, Field(gt=0)]
 
 MAX_CANDIDATES = 100_000
 """Nodes of the largest lattice; memory is O(tests x nodes)."""
@@ -17,34 +17,6 @@ MAX_NU = 40
 
 DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline"}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
-
-
-class MaternKernel(Model):
-    """Matern kernel of unit amplitude."""
-
-    nu: float = Field(gt=0, le=50, description="smoothness; at most 40 in method `rigorous` and with `refine = true`")
-    length_scale: Positive | Annotated[dict[str, Positive], Field(min_length=1)] = Field(
-        description="distance over which the objective changes: one number per parameter by name, each in its unit; or "
-        "one number for all of them"
-    )
-
-    @property
-    def described(self) -> float | str:
-        """The length scale as one value of an assumption: the number, or the numbers with their parameters."""
-        if not isinstance(self.length_scale, dict):
-            return self.length_scale
-        # By name: a file and its copy in the database may list them in different orders.
-        return ", ".join(f"{length:g} ({name})" for name, length in sorted(self.length_scale.items()))
-
-    def scaled(self, factor: float) -> "MaternKernel":
-        """Return the kernel with every length scale multiplied."""
-        lengths = self.length_scale
-        changed = (
-            {name: factor * length for name, length in lengths.items()}
-            if isinstance(lengths, dict)
-            else factor * lengths
-        )
-        return self.model_copy(update={"length_scale": changed})
 
 
 class Gap(Model):
@@ -79,13 +51,6 @@ class Linearised(Model):
     spread: float = Field(
         gt=0, description="choose about the standard deviation there; a larger one loses less by rare falls"
     )
-
-
-class Weighted(Model):
-    """One regulariser of a mixture that is fixed beforehand."""
-
-    value: float = Field(ge=1e-9, description="lambda")
-    weight: float = Field(gt=0, le=1, description="the weights sum to at most 1")
 
 
 class _Problem(Model):

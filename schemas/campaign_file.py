@@ -13,8 +13,9 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 
 from .base import Model
-from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised, MaternKernel, Weighted
+from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised
 from .errors import CampaignError
+from .kernel import MaternKernel, Weighted
 from .problems import OBJECTIVES
 from .space import Range, Scenarios, SystemChoice
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from ...schemas.campaign import PaperProblem, Problem, RigorousProblem
+from ...schemas.problems import OBJECTIVES
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.audit import replicate_spread
 from ..mathematics.gp.lattice import Lattice
@@ -70,11 +71,11 @@ def of_tests(
 
 def robustness_of(problem: Problem, each: Sequence[Sequence[float]]) -> list[float]:
     """Return the clipped robustness of the rollouts from the replicates of the tests, where these have it."""
-    if problem.name == "nominal_robustness":
-        return [-value for values in each for value in values]
-    if problem.name == "true_risk" and problem.method != "rigorous":
-        return [value for values in each for value in values]
-    return []
+    objective, values = OBJECTIVES[problem.name], [value for values in each for value in values]
+    if objective.measured != "robustness" or (objective.risk and problem.method == "rigorous"):
+        return []  # the gap, a column, or the linearised risk
+    # Method scenario, and the paper's sample risk, take the robustness itself; elsewhere the replicates are of J.
+    return values if objective.risk or problem.method == "scenario" else [-value for value in values]
 
 
 def _clip(plan: ProblemPlan, robustness: Sequence[float]) -> dict[str, str]:
