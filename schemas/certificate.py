@@ -13,6 +13,8 @@ from .values import StoppedBy
 STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certificate:v1"
 
+SINCE_RULES_2 = ("starts", "by_clip", "without_data", "vacuous")
+"""Keys of a claim."""
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
 
 
@@ -43,6 +45,11 @@ class CertificateClaim(Model):
     method: str
     assumptions: tuple[str, ...]
     refuted: tuple[str, ...] = Field(description="those of the assumptions that are refuted: do not rely on the claim")
+    starts: int | None = Field(
+        default=None,
+        ge=1,
+        description="number of listed starts, the only ones that the claim covers; null for a box; since rules 2",
+    )
     by_clip: float | None = Field(
         default=None, description="what the clip alone proves; since rules 2, `bound` is never weaker"
     )
@@ -210,7 +217,7 @@ class Certificate(Model):
         for part, key in (
             *((predicate, key) for key in ("rules", "sensitivity", "spot_check", "recheck")),
             (predicate["campaign"], "system_sha256"),
-            *((claim, key) for claim in predicate["claims"] for key in ("by_clip", "without_data", "vacuous")),
+            *((claim, key) for claim in predicate["claims"] for key in SINCE_RULES_2),
             *((problem, "by_clip") for problem in predicate["problems"]),
             *((assumption, "values") for assumption in predicate["assumptions"]),
         ):

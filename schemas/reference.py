@@ -10,16 +10,13 @@ from .campaign import (
     CampaignConfig,
     Gap,
     Linearised,
-    MaternKernel,
     PaperProblem,
-    Range,
     RigorousProblem,
     ScenarioProblem,
-    Scenarios,
-    SystemChoice,
-    Weighted,
 )
+from .kernel import MaternKernel, Weighted
 from .problems import OBJECTIVES, Objective
+from .space import Range, Scenarios, SystemChoice
 
 HEAD = """# Reference: campaign files
 
@@ -110,11 +107,12 @@ def _allowed_values(part: dict[str, Any]) -> Iterator[str]:
     elif part.get("type") == "array":
         yield "[low, high]" if "prefixItems" in part else "tables"
     elif part.get("type") == "object":
-        yield "tables"
+        yield f"table of {_KINDS['number']}s" if part.get("additionalProperties", {}) == NUMBERS else "tables"
     elif "type" in part:
         yield f"{_KINDS[part['type']]}{_range_text(part)}"
 
 
+NUMBERS = {"type": "number", "exclusiveMinimum": 0}
 _KINDS = {"string": "text", "number": "number", "integer": "whole number", "boolean": "true or false"}
 _LIMITS = (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="), ("exclusiveMaximum", "<"))
 

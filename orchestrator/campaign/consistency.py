@@ -31,19 +31,20 @@ def of_plan(plan: ProblemPlan, spec: SystemSpec) -> Iterator[str]:
         return
     name, length = problem.name, problem.kernel.length_scale
     if isinstance(plan.candidates, Lattice):
-        names = [parameter.name for parameter in spec.parameters]
-        steps = zip(names, plan.candidates.spacing, strict=True)
-        coarse = ", ".join(f"{step:.3g} along {axis}" for axis, step in steps if step > length)
+        steps = zip(plan.parameters, plan.candidates.spacing, strict=True)
+        lengths = length if isinstance(length, dict) else dict.fromkeys(plan.parameters, length)
+        coarse = ", ".join(f"{step:.3g} along {axis}" for axis, step in steps if step > lengths[axis])
         if coarse:
+            given = problem.kernel.described
             yield (
-                f"{name}: kernel.length_scale = {length:g} is below the spacing of the lattice, {coarse}: between two "
+                f"{name}: kernel.length_scale = {given} is below the spacing of the lattice, {coarse}: between two "
                 "nodes the objective may change as much as over the whole box; raise resolution or length_scale"
             )
     units = list(dict.fromkeys(parameter.unit for parameter in spec.parameters))
-    if len(units) > 1:
+    if len(units) > 1 and not isinstance(length, dict):
         yield (
             f"{name}: kernel.length_scale = {length:g} is one length for parameters in {_listed(units)}: the objective "
-            "then changes as fast along each of them; scale the parameters if it does not"
+            "then changes as fast along each of them; give one length per parameter: { name = number, ... }"
         )
     noisy = set(plan.variants) & set(spec.noisy)
     if noisy and plan.replicates == 1 and problem.noise_scale != "derived" and problem.noise_scale > 0:

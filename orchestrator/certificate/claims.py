@@ -67,6 +67,15 @@ def claims(
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
 
 
+def of_listed_starts(
+    claims: Sequence[document.CertificateClaim], plans: Plans
+) -> tuple[document.CertificateClaim, ...]:
+    """Return the claims with the number of listed starts that they cover; on a box as they are."""
+    # Space is one key of the file: every problem has the same list.
+    (listed,) = {plan.listed for plan in plans.values()}
+    return tuple(claim.model_copy(update={"starts": listed}) for claim in claims)
+
+
 def bound(basis: Basis, plans: Plans, results: Results, methods: Methods | None) -> float:
     """Return the bound of a claim from those of its problems; see `terms`."""
     if basis.rule == "single":

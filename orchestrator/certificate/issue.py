@@ -10,7 +10,7 @@ from ...schemas.facts import Header
 from ..campaign.ledger import Ledger
 from .assumptions import assumptions
 from .checks import recheck, spot_check
-from .claims import Results, claims
+from .claims import Results, claims, of_listed_starts
 from .problem_results import result
 from .sensitivity import sensitivity, with_clip, without_rollouts
 
@@ -35,14 +35,15 @@ def issue(ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False) -
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later.
     """
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
-    results: Results = {name: result(account) for name, account in accounts.items()}
+    results: Results = {name: result(account, header.rules) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)
     found = assumptions(ledger, checked, repeated, irreproducible=irreproducible)
     claimed = claims(config, ledger.plans, results, ledger.methods, found)
     varied = None
     if header.rules >= 2:
         results = with_clip(results, config)
-        claimed = replace(claimed, claims=without_rollouts(claimed.claims, config, ledger.plans, results))
+        found_claims = without_rollouts(claimed.claims, config, ledger.plans, results)
+        claimed = replace(claimed, claims=of_listed_starts(found_claims, ledger.plans))
         varied = sensitivity(claimed.claims, config, accounts, results)
     manifest_sha256 = hashlib.sha256(evidence.text.encode()).hexdigest()
     predicate = document.Predicate(

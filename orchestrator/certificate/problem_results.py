@@ -18,7 +18,7 @@ GAPS = {
 }
 
 
-def result(account: Account) -> document.ProblemResult:
+def result(account: Account, rules: int) -> document.ProblemResult:
     """Return the bound of a problem that has stopped, rounded outward to 1e-9."""
     plan, last, proposal = account.plan, account.last_bound, account.last_proposal
     assert proposal is not None
@@ -33,7 +33,7 @@ def result(account: Account) -> document.ProblemResult:
     chances = _probabilities(plan)
     return document.ProblemResult(
         name=problem.name,
-        objective=objective(plan),
+        objective=objective(plan, rules),
         method=problem.method,
         sense=sense,
         bound=in_sense(problem, upper),
@@ -53,10 +53,13 @@ def in_sense(problem: Problem, upper: float) -> float:
     return round_down(-upper) if OBJECTIVES[problem.name].sense == "min" else round_up(upper)
 
 
-def objective(plan: ProblemPlan) -> str:
+def objective(plan: ProblemPlan, rules: int) -> str:
     """Return the objective of a problem in words."""
     problem = plan.problem
     text = plan.statement.words.format(gap=GAPS[plan.gap.kind])
+    # A reader takes "over d" for the box. Rules 1: the words are those that a certificate was issued with.
+    if rules > 1 and plan.listed is not None:
+        text = text.replace("over d", f"over the {plan.listed} listed starts", 1)
     linear = not isinstance(problem, PaperProblem) and problem.linearised is not None
     return f"{text}, through the expectation that bounds it" if linear else text
 

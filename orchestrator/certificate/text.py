@@ -36,6 +36,13 @@ QUANTITIES: dict[Quantity, str] = {
     "robustness": "worst robustness over all starts",
     "expected_robustness": "worst expected robustness over all starts",
 }
+LISTED: dict[Quantity, str] = {
+    "rho_star": "rho* (robustness risk of the true system at the worst of the {} listed starts)",
+    "J_star": "J* (expectation at the worst of the {} listed starts)",
+    "robustness": "robustness at the worst of the {} listed starts",
+    "expected_robustness": "expected robustness at the worst of the {} listed starts",
+}
+"""The same where the starts are a list, which the claim does not leave."""
 
 VALID = "the bound is valid at every moment"
 BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
@@ -61,6 +68,15 @@ def outward(bound: float, sense: str) -> str:
     if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):
         nearest = math.floor(scaled) if sense == ">=" else math.ceil(scaled)
     return f"{nearest / 10**DIGITS:.{DIGITS}f}"
+
+
+def quantity_words(quantity: Quantity, starts: int | None) -> str:
+    """Return the subject of a claim in words; `starts` is the number of listed starts, None for a box.
+
+    >>> quantity_words("robustness", None), quantity_words("robustness", 25)
+    ('worst robustness over all starts', 'robustness at the worst of the 25 listed starts')
+    """
+    return QUANTITIES[quantity] if starts is None else LISTED[quantity].format(starts)
 
 
 def print_certificate(certificate: Certificate, console: Console) -> None:
@@ -163,7 +179,7 @@ def print_files(directory: Path, console: Console) -> None:
 def _claim(title: str, certificate: Certificate, number: int, console: Console) -> None:
     predicate = certificate.predicate
     claim = predicate.claims[number]
-    _heading(console, f"{title}  {QUANTITIES[claim.quantity]} {claim.sense} {_bound(claim)}", "bold")
+    _heading(console, f"{title}  {quantity_words(claim.quantity, claim.starts)} {claim.sense} {_bound(claim)}", "bold")
     rule = "" if claim.rule == "single" else f"{claim.rule} rule, "
     source = f"method {claim.method}, {rule}{_count(claim.assumptions)}"
     _line(console, f"       with probability at least {outward(claim.probability, '>=')} ({source})")

@@ -114,6 +114,8 @@ class Problem:
     """What the clip alone proves of the objective; `bound` is never weaker."""
     warnings: tuple[str, ...] = ()
     """Constants that contradict each other or the data, in sentences."""
+    starts: int | None = None
+    """Number of listed starts, since rules 2; None on a box."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,11 +74,12 @@ class ProblemCollector:
             self._warnings = self._contradictions()
         stopped_by = last.stopped_by if last else None
         bound = result.bound if result else signed(last.bound.upper if last else None, self._sense)
-        later = self._header.rules >= 2  # the bound is then never weaker than the clip, as in the certificate
+        rules = self._header.rules
+        later = rules >= 2  # the bound is then never weaker than the clip, as in the certificate
         limit = by_clip(self._header.config, problem) if later else None
         return Problem(
             name=problem.name,
-            objective=typeset(result.objective if result else objective(self._plan)),
+            objective=typeset(result.objective if result else objective(self._plan, rules)),
             quantity=self._plan.statement.quantity,
             method=problem.method,
             sense=self._sense,
@@ -97,6 +98,7 @@ class ProblemCollector:
             tests=self._tests,
             by_clip=limit,
             warnings=self._warnings,
+            starts=self._plan.listed if rules > 1 else None,
         )
 
     def worst_tests(self, number: int) -> list[int]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from ...schemas import certificate as document
 from ..campaign.clip import is_vacuous
-from ..certificate.text import QUANTITIES, VACUOUS, notes, outward
+from ..certificate.text import VACUOUS, notes, outward, quantity_words
 from .data import Claim, Problem
 
 SIGNS = {">=": "≥", "<=": "≤", " -": " \u2212", "rho*": "ρ*"}
@@ -26,7 +26,7 @@ def worded(predicate: document.Predicate) -> tuple[Claim, ...]:
     """Return the claims of a certificate with their sentences."""
     return tuple(
         Claim(
-            **claim.model_dump(exclude={"by_clip", "without_data"}),
+            **claim.model_dump(exclude={"starts", "by_clip", "without_data"}),
             sentence=claim_sentence(claim),
             notes=tuple(map(typeset, notes(predicate, number))),
         )
@@ -42,7 +42,7 @@ def claim_sentence(claim: document.CertificateClaim) -> str:
     ...                                 rule="single", method="paper", assumptions=(), refuted=()))
     'J* (maximum of the expectation) ≤ 0.5124 with probability at least 0.9876'
     """
-    text = _statement(QUANTITIES[claim.quantity], claim.bound, claim.sense, claim.probability)
+    text = _statement(quantity_words(claim.quantity, claim.starts), claim.bound, claim.sense, claim.probability)
     if claim.vacuous:
         text += f". {VACUOUS.removesuffix('.')}"
     if claim.refuted:
@@ -61,7 +61,8 @@ def current_bound(problems: Sequence[Problem], claims: Sequence[Claim]) -> str:
 
 def _problem_bound(problem: Problem) -> str:
     sense = ">=" if problem.sense == "min" else "<="
-    quantity = QUANTITIES[problem.quantity] if problem.quantity else problem.objective.partition(", through")[0]
+    objective = problem.objective.partition(", through")[0]
+    quantity = quantity_words(problem.quantity, problem.starts) if problem.quantity else objective
     if problem.stopped_by == "refuted":
         return f"{problem.name}: its assumptions are refuted, so its bound is worth nothing."
     if problem.bound is None:

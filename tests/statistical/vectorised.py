@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perfbound.orchestrator.mathematics.bounds.betting import ROUND_OFF
+from perfbound.orchestrator.mathematics.bounds.rollout_spread import BORROWED
 from perfbound.orchestrator.mathematics.bounds.share import RENEWAL, STRATEGIES
-from perfbound.orchestrator.mathematics.bounds.spot_check import BORROWED, CAP, DEFICITS, EXPLORE, OUTSIDE, SUSPICIOUS
+from perfbound.orchestrator.mathematics.bounds.spot_check import CAP, DEFICITS, EXPLORE, OUTSIDE, SUSPICIOUS
 
 Floats = NDArray[np.float64]
 Marks = NDArray[np.bool_]

@@ -96,3 +96,22 @@ def test_every_line_is_printed_once_in_a_run(tmp_path: Path) -> None:
     clipped = [line for line in lines if "at the lower clip 0.4" in line]
     assert len(clipped) == 1, "of sim_gap: the other problem has eight rollouts"
     assert len(lines) == len(set(lines))
+
+
+def test_a_length_per_parameter_has_its_own_unit_and_spacing() -> None:
+    fits = a_plan(kernel={"nu": 2.5, "length_scale": {"x": 3.0, "y": 0.5}})
+    assert not list(consistency.of_plan(fits, spec("m", "rad")))
+    (line,) = consistency.of_plan(a_plan(kernel={"nu": 2.5, "length_scale": {"x": 3.0, "y": 0.1}}), spec("m", "rad"))
+    assert "length_scale = 3 (x), 0.1 (y) is below the spacing of the lattice, 0.2 along y:" in line
+
+
+def test_the_robustness_of_the_replicates() -> None:
+    each = [(0.1, 0.2), (0.3,)]
+    for campaign, number, wanted in [
+        ("segway-rigorous", 0, [-0.1, -0.2, -0.3]),  # of J = -rho
+        ("segway-rigorous", 1, []),  # a gap
+        ("segway-scenario", 0, [0.1, 0.2, 0.3]),
+        ("segway-direct", 0, [0.1, 0.2, 0.3]),
+        ("test-function", 0, []),  # a column
+    ]:
+        assert consistency.robustness_of(config(campaign).problems[number], each) == wanted

@@ -121,7 +121,7 @@ def test_without_noise_the_claim_is_about_the_robustness_itself() -> None:
     assert (planned.clip, planned.hoeffding, planned.noise) == (UNBOUNDED, math.inf, 0.0)
     assert planned.rollouts == (("nominal", 0),)
     assert planned.statement.quantity == "robustness"
-    assert objective(planned) == "min over d of robustness"
+    assert objective(planned, 2) == "min over d of robustness"
 
 
 def test_a_derived_noise_scale_is_that_of_the_variant_that_is_rolled_out() -> None:
