@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from ...schemas.campaign import PaperProblem, Problem, RigorousProblem
-from ...schemas.problems import OBJECTIVES
+from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.audit import replicate_spread
 from ..mathematics.gp.lattice import Lattice
@@ -71,11 +71,12 @@ def of_tests(
 
 def robustness_of(problem: Problem, each: Sequence[Sequence[float]]) -> list[float]:
     """Return the clipped robustness of the rollouts from the replicates of the tests, where these have it."""
-    objective, values = OBJECTIVES[problem.name], [value for values in each for value in values]
-    if objective.measured != "robustness" or (objective.risk and problem.method == "rigorous"):
-        return []  # the gap, a column, or the linearised risk
-    # Method scenario, and the paper's sample risk, take the robustness itself; elsewhere the replicates are of J.
-    return values if objective.risk or problem.method == "scenario" else [-value for value in values]
+    objective, values = OBJECTIVES[problem.name], [value for of_test in each for value in of_test]
+    if objective.measured != "robustness":
+        return []
+    if replicates_are_robustness(problem.name, problem.method):
+        return values
+    return [] if objective.risk else [-value for value in values]  # a linearised risk is no robustness
 
 
 def _clip(plan: ProblemPlan, robustness: Sequence[float]) -> dict[str, str]:
@@ -108,7 +109,7 @@ def _noise(
     plan: ProblemPlan, problem: PaperProblem | RigorousProblem, each: Sequence[Sequence[float]]
 ) -> dict[str, str]:
     # The paper's risk is no mean of its replicates: their spread is not that of its noise.
-    mean = not (problem.method == "paper" and problem.name == "true_risk")
+    mean = not (problem.method == "paper" and plan.objective.risk)
     if not mean or plan.noise == 0 or sum(map(len, each)) < FEWEST:
         return {}
     planned = plan.budget * plan.replicates
