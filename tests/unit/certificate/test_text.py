@@ -69,7 +69,7 @@ def printed(certificate: Certificate, width: int = 100) -> list[str]:
 def test_text_in_brackets_is_printed_as_it_is() -> None:
     lines = printed(a_certificate(Assumption(id="clip/maximum", status="derived", detail="in [bold] :warning: [/]")))
     assert "    max over d of E[column] <= 0.5001, probability 0.9243" in lines
-    assert "    clip                  derived     in [bold] :warning: [/]" in lines
+    assert "    clip                     derived     in [bold] :warning: [/]" in lines
 
 
 def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
