@@ -99,14 +99,14 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
     )
     order = [
         "REFUTED, by the data of this campaign or by derivation: 1 assumption",
-        "    rkhs_norm             refuted     B is wrong.",
+        "    rkhs_norm                refuted     B is wrong.",
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
         "       It rests on 1 assumption REFUTED: do not rely on it.",
         "    NOT converged: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
         "Assumptions that are not refuted",
-        "    tail                  assumed     Gaussian.",
+        "    tail                     assumed     Gaussian.",
         "  whole campaign",
-        "    workers_honest        assumed     believed.",
+        "    workers_honest           assumed     believed.",
     ]
     assert [line for line in lines if line in order] == order
 

@@ -27,6 +27,7 @@ from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import Header, ObservationFact, ProposalFact
+from perfbound.schemas.space import Scenarios
 from perfbound.schemas.values import Band, Proposal
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
@@ -276,6 +277,7 @@ def test_a_claim_without_risk_shows_no_weight_of_it(tmp_path: Path) -> None:
     config = CampaignConfig.model_validate_json(
         json.dumps({**listed, "problems": [{**listed["problems"][0], "name": "robustness"}]})
     )
+    assert isinstance(config.space, Scenarios)
     seen = list[ReportData]()
 
     def look() -> bool:
@@ -283,7 +285,8 @@ def test_a_claim_without_risk_shows_no_weight_of_it(tmp_path: Path) -> None:
         return False
 
     finish(play(tmp_path, config, look), tmp_path)
-    found, text = collected(tmp_path), "worst expected robustness over all starts \u2265 "
+    text = f"expected robustness at the worst of the {len(config.space.scenarios)} listed starts \u2265 "
+    found = collected(tmp_path)
     assert any(each.now.startswith(text) for each in seen), "while it runs"
     assert found.now == found.claims[0].sentence
     assert found.now.startswith(text)
