@@ -1,91 +1,22 @@
 """The campaign file: every key, its unit, its range and its meaning."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, model_validator
 
 from .base import Model, digest
+from .kernel import MaternKernel, Positive, Weighted
 from .problems import CLAIMS, OBJECTIVES, MethodName, ProblemName, Sense, any_of
-from .system import OptionValue
+from .space import Scenarios, Space, SystemChoice
 
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
-Positive = Annotated[float, Field(gt=0)]
 
 MAX_CANDIDATES = 100_000
 """Nodes of the largest lattice; memory is O(tests x nodes)."""
-MAX_SCENARIOS = 1000
 MAX_NU = 40
 
 DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline"}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
-
-
-class SystemChoice(Model, extra="allow"):
-    """The system under test and its options, as its SystemSpec lists them."""
-
-    __pydantic_extra__: dict[str, OptionValue] = Field(init=False)
-    name: str = Field(description="an installed system: `perfbound systems` lists them")
-
-    @property
-    def options(self) -> dict[str, OptionValue]:
-        """The options that the file sets."""
-        return dict(self.__pydantic_extra__ or {})
-
-
-class Range(Model):
-    """All values of one parameter of the starting condition d."""
-
-    low: float = Field(description="smallest value")
-    high: float = Field(description="largest value")
-    unit: str = Field(default="", description="if given, must be that of the system's parameter")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "Range":
-        if not self.low < self.high:
-            raise ValueError(f"low: {self.low:g} must be less than high = {self.high:g}")
-        return self
-
-
-class Scenarios(Model):
-    """Finitely many starting conditions; the claim is about these alone."""
-
-    scenarios: tuple[tuple[float, ...], ...] = Field(
-        min_length=1,
-        max_length=MAX_SCENARIOS,
-        description="starts, one number per parameter of the system; or the name of a CSV file beside this one",
-    )
-
-    @model_validator(mode="after")
-    def _distinct(self) -> "Scenarios":
-        seen: dict[tuple[float, ...], int] = {}
-        for number, scenario in enumerate(self.scenarios):
-            if len(scenario) != len(self.scenarios[0]):
-                numbers = f"{len(scenario)} numbers, the first {len(self.scenarios[0])}"
-                raise ValueError(f"scenarios: entry {number} has {numbers}")
-            if scenario in seen:
-                raise ValueError(f"scenarios: entries {seen[scenario]} and {number} are the same, {list(scenario)}")
-            seen[scenario] = number
-        return self
-
-
-Box = dict[str, Range]
-
-
-def _space_kind(value: Any) -> str:
-    return "scenarios" if isinstance(value, Scenarios) or (isinstance(value, dict) and "scenarios" in value) else "box"
-
-
-Space = Annotated[
-    Annotated[Box, Tag("box"), Field(min_length=1)] | Annotated[Scenarios, Tag("scenarios")],
-    Discriminator(_space_kind),
-]
-
-
-class MaternKernel(Model):
-    """Matern kernel of unit amplitude."""
-
-    nu: float = Field(gt=0, le=50, description="smoothness; at most 40 in method `rigorous` and with `refine = true`")
-    length_scale: float = Field(gt=0, description="in the unit of the parameters")
 
 
 class Gap(Model):
@@ -120,13 +51,6 @@ class Linearised(Model):
     spread: float = Field(
         gt=0, description="choose about the standard deviation there; a larger one loses less by rare falls"
     )
-
-
-class Weighted(Model):
-    """One regulariser of a mixture that is fixed beforehand."""
-
-    value: float = Field(ge=1e-9, description="lambda")
-    weight: float = Field(gt=0, le=1, description="the weights sum to at most 1")
 
 
 class _Problem(Model):

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator
 
-from .campaign import CampaignConfig, Scenarios
+from .campaign import CampaignConfig
 from .errors import CampaignError
 from .problems import rolled_out
+from .space import Scenarios
 from .system import SystemSpec
 
 
@@ -20,7 +21,8 @@ def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None
 
 
 def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    return [*_space_faults(config, spec), *_option_faults(config, spec), *_rollout_faults(config, spec)]
+    kinds = (_space_faults, _kernel_faults, _option_faults, _rollout_faults)
+    return [fault for faults in kinds for fault in faults(config, spec)]
 
 
 def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
@@ -57,6 +59,17 @@ def _scenario_faults(space: Scenarios, spec: SystemSpec) -> Iterator[str]:
                     f"space.scenarios: entry {number}, {parameter.name} = {value:g} leaves "
                     f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}, the range of {spec.name}"
                 )
+
+
+def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    names = {parameter.name for parameter in spec.parameters}
+    for problem in config.problems:
+        lengths = None if problem.method == "scenario" else problem.kernel.length_scale
+        if isinstance(lengths, dict) and lengths.keys() != names:
+            given = ", ".join(lengths)
+            where = f"problems.{problem.name}.kernel.length_scale"
+            wanted = ", ".join(parameter.name for parameter in spec.parameters)
+            yield f"{where}: has {given}; give one number for each parameter of {spec.name}: {wanted}"
 
 
 def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:

@@ -13,25 +13,18 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 
 from .base import Model
-from .campaign import (
-    PROBLEM_MODELS,
-    CampaignConfig,
-    Gap,
-    Linearised,
-    MaternKernel,
-    Range,
-    Scenarios,
-    SystemChoice,
-    Weighted,
-)
+from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised
 from .errors import CampaignError
+from .kernel import MaternKernel, Weighted
 from .problems import OBJECTIVES
+from .space import Range, Scenarios, SystemChoice
 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""
 
-_UNION_MEMBER = re.compile(r"constrained-float|float|str|(literal|tuple|function-.*)\[.*")
+_UNION_MEMBER = re.compile(r"constrained-float|float|str|(literal|tuple|dict|constrained-dict|function-.*)\[.*")
 _LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+_LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
 _WORDS = {
     ("name",): "1 to 64 of a-z, 0-9, '-' and '_', the first a letter or digit",
     ("clip",): "[low, high], two numbers",
@@ -39,6 +32,8 @@ _WORDS = {
     ("problems",): "a list of tables, each under [[problems]]",
     ("problems", "paper", "regulariser"): "'1+eta' or a number > 0",
     ("problems", "rigorous", "regulariser"): "a number > 0, or a list of { value, weight }",
+    ("problems", "paper", "kernel", "length_scale"): _LENGTHS,
+    ("problems", "rigorous", "kernel", "length_scale"): _LENGTHS,
     ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
 }

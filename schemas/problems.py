@@ -80,6 +80,11 @@ def rolled_out(name: ProblemName, spec: SystemSpec) -> tuple[Variant, ...]:
     return OBJECTIVES[name].variants or (("true",) if "true" in spec.variants else spec.variants[:1])
 
 
+def replicates_are_robustness(name: ProblemName, method: MethodName) -> bool:
+    """Return whether the replicates of an observation are robustness and not J, see `values.Observation`."""
+    return method == "scenario" or (method == "paper" and OBJECTIVES[name].risk)
+
+
 def any_of(names: tuple[str, ...]) -> str:
     """Return quoted names as a choice.
 

@@ -10,22 +10,29 @@ from .campaign import (
     CampaignConfig,
     Gap,
     Linearised,
-    MaternKernel,
     PaperProblem,
-    Range,
     RigorousProblem,
     ScenarioProblem,
-    Scenarios,
-    SystemChoice,
-    Weighted,
 )
+from .kernel import MaternKernel, Weighted
+from .problems import OBJECTIVES, Objective
+from .space import Range, Scenarios, SystemChoice
 
 HEAD = """# Reference: campaign files
 
-This page is generated from `schemas/campaign.py` by `make schemas`; a
+This page is generated from `schemas/campaign.py` and `schemas/problems.py` by `make schemas`; a
 [JSON Schema](../schemas/json/v1/campaign.json) has the same keys. A campaign file is written in TOML; a file with an
 unknown key is refused. Robustness has the unit of the predicates. [Theory](theory.md) explains the symbols,
 [STL](stl.md) the specifications.
+"""
+PROBLEMS = """
+## Problems
+
+The names of `[[problems]]`. The bound of a problem with a quantity is a claim by itself; alone it has
+`composition = "single"`. The others are terms of a composition.
+
+| name | bounded | rolled out | methods | quantity |
+|---|---|---|---|---|
 """
 TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Top level", "", CampaignConfig),
@@ -58,9 +65,21 @@ SECTIONS = {"SystemChoice": "system", "MaternKernel": "kernel", "Gap": "gap", "L
 
 def page() -> str:
     """Return the page as Markdown."""
-    return HEAD + "".join(
+    sections = [
         f"\n## {title}\n\n{note + chr(10) * 2 if note else ''}{_key_table(model)}" for title, note, model in TABLES
-    )
+    ]
+    return HEAD + "".join(sections) + PROBLEMS + "".join(_problem_row(*row) for row in OBJECTIVES.items())
+
+
+def _problem_row(name: str, objective: Objective) -> str:
+    variants = " and ".join(f"`{each}`" for each in objective.variants) or "`true`, or the only variant"
+    methods = ", ".join(f"`{each}`" for each in objective.methods)
+    words = objective.statement.words.format(gap="gap")
+    quantity = f"`{objective.statement.quantity}`" if objective.statement.quantity else "-"
+    if objective.exact:
+        words += f"; with `noise_scale = 0`, and then without need of a clip, {objective.exact.words}"
+        quantity += f" or `{objective.exact.quantity}`"
+    return f"| `{name}` | {words} | {variants} | {methods} | {quantity} |\n"
 
 
 def _key_table(model: type[BaseModel]) -> str:
@@ -88,11 +107,12 @@ def _allowed_values(part: dict[str, Any]) -> Iterator[str]:
     elif part.get("type") == "array":
         yield "[low, high]" if "prefixItems" in part else "tables"
     elif part.get("type") == "object":
-        yield "tables"
+        yield f"table of {_KINDS['number']}s" if part.get("additionalProperties", {}) == NUMBERS else "tables"
     elif "type" in part:
         yield f"{_KINDS[part['type']]}{_range_text(part)}"
 
 
+NUMBERS = {"type": "number", "exclusiveMinimum": 0}
 _KINDS = {"string": "text", "number": "number", "integer": "whole number", "boolean": "true or false"}
 _LIMITS = (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="), ("exclusiveMaximum", "<"))
 

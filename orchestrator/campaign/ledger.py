@@ -14,19 +14,19 @@ from ...schemas.errors import IllegalEvent, JournalError
 from ...schemas.facts import BoundFact, Fact, ObservationFact, ProposalFact, RolloutFact, first_link
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory, decode
+from ...schemas.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
 from .account import Account
+from .checks_after import ChecksAfter
 from .decisions import Decider, Follow, ProblemDecisions, robustness
 from .methods import methods
 from .observation import Observer
 from .plan import plans
 from .ports import FactStore, FileStore, RecordedRollouts
-from .recheck import Recheck
+from .recorded import Recorded
 from .restoration import Restoration
 from .series import Series
-from .spot_check import SpotCheck, SpotSeries
 
 
 @dataclass(slots=True)
@@ -51,8 +51,6 @@ class Ledger:
         self.accounts = {name: Account(first_link(header, name), plan=plan) for name, plan in self.plans.items()}
         self.series: dict[str, Series] = dict(self.accounts)
         """The accounts of the problems, then the checks that have begun."""
-        self.spot_check: SpotCheck | None = None
-        self.recheck: Recheck | None = None
         self.state = state.initial(
             tuple(state.Plan(name, each.window, each.budget, each.rollouts) for name, each in self.plans.items())
         )
@@ -62,6 +60,8 @@ class Ledger:
             for name, account in self.accounts.items()
         }
         self._directory, self._store = directory, store
+        self.recorded = Recorded(directory, store)
+        self.checks = ChecksAfter(header, self.accounts, self._observer, self.recorded)
         self._files: FileStore = files or evidence.Batch()
         self._template = header.template
         self._restoration = Restoration(directory)
@@ -175,24 +175,7 @@ class Ledger:
     def _trajectory(self, fact: RolloutFact) -> Trajectory:
         # After a restart the rollouts of a test may be recorded and the test not yet observed: they are read again.
         kept = self._trajectories.pop(fact.rollout, None)
-        return kept or decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
-
-    def trajectory(self, rollout: RolloutId) -> Trajectory:
-        """Return the trajectory of a recorded rollout, from its file.
-
-        Raises:
-            EvidenceError: the file is missing or damaged.
-
-        """
-        fact = self._store.rollout(rollout)
-        return decode(evidence.read_evidence(self._directory, fact.path, fact.sha256))
-
-    def original(self, rollout: RolloutId) -> RolloutId | None:
-        """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""
-        return self.recheck.rollouts[rollout.test] if self.recheck and rollout.problem == self.recheck.name else None
-
-    def _recorded_start(self, rollout: RolloutId) -> tuple[float, ...]:
-        return self._store.proposal(rollout.problem, rollout.test).proposal.x
+        return kept or self.recorded.read(fact)
 
     def _write(self, fact: Fact) -> tuple[state.Action, ...]:
         self._store.add(fact)
@@ -221,18 +204,10 @@ class Ledger:
 
     def _begin_check(self) -> tuple[state.Action, ...]:
         """Begin the next check of a campaign whose series have all stopped; without one it can be certified."""
-        header, check = self.header, self.recheck
-        if self.spot_check is None and check is None and SpotCheck.wanted(header, self.accounts):
-            self.spot_check = SpotCheck(header, self.accounts, self._observer)
-            return self._begin(self.spot_check, SpotSeries(first_link(header, SpotCheck.name)))
-        if check is None and Recheck.wanted(header):
-            plans = {each.plan.problem: each.plan for each in self.state.problems}
-            checked = {name: (series, plans[name]) for name, series in self.series.items()}
-            self.recheck = Recheck(header, checked, self._recorded_start, self.trajectory)
-            return self._begin(self.recheck, Series(first_link(header, Recheck.name)))
-        return (state.Certify(),)
-
-    def _begin(self, check: SpotCheck | Recheck, series: Series) -> tuple[state.Action, ...]:
+        found = self.checks.next(self.state, self.series)
+        if found is None:
+            return (state.Certify(),)
+        check, series = found
         self.series[check.name], self._deciders[check.name] = series, check
         self.state, actions = state.extended(self.state, check.plan)
         return actions

@@ -44,7 +44,7 @@ def method(plan: ProblemPlan) -> ProblemMethod:
                 sigma=problem.sigma,
                 tail=problem.tail,
             )
-            return PaperMethod(_lattice(plan), kernel(problem), parameters, refine=problem.refine)
+            return PaperMethod(_lattice(plan), kernel(plan, problem), parameters, refine=problem.refine)
         case RigorousProblem():
             premises = Premises(
                 rkhs_norm=problem.rkhs_norm,
@@ -56,7 +56,7 @@ def method(plan: ProblemPlan) -> ProblemMethod:
             )
             return RigorousMethod(
                 plan.candidates,
-                kernel(problem),
+                kernel(plan, problem),
                 premises,
                 alpha=problem.alpha,
                 prior_mean=problem.prior_mean,
@@ -77,9 +77,12 @@ def method(plan: ProblemPlan) -> ProblemMethod:
             )
 
 
-def kernel(problem: PaperProblem | RigorousProblem) -> Matern:
-    """Return the kernel of a problem."""
-    return Matern(problem.kernel.nu, problem.kernel.length_scale)
+def kernel(plan: ProblemPlan, problem: PaperProblem | RigorousProblem) -> Matern:
+    """Return the kernel of a problem; its length scales in the order of the parameters."""
+    length = problem.kernel.length_scale
+    if isinstance(length, dict):
+        return Matern(problem.kernel.nu, tuple(length[name] for name in plan.parameters))
+    return Matern(problem.kernel.nu, length)
 
 
 def _lattice(plan: ProblemPlan) -> Lattice:

@@ -4,15 +4,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ...schemas.campaign import (
-    CampaignConfig,
-    Gap,
-    Problem,
-    RigorousProblem,
-    ScenarioProblem,
-    Scenarios,
-)
+from ...schemas.campaign import CampaignConfig, Gap, Problem, RigorousProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Statement, rolled_out
+from ...schemas.space import Scenarios
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import linearised_range
@@ -34,6 +28,8 @@ class ProblemPlan:
     """Rolled out by every replicate of a test."""
     candidates: Lattice | Points
     """The starting conditions that tests are chosen from; parameters in the order of the system."""
+    parameters: tuple[str, ...]
+    """The names of the parameters, in this order."""
     window: int
     replicates: int
     budget: int
@@ -118,6 +114,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         problem=problem,
         variants=variants,
         candidates=candidates,
+        parameters=tuple(parameter.name for parameter in spec.parameters),
         window=config.window_of(problem),
         replicates=replicates,
         budget=tests,

@@ -1,17 +1,17 @@
 """The recheck before a certificate: rollouts drawn from the evidence are simulated once more and compared."""
 
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import accumulate
 
 from ...schemas.base import digest
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.ids import RolloutId
-from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
 from . import state
 from .copies import same_trajectory
 from .observation import Trajectories
+from .recorded import Recorded
 from .seeds import drawn, rollout_seed
 from .series import Series
 
@@ -22,8 +22,7 @@ class Recheck:
     """The decider of the recheck: test i repeats the i-th drawn rollout; its y is 1 where both trajectories agree.
 
     Drawn when all other evidence is fixed, from the digests of its files: before, nobody can know which rollouts are
-    compared. `checked` are the series to draw from, with the rollouts of each of their tests; `start` and
-    `load` return the start and the trajectory of a recorded rollout.
+    compared. `checked` are the series to draw from, with the rollouts of each of their tests.
     """
 
     name = NAME
@@ -32,10 +31,9 @@ class Recheck:
         self,
         header: Header,
         checked: Mapping[str, tuple[Series, state.Plan]],
-        start: Callable[[RolloutId], tuple[float, ...]],
-        load: Callable[[RolloutId], Trajectory],
+        recorded: Recorded,
     ) -> None:
-        self._header, self._start, self._load = header, start, load
+        self._header, self._recorded = header, recorded
         sizes = [len(series.observations) * len(plan.rollouts) for series, plan in checked.values()]
         ends = list(accumulate(sizes))
         files = digest([series.files for series, _ in checked.values()])
@@ -56,12 +54,14 @@ class Recheck:
 
     def proposal(self, series: Series, test: int) -> ProposalFact:  # noqa: ARG002  (the draw is fixed)
         """Return the start of the test's original."""
-        return ProposalFact(NAME, test, Proposal(test, self._start(self.rollouts[test]), None, None, None, None))
+        return ProposalFact(
+            NAME, test, Proposal(test, self._recorded.start(self.rollouts[test]), None, None, None, None)
+        )
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Compare the test's trajectory with its original, bit by bit."""
         (again,) = trajectories.values()
-        agrees = float(same_trajectory(self._load(self.rollouts[test]), again))
+        agrees = float(same_trajectory(self._recorded.trajectory(self.rollouts[test]), again))
         found = Observation(agrees, (agrees,))
         return ObservationFact(NAME, test, found, series.next_link(test, found))
 

@@ -1,7 +1,7 @@
 """The spot check of a finished campaign on a box: fresh uniform starts that test every bound without smoothness."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -60,12 +60,7 @@ class SpotCheck:
         self._plans = [account.plan for account in accounts.values() if math.isfinite(_limit(account))]
         used = {variant for plan in self._plans for variant, _ in plan.rollouts}
         self._variants: tuple[str, ...] = tuple(variant for variant in ("nominal", "true") if variant in used)
-        hypotheses = [
-            Hypothesis(
-                plan.name, _limit(accounts[plan.name]), *_range(plan), noisy=not noisy.isdisjoint(_variants(plan))
-            )
-            for plan in self._plans
-        ]
+        hypotheses = [_hypothesis(plan, _limit(accounts[plan.name]), noisy) for plan in self._plans]
         self.hypotheses = {plan.name: each for plan, each in zip(self._plans, hypotheses, strict=True)}
         followups = config.spot_check_followups if any(each.noisy for each in hypotheses) else 0
         self.starts = _starts(header, self._plans)
@@ -128,6 +123,13 @@ class SpotCheck:
         low, high = _range(plan)
         # The paper clips no gap; where the expectation of a gap is at most its bound, so is that of the clipped one.
         return value if low is None or high is None else min(max(value, low), high)
+
+
+def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:
+    """Return what the spot check tests of a problem; without a range, with the noise scale that its bound rests on."""
+    low, high = _range(plan)
+    scale = plan.noise_per_rollout if low is None and 0.0 < plan.noise_per_rollout < math.inf else None
+    return Hypothesis(plan.name, limit, low, high, noisy=not noisy.isdisjoint(_variants(plan)), scale=scale)
 
 
 def _limit(account: Account) -> float:

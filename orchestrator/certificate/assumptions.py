@@ -88,7 +88,7 @@ def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     noisy = {variant for variant, _ in plan.rollouts} & set(ledger.header.spec.noisy)
     if not noisy:
         return
-    compared, copied = copies(account, noisy, ledger.trajectory)
+    compared, copied = copies(account, noisy, ledger.recorded.trajectory)
     values = {"rollouts": sum(account.counts[variant] for variant in noisy), "compared": compared, "copies": copied}
     yield assumption(f"independent_rollouts/{name}", "refuted" if copied else "assumed", values)
     # A list of starts is fixed beforehand; on a box nobody knows how many candidates are tested twice.
@@ -150,7 +150,7 @@ def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
     lattice = plan.candidates
     # The paper maximises over the box, the method over nodes: the audit bounds the difference.
     if isinstance(lattice, Lattice):
-        rise = audit.rise_between_nodes(lattice, kernel(problem), problem.rkhs_norm)
+        rise = audit.rise_between_nodes(lattice, kernel(plan, problem), problem.rkhs_norm)
         values = {"nodes": lattice.size, "resolution": lattice.resolution, "rise": rise, "rkhs_norm": problem.rkhs_norm}
         form = "lattice_refined" if problem.refine else "lattice_alone"
         yield assumption(f"lattice/{name}", "assumed", values, form=form)
@@ -168,7 +168,7 @@ def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod
     values = {
         "tau": problem.misspecification,
         "nu": problem.kernel.nu,
-        "length_scale": problem.kernel.length_scale,
+        "length_scale": problem.kernel.described,
         "rkhs_norm": problem.rkhs_norm,
     }
     form = "kernel_near" if problem.misspecification else "kernel_ball"

@@ -119,7 +119,7 @@ def _with_constant(plan: ProblemPlan, constant: Constant, factor: float) -> Prob
         return None
     if constant == "rkhs_norm":
         return replace(plan, problem=problem.model_copy(update={"rkhs_norm": factor * problem.rkhs_norm}))
-    kernel = problem.kernel.model_copy(update={"length_scale": factor * problem.kernel.length_scale})
+    kernel = problem.kernel.scaled(factor)
     return replace(plan, problem=problem.model_copy(update={"kernel": kernel}))
 
 

@@ -6,11 +6,11 @@ It reads the run directory of a running, stopped or finished campaign and change
 from collections.abc import Mapping
 from pathlib import Path
 
-from ...schemas.campaign import Scenarios
 from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, ProposalFact, RolloutFact
 from ...schemas.ids import CHECKS, RolloutId
+from ...schemas.space import Scenarios
 from ..campaign.plan import plans
 from ..certificate import files
 from ..certificate.text import check_sentences

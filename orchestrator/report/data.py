@@ -112,6 +112,8 @@ class Problem:
     tests: TestSeries
     by_clip: float | None = None
     """What the clip alone proves of the objective; `bound` is never weaker."""
+    warnings: tuple[str, ...] = ()
+    """Constants that contradict each other or the data, in sentences."""
     starts: int | None = None
     """Number of listed starts, since rules 2; None on a box."""
 

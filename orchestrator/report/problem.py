@@ -9,7 +9,7 @@ from itertools import islice
 from ...schemas.certificate import ProblemResult
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.values import Observation, Proposal
-from ..campaign import forecast
+from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import method
 from ..campaign.plan import ProblemPlan
@@ -39,6 +39,7 @@ class ProblemCollector:
         """Observations not yet passed to the method."""
         self._surface: Surface | None = None
         self._tests = self._columns()
+        self._warnings = self._contradictions()
 
     def add(self, fact: Decision) -> None:
         """Add the next fact of this problem.
@@ -70,9 +71,12 @@ class ProblemCollector:
             self._method.recall(self._pending)
             self._pending.clear()
             self._surface, self._tests = band.surface(self._plan, self._method, last.bound), self._columns()
+            self._warnings = self._contradictions()
         stopped_by = last.stopped_by if last else None
         bound = result.bound if result else signed(last.bound.upper if last else None, self._sense)
-        limit, rules = by_clip(self._header.config, problem), self._header.rules
+        rules = self._header.rules
+        later = rules >= 2  # the bound is then never weaker than the clip, as in the certificate
+        limit = by_clip(self._header.config, problem) if later else None
         return Problem(
             name=problem.name,
             objective=typeset(result.objective if result else objective(self._plan, rules)),
@@ -93,6 +97,7 @@ class ProblemCollector:
             surface=self._surface,
             tests=self._tests,
             by_clip=limit,
+            warnings=self._warnings,
             starts=self._plan.listed if rules > 1 else None,
         )
 
@@ -111,6 +116,13 @@ class ProblemCollector:
         if self.problem.method == "paper" and last.stopped_by is None:
             return None
         return self._method.probability
+
+    def _contradictions(self) -> tuple[str, ...]:
+        each = [test.observation.each for test in self.observed]
+        y = [test.observation.y for test in self.observed]
+        robustness = consistency.robustness_of(self.problem, each)
+        found = consistency.of_tests(self._plan, y, each, robustness)
+        return tuple(map(typeset, (*consistency.of_plan(self._plan, self._header.spec), *found.values())))
 
     def _left(self) -> str | None:
         now = self._tests.distance[-1] if self._tests.distance else None

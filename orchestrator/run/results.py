@@ -1,6 +1,6 @@
 """The results of one turn: admitted against their requests, and recorded once the dispatch machine has decided."""
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 
 from ...schemas.errors import EvidenceError, UnusableTrajectoryError
 from ...schemas.facts import RECORDED, RESTORED
@@ -53,6 +53,12 @@ class Results:
         work = self._ledger.record(rollout, message.payload, trajectory, header.sha256)
         self._journal.attempt_ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
         return work
+
+    def recorders(self, wanted: Iterable[RolloutId]) -> dict[RolloutId, str]:
+        """Return the worker that recorded the original of each rollout that repeats one."""
+        originals = {each: self._ledger.checks.original(each) for each in wanted}
+        found = {each: self._journal.recorder(original) for each, original in originals.items() if original}
+        return {each: worker for each, worker in found.items() if worker is not None}
 
     def clear(self) -> None:
         """Drop what is decided on."""

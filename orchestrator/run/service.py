@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.errors import PerfboundError, Stopped, one_line
 from ...schemas.ids import CHECKS, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.values import ProblemProgress
@@ -180,14 +180,13 @@ class Service:
             self._stop = signal
             return
         self._draining = signal
-        count = dispatch.under_way(self._state)
-        self._print_line(f"draining: {count} rollouts are under way; a second signal stops at once")
+        under_way = dispatch.under_way(self._state)
+        self._print_line(f"draining: {under_way} rollouts are under way; a second signal stops at once")
 
     def _tick(self, now: float) -> None:
         self._next_tick = now + TICK
-        if self._fleet is not None:
-            for news in self._fleet.tend():
-                self._print_line(news)
+        for news in self._fleet.tend() if self._fleet is not None else ():
+            self._print_line(news)
         # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.
         self._events.append(events.Tick(now))
         self._settle()
@@ -219,8 +218,7 @@ class Service:
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Fail(worker, attempt, failure):
                 self._journal.attempt_ended(attempt, worker, failure)
-                name = f"{attempt.rollout}, attempt {attempt.number} on {worker}"
-                self._print_line(f"{name}, {failure.kind} failure: {failure.reason}")
+                self._print_line(_failure_line(action))
             case events.GiveUp(worker):
                 state = self._roster.admitted(worker)
                 # A process id names one of our children on this host only.
@@ -235,14 +233,8 @@ class Service:
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
-            numbered = tuple((each, attempts.get(each, 0)) for each in work.wanted)
-            self._events.append(events.Wanted(now, numbered, self._recorders(work.wanted)))
-
-    def _recorders(self, wanted: Sequence[RolloutId]) -> dict[RolloutId, str]:
-        """Return the worker that recorded the original of each rollout that repeats one."""
-        originals = {each: self._ledger.original(each) for each in wanted}
-        found = {each: self._journal.recorder(original) for each, original in originals.items() if original}
-        return {each: worker for each, worker in found.items() if worker is not None}
+            wanted = tuple((each, attempts.get(each, 0)) for each in work.wanted)
+            self._events.append(events.Wanted(now, wanted, self._results.recorders(work.wanted)))
 
     def _assign(self, worker: str, attempt: Attempt) -> None:
         request = self._ledger.request(attempt.rollout)
@@ -281,3 +273,10 @@ class Service:
         )
         for listener in self._listeners:
             listener.show(status)
+
+
+def _failure_line(action: events.Fail) -> str:
+    attempt, failure = action.attempt, action.failure
+    # The reason is text of a system under test.
+    reason = one_line(failure.reason)
+    return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"

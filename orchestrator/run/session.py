@@ -229,8 +229,9 @@ def _conduct(
             text = f"waiting for workers: perfbound-worker --connect {transport.endpoint}"
             console.print(Text(text), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
-        from ..campaign import forecast  # noqa: PLC0415
+        from ..campaign import consistency, forecast  # noqa: PLC0415
         from ..campaign.ledger import Ledger  # noqa: PLC0415
+        from .contradictions import Contradictions  # noqa: PLC0415
         from .progress import SystemdStatus, listener  # noqa: PLC0415
         from .service import Interrupted, Service  # noqa: PLC0415
 
@@ -241,9 +242,10 @@ def _conduct(
             terminal = stack.enter_context(listener(console))
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
-            for line in forecast.warnings(ledger.plans):
+            for line in (*forecast.warnings(ledger.plans), *consistency.before(ledger.plans, ledger.header.spec)):
                 terminal.print_line(line)
-            listeners = (terminal, SystemdStatus(systemd), page)
+            contradictions = Contradictions(ledger.accounts, terminal.print_line)
+            listeners = (terminal, SystemdStatus(systemd), page, contradictions)
             service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))
             transport.start(run, service.inbox.put)

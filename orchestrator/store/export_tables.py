@@ -24,7 +24,7 @@ from sqlalchemy import Connection
 from ...schemas.campaign import CampaignConfig, Problem
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.ids import CHECKS
-from ...schemas.problems import OBJECTIVES
+from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from . import tables
 
@@ -204,7 +204,7 @@ _REPLICATE = (ExportColumn("replicate", "integer"), ExportColumn("contribution")
 
 def _observations_table(header: Header) -> ExportTable:
     objectives = _objectives(header)
-    robust = {each.name for each in header.config.problems if _contributes_robustness(each)}
+    robust = {each.name for each in header.config.problems if replicates_are_robustness(each.name, each.method)}
 
     def expand(row: Any) -> Iterator[Row]:
         sense, unit = objectives[row.problem]
@@ -215,11 +215,6 @@ def _observations_table(header: Header) -> ExportTable:
             yield row.problem, row.test, sense, unit, y, replicate, part, row.chain
 
     return ExportTable("observations", (*_TEST, *_OBJECTIVE, *_REPLICATE), _OBSERVATIONS, expand)
-
-
-def _contributes_robustness(problem: Problem) -> bool:
-    """Whether `each` of an observation contains robustness and not J: `perfbound.schemas.values.Observation`."""
-    return problem.method == "scenario" or (problem.method == "paper" and OBJECTIVES[problem.name].risk)
 
 
 def _objectives(header: Header) -> dict[str, tuple[str, str]]:

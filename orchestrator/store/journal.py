@@ -45,9 +45,9 @@ class Journal:
         self.directory, self.header = directory, header
         self._engine = engine
         self._connection = engine.connect()
-        self._version, self._seq = self._position()
+        self._version, self._seq = _position(self._connection, directory)
         self._pending: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
-        self.session = self._open_session()
+        self.session = _open_session(self._connection)
 
     @classmethod
     def create(cls, directory: Path, header: Header) -> "Journal":
@@ -116,7 +116,7 @@ class Journal:
         A worker that was given up may still deliver its result, or report a failure. A result is written in any case,
         a failure of the infrastructure as the first outcome alone, a failure of the system as the first of its kind.
         """
-        if isinstance(outcome, Failure) and self._has_failed(attempt, outcome):
+        if isinstance(outcome, Failure) and self._first(_failures_of(attempt, outcome, self._version)) is not None:
             return
         row = {"worker": worker, "ended": time.time(), "cpu_seconds": cpu, "wall_seconds": wall}
         self._pending[tables.outcomes].append(attempt_key(attempt) | row | outcome_fields(outcome, self._version))
@@ -126,15 +126,6 @@ class Journal:
         for table, insert in _INSERTS.items():
             if rows := self._pending.pop(table, None):
                 self._connection.execute(insert, rows)
-
-    def _has_failed(self, attempt: Attempt, failure: Failure) -> bool:
-        """Whether an outcome of the attempt is written to which the failure adds nothing."""
-        self._flush()
-        columns = tables.outcomes.c
-        this = (columns.rollout == str(attempt.rollout)) & (columns.attempt == attempt.number)
-        if failure.kind == "system" and has_column("outcomes", "kind", self._version):
-            this &= columns.kind == "system"
-        return self._connection.execute(sa.select(columns.attempt).where(this)).first() is not None
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
@@ -150,27 +141,29 @@ class Journal:
     def proposal(self, problem: str, test: int) -> ProposalFact:
         """Return the proposal of a test that has one; inside or outside a transaction."""
         columns = tables.tests.c
-        return proposal_fact(self._one(sa.select(tables.tests).where(columns.problem == problem, columns.test == test)))
+        return proposal_fact(
+            self._first(sa.select(tables.tests).where(columns.problem == problem, columns.test == test))
+        )
 
     def rollout(self, rollout: RolloutId) -> RolloutFact:
         """Return a recorded rollout; inside or outside a transaction."""
         columns = tables.rollouts.c
         this = [columns[name] == value for name, value in rollout._asdict().items()]
-        return rollout_fact(self._one(sa.select(tables.rollouts).where(*this)))
+        return rollout_fact(self._first(sa.select(tables.rollouts).where(*this)))
 
     def recorder(self, rollout: RolloutId) -> str | None:
-        """Return the worker whose result was recorded; inside `transaction`."""
-        self._flush()
+        """Return the worker whose result was recorded; inside or outside a transaction."""
         columns = tables.outcomes.c
-        query = sa.select(columns.worker).where(columns.rollout == str(rollout), columns.outcome == RECORDED)
-        return self._connection.execute(query).scalars().first()
+        row = self._first(sa.select(columns.worker).where(columns.rollout == str(rollout), columns.outcome == RECORDED))
+        return None if row is None else str(row[0])
 
-    def _one(self, query: sa.Select[Any]) -> sa.Row[Any]:
+    def _first(self, query: sa.Select[Any]) -> sa.Row[Any] | None:
+        """Return the first row of a query, which may be one of the open transaction."""
         if not self._connection.in_transaction() and not self._pending:
             with self._connection.begin():
-                return self._connection.execute(query).one()
-        self._flush()  # the row may be one of this transaction
-        return self._connection.execute(query).one()
+                return self._connection.execute(query).first()
+        self._flush()
+        return self._connection.execute(query).first()
 
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
@@ -183,19 +176,29 @@ class Journal:
         self._connection.close()
         self._engine.dispose()
 
-    def _position(self) -> tuple[int, int]:
-        """Return the schema version of the database and its last sequence number."""
-        with self._connection.begin():
-            last = [self._connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in tables.FACTS]
-            return read_version(self._connection, self.directory), max(seq or 0 for seq in last)
 
-    def _open_session(self) -> int:
-        with self._connection.begin():
-            row = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
-            result = self._connection.execute(tables.sessions.insert().values(**row))
-            key = result.inserted_primary_key
-            assert key is not None
-            return int(key[0])
+def _position(connection: Connection, directory: Path) -> tuple[int, int]:
+    """Return the schema version of a database and its last sequence number."""
+    with connection.begin():
+        last = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in tables.FACTS]
+        return read_version(connection, directory), max(seq or 0 for seq in last)
+
+
+def _open_session(connection: Connection) -> int:
+    with connection.begin():
+        row = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
+        key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
+        assert key is not None
+        return int(key[0])
+
+
+def _failures_of(attempt: Attempt, failure: Failure, version: int) -> sa.Select[Any]:
+    """Return the query of the outcomes of an attempt to which a failure adds nothing."""
+    columns = tables.outcomes.c
+    this = (columns.rollout == str(attempt.rollout)) & (columns.attempt == attempt.number)
+    if failure.kind == "system" and has_column("outcomes", "kind", version):
+        this &= columns.kind == "system"
+    return sa.select(columns.attempt).where(this)
 
 
 def _of_the_disk(error: sa.exc.DatabaseError) -> bool:

@@ -7,6 +7,7 @@ from perfbound.orchestrator.report.data import (
     Axis,
     Claim,
     Curve,
+    FailedAttempt,
     Problem,
     ReportData,
     Rollout,
@@ -153,6 +154,9 @@ def hostile() -> ReportData:
         workers=(WorkerRow(long, script, 1, 1, 1.0, 1.0, STARTED, strange, script, None),),
         software={script: long},
         resume=long,
+        failed_attempts=tuple(
+            FailedAttempt(script, 1, long, kind, strange, STARTED) for kind in (script, "system", None)
+        ),
     )
 
 

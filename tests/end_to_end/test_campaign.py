@@ -13,7 +13,7 @@ import pytest
 import trustme
 from mcap.reader import make_reader
 
-from perfbound.orchestrator.store import lock
+from perfbound.orchestrator.store import lock, read
 from perfbound.schemas.trajectory import decode
 from tests.end_to_end.processes import (
     ROLLOUTS,
@@ -28,6 +28,7 @@ from tests.end_to_end.processes import (
     write_campaign,
 )
 from tests.faults.subjects import FUNCTION, LIMITS, install
+from tests.faults.verdict import REPRODUCIBLE, without
 
 RESUME = "perfbound: stopped; continue with: perfbound resume run\n"
 
@@ -178,6 +179,35 @@ def catch(directory: Path, when: Callable[[], bool]) -> tuple[str, psutil.Proces
 
 def attempts(directory: Path, rollout: str) -> list[tuple[object, ...]]:
     return query(directory, f"SELECT attempt, outcome FROM outcomes WHERE rollout = '{rollout}' ORDER BY attempt")
+
+
+# A system that fails
+
+
+def test_a_system_that_raises_once_keeps_every_number_and_is_shown_as_irreproducible(
+    started: Processes, directory: Path
+) -> None:
+    campaign, plugins = started.folder / "c.toml", install(started.folder / "plugins")
+    campaign.write_text(FUNCTION.format(name="once", **{**LIMITS["function"], "tests": 8, "pace": 0.04}))
+    calm, plan = started.folder / "calm", started.folder / "plan"
+    path = {"PYTHONPATH": str(plugins), "FAULTY_PLAN": str(plan)}
+    assert started.run("perfbound", "run", campaign, "--out", calm, **path).code == 0
+    ((seed,),) = query(calm, "SELECT seed FROM rollouts WHERE test = 3")
+    (plan / "taken").mkdir(parents=True)
+    (plan / f"{seed}-0-raise").touch()
+    ended = started.run("perfbound", "run", campaign, "--out", directory, **path)
+    assert ended.code == 0, ended.err
+    story = "system failure: RuntimeError: the solver did not converge\\nat all"
+    assert len([line for line in ended.err.splitlines() if line.startswith("maximum.3.") and story in line]) == 1
+    assert (directory / "manifest.sha256").read_bytes() == (calm / "manifest.sha256").read_bytes()
+    certificates = [(each / "certificate.json").read_bytes() for each in (calm, directory)]
+    assert without(certificates[0], REPRODUCIBLE) == without(certificates[1], REPRODUCIBLE)
+    assert [read.irreproducible(each) for each in (calm, directory)] == [0, 1]
+    assert "1 attempt without a result (1 failed in the system)" in started.run("perfbound", "status", directory).out
+    failures = started.run("perfbound", "export", directory, "failures", "--out", "-").out
+    assert len(failures.splitlines()) > 1
+    assert "maximum.3.nominal.0,1,local-" in failures or "maximum.3.true.0,1,local-" in failures
+    assert ",system," in failures
 
 
 # Signals, and output for people

@@ -23,6 +23,8 @@ def copied(name: str, folder: Path) -> Path:
 
 def decided(certificate: Path) -> dict[str, Any]:
     predicate = json.loads(certificate.read_bytes())["predicate"]
+    # The chain covers the last digits of every proposal, which depend on the CPU: `verify` recomputes it instead.
+    predicate["evidence"].pop("chain_head")
     return {part: predicate[part] for part in DECIDED}
 
 

@@ -68,6 +68,7 @@ FAULTS = {
         Fault(machine.slow_disk, PLUGIN, _no_compiler),
         Fault(machine.jump_clock, ("function", "segway"), _no_compiler),
         Fault(systems.misbehave, PLUGIN),
+        Fault(systems.fail_once, PLUGIN),
         Fault(systems.poison, ("brittle",)),
         Fault(systems.hang_and_kill, PLUGIN),
         Fault(deaths.mixed),

@@ -40,6 +40,8 @@ class Scene:
     resumes: int = 0
     patience: float = PATIENCE
     """Seconds in which what shall end by itself does so."""
+    irreproducible: bool = False
+    """Whether a rollout fails in the system and is recorded afterwards."""
     undo: list[Callable[[], None]] = field(default_factory=list)
     """Actions that remove changes of the machine: mounts, network namespaces."""
 

@@ -1,20 +1,34 @@
 """Systems under test that misbehave."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.end_to_end.processes import query, wait_for
 from tests.faults.faulty_function import AFTER, BEFORE
 from tests.faults.scene import Scene
 
-KINDS = (*BEFORE, *AFTER)
+OF_SYSTEM = ("raise", "refuse", "leave", *AFTER)
+"""Failures of the system: it raises, or its trajectory is not usable."""
+OF_INFRASTRUCTURE = tuple(kind for kind in BEFORE if kind not in OF_SYSTEM)
+"""Failures of the infrastructure: the process hangs or ends; or it only prints and leaks."""
 
 
 def misbehave(scene: Scene) -> None:
-    """Some rollouts hang, crash, leave, print, leak or return nonsense, each a few times; then they behave."""
+    """Some rollouts hang, crash, exit, print or leak, each a few times; then they behave."""
+    _misbehave(scene, OF_INFRASTRUCTURE)
+
+
+def fail_once(scene: Scene) -> None:
+    """In some rollouts the system raises or returns nonsense, each a few times; with the same seed it then succeeds."""
+    scene.irreproducible = True
+    _misbehave(scene, OF_SYSTEM)
+
+
+def _misbehave(scene: Scene, among: Sequence[str]) -> None:
     scene.remote = False  # else no process replaces workers that die
     plan = a_plan(scene)
     seeds = scene.chance.sample(scene.subject.seeds, 5)
-    kinds = scene.chance.sample(KINDS, 5)
+    kinds = scene.chance.sample(among, 5)
     for seed, kind in zip(seeds, kinds, strict=True):
         for number in range(scene.chance.choice((1, 1, 2))):
             (plan / f"{seed}-{number}-{kind}").touch()
@@ -32,6 +46,7 @@ def poison(scene: Scene) -> None:
     seed = scene.chance.choice(scene.subject.seeds)
     always = plan / f"{seed}-always-{kind}"
     always.touch()
+    scene.irreproducible = kind in OF_SYSTEM  # the same build with the same seed has failed, and then succeeds
     scene.start(workers=scene.chance.choice((1, 2, 3)))
     ended = scene.end()
     scene.did(f"{kind} in every attempt of the rollout of seed {seed}", fault=False)

@@ -1,5 +1,6 @@
 """One fixed run of every class of faults, and the time to detection and to the next result."""
 
+import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -13,7 +14,9 @@ from tests.faults.delays import DELAYS
 from tests.faults.runs import Run, perform
 from tests.faults.scene import Scene
 from tests.faults.subjects import Subject, prepare
+from tests.faults.systems import a_plan
 from tests.faults.table import rows
+from tests.faults.verdict import REPRODUCIBLE, without
 
 SEED = 2
 PARALLEL = 4
@@ -80,6 +83,38 @@ def test_a_schedule_has_every_class_once_a_lap() -> None:
     for lap in range(3):
         assert sorted(draw(SEED, lap * size + place).name for place in range(size)) == sorted(FAULTS)
     assert [draw(1, k).name for k in range(size)] != [draw(2, k).name for k in range(size)]
+
+
+def test_a_certificate_is_compared_without_one_assumption() -> None:
+    def certificate(bound: float, status: str, *refuted: str) -> bytes:
+        assumptions = [{"id": "reproducible_rollouts", "status": status}, {"id": "other", "status": "assumed"}]
+        claim = {"bound": bound, "assumptions": ["other", "reproducible_rollouts"], "refuted": list(refuted)}
+        return json.dumps({"predicate": {"claims": [claim], "assumptions": assumptions}}).encode()
+
+    calm = without(certificate(0.5, "assumed"), REPRODUCIBLE)
+    assert without(certificate(0.5, "refuted", "reproducible_rollouts"), REPRODUCIBLE) == calm
+    assert without(certificate(0.6, "refuted", "reproducible_rollouts"), REPRODUCIBLE) != calm
+    assert without(certificate(0.5, "refuted", "other"), REPRODUCIBLE) != calm
+
+
+def test_the_judge_finds_an_irreproducible_rollout(tmp_path: Path, subject: Callable[[str], Subject]) -> None:
+    """Where none is expected; and its absence where one is."""
+    for number, (act, found) in enumerate(((_raise_once, "1 rollouts"), (_expect_a_failure, "0 rollouts"))):
+        folder = tmp_path / str(number)
+        run = perform(Fault(act), randomness(SEED, 0), {"function": subject("function")}, folder)
+        assert run.verdict.different[-1:] == [f"{found} are irreproducible"], run.verdict
+
+
+def _raise_once(scene: Scene) -> None:
+    (a_plan(scene) / f"{scene.subject.seeds[3]}-0-raise").touch()
+    scene.start()
+    scene.finish()
+
+
+def _expect_a_failure(scene: Scene) -> None:
+    scene.irreproducible = True
+    scene.start()
+    scene.finish()
 
 
 def test_the_judge_sees_what_is_wrong(tmp_path: Path, subject: Callable[[str], Subject]) -> None:

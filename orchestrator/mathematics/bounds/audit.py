@@ -89,7 +89,7 @@ def rise_between_nodes(lattice: Lattice, kernel: Matern, rkhs_norm: float) -> fl
 
     Formula: |J(z) - J(g)| <= B sqrt(2 - 2 k(|z - g|)), at the half-diagonal of a cell.
     """
-    similarity = float(kernel(np.array([lattice.half_diagonal]))[0])
+    similarity = float(kernel(np.array([lattice.half_diagonal(kernel.axes)]))[0])
     return rkhs_norm * math.sqrt(max(0.0, 2.0 - 2.0 * similarity))
 
 

@@ -8,6 +8,7 @@
 | mu_a, sigma_a | `mu`, `sd` | sum W u/(e + a), sqrt(1 - sum W^2/(e + a))                    | (N, A) | unit J, - |
 | w, b(z)    |             | weights of the data: mu_a(z) = w'k(X, z), b = P'(W/(e + a))    | (q,), (q, N) | |
 | c, h       | `centres`, `half` | centre and half side lengths of a cell                   | (N, p), (p,) | m |
+|            | `radial.axes` | length scales of the parameters; points and cells are divided by them first | (p,) | m |
 | B, m0, tau |             | as in `bounds.confidence`                                      | ()     | unit J  |
 
 **A cell, smooth kernels** (nu > 2). For f of norm <= B, |d_jj f| <= B sqrt(k^(4)(0)) = B `bend`, so f differs from the
@@ -35,7 +36,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..gp.kernels import Floats
+from ..gp.kernels import Floats, scaled
 from ..gp.radial import Radial
 from ..gp.spectrum import Spectrum
 
@@ -100,6 +101,8 @@ class Envelope:
 
         Formula: (1), (2) or (3) of the module; corner v is centre + signs[v] half, `signs` (2^p, p) being +-1.
         """
+        # A cell of the box is a cell of the scaled box, and a linear function of one is a linear function of the other.
+        half = scaled(half, self.radial.axes)
         difference = self._differences(centres)  # (q, N, p)
         r, reach = _lengths(difference), float(np.linalg.norm(half))
         kernel, slope = self.radial.value(r), self.radial.slope(r)
@@ -132,7 +135,7 @@ class Envelope:
 
     def rest(self, half: Floats) -> float:
         """Return how far J may exceed the interpolant of its corner values in a cell; infinite for rough kernels."""
-        return self.rkhs_norm * self.radial.bend * float(np.sum(half**2)) / 2.0
+        return self.rkhs_norm * self.radial.bend * float(np.sum(scaled(half, self.radial.axes) ** 2)) / 2.0
 
     def _moments(self, w: Floats) -> tuple[Floats, Floats]:
         shrunk = 1.0 / (self.spectrum.values[:, None] + self.a)  # (q, A)
@@ -155,7 +158,8 @@ class Envelope:
         return np.asarray(np.fmin(curved, change + straight) + error, dtype=np.float64)
 
     def _differences(self, z: Floats) -> Floats:
-        return np.asarray(z[None, :, :] - self.points[:, None, :], dtype=np.float64)  # (q, N, p)
+        points, z = scaled(self.points, self.radial.axes), scaled(z, self.radial.axes)
+        return np.asarray(z[None, :, :] - points[:, None, :], dtype=np.float64)  # (q, N, p)
 
 
 def _lengths(difference: Floats) -> Floats:

@@ -34,7 +34,7 @@ class PaperMethod(Method):
     def __init__(self, lattice: Lattice, kernel: Matern, parameters: PaperParameters, *, refine: bool = False) -> None:
         self._lattice, self._parameters, self._refine = lattice, parameters, refine
         off_nodes = OffNodeKernel(lattice.nodes, Radial(kernel)) if refine else None
-        self._posterior = Posterior(lattice.kernel_rows(kernel), parameters.lambda_at(1), off_nodes)
+        self._posterior = Posterior(lattice.kernel_rows(kernel, kernel.axes), parameters.lambda_at(1), off_nodes)
 
     @property
     def n(self) -> int:

@@ -97,7 +97,7 @@ class RigorousMethod(Method):
             raise ValueError(f"prior_mean must be finite, not {prior_mean!r}")
         self.candidates, self._premises, self._radial = candidates, premises, Radial(kernel)
         self._prior_mean, self._alpha, self._slack = prior_mean, alpha, slack or alpha / 4.0
-        self._rows = candidates.kernel_rows(kernel)
+        self._rows = candidates.kernel_rows(kernel, kernel.axes)
         self._data = Observations(self._rows)
         # Before any data |J - m0| <= B + tau, because k(z, z) = 1.
         reach = premises.rkhs_norm + premises.tau
@@ -195,10 +195,12 @@ class RigorousMethod(Method):
         # The sets C_n contain J for all n on one event, so running extremes cost nothing.
         lower, b_min = max(old.lower, now.lower), max(old.b_min, now.b_min)
         best = now if now.upper < old.upper else old
-        self._bound = RigorousBound(
-            self.n, best.upper, lower, best.candidates_upper, best.slack, b_min, self._status(best.upper, lower, b_min)
-        )
-        status = self._bound.status
+        # On the event of the theorem J is in every C_n; an empty one, or L > U, contradicts the premises at 1 - delta.
+        contradiction = best.upper < lower - ROUNDING or b_min > self._premises.rkhs_norm
+        status: Status = "converged" if best.upper - lower <= self._alpha else "open"
+        if old.status == "refuted" or contradiction:
+            status = "refuted"
+        self._bound = RigorousBound(self.n, best.upper, lower, best.candidates_upper, best.slack, b_min, status)
         return Bound(best.upper, lower, None if status == "open" else status)
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
@@ -232,13 +234,6 @@ class RigorousMethod(Method):
         mu, scale = float(self._band.mu[index, column]), float(self._band.envelope.g[column])
         x = point_at(self.candidates, index)
         return Proposal(index, x, self._prior_mean + mu, float(found.sd[index]), scale, None)
-
-    def _status(self, upper: float, lower: float, b_min: float) -> Status:
-        # On the event of the theorem J is in every C_n; an empty one, or L > U, contradicts the premises at 1 - delta.
-        contradiction = upper < lower - ROUNDING or b_min > self._premises.rkhs_norm
-        if self._bound.status == "refuted" or contradiction:
-            return "refuted"
-        return "converged" if upper - lower <= self._alpha else "open"
 
     def _bound_now(self) -> RigorousBound:
         """Return the bound that the last confidence set alone proves, its `status` left open."""

@@ -6,10 +6,14 @@
 | J        | `value`       | maximised objective of one rollout, in [low, high]              | ()     | unit J    |
 | u        | `limit`       | the claim under test: E[J(d)] <= u for every d in D             | ()     | unit J    |
 | e        | `excess`      | J - u; its mean is at most 0 under the claim                    | ()     | unit J    |
+| R        | `scale`       | sub-Gaussian scale of one rollout, where no range is given      | ()     | unit J    |
 | lambda_s |               | bet of strategy s on the next e of a start, from the past alone | (S,)   | 1/unit J  |
 | W_j      | `wealth`      | wealth of start j, mean over s of prod (1 + lambda_s e)         | (m,)   | -         |
 | delta    | `delta`       | failure probability, for each hypothesis its own                | ()     | -         |
 | k        | `violations`  | starts whose first rollout has J > u                            | ()     | -         |
+
+Noise that nothing bounds, but that is sub-Gaussian of scale R, has the factor exp(lambda e - lambda^2 R^2/2), whose
+mean is at most 1 under the claim for every lambda >= 0; the test is then one of the claim and of R together.
 
 A deterministic J shows at each start whether the claim is true there: one violation refutes it, and k of m bound the
 violated share of D (Clopper-Pearson). For a noisy J, 0 <= lambda <= CAP/(u - low) is a function of the rollouts before
@@ -34,6 +38,7 @@ from ....schemas.values import Proposal
 from ..gp.kernels import Floats
 from ..gp.lattice import check_index
 from .betting import RICHEST, ROUND_OFF
+from .rollout_spread import Spread
 from .rounding import decimal, floor_to_step
 from .share import clopper_pearson_upper
 
@@ -43,11 +48,11 @@ CAP = 0.95
 """Largest share of the wealth of a start that one rollout may cost."""
 DEFICITS = (0.25, 0.5, 1.0, 2.0)
 """Each strategy bets what is best (Kelly, second order) for this mean excess, in standard deviations of a rollout."""
+MOST_EXPONENT = 500.0
 OUTSIDE = 1e-9
 """A value may leave its range by this much, which is round-off."""
 EXPLORE = 1.0
 """Weight of the standard error in the choice of a follow-up."""
-BORROWED = 3.0
 SUSPICIOUS = 2.0
 """A start is suspicious while its mean excess plus this many standard errors is positive."""
 
@@ -59,8 +64,10 @@ SpotStatus = Literal["refuted", "not refuted", "not testable"]
 class Hypothesis:
     """The claim E[J(d)] <= limit for every d; `low` and `high` enclose J of one rollout, None where nothing does.
 
+    `scale` is that of sub-Gaussian noise, which a value without a range can be tested with.
+
     Raises:
-        ValueError: the limit is not finite, or the range is empty, infinite or half given.
+        ValueError: the limit is not finite, the range is empty, infinite or half given, or the scale is not positive.
 
     """
 
@@ -69,9 +76,12 @@ class Hypothesis:
     low: float | None
     high: float | None
     noisy: bool
+    scale: float | None = None
 
     def __post_init__(self) -> None:
-        """Check limit and range."""
+        """Check limit, range and scale."""
+        if self.scale is not None and not 0.0 < self.scale < math.inf:
+            raise ValueError(f"{self.name}: the scale must be positive and finite, not {self.scale!r}")
         if not math.isfinite(self.limit):
             raise ValueError(f"{self.name}: the limit must be finite, not {self.limit!r}")
         if (self.low is None) != (self.high is None):
@@ -84,7 +94,7 @@ class Hypothesis:
 class SpotFinding:
     """The result for one hypothesis; `not refuted` is no evidence beyond `share`.
 
-    `not testable`: the values are noisy and unbounded, so that no bet is safe.
+    `not testable`: the values are noisy, and neither bounded nor of a known scale, so that no bet is safe.
     """
 
     name: str
@@ -230,7 +240,9 @@ class _Record:
         self.bounded = low is not None and high is not None
         self._low, self._high = (low, high) if low is not None and high is not None else (-math.inf, math.inf)
         self.first = np.full(size, math.nan)  # (m,) J of the first rollout
-        self._spread = _Spread(size, self._high - self._low)
+        self._testable = self.bounded or hypothesis.scale is not None
+        width = 4.0 * hypothesis.scale if hypothesis.scale is not None else math.inf
+        self._spread = Spread(size, self._high - self._low if self.bounded else width)
         self._wealth = np.full((len(DEFICITS), size), 1.0 / len(DEFICITS))  # (S, m)
         self._peak = 1.0  # of the mean wealth
         self._own_peak = np.ones(size)  # (m,)
@@ -243,12 +255,14 @@ class _Record:
     @property
     def followed(self) -> bool:
         """Whether follow-ups can change the finding."""
-        return self._hypothesis.noisy and self.bounded and self._hypothesis.limit < self._high and self._named() is None
+        return (
+            self._hypothesis.noisy and self._testable and self._hypothesis.limit < self._high and self._named() is None
+        )
 
     def add(self, node: int, value: float) -> None:
         """Bet on one value in the range, then add it to the past."""
         excess = value - self._hypothesis.limit
-        if self._hypothesis.noisy and self.bounded:
+        if self._hypothesis.noisy and self._testable:
             self._bet(node, excess)
         if not self.count[node]:
             self.first[node] = value
@@ -278,7 +292,7 @@ class _Record:
             share = clopper_pearson_upper(violations + self._size - starts, self._size, self._delta)
             worst = int(np.argmax(excess)) if violations else None
             return replace(found, status="refuted" if violations else "not refuted", share=share, start=worst)
-        if not self.bounded:
+        if not self._testable:
             return replace(found, status="not testable")
         status: SpotStatus = "refuted" if self._peak >= (1.0 + ROUND_OFF) / self._delta else "not refuted"
         undecided = int(np.count_nonzero(self._suspicious() & (self._own_peak < self._threshold)))
@@ -300,57 +314,24 @@ class _Record:
 
     def _bet(self, node: int, excess: float) -> None:
         """Move the wealth of one start; the bets are functions of the rollouts before this one."""
-        # Every factor is at least 1 - CAP, also for a value that leaves the range by round-off. A limit below the range
-        # leaves no room for a loss: any finite bet is safe.
-        largest = CAP / max(self._hypothesis.limit - self._low + OUTSIDE, OUTSIDE)
         sd = float(self._spread.sd()[node])
         for s, deficit in enumerate(DEFICITS):
-            bet = min(deficit / (sd * (1.0 + deficit * deficit)), largest)
-            self._wealth[s, node] = min(self._wealth[s, node] * (1.0 + bet * excess), RICHEST)
+            factor = self._bounded_factor(deficit, sd, excess) if self.bounded else self._scaled_factor(deficit, excess)
+            self._wealth[s, node] = min(self._wealth[s, node] * factor, RICHEST)
         own = math.fsum(self._wealth[:, node])
         self._own_peak[node] = max(self._own_peak[node], own)
         self._peak = max(self._peak, math.fsum(self._wealth.ravel()) / self._size)
 
+    def _bounded_factor(self, deficit: float, sd: float, excess: float) -> float:
+        # Every factor is at least 1 - CAP, also for a value that leaves the range by round-off. A limit below the range
+        # leaves no room for a loss: any finite bet is safe.
+        largest = CAP / max(self._hypothesis.limit - self._low + OUTSIDE, OUTSIDE)
+        return 1.0 + min(deficit / (sd * (1.0 + deficit * deficit)), largest) * excess
 
-class _Spread:
-    """Mean excess of every start, and a standard deviation of one rollout that small samples share.
-
-    The variance within starts is pooled; while it has few degrees of freedom, the variance between first rollouts
-    counts as BORROWED of them, and a quarter of the range as the first of those. A start's own variance enters by its
-    degrees of freedom. It serves bets and choices, which may be any function of the past: no claim depends on it.
-    """
-
-    def __init__(self, size: int, width: float) -> None:
-        self.count = np.zeros(size)  # (m,)
-        self.mean = np.zeros(size)  # (m,) unit J
-        self._squares = np.zeros(size)  # (m,) squared deviations from the mean of the start
-        self._within = self._degrees = 0.0  # sums over the starts
-        self._started = self._centre = 0.0  # number and mean of the first rollouts
-        self._between = (width / 4.0) ** 2 if math.isfinite(width) else 1.0
-        self._least = 1e-6 * width if math.isfinite(width) else 1e-6
-
-    def add(self, node: int, excess: float) -> None:
-        """Add the excess of one rollout [Welford's update]."""
-        if self.count[node]:
-            self._degrees += 1.0
-        else:
-            self._started += 1.0
-            shift = excess - self._centre
-            self._centre += shift / self._started
-            self._between += shift * (excess - self._centre)
-        self.count[node] += 1.0
-        shift = excess - self.mean[node]
-        self.mean[node] += shift / self.count[node]
-        square = shift * (excess - self.mean[node])
-        self._squares[node] += square
-        self._within += square
-
-    def sd(self) -> Floats:
-        """Return the estimated standard deviation of one rollout at every start (m,), positive."""
-        between = self._between / (self._started + 1.0)
-        common = (self._within + BORROWED * between) / (self._degrees + BORROWED)
-        own = (self._squares + BORROWED * common) / (np.maximum(self.count - 1.0, 0.0) + BORROWED)
-        return np.maximum(np.sqrt(own), self._least)
+    def _scaled_factor(self, deficit: float, excess: float) -> float:
+        # The best lambda for a mean excess of `deficit` scales; the exponent is capped, so that nothing overflows.
+        assert self._hypothesis.scale is not None
+        return math.exp(min(deficit * excess / self._hypothesis.scale - deficit * deficit / 2.0, MOST_EXPONENT))
 
 
 def failure_share(failures: int, count: int, theta: float, delta: float) -> float:

@@ -53,7 +53,7 @@ class AdaptiveOrderTest:
     `starts` is the number of starts that can occur, fixed beforehand, such as the length of a list: each has the share
     1/starts of the level. Without it a start enters at its second test, and the k-th to enter has 1/(k (k + 1)); the
     values of its first test are discarded, because they decided that it returns.
-    Power: a start with N values is caught if they drift by d standard deviations with N d^2 above about 300.
+    Power: N values of one start that drift steadily by d standard deviations are caught with N d^2 above about 450.
 
     Raises:
         ValueError: the level is outside (0, 1), or `starts` is not positive.
@@ -115,7 +115,7 @@ class PlannedOrderTest:
 
     `plan` has the start and the time of every planned rollout, in order. Times have any unit, such as the test number
     that was expected; they decide bets alone. The bets grow with the time since the earlier values of the start.
-    Power: a steady drift by d standard deviations is caught by N rollouts with N d^2 above about 350 if they visit the
+    Power: a steady drift by d standard deviations is caught by N rollouts with N d^2 above about 250 if they visit the
     starts in turn, and above about 110 if half of them open and the other half close the campaign.
 
     Raises:

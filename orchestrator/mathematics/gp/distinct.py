@@ -19,7 +19,7 @@ from typing import Protocol
 
 import numpy as np
 
-from .kernels import Floats
+from .kernels import Floats, scaled
 from .radial import Radial
 
 Point = int | tuple[float, ...]
@@ -47,16 +47,17 @@ class OffNodeKernel:
 
     def between(self, places: Floats, z: Floats) -> Floats:
         """Return k(places, z), shape (N,), for `places` (N, p)."""
-        return self.radial.value(np.linalg.norm(places - z, axis=1))
+        return self.radial.value(np.linalg.norm(scaled(places - z, self.radial.axes), axis=1))
 
     def gradient(self, places: Floats, z: Floats) -> tuple[Floats, Floats]:
         """Return k(places, z), shape (N,), and its gradient in z, shape (N, p); 0 at a place itself.
 
-        Formula: grad = (k'(r)/r) (z - place).
+        Formula: grad = (k'(r)/r) (z - place), each component divided by its length scale twice where there is one per
+        axis.
         """
-        step = z - places
+        step = scaled(z - places, self.radial.axes)
         value, slope = self.radial.value_and_slope(np.linalg.norm(step, axis=1))
-        return value, slope[:, None] * step
+        return value, scaled(slope[:, None] * step, self.radial.axes)
 
 
 class DistinctPoints:

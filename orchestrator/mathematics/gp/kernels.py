@@ -8,7 +8,8 @@ and curvature, for points and cells between the candidates.
 | k(r)   | `Matern()`     | covariance of two points at distance r     | any   | -    |
 | nu     | `nu`           | smoothness                                 | ()    | -    |
 | l      | `length_scale` | length scale                               | ()    | m    |
-| r      | `distances`    | Euclidean distances                        | any   | m    |
+| l_j    | `axes`         | length scales of the parameters            | (p,)  | parameter |
+| r      | `distances`    | Euclidean distances; with axes, of z_j/l_j | any   | m    |
 
 The amplitude is part of the norm bound B (`rkhs_norm`), so k(0) = 1.
 """
@@ -22,9 +23,25 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
+def scaled(z: Floats, axes: Floats | None) -> Floats:
+    """Return parameters or their differences (..., p), divided by the length scales of the parameters if given.
+
+    Raises:
+        ValueError: there is not one length scale per parameter.
+
+    """
+    if axes is None:
+        return z
+    if z.shape[-1] != len(axes):
+        raise ValueError(f"the kernel has {len(axes)} length scales for {z.shape[-1]} parameters; give one for each")
+    return np.asarray(z / axes, dtype=np.float64)
+
+
 @dataclass(frozen=True, slots=True)
 class Matern:
-    """The Matern kernel of smoothness `nu` and length scale `length_scale`.
+    """The Matern kernel of smoothness `nu` and length scale `length_scale`, one number or one per parameter.
+
+    With one per parameter it is the kernel of the scaled parameters z_j/l_j, whose length scale is 1 (`unit`).
 
     Formula: k(r) = 2^(1-nu)/Gamma(nu) s^nu K_nu(s) with s = sqrt(2 nu) r/l, as scikit-learn's `Matern` defines it.
 
@@ -37,17 +54,29 @@ class Matern:
     """
 
     nu: float
-    length_scale: float
+    length_scale: float | tuple[float, ...]
+
+    @property
+    def axes(self) -> Floats | None:
+        """Length scales per parameter, (p,); None for one number."""
+        return np.array(self.length_scale) if isinstance(self.length_scale, tuple) else None
+
+    @property
+    def unit(self) -> float:
+        """The length scale of scaled distances."""
+        return 1.0 if isinstance(self.length_scale, tuple) else self.length_scale
 
     def __post_init__(self) -> None:
         """Check that a kernel with these parameters exists."""
-        for name in ("nu", "length_scale"):
-            value = getattr(self, name)
+        lengths = self.length_scale if isinstance(self.length_scale, tuple) else (self.length_scale,)
+        for name, value in (("nu", self.nu), *(("length_scale", each) for each in lengths)):
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"kernel {name} must be a positive finite number, not {value!r}")
+        if not lengths:
+            raise ValueError("kernel length_scale must be a number, or one per parameter")
 
     def __call__(self, distances: Floats) -> Floats:
-        """Return k at each of `distances`, in the shape of `distances`.
+        """Return k at each of `distances`, in the shape of `distances`; scaled ones where there is a length per axis.
 
         Raises:
             ValueError: a distance is negative or not finite, or the Bessel function overflows (nu far above 10).
@@ -62,7 +91,7 @@ class Matern:
         # Equal distances get one evaluation: 760 ns each for a general nu, and bitwise equal values.
         unique, inverse = np.unique(r, return_inverse=True)
         with np.errstate(invalid="ignore", over="ignore"):
-            values = ScikitMatern(length_scale=self.length_scale, nu=self.nu)(np.zeros((1, 1)), unique[:, None])[0]
+            values = ScikitMatern(length_scale=self.unit, nu=self.nu)(np.zeros((1, 1)), unique[:, None])[0]
         values[unique == 0] = 1.0  # the limit; the general formula computes 0 * inf there for a large nu
         if not np.all(np.isfinite(values)):
             raise ValueError(f"Matern kernel overflows at nu = {self.nu:g} for these distances: take a smaller nu")

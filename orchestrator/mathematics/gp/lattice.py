@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .kernels import Floats
+from .kernels import Floats, scaled
 
 MAX_NODES = 250_000
 """Above this a posterior of 600 tests would need more than 2.4 GB."""
@@ -77,10 +77,9 @@ class Lattice:
         """Distance of neighbouring nodes, per axis."""
         return tuple((b - a) / (self.resolution - 1) for a, b in zip(self.low, self.high, strict=True))
 
-    @property
-    def half_diagonal(self) -> float:
-        """Largest distance of a point of the box from its nearest node."""
-        return math.hypot(*self.spacing) / 2
+    def half_diagonal(self, axes: Floats | None = None) -> float:
+        """Return the largest distance of a point of the box from its nearest node, in the length scales if given."""
+        return math.hypot(*scaled(np.array(self.spacing), axes).tolist()) / 2
 
     def subnode(self, z: Floats) -> tuple[float, ...]:
         """Return the point nearest to `z` (p,) on the lattice with `PARTS` times as many intervals per axis.
@@ -93,9 +92,12 @@ class Lattice:
         # low + k step may round to more than the upper edge.
         return tuple(np.clip(point, low, self.high).tolist())
 
-    def kernel_rows(self, kernel: Callable[[Floats], Floats]) -> "KernelRows":
-        """Return k(z_i, all nodes) by index; the kernel is evaluated here, once per distinct index offset."""
-        return KernelRows(self, kernel)
+    def kernel_rows(self, kernel: Callable[[Floats], Floats], axes: Floats | None = None) -> "KernelRows":
+        """Return k(z_i, all nodes) by index; the kernel is evaluated here, once per distinct index offset.
+
+        `axes` are the length scales of the parameters, where the kernel takes scaled distances.
+        """
+        return KernelRows(self, kernel, axes)
 
 
 class KernelRows:
@@ -106,10 +108,11 @@ class KernelRows:
     bit by bit.
     """
 
-    def __init__(self, lattice: Lattice, kernel: Callable[[Floats], Floats]) -> None:
+    def __init__(self, lattice: Lattice, kernel: Callable[[Floats], Floats], axes: Floats | None = None) -> None:
         self.size = lattice.size
         self._shape = (lattice.resolution,) * lattice.dimension
-        self._table = _mirrored(kernel(_offset_distances(lattice.spacing, lattice.resolution)))
+        spacing = scaled(np.array(lattice.spacing), axes).tolist()
+        self._table = _mirrored(kernel(_offset_distances(spacing, lattice.resolution)))
 
     def row(self, index: int) -> Floats:
         """Return k(z_index, all nodes), shape (m,).

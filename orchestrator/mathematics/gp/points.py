@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .kernels import Floats
+from .kernels import Floats, scaled
 from .lattice import Lattice, check_index
 
 MAX_POINTS = 5_000
@@ -50,17 +50,17 @@ class Points:
         """Number of points m."""
         return len(self.points)
 
-    def kernel_rows(self, kernel: Callable[[Floats], Floats]) -> "PointRows":
-        """Return k(z_i, all points) by index; the kernel is evaluated here."""
-        return PointRows(self, kernel)
+    def kernel_rows(self, kernel: Callable[[Floats], Floats], axes: Floats | None = None) -> "PointRows":
+        """Return k(z_i, all points) by index; the kernel is evaluated here, at distances in `axes` if given."""
+        return PointRows(self, kernel, axes)
 
 
 class PointRows:
     """Kernel rows of a list of points; k(z_i, z_j) = k(z_j, z_i) bit by bit."""
 
-    def __init__(self, points: Points, kernel: Callable[[Floats], Floats]) -> None:
+    def __init__(self, points: Points, kernel: Callable[[Floats], Floats], axes: Floats | None = None) -> None:
         self.size = points.size
-        difference = points.nodes[:, None, :] - points.nodes[None, :, :]  # (m, m, p)
+        difference = scaled(points.nodes[:, None, :] - points.nodes[None, :, :], axes)  # (m, m, p)
         self._table = kernel(np.sqrt(np.sum(difference * difference, axis=2)))
 
     def row(self, index: int) -> Floats:

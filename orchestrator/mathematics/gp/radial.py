@@ -6,7 +6,8 @@ needed, and its values agree with that kernel within `error`.
 | symbol  | name           | meaning                                          | shape | unit  |
 |---------|----------------|--------------------------------------------------|-------|-------|
 | nu, l   | `kernel`       | smoothness, length scale                         | ()    | -, m  |
-| r       | `r`            | distance                                         | any   | m     |
+| r       | `r`            | distance, scaled where there is a length per axis | any  | m     |
+| l_j     | `axes`         | length scales of the parameters, then l = 1      | (p,)  | parameter |
 | s       |                | sqrt(2 nu) r / l                                 | any   | -     |
 | c       | `_c`           | 2^(1-nu) / Gamma(nu)                             | ()    | -     |
 | P_mu(s) | `_bessel`      | s^mu K_mu(s), positive and decreasing in s       | any   | -     |
@@ -44,7 +45,8 @@ class Radial:
         if kernel.nu > LARGEST_NU:
             raise ValueError(f"kernel nu = {kernel.nu:g} overflows near 0: take a smaller nu, at most {LARGEST_NU:g}")
         self._nu = kernel.nu
-        self.rate = math.sqrt(2.0 * kernel.nu) / kernel.length_scale
+        self.axes = kernel.axes
+        self.rate = math.sqrt(2.0 * kernel.nu) / kernel.unit
         self._c = 2.0 ** (1.0 - kernel.nu) / math.gamma(kernel.nu)
         self._tables: dict[float, _Table] = {}
 

@@ -19,6 +19,7 @@ function problemSection(report, index, series, selected) {
     { "data-problem": problem.name },
     el("h2", nameElement(words(problem.name)), el("span.muted", ` ${sentence(problem.objective, 200)}; method ${words(problem.method)}`)),
     problemFacts(problem),
+    problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
       el("div", kind === null ? null : mapFigure(report, index, kind, series), bars),

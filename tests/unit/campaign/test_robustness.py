@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign.admission import admit
 from perfbound.orchestrator.campaign.checks import check
+from perfbound.orchestrator.campaign.consistency import robustness_of
 from perfbound.orchestrator.campaign.observation import Observer
 from perfbound.orchestrator.campaign.plan import UNBOUNDED, plan
 from perfbound.orchestrator.certificate.problem_results import objective
@@ -142,10 +143,8 @@ def test_the_mean_of_the_paper_has_the_noise_of_a_mean() -> None:
 @settings(deadline=None)
 def test_an_observation_is_the_mean_of_the_robustness_that_the_claim_is_about(values: list[float]) -> None:
     trajectories = {("nominal", k): sample(value) for k, value in enumerate(values)}
-    cases: tuple[tuple[dict[str, Any], float, float], ...]
-    cases = (({}, -math.inf, math.inf), ({"clip": [-0.5, 1.2]}, -0.5, 1.2))
-    for keys, low, high in cases:
-        found = config(problem={"replicates": len(values)}, **keys)
+    for clip in (None, (-0.5, 1.2)):
+        found, (low, high) = config(problem={"replicates": len(values)}, clip=clip), clip or UNBOUNDED
         observed = Observer(found, PLAIN).observe(plan(found, PLAIN, found.problems[0]), trajectories)
         expected = [min(max(0.6 - value, low), high) for value in values]
         assert observed.each == tuple(-value for value in expected)
@@ -158,6 +157,15 @@ def test_method_scenario_observes_the_robustness() -> None:
     observed = Observer(found, NOISY).observe(plan(found, NOISY, found.problems[0]), trajectories)
     assert observed.each == pytest.approx((0.5, 0.3, -0.5, 0.4))
     assert observed.y == pytest.approx(-0.175)
+
+
+def test_the_robustness_is_found_in_the_replicates() -> None:
+    exact, listed = (
+        config().problems[0],
+        config(system=TWIN, problem=SCENARIO, space=LIST, clip=[-0.5, 1.2]).problems[0],
+    )
+    assert robustness_of(exact, [(-0.1, -0.2), (0.3,)]) == [0.1, 0.2, -0.3]
+    assert robustness_of(listed, [(0.1, 0.2), (-0.3,)]) == [0.1, 0.2, -0.3]
 
 
 def test_a_specification_beside_a_column_alone_has_no_robustness() -> None:

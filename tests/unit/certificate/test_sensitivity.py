@@ -226,3 +226,23 @@ def a_claim(**values: Any) -> Predicate:
 )  # fmt: skip
 def test_the_sentence_of_the_share_of_the_rollouts(values: dict[str, float], sentence: str) -> None:
     assert notes(a_claim(**values), 0) == (sentence,)
+
+
+@pytest.mark.parametrize("kind", ["paper", "rigorous"])
+def test_a_length_scale_per_parameter_is_certified_and_verified(kind: str, tmp_path: Path) -> None:
+    lengths = {"z2": 40.0, "z1": 2.0}
+    extra = {"method": "paper", "c": 0.05} if kind == "paper" else {"method": "rigorous"}
+    found = finished(
+        tmp_path / "run", a_problem(**extra, noise_scale=0.01, kernel={"nu": 2.5, "length_scale": lengths})
+    ).predicate
+    assert check(tmp_path / "run").good
+    parameters = found.problems[0].parameters["kernel"]
+    assert parameters == {"nu": 2.5, "length_scale": lengths}
+    halved = next(row.bound for row in found.sensitivity or () if row.constant == "length_scale")
+    assert halved is not None
+    if kind == "rigorous":
+        (ball,) = (each for each in found.assumptions if each.id == "kernel/maximum")
+        assert ball.values is not None
+        assert ball.values["length_scale"] == "2 (z1), 40 (z2)"
+        assert "length scale 2 (z1), 40 (z2)" in ball.detail
+        assert halved >= found.claims[0].bound

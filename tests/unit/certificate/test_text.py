@@ -69,7 +69,7 @@ def printed(certificate: Certificate, width: int = 100) -> list[str]:
 def test_text_in_brackets_is_printed_as_it_is() -> None:
     lines = printed(a_certificate(Assumption(id="clip/maximum", status="derived", detail="in [bold] :warning: [/]")))
     assert "    max over d of E[column] <= 0.5001, probability 0.9243" in lines
-    assert "    clip                  derived     in [bold] :warning: [/]" in lines
+    assert "    clip                     derived     in [bold] :warning: [/]" in lines
 
 
 def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
@@ -99,14 +99,14 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
     )
     order = [
         "REFUTED, by the data of this campaign or by derivation: 1 assumption",
-        "    rkhs_norm             refuted     B is wrong.",
+        "    rkhs_norm                refuted     B is wrong.",
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
         "       It rests on 1 assumption REFUTED: do not rely on it.",
         "    NOT converged: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
         "Assumptions that are not refuted",
-        "    tail                  assumed     Gaussian.",
+        "    tail                     assumed     Gaussian.",
         "  whole campaign",
-        "    workers_honest        assumed     believed.",
+        "    workers_honest           assumed     believed.",
     ]
     assert [line for line in lines if line in order] == order
 

@@ -18,7 +18,6 @@ from perfbound.orchestrator.fleet.dispatch import (
     SIDE_EFFECTS,
     DispatchState,
     Limits,
-    check_invariants,
 )
 from perfbound.orchestrator.fleet.events import (
     Acknowledge,
@@ -42,6 +41,7 @@ from perfbound.orchestrator.fleet.events import (
 )
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
+from tests.fakes.invariants import check_invariants
 
 LIMITS = Limits(resend_after=1.5, lost_after=3.0, hung_after=10.0, deadline=60.0, max_attempts=3)
 R = [RolloutId("p", test, "true", 0) for test in range(6)]

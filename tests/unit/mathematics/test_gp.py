@@ -83,7 +83,7 @@ class TestLattice:
         lattice = Lattice((0, 10), (1, 30), 3)
         assert lattice.nodes[[0, 1, 8]].tolist() == [[0, 10], [0, 20], [1, 30]]
         assert lattice.spacing == (0.5, 10.0)
-        assert lattice.half_diagonal == pytest.approx(math.hypot(0.5, 10) / 2)
+        assert lattice.half_diagonal() == pytest.approx(math.hypot(0.5, 10) / 2)
 
     @pytest.mark.parametrize("dimension", [1, 2, 3])
     def test_rows_are_the_kernel_at_the_distances(self, dimension: int) -> None:

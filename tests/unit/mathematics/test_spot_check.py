@@ -260,3 +260,33 @@ def test_a_refused_rollout_changes_nothing() -> None:
         check.observe(0, [0.5, math.inf])
     assert check.rollouts == 0
     assert check.finding(0).wealth == 1.0
+
+
+def test_unbounded_noise_of_a_known_scale_is_tested() -> None:
+    rng = np.random.default_rng(5)
+    for excess, expected in ((-0.5, "not refuted"), (0.5, "refuted")):
+        check = SpotTests(
+            [(float(j),) for j in range(30)], [Hypothesis("y", 1.0, None, None, noisy=True, scale=0.5)], followups=200
+        )
+        while (proposal := check.propose()) is not None:
+            check.observe(proposal.node, [1.0 + (excess if proposal.node == 7 else -2.0) + 0.5 * rng.standard_normal()])
+        assert check.finding(0).status == expected
+
+
+def test_noise_without_range_or_scale_is_not_tested() -> None:
+    check = SpotTests([(0.0,)], [Hypothesis("y", 1.0, None, None, noisy=True)], followups=200)
+    check.observe(0, [99.0])
+    assert check.finding(0).status == "not testable"
+
+
+def test_the_wealth_of_sub_gaussian_noise_is_a_supermartingale() -> None:
+    # E[exp(lambda e - lambda^2 R^2/2)] = 1 for Gaussian noise of mean 0: over many starts at the limit itself.
+    rng, refuted = np.random.default_rng(6), 0
+    for _ in range(400):
+        check = SpotTests(
+            [(float(j),) for j in range(20)], [Hypothesis("y", 0.0, None, None, noisy=True, scale=1.0)], followups=40
+        )
+        while (proposal := check.propose()) is not None:
+            check.observe(proposal.node, [rng.standard_normal()])
+        refuted += check.finding(0).status == "refuted"
+    assert refuted <= 30  # 20 expected at most at level .05; binom.ppf(.99, 400, .05) = 31

@@ -24,8 +24,10 @@ from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes
 from perfbound.orchestrator.store.export_tables import unit
 from perfbound.orchestrator.store.lock import campaign_lock
+from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import Header, ObservationFact, ProposalFact
+from perfbound.schemas.space import Scenarios
 from perfbound.schemas.values import Band, Proposal
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
@@ -181,7 +183,10 @@ def test_the_numbers_have_the_sign_of_their_objective(finished: Path) -> None:
         )
         last = outer[-1]
         assert last is not None
-        assert problem.bound == pytest.approx(last, abs=2e-9)
+        # What is shown is never weaker than what the clip alone proves.
+        limit = problem.by_clip
+        shown = last if limit is None else max(last, limit) if sign < 0 else min(last, limit)
+        assert problem.bound == pytest.approx(shown, abs=2e-9)
         for lower, upper in zip(tests.lower, tests.upper, strict=True):
             assert lower is None or upper is None or lower <= upper
 
@@ -264,6 +269,29 @@ def test_a_running_problem_of_the_others_has_a_bound_at_any_time(tmp_path: Path,
     assert "with probability at least 0.9000" in seen[-1].now
     assert seen[0].now == "true_risk: no bound yet."
     stage.journal.close()
+
+
+@pytest.mark.usefixtures("no_disk")
+def test_a_claim_without_risk_shows_no_weight_of_it(tmp_path: Path) -> None:
+    listed = json.loads(a_list().model_dump_json(exclude_none=True))
+    config = CampaignConfig.model_validate_json(
+        json.dumps({**listed, "problems": [{**listed["problems"][0], "name": "robustness"}]})
+    )
+    assert isinstance(config.space, Scenarios)
+    seen = list[ReportData]()
+
+    def look() -> bool:
+        seen.append(collected(tmp_path))
+        return False
+
+    finish(play(tmp_path, config, look), tmp_path)
+    text = f"expected robustness at the worst of the {len(config.space.scenarios)} listed starts \u2265 "
+    found = collected(tmp_path)
+    assert any(each.now.startswith(text) for each in seen), "while it runs"
+    assert found.now == found.claims[0].sentence
+    assert found.now.startswith(text)
+    assert (found.risk_weight, found.problems[0].quantity) == (None, "expected_robustness")
+    assert found.clip == (-0.05, 0.15)
 
 
 def test_the_words_promise_no_more_than_the_numbers(finished: Path) -> None:

@@ -23,7 +23,7 @@ from perfbound.orchestrator.run.address import Address
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError
-from tests.campaigns import FOLDER
+from tests.campaigns import FOLDER, UNCHECKED
 from tests.fakes.inmemory import campaign
 
 RECORDED = "trajectories/maximum/0/maximum.0.true.0.mcap"
@@ -34,7 +34,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run directory of a finished campaign."""
     directory = tmp_path_factory.mktemp("web") / "run"
     text = (FOLDER / "test-function.toml").read_bytes()
-    campaign(directory, parse_campaign(text, "test", resolution=5, max_tests=3, replicates=2))
+    campaign(directory, parse_campaign(text, "test", resolution=5, max_tests=3, replicates=2, **UNCHECKED))
     return directory
 
 

@@ -24,6 +24,7 @@ from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.messages import Request
 from tests.campaigns import cheap
+from tests.fakes.invariants import check_invariants
 from tests.fakes.puppets import Stage
 
 ROLLOUTS = 2000
@@ -164,7 +165,7 @@ def crowd(workers: int, rollouts: int) -> dispatch.DispatchState:
 @pytest.mark.parametrize(("workers", "rollouts"), [(3, 5), (5, 3), (4, 4), (0, 2), (2, 0)])
 def test_all_idle_workers_get_the_oldest_rollouts_at_once(workers: int, rollouts: int) -> None:
     state, actions = dispatch.advance(crowd(workers, rollouts), HandOut(1.0))
-    dispatch.check_invariants(state)
+    check_invariants(state)
     starts = [(each.worker, each.attempt.rollout.test) for each in actions if isinstance(each, Start)]
     assert starts == [(f"w{number}", number) for number in range(min(workers, rollouts))]
     assert [each.test for each in state.waiting] == list(range(len(starts), rollouts))

@@ -191,7 +191,8 @@ def test_a_column_is_named_where_it_stands() -> None:
 
 
 numbers = st.floats(min_value=1e-6, max_value=1e6)
-kernels = st.fixed_dictionaries({"nu": st.floats(min_value=0.1, max_value=50), "length_scale": numbers})
+lengths = st.one_of(numbers, st.dictionaries(st.text(min_size=1), numbers, min_size=1))
+kernels = st.fixed_dictionaries({"nu": st.floats(min_value=0.1, max_value=50), "length_scale": lengths})
 gaps = st.fixed_dictionaries({"column": st.text(min_size=1)}, optional={"lipschitz": numbers})
 ranges = st.tuples(st.floats(-1e6, 1e6), st.floats(0.5, 1e6)).map(
     lambda pair: {"low": pair[0], "high": pair[0] + pair[1]}
@@ -261,3 +262,36 @@ def test_a_campaign_survives_the_way_through_json(values: dict[str, Any]) -> Non
 def test_any_bytes_are_a_campaign_or_one_fault(data: bytes) -> None:
     with pytest.raises(CampaignError, match=r"^c\.toml: "):
         parse_campaign(data, "c.toml")
+
+
+LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ("-2.0", f"-2.0 is not allowed: allowed is {LENGTHS}"),
+        ("{}", f"a table is not allowed: allowed is {LENGTHS}"),
+        ("{ x = 0.0, y = 1.0 }", f"a table is not allowed: allowed is {LENGTHS}"),
+        ("[1.0, 2.0]", f"[1.0, 2.0] is not allowed: allowed is {LENGTHS}"),
+        ("{ x = 1.0 }", "has x; give one number for each parameter of segway: x, y"),
+        ("{ x = 1.0, v = 2.0 }", "has x, v; give one number for each parameter of segway: x, y"),
+    ],
+)
+def test_a_length_scale_that_is_none(value: str, says: str) -> None:
+    text = changed("length_scale = 2.0", f"length_scale = {value}")
+    wanted = f"c.toml: problems.nominal_robustness.kernel.length_scale: {says}"
+    assert (f"c.toml: {fault_of(text)}" if LENGTHS in says else refused(text)) == wanted
+
+
+def test_a_length_scale_per_parameter_in_any_order() -> None:
+    one, other = (
+        parse_campaign(changed("length_scale = 2.0", f"length_scale = {value}").encode(), "c.toml")
+        for value in ("{ x = 1, y = 2.5 }", "{ y = 2.5, x = 1.0 }")
+    )
+    assert one == other
+    assert one.digest == other.digest
+    problem = one.problems[0]
+    assert problem.method == "paper"
+    assert problem.kernel.described == "1 (x), 2.5 (y)"
+    assert problem.kernel.scaled(0.5).length_scale == {"x": 0.5, "y": 1.25}

@@ -236,6 +236,22 @@ def test_a_linearised_risk_contributes_what_its_mean_is_made_of(tmp_path: Path) 
     assert [row["contribution"] for row in exported(tmp_path)["observations"]] == ["0.8", "0.6"]
 
 
+@pytest.mark.parametrize(
+    ("preset", "each"), [("segway-rigorous", ["0.8", "0.6"]), ("segway-scenario", ["-0.8", "-0.6"])]
+)
+def test_a_robustness_keeps_its_sign_in_method_scenario_alone(tmp_path: Path, preset: str, each: list[str]) -> None:
+    problem = {**table(preset)["problems"][0], "name": "robustness"}
+    problem.pop("linearised", None)
+    journal = journal_of(tmp_path, config(preset, problems=[problem], composition="single"))
+    add(
+        journal,
+        ProposalFact("robustness", 0, Proposal(7, (1.0, 2.0), None, None, None, None)),
+        ObservationFact("robustness", 0, Observation(-0.7, (-0.8, -0.6)), "b" * 64),
+    )
+    journal.close()
+    assert [row["contribution"] for row in exported(tmp_path)["observations"]] == each
+
+
 def test_zero_has_no_sign(tmp_path: Path) -> None:
     journal = journal_of(tmp_path, config("segway-paper"))
     add(journal, ProposalFact("nominal_robustness", 0, Proposal(7, (0.0, 2.0), 0.0, 1.0, None, None)))

@@ -1,0 +1,41 @@
+"""The checks after the problems of a campaign: the spot check, then the recheck, each if the campaign has it."""
+
+from collections.abc import Mapping
+
+from ...schemas.facts import Header, first_link
+from ...schemas.ids import RolloutId
+from . import state
+from .account import Account
+from .observation import Observer
+from .recheck import Recheck
+from .recorded import Recorded
+from .series import Series
+from .spot_check import SpotCheck, SpotSeries
+
+
+class ChecksAfter:
+    """The checks that have begun; `spot_check` and `recheck` are None before."""
+
+    def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer, recorded: Recorded) -> None:
+        self._header, self._accounts, self._observer, self._recorded = header, accounts, observer, recorded
+        self.spot_check: SpotCheck | None = None
+        self.recheck: Recheck | None = None
+
+    def next(self, reached: state.State, series: Mapping[str, Series]) -> tuple[SpotCheck | Recheck, Series] | None:
+        """Begin the next check of a campaign whose series have all stopped; None after the last one."""
+        header = self._header
+        # In this order: a recheck repeats rollouts of the spot check as well.
+        if self.recheck is None and self.spot_check is None and SpotCheck.wanted(header, self._accounts):
+            self.spot_check = SpotCheck(header, self._accounts, self._observer)
+            return self.spot_check, SpotSeries(first_link(header, SpotCheck.name))
+        if self.recheck is None and Recheck.wanted(header):
+            plans = {each.plan.problem: each.plan for each in reached.problems}
+            checked = {name: (each, plans[name]) for name, each in series.items()}
+            self.recheck = Recheck(header, checked, self._recorded)
+            return self.recheck, Series(first_link(header, Recheck.name))
+        return None
+
+    def original(self, rollout: RolloutId) -> RolloutId | None:
+        """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""
+        check = self.recheck
+        return check.rollouts[rollout.test] if check is not None and rollout.problem == check.name else None

@@ -1,0 +1,46 @@
+"""What the clip alone proves of every objective."""
+
+import math
+from typing import Any
+
+import pytest
+
+from perfbound.orchestrator.campaign.clip import by_clip, least_risk
+from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis
+from perfbound.schemas.campaign import Gap
+from tests.campaigns import config
+
+
+@pytest.mark.parametrize(
+    ("campaign", "wanted"),
+    [
+        ("segway-paper", [-0.05, None]),  # the paper does not clip its gap
+        ("segway-rigorous", [-0.05, 0.8]),
+        ("segway-scenario", [-0.057921562]),
+        ("segway-direct", [-0.057921562]),
+        ("test-function", [None]),
+    ],
+)
+def test_every_problem(campaign: str, wanted: list[float | None]) -> None:
+    found = config(campaign)
+    assert [by_clip(found, problem) for problem in found.problems] == wanted
+
+
+def test_a_gap_in_the_unit_of_the_signal() -> None:
+    found = config("segway-rigorous")
+    gap = Gap(kind="signal_sup", column="phi", lipschitz=4.0)
+    assert by_clip(found, found.problems[1].model_copy(update={"gap": gap})) == 0.2
+
+
+@pytest.mark.parametrize("changes", [{"risk_weight": 0.5}, {"clip": [0.0, 3.0]}, {"clip": [-2.0, -1.5]}])
+def test_no_law_on_the_clip_has_a_lower_risk(changes: dict[str, Any]) -> None:
+    found = config("segway-scenario", **changes)
+    assert found.clip is not None
+    (low, high), least = found.clip, least_risk(found)
+    assert least is not None
+    # Two points, low and high, have the largest deviation of all laws with their mean.
+    for k in range(1001):
+        share = k / 1000
+        mean, sd = low + share * (high - low), math.sqrt(share * (1 - share)) * (high - low)
+        assert least <= mean - found.risk_weight * sd
+    assert least == pytest.approx(bhatia_davis(low, found.clip, found.risk_weight), abs=2e-9)
