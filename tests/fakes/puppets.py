@@ -115,15 +115,18 @@ class Puppets:
         with self.own.running():
             assign = decode_request(payload)
             assert isinstance(assign, Assign)
-            file = self._file(assign.request)
-            sha256 = hashlib.sha256(file).hexdigest()
-            rollout = assign.request.rollout
-            header = ResultHeader(rollout=rollout, attempt=assign.attempt, worker=worker, outcome="done", sha256=sha256)
+            header, file = self.answer(worker, assign)
             attachment = encode_message(header)
         for number in range(self._beats):
             self.beat(worker, assign, number + 1)
         self.delivered += 1
         self._sink(Result(time.monotonic(), worker, decode_header(attachment), file))
+
+    def answer(self, worker: str, assign: Assign) -> tuple[ResultHeader, bytes]:
+        """Return the result of an assignment: its header, and its file."""
+        file = self.file(assign.request)
+        sha256, rollout = hashlib.sha256(file).hexdigest(), assign.request.rollout
+        return ResultHeader(rollout=rollout, attempt=assign.attempt, worker=worker, outcome="done", sha256=sha256), file
 
     def _state(self, name: str, assign: Assign | None, progress: int) -> WorkerState:
         return WorkerState(
@@ -139,7 +142,7 @@ class Puppets:
             progress=progress,
         )
 
-    def _file(self, request: RolloutRequest) -> bytes:
+    def file(self, request: RolloutRequest) -> bytes:
         """Return a trajectory's file for `request`: little noise around 0, from the seed."""
         spec = self._spec
         names = tuple(column.name for column in spec.columns)

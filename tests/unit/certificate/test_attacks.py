@@ -1,0 +1,410 @@
+"""Attacks on the claims of a campaign: each is refuted by its certificate, or listed there as an assumption."""
+
+import json
+import math
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.text import print_certificate
+from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.report.wording import worded
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.rows import DATABASE
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.errors import SimulationError
+from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.rollout import RolloutRequest
+from tests.fakes.simulators import Function, Stop, noise, predicate, robustness, simulate, statuses
+
+KERNEL = {"nu": 2.5, "length_scale": 1.0}
+EXACT = {
+    "method": "rigorous",
+    "delta": 0.05,
+    "alpha": 0.05,
+    "rkhs_norm": 0.2,
+    "noise_scale": 0.0,
+    "prior_mean": -0.7,
+    "kernel": KERNEL,
+}
+"""Right for a function that is about .7 everywhere, and false by 1.2 for one with a hole down to -.71."""
+NOISY = EXACT | {"noise_scale": 0.1, "replicates": 2, "max_tests": 12}
+SD = 0.1
+LIST = {"scenarios": [[0.2, 0.2], [0.5, 0.8], [0.9, 0.4]]}
+SCENARIO = {"method": "scenario", "delta": 0.05, "alpha": 1e-6, "replicates": 8}
+CHECKS: dict[str, Any] = {"spot_check": 100, "spot_check_followups": 40}
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    monkeypatch.setattr(service, "TICK", 0.01)
+
+
+def exact(**changes: Any) -> CampaignConfig:
+    return robustness(EXACT, **(CHECKS | changes))
+
+
+def noisy(**changes: Any) -> CampaignConfig:
+    return robustness(NOISY, **({"clip": [0.0, 1.4]} | CHECKS | changes))
+
+
+def listed(**changes: Any) -> CampaignConfig:
+    return robustness(SCENARIO, **({"clip": [0.0, 1.4], "space": LIST, "max_tests": 20} | changes))
+
+
+def flat(request: RolloutRequest) -> float:
+    return 0.7
+
+
+def honest(request: RolloutRequest) -> float:
+    return 0.7 + SD * noise(request.seed)
+
+
+def sentence(text: str | None, name: str) -> str:
+    """Return the sentence of an assumption that every claim lists."""
+    found = predicate(text)
+    assert all(name in claim["assumptions"] for claim in found["claims"])
+    return str({each["id"]: each["detail"] for each in found["assumptions"]}[name])
+
+
+def refuted(text: str | None) -> list[str]:
+    """Return the refuted assumptions; the first claim lists each of them."""
+    found = predicate(text)
+    broken = [each["id"] for each in found["assumptions"] if each["status"] == "refuted"]
+    assert found["claims"][0]["refuted"] == broken
+    return broken
+
+
+def test_honest_simulators_are_not_refuted(tmp_path: Path) -> None:
+    assert refuted(simulate(tmp_path / "exact", exact(), flat, noisy=False)) == []
+    assert refuted(simulate(tmp_path / "noisy", noisy(), honest, noisy=True)) == []
+    assert refuted(simulate(tmp_path / "listed", listed(), honest, noisy=True)) == []
+
+
+# Failures that depend on hidden state
+
+
+def failing_once(function: Function, how: Callable[[], float]) -> Function:
+    """Let every fifth rollout fail in its first attempt; its second one is as if nothing had happened."""
+    tried: set[str] = set()
+
+    def found(request: RolloutRequest) -> float:
+        first = request.rollout not in tried
+        tried.add(request.rollout)
+        return how() if first and request.seed % 5 == 0 else function(request)
+
+    return found
+
+
+def _raise() -> float:
+    raise SimulationError("the solver did not converge")
+
+
+@pytest.mark.parametrize("how", [_raise, lambda: math.nan], ids=["raise", "nan"])
+@pytest.mark.parametrize("config", [noisy(), listed()], ids=["box", "list"])
+def test_a_failure_that_does_not_repeat_refutes_and_changes_no_number(
+    tmp_path: Path, config: CampaignConfig, how: Callable[[], float]
+) -> None:
+    calm = predicate(simulate(tmp_path / "calm", config, honest, noisy=True))
+    text = simulate(tmp_path / "run", config, failing_once(honest, how), noisy=True)
+    assert refuted(text) == ["reproducible_rollouts"]
+    assert sentence(text, "reproducible_rollouts").startswith("the system failed in a rollout that ran through when")
+    assert without(predicate(text), "reproducible_rollouts") == without(calm, "reproducible_rollouts")
+    assert verified(tmp_path / "run") == []
+
+
+def without(found: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a predicate without one assumption, and without the refuted ones of the claims."""
+    rows = [each for each in found["assumptions"] if each["id"] != name]
+    return found | {"assumptions": rows, "claims": [claim | {"refuted": []} for claim in found["claims"]]}
+
+
+def test_outcomes_that_a_hidden_state_selects_are_refuted(tmp_path: Path) -> None:
+    """Bad outcomes fail, and a retry draws another one: the mean of what is recorded is too high by .8 sd."""
+    hidden = np.random.default_rng(0)
+
+    def selecting(request: RolloutRequest) -> float:
+        value = 0.7 + SD * hidden.standard_normal()
+        if value < 0.7:
+            raise SimulationError("fell")
+        return float(value)
+
+    text = simulate(tmp_path / "run", listed(max_attempts=100, max_tests=40), selecting, noisy=True)
+    assert predicate(text)["claims"][0]["bound"] > 0.7, "the claim is false"
+    assert refuted(text) == ["reproducible_rollouts"]
+
+
+# Replicates that are copies, and results that do not repeat
+
+
+@pytest.mark.parametrize("config", [noisy(), listed()], ids=["box", "list"])
+def test_replicates_that_are_copies_are_refuted(tmp_path: Path, config: CampaignConfig) -> None:
+    def copied(request: RolloutRequest) -> float:
+        return 0.7 + SD * noise(request.test)
+
+    text = simulate(tmp_path / "run", config, copied, noisy=True)
+    assert "independent_rollouts/robustness" in refuted(text)
+    assert "copies of each other" in sentence(text, "independent_rollouts/robustness")
+
+
+def test_noise_that_rollouts_share_without_a_copy_is_listed(tmp_path: Path) -> None:
+    """One large error for the whole campaign, and a digit of each rollout's own: nothing shows that they depend."""
+
+    def shared(request: RolloutRequest) -> float:
+        return 0.7 + 3 * SD + 1e-9 * noise(request.seed)
+
+    text = simulate(tmp_path / "run", listed(), shared, noisy=True)
+    assert refuted(text) == []
+    assert statuses(text)["independent_rollouts/robustness"] == "assumed"
+    words = "that the simulator draws its noise from the seed alone is assumed"
+    assert words in sentence(text, "independent_rollouts/robustness")
+
+
+def test_results_that_do_not_repeat_are_refuted_by_the_recheck(tmp_path: Path) -> None:
+    calls = iter(range(10**6))
+    text = simulate(tmp_path / "run", exact(), lambda _: 0.7 + 1e-15 * next(calls), noisy=False)
+    found = predicate(text)
+    assert found["recheck"]["rollouts"] == 20
+    assert found["recheck"]["agreed"] < 20
+    assert refuted(text) == ["reproducible_rollouts"]
+    assert f"only {found['recheck']['agreed']} gave the same" in sentence(text, "reproducible_rollouts")
+
+
+def test_a_sign_of_zero_is_a_difference(tmp_path: Path) -> None:
+    again = {"recheck": -0.0}
+    text = simulate(tmp_path / "run", exact(), lambda request: again.get(request.problem, 0.0), noisy=False)
+    assert predicate(text)["recheck"]["agreed"] == 0
+
+
+# Several campaigns, and a simulator that drifts
+
+
+def test_the_best_of_several_campaigns_is_listed(tmp_path: Path) -> None:
+    text = simulate(tmp_path / "run", listed(), honest, noisy=True)
+    assert statuses(text)["only_campaign"] == "assumed"
+    assert "whoever picks the best of several certificates" in sentence(text, "only_campaign")
+
+
+def test_campaigns_with_one_seed_share_no_rollout(tmp_path: Path) -> None:
+    configs = listed(), listed(clip=[0.0, 1.5]), listed(max_tests=21), listed(seed=2)
+    seeds: list[int] = []
+
+    def listening(request: RolloutRequest) -> float:
+        seeds.append(request.seed)
+        return honest(request)
+
+    for number, config in enumerate(configs):
+        simulate(tmp_path / str(number), config, listening, noisy=True)
+    rechecked = 20 * len(configs)
+    assert len(set(seeds)) == len(seeds) - rechecked, "a recheck repeats a seed, and nothing else does"
+
+
+@pytest.mark.parametrize("drift", [3.0, -3.0])
+def test_a_simulator_that_drifts_is_refuted(tmp_path: Path, drift: float) -> None:
+    config = listed(max_tests=150)
+    calls = iter(range(10**6))
+
+    def drifting(request: RolloutRequest) -> float:
+        return honest(request) + drift * SD * min(next(calls) / 1200, 1.0)
+
+    text = simulate(tmp_path / "run", config, drifting, noisy=True, workers=1)
+    assert "one_law_per_start/robustness" in refuted(text)
+    assert "the simulator drifts" in sentence(text, "one_law_per_start/robustness")
+
+
+# Starts that the claim does not cover
+
+
+def test_a_claim_over_a_list_says_so(tmp_path: Path) -> None:
+    words = "the worst of the 3 listed starts"
+    for number, found in enumerate((listed(), robustness(EXACT, space=LIST))):
+        text = simulate(tmp_path / str(number), found, flat if number else honest, noisy=not number)
+        assert text is not None
+        certificate = Certificate.model_validate_json(text)
+        console = Console(record=True, width=200)
+        print_certificate(certificate, console)
+        assert words in next(line for line in console.export_text().splitlines() if line.startswith("CLAIM"))
+        assert words in worded(certificate.predicate)[0].sentence
+        assert certificate.predicate.claims[0].starts == 3
+        assert certificate.predicate.problems[0].objective.startswith("min over the 3 listed starts of ")
+        assert verified(tmp_path / str(number)) == []
+
+
+def test_an_edited_number_of_listed_starts_is_caught(tmp_path: Path) -> None:
+    simulate(tmp_path / "run", listed(), honest, noisy=True)
+    edit(tmp_path / "run", lambda found: found["claims"][0].pop("starts"))
+    assert verified(tmp_path / "run") == ["claims"]
+
+
+# Functions that are not smooth
+
+
+def hole(x: float, y: float) -> float:
+    """5 % of the box: a disc."""
+    return -0.71 if (x - 0.31) ** 2 + (y - 0.44) ** 2 < 0.05 / math.pi else 0.7
+
+
+def jump(x: float, y: float) -> float:
+    """5 % of the box, along an edge."""
+    return -0.71 if x > 0.93 and 0.1 < y < 0.82 else 0.7
+
+
+def unnoticed(folder: Path, function: Callable[[float, float], float]) -> tuple[Path, str]:
+    """Return the first campaign in which the method tests no start with the low value; in others it refutes B."""
+    for seed in range(1, 12):
+        directory = folder / str(seed)
+        config = exact(spot_check=299, seed=seed)
+        text = simulate(directory, config, lambda request: function(*request.x), noisy=False)
+        if text is not None and predicate(text)["problems"][0]["stopped_by"] == "converged":
+            return directory, text
+    raise AssertionError("the method noticed it with every seed")
+
+
+@pytest.mark.parametrize("function", [hole, jump])
+def test_a_hole_is_refuted_with_its_start(tmp_path: Path, function: Callable[[float, float], float]) -> None:
+    directory, text = unnoticed(tmp_path, function)
+    found = predicate(text)
+    (problem,), (spot,) = found["problems"], found["spot_check"]["problems"]
+    assert found["claims"][0]["bound"] > 0.6
+    assert problem["stopped_by"] == "converged"
+    assert refuted(text) == ["rkhs_norm/robustness"]
+    assert spot["violated_share"] > 0.05
+    assert found["spot_check"]["failures"] == spot["violations"] > 0
+    assert function(*spot["start"]) == -0.71
+    for coordinate in spot["start"]:
+        assert f"{coordinate:.6g}" in sentence(text, "rkhs_norm/robustness")
+    assert verified(directory) == []
+
+
+def noisy_hole(request: RolloutRequest) -> float:
+    return max(0.0, hole(*request.x)) + SD * abs(noise(request.seed))
+
+
+def test_a_hole_of_a_noisy_function_is_refuted(tmp_path: Path) -> None:
+    text = simulate(tmp_path / "run", noisy(), noisy_hole, noisy=True)
+    (spot,) = predicate(text)["spot_check"]["problems"]
+    assert spot["noisy"]
+    assert spot["wealth"] >= 20
+    assert "rkhs_norm/robustness" in refuted(text)
+
+
+# Verification, resumes and workers
+
+
+def verified(directory: Path) -> list[str]:
+    """Return the checks that fail."""
+    checks = verify_certificate(directory, key=None, again=0, report=lambda *_: None).checks
+    return [line.name for line in checks.lines() if line.status == "failed"]
+
+
+def edit(directory: Path, change: Callable[[Any], object]) -> None:
+    path = directory / files.CERTIFICATE
+    value = json.loads(path.read_text())
+    change(value["predicate"])
+    path.write_text(Certificate.model_validate_json(json.dumps(value)).to_json())
+
+
+def _of(found: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(each for each in found["assumptions"] if each["id"] == name)
+
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign that its spot check, its recheck and a failed attempt refute."""
+    directory = tmp_path_factory.mktemp("broken") / "run"
+    calls = iter(range(10**6))
+
+    def function(request: RolloutRequest) -> float:
+        return hole(*request.x) + 1e-15 * next(calls)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("os.fsync", lambda _: None)
+        patch.setattr(service, "TICK", 0.01)
+        simulate(directory, exact(), failing_once(function, _raise), noisy=False)
+    return directory
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda found: found["spot_check"]["problems"][0].update(status="not refuted"), "spot check"),
+        (lambda found: found["spot_check"]["problems"][0].update(violations=0), "spot check"),
+        (lambda found: found["spot_check"]["problems"][0].update(violated_share=0.01), "spot check"),
+        (lambda found: found["spot_check"]["problems"][0].update(start=None), "spot check"),
+        (lambda found: found["spot_check"]["problems"][0].update(limit=-0.8), "spot check"),
+        (lambda found: found["spot_check"].update(failures=0), "spot check"),
+        (lambda found: found["spot_check"].update(starts=1000), "spot check"),
+        (lambda found: found.pop("spot_check"), "spot check"),
+        (lambda found: found["recheck"].update(agreed=20), "recheck"),
+        (lambda found: found["recheck"].update(unseen_share=0.05), "recheck"),
+        (lambda found: found.pop("recheck"), "recheck"),
+        (lambda found: _of(found, "reproducible_rollouts").update(status="not refuted"), "audit"),
+        (lambda found: _of(found, "rkhs_norm/robustness").update(status="assumed"), "audit"),
+        (lambda found: found["assumptions"].remove(_of(found, "only_campaign")), "audit"),
+        (lambda found: found["claims"][0].update(refuted=[]), "claims"),
+    ],
+)
+def test_an_edited_finding_is_caught(broken: Path, tmp_path: Path, change: Callable[[Any], object], line: str) -> None:
+    directory = tmp_path / "run"
+    directory.symlink_to(broken)
+    text = (broken / files.CERTIFICATE).read_text()
+    assert set(refuted(text)) == {"rkhs_norm/robustness", "reproducible_rollouts"}
+    try:
+        edit(directory, change)
+        assert line in verified(directory)
+    finally:
+        (broken / files.CERTIFICATE).write_text(text)
+    assert verified(directory) == []
+
+
+def in_check(name: str, *tests: int) -> Iterator[Stop]:
+    """Yield rules that stop a campaign at these tests of a check, one after the other."""
+    for test in tests:
+        yield lambda request, test=test: request.problem == name and request.test >= test  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("config", "is_noisy", "function"),
+    [(exact(), False, lambda request: hole(*request.x)), (noisy(), True, noisy_hole)],
+    ids=["exact", "noisy"],
+)
+def test_stops_in_the_checks_change_nothing(
+    tmp_path: Path, config: CampaignConfig, function: Function, *, is_noisy: bool
+) -> None:
+    calm = simulate(tmp_path / "calm", config, function, noisy=is_noisy)
+    directory = tmp_path / "stopped"
+    # Tests from 100 on are follow-ups, which depend on the observations before them.
+    points = (0, 30, 99, 110) if is_noisy else (0, 30, 99)
+    stops = [*in_check("spot_check", *points), *in_check("recheck", 0, 7, 19)]
+    ends = [simulate(directory, config, function, noisy=is_noisy, stop=stop) for stop in stops]
+    assert ends.count(None) >= len(stops) - 1, "it stopped nearly every time"
+    assert simulate(directory, config, function, noisy=is_noisy) == calm
+    assert verified(directory) == []
+
+
+@pytest.mark.parametrize("workers", [2, 3])
+def test_a_recheck_is_simulated_by_another_worker(tmp_path: Path, workers: int) -> None:
+    directory = tmp_path / "run"
+    simulate(directory, exact(), flat, noisy=False, workers=workers)
+    query = "SELECT rollout, worker FROM outcomes WHERE outcome = 'recorded'"
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        worker = dict(connection.execute(query).fetchall())
+    journal = Journal.open(directory)
+    ledger = Ledger(directory, journal)
+    ledger.replay()
+    journal.close()
+    originals = {each: ledger.checks.original(each) for each in map(RolloutId.parse, worker)}
+    pairs = [(str(again), str(original)) for again, original in originals.items() if original]
+    assert len(pairs) == 20
+    assert all(worker[again] != worker[original] for again, original in pairs)
