@@ -25,6 +25,10 @@ class Proposal:
     beta: float | None
     F: float | None
 
+    def __post_init__(self) -> None:
+        """Drop the signs of zeros."""
+        _drop_signs_of_zeros(self, "mu", "sigma", "beta", "F")
+
 
 @dataclass(frozen=True, slots=True)
 class Observation:
@@ -37,6 +41,10 @@ class Observation:
     y: float
     each: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        """Drop the sign of a zero."""
+        _drop_signs_of_zeros(self, "y")
+
 
 @dataclass(frozen=True, slots=True)
 class Bound:
@@ -45,6 +53,10 @@ class Bound:
     upper: float | None
     lower: float | None
     verdict: Verdict | None
+
+    def __post_init__(self) -> None:
+        """Drop the signs of zeros."""
+        _drop_signs_of_zeros(self, "upper", "lower")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,3 +79,10 @@ class ProblemProgress:
     F: float | None
     bound: Bound | None
     stopped_by: StoppedBy | None
+
+
+def _drop_signs_of_zeros(value: object, *names: str) -> None:
+    # A column of SQLite keeps no -0.0: a hash chain over one would break when the campaign is read again.
+    for name in names:
+        if getattr(value, name) == 0.0:
+            object.__setattr__(value, name, 0.0)

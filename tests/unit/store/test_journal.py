@@ -58,6 +58,14 @@ def a_header() -> Header:
     return Header.new(a_config(), spec, software(spec))
 
 
+@pytest.mark.parametrize(
+    "value", [Proposal(0, (0.0,), -0.0, -0.0, -0.0, -0.0), Observation(-0.0, (0.0,)), Bound(-0.0, -0.0, None)]
+)
+def test_a_value_has_no_zero_that_a_column_changes(value: Proposal | Observation | Bound) -> None:
+    """SQLite keeps no -0.0, and the hash chain is computed from the values."""
+    assert "-0.0" not in repr(value)
+
+
 @pytest.fixture
 def journal(tmp_path: Path) -> Iterator[Journal]:
     opened = Journal.create(tmp_path, a_header())
