@@ -102,8 +102,7 @@ class Service:
         self._poisoned: events.Poison | None = None
         self._started = time.monotonic()
         self._next_tick = self._started
-        file = ledger.config
-        limits = dispatch.Limits(hung_after=file.hung_after, deadline=file.deadline, max_attempts=file.max_attempts)
+        limits = _limits(ledger.config)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
         self._state = dispatch.DispatchState(limits, hold)
@@ -280,3 +279,7 @@ def _failure_line(action: events.Fail) -> str:
     # The reason is text of a system under test.
     reason = one_line(failure.reason)
     return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"
+
+
+def _limits(file: CampaignConfig) -> dispatch.Limits:
+    return dispatch.Limits(hung_after=file.hung_after, deadline=file.deadline, max_attempts=file.max_attempts)

@@ -28,6 +28,12 @@ class Ended:
     err: str
 
     @property
+    def last_line(self) -> str:
+        """The last line on stderr."""
+        assert "Traceback" not in self.err, self.err
+        return self.err.splitlines()[-1]
+
+    @property
     def fault(self) -> str:
         """The one line on stderr of a run that could not start."""
         assert "Traceback" not in self.err, self.err

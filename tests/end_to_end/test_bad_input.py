@@ -428,9 +428,9 @@ def test_a_disk_that_is_full_in_mid_run(small_disk: Path, tmp_path: Path, calm: 
         ended = started.run("perfbound", "run", campaign, "--out", directory)
         assert ended.code == 1
         assert 1 <= recorded(directory) < ROLLOUTS, "in mid-run"
-        assert "No space left on device" in ended.fault or "database or disk is full" in ended.fault
-        assert f"fix this, then continue with: perfbound resume {directory}" in ended.fault
-        assert str(directory) in ended.fault
+        assert "No space left on device" in ended.last_line or "database or disk is full" in ended.last_line
+        assert f"fix this, then continue with: perfbound resume {directory}" in ended.last_line
+        assert str(directory) in ended.last_line
         files = {row[0] for row in query(directory, "SELECT path FROM rollouts")}
         assert files <= set(contents(directory)), "what the database has is there"
         assert not [name for name in contents(directory) if name.endswith(".partial")]

@@ -192,7 +192,7 @@ def test_a_system_that_raises_once_keeps_every_number_and_is_shown_as_irreproduc
     calm, plan = started.folder / "calm", started.folder / "plan"
     path = {"PYTHONPATH": str(plugins), "FAULTY_PLAN": str(plan)}
     assert started.run("perfbound", "run", campaign, "--out", calm, **path).code == 0
-    ((seed,),) = query(calm, "SELECT seed FROM rollouts WHERE test = 3")
+    ((seed,),) = query(calm, "SELECT seed FROM rollouts WHERE problem = 'maximum' AND test = 3")
     (plan / "taken").mkdir(parents=True)
     (plan / f"{seed}-0-raise").touch()
     ended = started.run("perfbound", "run", campaign, "--out", directory, **path)
