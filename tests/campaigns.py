@@ -33,3 +33,10 @@ def cheap(rollouts: int, window: int = 16) -> CampaignConfig:
     problem = {"max_tests": rollouts // REPLICATES, "window": window, "replicates": REPLICATES, "alpha": 1e-9}
     found["problems"][0] |= problem
     return CampaignConfig.model_validate_json(json.dumps(found))
+
+
+def with_few_checks(path: Path, name: str) -> Path:
+    """Write a shipped campaign file with short checks after its problems, and return its path."""
+    checks = "spot_check = 6\nspot_check_followups = 4\nrecheck = 3\n"
+    path.write_text(checks + (FOLDER / f"{name}.toml").read_text())
+    return path

@@ -26,7 +26,7 @@ def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path, me
         assert old in text
         text = text.replace(old, new)
     campaign = tmp_path / "c.toml"
-    campaign.write_text(text)
+    campaign.write_text(f"spot_check = 6\nspot_check_followups = 4\nrecheck = 3\n{text}")
     ended = started.run("perfbound", "run", campaign, "--out", "calm", "--workers", "3")
     assert ended.code == 0, ended.err
     assert "CLAIM  rho*" in ended.out

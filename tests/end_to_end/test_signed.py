@@ -8,7 +8,7 @@ import pytest
 
 from perfbound.orchestrator.certificate import keys, sign
 from perfbound.schemas.errors import SignatureError
-from tests.campaigns import FOLDER
+from tests.campaigns import FOLDER, with_few_checks
 from tests.end_to_end.processes import Processes, processes, recorded, wait_for, write_campaign
 
 
@@ -35,7 +35,7 @@ def signers(directory: Path, folder: Path) -> str:
 
 
 def test_a_run_signs_and_others_may_sign_after_it(here: Processes) -> None:
-    campaign, directory = FOLDER / "test-function.toml", here.folder / "run"
+    campaign, directory = with_few_checks(here.folder / "c.toml", "test-function"), here.folder / "run"
     ended = here.run("perfbound", "run", campaign, "--out", directory, "--sign", "a.key")
     assert ended.code == 0, ended.err
     assert f"signed       {directory / 'certificate.dsse.json'}" in ended.out

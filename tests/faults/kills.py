@@ -11,16 +11,20 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from tests.campaigns import FOLDER
+from tests.campaigns import with_few_checks
 from tests.end_to_end.processes import Processes, processes, recorded, wait_for
 
-CAMPAIGN = FOLDER / "test-function.toml"
+CAMPAIGN = "test-function"
+
+
+def _campaign(started: Processes) -> Path:
+    return with_few_checks(started.folder / "c.toml", CAMPAIGN)
 
 
 def calm(started: Processes) -> tuple[bytes, int]:
     """Return the certificate of a run without trouble, and its number of rollouts."""
     directory = started.folder / "calm"
-    ended = started.run("perfbound", "run", CAMPAIGN, "--out", directory)
+    ended = started.run("perfbound", "run", _campaign(started), "--out", directory)
     if ended.code:
         raise RuntimeError(ended.err)
     return (directory / "certificate.json").read_bytes(), recorded(directory)
@@ -30,7 +34,7 @@ def kill_and_resume(folder: Path, moment: int, wanted: bytes, rollouts: int) -> 
     """Kill once `moment` rollouts are recorded, resume, and compare; None if the campaign was quicker than the kill."""
     with processes(folder) as started:
         directory = folder / "run"
-        process = started.start("perfbound", "run", CAMPAIGN, "--out", directory)
+        process = started.start("perfbound", "run", _campaign(started), "--out", directory)
         wait_for(lambda: recorded(directory) >= moment)
         process.popen.kill()
         if process.wait().code != -signal.SIGKILL or (directory / "certificate.json").exists():
