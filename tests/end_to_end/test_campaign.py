@@ -237,7 +237,7 @@ def test_an_impatient_person_presses_ctrl_c_again_and_again(started: Processes, 
         process.signal_group(signal.SIGINT)
         time.sleep(0.005)
     ended = process.wait()
-    assert (ended.code, ended.err) == (130, RESUME)
+    assert (ended.code, ended.last_line) == (130, RESUME.strip())
     assert gone(directory)
 
 
@@ -277,7 +277,7 @@ def test_status_while_it_runs_when_stopped_and_at_the_end(started: Processes, di
     process.popen.terminate()
     process.popen.send_signal(signal.SIGCONT)
     stopped = process.wait()
-    assert (stopped.code, stopped.out, stopped.err) == (143, "", RESUME)
+    assert (stopped.code, stopped.out, stopped.last_line) == (143, "", RESUME.strip())
     assert "segway-paper  running, seed 1, run " in process_state.out
     assert " of 8" in process_state.out
     assert "worker local-" in process_state.out
