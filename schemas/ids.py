@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-CHECKS = ("spot_check", "recheck")
-"""Series of tests that follow those of the problems, in this order."""
+SPOT_CHECK, RECHECK = CLOSING = ("spot_check", "recheck")
+"""The closing checks: series of tests that follow those of the problems, in this order."""
 
 
 class RolloutId(NamedTuple):

@@ -18,7 +18,7 @@ from ...schemas.trajectory import Trajectory
 from ..store import files as evidence
 from . import state
 from .account import Account
-from .checks_after import ChecksAfter
+from .closing_checks import ClosingChecks
 from .decisions import Decider, Follow, ProblemDecisions, robustness
 from .methods import methods
 from .observation import Observer
@@ -50,7 +50,7 @@ class Ledger:
         self.methods = methods(self.plans)
         self.accounts = {name: Account(first_link(header, name), plan=plan) for name, plan in self.plans.items()}
         self.series: dict[str, Series] = dict(self.accounts)
-        """The accounts of the problems, then the checks that have begun."""
+        """The accounts of the problems, then the closing checks that have begun."""
         self.state = state.initial(
             tuple(state.Plan(name, each.window, each.budget, each.rollouts) for name, each in self.plans.items())
         )
@@ -61,7 +61,7 @@ class Ledger:
         }
         self._directory, self._store = directory, store
         self.recorded = Recorded(directory, store)
-        self.checks = ChecksAfter(header, self.accounts, self._observer, self.recorded)
+        self.closing = ClosingChecks(header, self.accounts, self._observer, self.recorded)
         self._files: FileStore = files or evidence.Batch()
         self._template = header.template
         self._restoration = Restoration(directory)
@@ -204,7 +204,7 @@ class Ledger:
 
     def _begin_check(self) -> tuple[state.Action, ...]:
         """Begin the next check of a campaign whose series have all stopped; without one it can be certified."""
-        found = self.checks.next(self.state, self.series)
+        found = self.closing.next(self.state, self.series)
         if found is None:
             return (state.Certify(),)
         check, series = found

@@ -6,7 +6,7 @@ from itertools import accumulate
 
 from ...schemas.base import digest
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
-from ...schemas.ids import RolloutId
+from ...schemas.ids import RECHECK, RolloutId
 from ...schemas.values import Bound, Observation, Proposal
 from . import state
 from .copies import same_trajectory
@@ -14,8 +14,6 @@ from .observation import Trajectories
 from .recorded import Recorded
 from .seeds import drawn, rollout_seed
 from .series import Series
-
-NAME = "recheck"
 
 
 class Recheck:
@@ -25,7 +23,7 @@ class Recheck:
     compared. `checked` are the series to draw from, with the rollouts of each of their tests.
     """
 
-    name = NAME
+    name = RECHECK
 
     def __init__(
         self,
@@ -37,7 +35,7 @@ class Recheck:
         sizes = [len(series.observations) * len(plan.rollouts) for series, plan in checked.values()]
         ends = list(accumulate(sizes))
         files = digest([series.files for series, _ in checked.values()])
-        numbers = drawn(header, NAME, files, sum(sizes), min(header.config.recheck, sum(sizes)))
+        numbers = drawn(header, RECHECK, files, sum(sizes), min(header.config.recheck, sum(sizes)))
         names, plans = list(checked), [plan for _, plan in checked.values()]
         self.rollouts: list[RolloutId] = []
         for number in numbers:
@@ -45,7 +43,7 @@ class Recheck:
             test, place = divmod(number - (ends[index] - sizes[index]), len(plans[index].rollouts))
             self.rollouts.append(RolloutId(names[index], test, *plans[index].rollouts[place]))
         variants = tuple(rollout.variant for rollout in self.rollouts)
-        self.plan = state.Plan(NAME, len(numbers), len(numbers), (), variants)
+        self.plan = state.Plan(RECHECK, len(numbers), len(numbers), (), variants)
 
     @classmethod
     def wanted(cls, header: Header) -> bool:
@@ -55,7 +53,7 @@ class Recheck:
     def proposal(self, series: Series, test: int) -> ProposalFact:  # noqa: ARG002  (the draw is fixed)
         """Return the start of the test's original."""
         return ProposalFact(
-            NAME, test, Proposal(test, self._recorded.start(self.rollouts[test]), None, None, None, None)
+            RECHECK, test, Proposal(test, self._recorded.start(self.rollouts[test]), None, None, None, None)
         )
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
@@ -63,11 +61,11 @@ class Recheck:
         (again,) = trajectories.values()
         agrees = float(same_trajectory(self._recorded.trajectory(self.rollouts[test]), again))
         found = Observation(agrees, (agrees,))
-        return ObservationFact(NAME, test, found, series.next_link(test, found))
+        return ObservationFact(RECHECK, test, found, series.next_link(test, found))
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:  # noqa: ARG002  (nothing is bounded)
         """Return the end of the series after its last test."""
-        return BoundFact(NAME, fact.test, Bound(None, None, None), budget=fact.test + 1 >= len(self.rollouts))
+        return BoundFact(RECHECK, fact.test, Bound(None, None, None), budget=fact.test + 1 >= len(self.rollouts))
 
     def seed(self, rollout: RolloutId) -> int:
         """Return the seed of the original."""

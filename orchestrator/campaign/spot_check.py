@@ -8,7 +8,7 @@ import numpy as np
 
 from ...schemas.campaign import RigorousProblem
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
-from ...schemas.ids import RolloutId
+from ...schemas.ids import SPOT_CHECK, RolloutId
 from ...schemas.problems import ProblemName
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
@@ -23,7 +23,6 @@ from .plan import ProblemPlan
 from .seeds import rollout_seed, uniform
 from .series import Series
 
-NAME = "spot_check"
 LEVEL = 0.05
 """Failure probability of each of its statements."""
 WINDOW = 64
@@ -52,7 +51,7 @@ class SpotCheck:
     `each` of an observation has J of every tested problem, in the order of the campaign file.
     """
 
-    name = NAME
+    name = SPOT_CHECK
 
     def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer) -> None:
         config, noisy = header.config, set(header.spec.noisy)
@@ -69,7 +68,7 @@ class SpotCheck:
         # Without follow-ups no start depends on an observation.
         self._budget = count + followups
         self.plan = state.Plan(
-            NAME, WINDOW if followups else count, self._budget, tuple((variant, 0) for variant in self._variants)
+            SPOT_CHECK, WINDOW if followups else count, self._budget, tuple((variant, 0) for variant in self._variants)
         )
 
     @classmethod
@@ -85,24 +84,24 @@ class SpotCheck:
         # The window is kept full: where every suspicious start has a test in flight, the first one gets one more.
         chosen = self._tests.propose(pending) or self._tests.propose()
         assert chosen is not None, "a spot check that is complete has ended"
-        return ProposalFact(NAME, test, chosen)
+        return ProposalFact(SPOT_CHECK, test, chosen)
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Return J of every tested problem; y is the first one."""
         single = {variant: trajectories[variant, 0] for variant in self._variants}
-        with naming(f"{NAME}, test {test}"):
+        with naming(f"{SPOT_CHECK}, test {test}"):
             values = tuple(self._value(plan, single) for plan in self._plans)
         found = Observation(values[0], values)
-        return ObservationFact(NAME, test, found, series.next_link(test, found))
+        return ObservationFact(SPOT_CHECK, test, found, series.next_link(test, found))
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Take an observation; the check ends with its budget, or when no start is suspicious."""
         assert series.last_proposal is not None
-        with naming(f"{NAME}, test {fact.test}"):
+        with naming(f"{SPOT_CHECK}, test {fact.test}"):
             self._tests.observe(series.last_proposal.node, fact.observation.each)
         spent = fact.test + 1 >= self._budget
         done = not spent and self._tests.propose() is None
-        return BoundFact(NAME, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
+        return BoundFact(SPOT_CHECK, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
 
     def seed(self, rollout: RolloutId) -> int:
         """Return the seed of a rollout."""
@@ -161,5 +160,5 @@ def _starts(header: Header, plans: list[ProblemPlan]) -> list[tuple[float, ...]]
     box = plans[0].candidates
     assert isinstance(box, Lattice)
     low, high = np.array(box.low), np.array(box.high)
-    shares = uniform(header, NAME, (header.config.spot_check, len(low)))
+    shares = uniform(header, SPOT_CHECK, (header.config.spot_check, len(low)))
     return [tuple(float(v) for v in row) for row in low + shares * (high - low)]

@@ -9,8 +9,8 @@ from ...schemas.base import digest
 from ...schemas.facts import Header
 from ..campaign.ledger import Ledger
 from .assumptions import assumptions
-from .checks import recheck, spot_check
 from .claims import Results, claims, of_listed_starts
+from .closing_checks import recheck, spot_check
 from .problem_results import result
 from .sensitivity import sensitivity, with_clip, without_rollouts
 

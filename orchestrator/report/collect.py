@@ -9,7 +9,7 @@ from pathlib import Path
 from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, ProposalFact, RolloutFact
-from ...schemas.ids import CHECKS, RolloutId
+from ...schemas.ids import CLOSING, RECHECK, RolloutId
 from ...schemas.space import Scenarios
 from ..campaign.plan import plans
 from ..certificate import files
@@ -43,7 +43,7 @@ class Collector:
         self._certificate: Certificate | None = None
         self._problems: dict[str, ProblemCollector] = {}
         self._checked: dict[tuple[str, int], tuple[float, ...]] = {}
-        """The start of each test of a check."""
+        """The start of each test of a closing check."""
         self._workers = WorkerStatistics()
         self._violations: list[RolloutFact] = []
         self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
@@ -97,12 +97,12 @@ class Collector:
     def _add(self, changes: Changes) -> None:
         try:
             for fact in changes.decisions:
-                if fact.problem not in CHECKS:
+                if fact.problem not in CLOSING:
                     self._problems[fact.problem].add(fact)
                 elif isinstance(fact, ProposalFact):
                     self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
-                if problem not in CHECKS:
+                if problem not in CLOSING:
                     self._problems[problem].rollouts += number
         except (KeyError, ValueError) as error:
             raise JournalError(
@@ -110,7 +110,7 @@ class Collector:
             ) from None
         self._workers.add(changes)
         # A recheck repeats rollouts that have been counted.
-        self._violations += (fact for fact in changes.violations if fact.rollout.problem != CHECKS[-1])
+        self._violations += (fact for fact in changes.violations if fact.rollout.problem != RECHECK)
         self._violations.sort(key=lambda fact: (fact.robustness, fact.rollout))
 
     def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
@@ -158,7 +158,7 @@ class Collector:
         )
 
     def _start(self, rollout: RolloutId) -> tuple[float, ...]:
-        if rollout.problem in CHECKS:
+        if rollout.problem in CLOSING:
             return self._checked[rollout.problem, rollout.test]
         return self._problems[rollout.problem].starts[rollout.test]
 

@@ -42,7 +42,7 @@ class Terminal:
             for problem, each in zip(config.problems, status.problems.values(), strict=True)
         ]
         self._live.update(
-            Group(progress_table(config, rows, status.checks), Text(worker_line(status, rate), style="dim"))
+            Group(progress_table(config, rows, status.closing), Text(worker_line(status, rate), style="dim"))
         )
 
 
@@ -70,7 +70,7 @@ class Plain:
                 self._problem(status.config, problem, progress)
             if ended:
                 self._ended.add(problem.name)
-        for name, progress in status.checks.items():
+        for name, progress in status.closing.items():
             ended = progress.stopped_by is not None
             if (ended and name not in self._ended) or (due and not ended):
                 self._check(name, progress)

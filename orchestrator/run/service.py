@@ -14,7 +14,7 @@ from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped, one_line
-from ...schemas.ids import CHECKS, Attempt, RolloutId
+from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
@@ -48,8 +48,8 @@ class RunStatus:
     config: CampaignConfig
     problems: Mapping[str, ProblemProgress]
     """By name, in the order of the campaign file."""
-    checks: Mapping[str, ProblemProgress]
-    """Those that have begun, by name."""
+    closing: Mapping[str, ProblemProgress]
+    """The closing checks that have begun, by name."""
     workers: Mapping[str, str]
     """Name and phase of every worker."""
     known: Mapping[str, WorkerRecord]
@@ -263,7 +263,7 @@ class Service:
         status = RunStatus(
             self._ledger.config,
             {name: account.progress for name, account in self._ledger.accounts.items()},
-            {name: each.progress for name, each in self._ledger.series.items() if name in CHECKS},
+            {name: each.progress for name, each in self._ledger.series.items() if name in CLOSING},
             {name: worker.phase for name, worker in self._state.workers.items()},
             self._roster.records,
             self._state.recorded,

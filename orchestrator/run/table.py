@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 
 from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.ids import RECHECK, SPOT_CHECK
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
 from ..campaign.clip import by_clip, floored
@@ -33,11 +34,11 @@ def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemP
 def progress_table(
     config: CampaignConfig,
     rows: Sequence[tuple[ProblemProgress, str]],
-    checks: Mapping[str, ProblemProgress] | None = None,
+    closing: Mapping[str, ProblemProgress] | None = None,
 ) -> Table:
     """Return one row per problem, in the order of the campaign file: its progress, and the text of column `left`.
 
-    The checks that have begun follow.
+    The closing checks that have begun follow.
     """
     found = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
@@ -53,8 +54,8 @@ def progress_table(
             f"ended: {progress.stopped_by}" if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",
         )
-    for name, progress in (checks or {}).items():
-        most = {"spot_check": config.spot_check + config.spot_check_followups, "recheck": config.recheck}[name]
+    for name, progress in (closing or {}).items():
+        most = {SPOT_CHECK: config.spot_check + config.spot_check_followups, RECHECK: config.recheck}[name]
         end = "ended" if progress.stopped_by else f"of at most {most} tests"
         found.add_row(name, str(progress.tests), "", "", "", str(progress.rollouts), end)
     return found

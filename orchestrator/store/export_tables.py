@@ -23,7 +23,7 @@ from sqlalchemy import Connection
 
 from ...schemas.campaign import CampaignConfig, Problem
 from ...schemas.facts import RECORDED, RESTORED, Header
-from ...schemas.ids import CHECKS
+from ...schemas.ids import CLOSING, RECHECK
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from . import tables
@@ -79,7 +79,7 @@ def export_table(name: str, header: Header, version: int) -> ExportTable:
             return _observations_table(header)
         case "counterexamples":
             # Not of the recheck: it repeats rollouts that are listed.
-            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0, _r.problem != CHECKS[-1]))
+            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0, _r.problem != RECHECK))
         case "failures":
             return _failures_table(version)
     raise KeyError(name)
@@ -218,9 +218,9 @@ def _observations_table(header: Header) -> ExportTable:
 
 
 def _objectives(header: Header) -> dict[str, tuple[str, str]]:
-    """Return sense and unit of every problem's objective; a check has neither."""
-    checks = dict.fromkeys(CHECKS, ("", ""))
-    return checks | {
+    """Return sense and unit of every problem's objective; a closing check has neither."""
+    closing = dict.fromkeys(CLOSING, ("", ""))
+    return closing | {
         problem.name: (OBJECTIVES[problem.name].sense, unit(problem, header.config, header.spec))
         for problem in header.config.problems
     }

@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Engine
 
 from ...schemas.errors import JournalError
 from ...schemas.facts import RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
-from ...schemas.ids import CHECKS, RolloutId
+from ...schemas.ids import CLOSING, RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .readonly import is_still, open_readonly
@@ -141,7 +141,7 @@ def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
     )
     rollout = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
     with reading(directory) as connection:
-        order = [problem.name for problem in read_header(connection, directory).config.problems] + list(CHECKS)
+        order = [problem.name for problem in read_header(connection, directory).config.problems] + list(CLOSING)
         rows = connection.execute(sa.select(*rollout, rollouts.sha256, rollouts.path).select_from(joined)).all()
     found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
     return sorted(found, key=lambda entry: (order.index(entry[0].problem), *entry[0][1:]))

@@ -404,7 +404,7 @@ def test_a_recheck_is_simulated_by_another_worker(tmp_path: Path, workers: int) 
     ledger = Ledger(directory, journal)
     ledger.replay()
     journal.close()
-    originals = {each: ledger.checks.original(each) for each in map(RolloutId.parse, worker)}
+    originals = {each: ledger.closing.original(each) for each in map(RolloutId.parse, worker)}
     pairs = [(str(again), str(original)) for again, original in originals.items() if original]
     assert len(pairs) == 20
     assert all(worker[again] != worker[original] for again, original in pairs)

@@ -1,4 +1,4 @@
-"""The checks after the problems of a campaign: the spot check, then the recheck, each if the campaign has it."""
+"""The closing checks of a campaign: the spot check, then the recheck, each if the campaign has it."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ from .series import Series
 from .spot_check import SpotCheck, SpotSeries
 
 
-class ChecksAfter:
+class ClosingChecks:
     """The checks that have begun; `spot_check` and `recheck` are None before."""
 
     def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer, recorded: Recorded) -> None:

@@ -15,7 +15,7 @@ DIGITS = 6
 
 def spot_check(ledger: Ledger) -> document.SpotCheck | None:
     """Return the result of the spot check; None for a campaign without one."""
-    check, series = ledger.checks.spot_check, ledger.series.get(SpotCheck.name)
+    check, series = ledger.closing.spot_check, ledger.series.get(SpotCheck.name)
     if check is None or not isinstance(series, SpotSeries):
         return None
     starts = len(check.starts)
@@ -48,11 +48,11 @@ def _problem(check: SpotCheck, name: ProblemName) -> document.SpotCheckedProblem
 
 def recheck(ledger: Ledger) -> document.Recheck | None:
     """Return the result of the recheck; None for a campaign without one."""
-    if ledger.checks.recheck is None:
+    if ledger.closing.recheck is None:
         return None
-    count = len(ledger.checks.recheck.rollouts)
+    count = len(ledger.closing.recheck.rollouts)
     return document.Recheck(
         rollouts=count,
-        agreed=sum(each == 1.0 for each in ledger.series[ledger.checks.recheck.name].observations),
+        agreed=sum(each == 1.0 for each in ledger.series[ledger.closing.recheck.name].observations),
         unseen_share=min(1.0, round_up(1.0 - UNSEEN ** (1.0 / count))) if count else 1.0,
     )
