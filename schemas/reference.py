@@ -52,7 +52,9 @@ ALLOWED = {
     (PaperProblem, "window"): "`1`",
     (PaperProblem, "max_tests"): "whole number >= 2 <= 1e+06",
     (PaperProblem, "noise_scale"): "number > 0",
-    (ScenarioProblem, "name"): "`true_risk`",
+    (ScenarioProblem, "name"): ", ".join(
+        f"`{name}`" for name, each in OBJECTIVES.items() if "scenario" in each.methods
+    ),
     (ScenarioProblem, "sense"): "`min`",
     (Scenarios, "scenarios"): "lists of numbers, or text",
 }
