@@ -5,7 +5,8 @@ from ...schemas.problems import OBJECTIVES, ProblemName
 from ..campaign.ledger import Ledger
 from ..campaign.spot_check import LEVEL, SpotCheck, SpotSeries
 from ..mathematics.bounds.rounding import round_up
-from ..mathematics.bounds.share import clopper_pearson_upper
+from ..mathematics.bounds.share import clopper_pearson_upper, unseen_share
+from ..mathematics.bounds.spot_check import SpotFinding
 
 UNSEEN = 0.05
 """Probability that the recheck misses the share of irreproducible rollouts which it names."""
@@ -26,12 +27,12 @@ def spot_check(ledger: Ledger) -> document.SpotCheck | None:
         level=LEVEL,
         failures=failures,
         failure_probability=None if failures is None else clopper_pearson_upper(failures, starts, LEVEL),
-        problems=tuple(_problem(check, name) for name in check.findings()),
+        problems=tuple(_problem(check, name, found) for name, found in check.findings().items()),
     )
 
 
-def _problem(check: SpotCheck, name: ProblemName) -> document.SpotCheckedProblem:
-    found, hypothesis = check.findings()[name], check.hypotheses[name]
+def _problem(check: SpotCheck, name: ProblemName, found: SpotFinding) -> document.SpotCheckedProblem:
+    hypothesis = check.hypotheses[name]
     return document.SpotCheckedProblem(
         name=name,
         status=found.status,
@@ -54,5 +55,5 @@ def recheck(ledger: Ledger) -> document.Recheck | None:
     return document.Recheck(
         rollouts=count,
         agreed=sum(each == 1.0 for each in ledger.series[ledger.closing.recheck.name].observations),
-        unseen_share=min(1.0, round_up(1.0 - UNSEEN ** (1.0 / count))) if count else 1.0,
+        unseen_share=min(1.0, round_up(unseen_share(count, UNSEEN))) if count else 1.0,
     )

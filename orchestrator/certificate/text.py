@@ -47,8 +47,6 @@ LISTED: dict[Quantity, str] = {
 VALID = "the bound is valid at every moment"
 BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
 """The reason, by method, why a problem that ended by its budget has a bound."""
-WEALTH = 20
-"""1 / level of the spot check."""
 VACUOUS = "It shows nothing: the clip alone proves it."
 VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
 """Names of the variations of the sensitivity."""
@@ -137,10 +135,10 @@ def _nothing(claim: CertificateClaim, value: float | None) -> bool:
 
 def _without_data(claim: CertificateClaim, alone: float) -> str:
     """Return a sentence about the share of the rollouts in a claim."""
-    source = "the clip" if is_vacuous(alone, claim.sense, claim.by_clip) else "B and the prior mean"
-    prove = "proves" if source == "the clip" else "prove"
+    by_clip = is_vacuous(alone, claim.sense, claim.by_clip)
+    premises = "the clip proves" if by_clip else "B and the prior mean prove"
     gain = claim.bound - alone if claim.sense == ">=" else alone - claim.bound
-    start = f"Without any rollout {source} {prove} {outward(alone, claim.sense)}"
+    start = f"Without any rollout {premises} {outward(alone, claim.sense)}"
     if gain > SAME:
         return f"{start}; the rollouts {'raise' if claim.sense == '>=' else 'lower'} it to {_bound(claim)}."
     if gain > -SAME:
@@ -216,15 +214,15 @@ def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
     confidence = outward(1 - spot.level, ">=")
     yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
     for each in spot.problems:
-        yield f"{each.name}: {_spot_finding(each)}."
+        yield f"{each.name}: {_spot_finding(each, 1 / spot.level)}."
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")
         violate = f"{spot.failures} of {spot.starts} rollouts violate the specification"
         yield f"{violate}; at a uniform start a rollout violates it with probability at most {share}."
 
 
-def _spot_finding(found: SpotCheckedProblem) -> str:
-    """Return the finding for one bound: of a deterministic value by its violations, of a noisy one by a test."""
+def _spot_finding(found: SpotCheckedProblem, refuting: float) -> str:
+    """Return the finding for one bound: of a deterministic value by its violations, of a noisy one by its evidence."""
     refuted = "REFUTED, " if found.status == "refuted" else "not refuted, "
     if found.status == "not testable":
         return "not tested, because nothing bounds its noise"
@@ -232,7 +230,9 @@ def _spot_finding(found: SpotCheckedProblem) -> str:
         share = outward(100 * found.violated_share, "<=")
         return f"{refuted}{found.violations} starts are beyond the bound, at most {share} % of the box"
     left = f", {found.undecided} suspicious starts are undecided" if found.undecided else ""
-    return f"{refuted}evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts, {WEALTH} would refute{left}"
+    return (
+        f"{refuted}evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts, {refuting:g} would refute{left}"
+    )
 
 
 def _recheck_sentences(recheck: Recheck | None) -> Iterator[str]:

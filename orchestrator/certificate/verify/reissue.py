@@ -7,6 +7,7 @@ from ....schemas.certificate import Assumption, Certificate
 from ....schemas.facts import Header
 from ..issue import issue, manifest
 from . import compare
+from .checks import plural
 from .compare import ROUND_OFF
 from .rerun import Rerun
 
@@ -24,6 +25,8 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
     _drop_later_keys(header, recomputed["problems"])
     problems, claims = len(recomputed["problems"]), len(recomputed["claims"])
     composition = recomputed["composition"]
+    starts = (recomputed["spot_check"] or {"starts": 0})["starts"]
+    repeated = (recomputed["recheck"] or {"rollouts": 0})["rollouts"]
     rule = "no composition" if composition is None else f"rule {composition['rule']}"
     for name, part, tolerance, detail in (
         # Parameters were fixed beforehand, so they are equal; only computed numbers have a tolerance.
@@ -36,13 +39,8 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         ),
         ("probabilities", _probabilities_of, ROUND_OFF, f"problems: {problems}, claims: {claims}"),
         ("composition", lambda side: side["composition"], ROUND_OFF, rule),
-        (
-            "spot check",
-            lambda side: side["spot_check"],
-            compare.SIX_DIGITS,
-            _checked(recomputed["spot_check"], "start"),
-        ),
-        ("recheck", lambda side: side["recheck"], ROUND_OFF, _checked(recomputed["recheck"], "rollout")),
+        ("spot check", lambda side: side["spot_check"], compare.SIX_DIGITS, plural(starts, "start")),
+        ("recheck", lambda side: side["recheck"], ROUND_OFF, plural(repeated, "rollout")),
         ("claims", lambda side: side["sensitivity"], ROUND_OFF, ""),
         ("claims", lambda side: _without_probabilities(side["claims"]), ROUND_OFF, f"claims: {claims}"),
     ):
@@ -50,11 +48,6 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         if fault or detail:
             yield name, fault, detail
     yield "audit", *_audit(reissued.predicate.assumptions, certificate.predicate.assumptions)
-
-
-def _checked(part: Mapping[str, Any] | None, noun: str) -> str:
-    count = 0 if part is None else part["starts" if noun == "start" else "rollouts"]
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _audit(recomputed: Sequence[Assumption], recorded: Sequence[Assumption]) -> tuple[str | None, str]:

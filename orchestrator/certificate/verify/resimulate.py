@@ -15,6 +15,7 @@ from ....schemas.base import canonical_json
 from ....schemas.ids import RolloutId
 from ....schemas.trajectory import Trajectory, read_mcap
 from ...fleet.child import ask
+from ...mathematics.bounds.share import unseen_share
 from ...store import files
 from .checks import CheckFailed
 from .manifest import Entry
@@ -85,8 +86,7 @@ def finding(again: tuple[Resimulation, ...], total: int) -> str:
     how = "bitwise the same" if same == count else f"{same} bitwise the same, the others within {TOLERANCE:g}"
     if count == total:
         return f"all {total} rollouts, {how}: workers_honest is checked"
-    # With a share p of false rollouts, `count` random ones miss them all with probability (1 - p)^count = .05.
-    percent = math.ceil(1000 * (1.0 - 0.05 ** (1.0 / count))) / 10
+    percent = math.ceil(1000 * unseen_share(count, 0.05)) / 10
     return (
         f"{count} of {total} rollouts, {how}: workers_honest is sampled; if more than {percent:g} % were false, "
         "this check would fail with probability at least .95"

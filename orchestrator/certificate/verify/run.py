@@ -20,7 +20,7 @@ from ...store.untrusted import UntrustedFacts, read_untrusted, read_untrusted_he
 from .. import files
 from ..issue import manifest, question, subject
 from . import compare
-from .checks import CheckFailed, Checks
+from .checks import CheckFailed, Checks, plural
 from .input import VerificationInput, parsed, signed_text
 from .manifest import Entry, check_files, parse_manifest, sha256_of
 from .reissue import compared, reissue
@@ -63,7 +63,7 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
         text, entries = _manifest(directory, certificate, checks)
     # Digests before contents: from here on every file is the one that the certificate names.
     check_files(directory, entries, lambda done: report("digests", done, len(entries)))
-    checks.passed("files", _plural(len(entries), "file"))
+    checks.passed("files", plural(len(entries), "file"))
     with checks.making("observations"):
         rerun = Rerun(directory, header, entries)
         rerun.play(lambda done: report("campaign", done, len(entries)))
@@ -117,7 +117,7 @@ def _manifest(directory: Path, certificate: Certificate, checks: Checks) -> tupl
         raise CheckFailed("manifest", f"its sha256 is {found[:16]}..., not the one in the certificate")
     text = data.decode()
     entries = parse_manifest(text)
-    checks.passed("manifest", f"{_plural(len(entries), 'file')}, sha256 {found[:16]}...")
+    checks.passed("manifest", f"{plural(len(entries), 'file')}, sha256 {found[:16]}...")
     return text, entries
 
 
@@ -126,13 +126,13 @@ def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks)
     accounts = rerun.ledger.series
     ends = ", ".join(f"{name}: {a.last_bound.stopped_by}" for name, a in accounts.items() if a.last_bound)
     count = sum(sum(account.counts.values()) for account in accounts.values())
-    checks.passed("requests", _plural(count, "rollout"))
-    checks.passed("trajectories", _plural(count, "file"))
+    checks.passed("requests", plural(count, "rollout"))
+    checks.passed("trajectories", plural(count, "file"))
     ties = f", {rerun.ties} of them one of several within 1e-9" if rerun.ties else ""
-    checks.passed("proposals", f"{_plural(tests, 'test')}{ties}")
-    checks.passed("observations", _plural(tests, "test"))
+    checks.passed("proposals", f"{plural(tests, 'test')}{ties}")
+    checks.passed("observations", plural(tests, "test"))
     checks.passed("stop", ends)
-    checks.judge("evidence", _complete(rerun, text, certificate), _plural(count, "rollout"))
+    checks.judge("evidence", _complete(rerun, text, certificate), plural(count, "rollout"))
 
 
 def _complete(rerun: Rerun, text: str, certificate: Certificate) -> str | None:
@@ -203,7 +203,3 @@ def _resimulation(
     # An impossible simulation fails the check: a forger could cause it.
     found = resimulate(directory, entries, count, lambda done: report("simulation", done, min(count, len(entries))))
     checks.passed("resimulation", finding(found, len(entries)))
-
-
-def _plural(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

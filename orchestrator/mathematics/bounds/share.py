@@ -65,6 +65,18 @@ def clopper_pearson_upper(failures: int, count: int, delta: float) -> float:
     return p
 
 
+def unseen_share(count: int, delta: float) -> float:
+    """Return the share of failures that `count` random trials without a failure miss with probability delta.
+
+    Formula: p with (1 - p)^n = delta, the bound of Clopper and Pearson for k = 0, not rounded.
+
+    >>> round(unseen_share(20, 0.05), 3)
+    0.139
+
+    """
+    return float(1.0 - delta ** (1.0 / count))
+
+
 def quantile_rank(count: int, share: float, delta: float) -> int | None:
     """Return the k for which the k-th smallest of `count` values is a lower bound of their quantile; None without one.
     Implements eq. (quantile) of [PB].
