@@ -21,7 +21,7 @@ def same_trajectory(a: Trajectory, b: Trajectory) -> bool:
 def copies(account: Account, noisy: Set[str], load: Callable[[RolloutId], Trajectory]) -> tuple[int, int]:
     """Return how many pairs of rollouts at one start were compared, and how many of them are copies.
 
-    `noisy` are the variants that depend on the seed, `load` reads the trajectory of an observed rollout.
+    `noisy` are the variants of the problem that depend on the seed, `load` reads the trajectory of an observed rollout.
     """
     compared = found = 0
     for one, other in _candidates(account, noisy):
@@ -35,12 +35,11 @@ def copies(account: Account, noisy: Set[str], load: Callable[[RolloutId], Trajec
 def _candidates(account: Account, noisy: Set[str]) -> Iterator[tuple[RolloutId, RolloutId]]:
     """Yield pairs of rollouts at one start with equal values, in the order of the tests."""
     # Copies have equal values, so the files of all other rollouts need not be read.
-    variants = sorted({variant for variant, _ in account.plan.rollouts} & noisy)
+    plan, variant = account.plan, max(noisy)
     seen: dict[tuple[int, float], RolloutId] = {}
     for test, (node, values) in enumerate(zip(account.nodes, account.each, strict=True)):
         for replicate, value in enumerate(values):
-            for variant in variants[-1:]:
-                rollout = RolloutId(account.plan.name, test, *account.plan.replicate(variant, replicate))
-                earlier = seen.setdefault((node, value), rollout)
-                if earlier != rollout:
-                    yield earlier, rollout
+            rollout = RolloutId(plan.name, test, *plan.replicate(variant, replicate))
+            earlier = seen.setdefault((node, value), rollout)
+            if earlier != rollout:
+                yield earlier, rollout

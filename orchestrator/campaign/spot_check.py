@@ -10,7 +10,6 @@ from ...schemas.campaign import RigorousProblem
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import SPOT_CHECK, RolloutId
 from ...schemas.problems import ProblemName
-from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.risk import linearised_range
 from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests
@@ -57,7 +56,7 @@ class SpotCheck:
         config, noisy = header.config, set(header.spec.noisy)
         self._header, self._observer = header, observer
         self._plans = [account.plan for account in accounts.values() if math.isfinite(_limit(account))]
-        used = {variant for plan in self._plans for variant, _ in plan.rollouts}
+        used = {variant for plan in self._plans for variant in plan.variants}
         self._variants: tuple[str, ...] = tuple(variant for variant in ("nominal", "true") if variant in used)
         hypotheses = [_hypothesis(plan, _limit(accounts[plan.name]), noisy) for plan in self._plans]
         self.hypotheses = {plan.name: each for plan, each in zip(self._plans, hypotheses, strict=True)}
@@ -88,9 +87,8 @@ class SpotCheck:
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Return J of every tested problem; y is the first one."""
-        single = {variant: trajectories[variant, 0] for variant in self._variants}
         with naming(f"{SPOT_CHECK}, test {test}"):
-            values = tuple(self._value(plan, single) for plan in self._plans)
+            values = tuple(self._value(plan, trajectories) for plan in self._plans)
         found = Observation(values[0], values)
         return ObservationFact(SPOT_CHECK, test, found, series.next_link(test, found))
 
@@ -111,13 +109,13 @@ class SpotCheck:
         """Return the finding of every tested problem, by name."""
         return {plan.name: self._tests.finding(k) for k, plan in enumerate(self._plans)}
 
-    def _value(self, plan: ProblemPlan, trajectories: Mapping[str, Trajectory]) -> float:
-        used = {(variant, 0): trajectories[variant] for variant in self._variants if variant in _variants(plan)}
+    def _value(self, plan: ProblemPlan, trajectories: Trajectories) -> float:
         # Algorithm 1 observes a sample risk, which one rollout has not: its mean is not below the risk that is claimed.
         if plan.objective.risk and plan.problem.method == "paper":
-            found = self._observer.robustness(trajectories["true"])
+            found = self._observer.robustness(trajectories["true", 0])
             assert found is not None, "a risk is one of the robustness"
             return -found
+        used: Trajectories = {(variant, 0): trajectories[variant, 0] for variant in plan.variants}
         value = self._observer.observe(replace(plan, replicates=1), used).y
         low, high = _range(plan)
         # The paper clips no gap; where the expectation of a gap is at most its bound, so is that of the clipped one.
@@ -128,17 +126,13 @@ def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:
     """Return what the spot check tests of a problem; without a range, with the noise scale that its bound rests on."""
     low, high = _range(plan)
     scale = plan.noise_per_rollout if low is None and 0.0 < plan.noise_per_rollout < math.inf else None
-    return Hypothesis(plan.name, limit, low, high, noisy=not noisy.isdisjoint(_variants(plan)), scale=scale)
+    return Hypothesis(plan.name, limit, low, high, noisy=not noisy.isdisjoint(plan.variants), scale=scale)
 
 
 def _limit(account: Account) -> float:
     """Return the bound on J that the spot check tests; infinite where the problem has none."""
     upper = account.last_bound.bound.upper if account.last_bound else None
     return math.inf if upper is None else upper
-
-
-def _variants(plan: ProblemPlan) -> set[str]:
-    return {variant for variant, _ in plan.rollouts}
 
 
 def _range(plan: ProblemPlan) -> tuple[float | None, float | None]:

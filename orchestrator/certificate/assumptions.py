@@ -85,15 +85,14 @@ def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | Non
 def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     """Yield what the bound of a noisy problem needs of its samples: independence, and one law per start."""
     name, plan = account.plan.name, account.plan
-    noisy = {variant for variant, _ in plan.rollouts} & set(ledger.header.spec.noisy)
+    noisy = set(plan.variants) & set(ledger.header.spec.noisy)
     if not noisy:
         return
     compared, copied = copies(account, noisy, ledger.recorded.trajectory)
     values = {"rollouts": sum(account.counts[variant] for variant in noisy), "compared": compared, "copies": copied}
     yield assumption(f"independent_rollouts/{name}", "refuted" if copied else "assumed", values)
     # A list of starts is fixed beforehand; on a box nobody knows how many candidates are tested twice.
-    listed = None if isinstance(plan.candidates, Lattice) else plan.candidates.size
-    order = AdaptiveOrderTest(starts=listed)
+    order = AdaptiveOrderTest(starts=plan.listed)
     for test, (node, each) in enumerate(zip(account.nodes, account.each, strict=True)):
         for value in each:
             order.observe(node, test, value)

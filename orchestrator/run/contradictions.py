@@ -22,7 +22,7 @@ class Contradictions:
         """Drop the line: another listener prints it."""
 
     def show(self, status: RunStatus) -> None:
-        """Examine the problems with new tests; all of them once more at the end of a problem."""
+        """Examine the problems with enough new tests, and each once more at its end."""
         for name, account in self._accounts.items():
             tests, ended = len(account.observations), status.problems[name].stopped_by is not None
             if tests == self._examined[name] or (tests < GROWTH * self._examined[name] and not ended):

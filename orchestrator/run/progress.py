@@ -65,20 +65,22 @@ class Plain:
         rate, now = self._rate.of(status), time.monotonic()
         due = now - self._last >= PLAIN_PERIOD
         for problem, progress in zip(status.config.problems, status.problems.values(), strict=True):
-            ended = progress.stopped_by is not None
-            if (ended and problem.name not in self._ended) or (due and not ended):
+            if self._has_news(problem.name, progress, due=due):
                 self._problem(status.config, problem, progress)
-            if ended:
-                self._ended.add(problem.name)
         for name, progress in status.closing.items():
-            ended = progress.stopped_by is not None
-            if (ended and name not in self._ended) or (due and not ended):
+            if self._has_news(name, progress, due=due):
                 self._check(name, progress)
-            if ended:
-                self._ended.add(name)
         if due:
             self._last = now
             self._workers(status, rate)
+
+    def _has_news(self, name: str, progress: ProblemProgress, *, due: bool) -> bool:
+        """Whether a series goes on and a line is due, or has ended since the last call."""
+        if progress.stopped_by is None:
+            return due
+        news = name not in self._ended
+        self._ended.add(name)
+        return news
 
     def _problem(self, config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> None:
         away, bound = remaining_distance(problem, progress), bound_in_sense(config, problem, progress)

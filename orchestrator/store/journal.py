@@ -4,7 +4,7 @@ import os
 import sqlite3
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -116,7 +116,7 @@ class Journal:
         A worker that was given up may still deliver its result, or report a failure. A result is written in any case,
         a failure of the infrastructure as the first outcome alone, a failure of the system as the first of its kind.
         """
-        if isinstance(outcome, Failure) and self._first(_failures_of(attempt, outcome, self._version)) is not None:
+        if isinstance(outcome, Failure) and self._read(_failures_of(attempt, outcome, self._version)):
             return
         row = {"worker": worker, "ended": time.time(), "cpu_seconds": cpu, "wall_seconds": wall}
         self._pending[tables.outcomes].append(attempt_key(attempt) | row | outcome_fields(outcome, self._version))
@@ -141,29 +141,29 @@ class Journal:
     def proposal(self, problem: str, test: int) -> ProposalFact:
         """Return the proposal of a test that has one; inside or outside a transaction."""
         columns = tables.tests.c
-        return proposal_fact(
-            self._first(sa.select(tables.tests).where(columns.problem == problem, columns.test == test))
-        )
+        (row,) = self._read(sa.select(tables.tests).where(columns.problem == problem, columns.test == test))
+        return proposal_fact(row)
 
     def rollout(self, rollout: RolloutId) -> RolloutFact:
         """Return a recorded rollout; inside or outside a transaction."""
         columns = tables.rollouts.c
         this = [columns[name] == value for name, value in rollout._asdict().items()]
-        return rollout_fact(self._first(sa.select(tables.rollouts).where(*this)))
+        (row,) = self._read(sa.select(tables.rollouts).where(*this))
+        return rollout_fact(row)
 
     def recorder(self, rollout: RolloutId) -> str | None:
         """Return the worker whose result was recorded; inside or outside a transaction."""
         columns = tables.outcomes.c
-        row = self._first(sa.select(columns.worker).where(columns.rollout == str(rollout), columns.outcome == RECORDED))
-        return None if row is None else str(row[0])
+        rows = self._read(sa.select(columns.worker).where(columns.rollout == str(rollout), columns.outcome == RECORDED))
+        return str(rows[0][0]) if rows else None
 
-    def _first(self, query: sa.Select[Any]) -> sa.Row[Any] | None:
-        """Return the first row of a query, which may be one of the open transaction."""
+    def _read(self, query: sa.Select[Any]) -> Sequence[sa.Row[Any]]:
+        """Return the rows of a query; rows of the open transaction are among them."""
         if not self._connection.in_transaction() and not self._pending:
             with self._connection.begin():
-                return self._connection.execute(query).first()
+                return self._connection.execute(query).all()
         self._flush()
-        return self._connection.execute(query).first()
+        return self._connection.execute(query).all()
 
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""

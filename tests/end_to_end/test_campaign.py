@@ -197,8 +197,8 @@ def test_a_system_that_raises_once_keeps_every_number_and_is_shown_as_irreproduc
     (plan / f"{seed}-0-raise").touch()
     ended = started.run("perfbound", "run", campaign, "--out", directory, **path)
     assert ended.code == 0, ended.err
-    story = "system failure: RuntimeError: the solver did not converge\\nat all"
-    assert len([line for line in ended.err.splitlines() if line.startswith("maximum.3.") and story in line]) == 1
+    failure = "system failure: RuntimeError: the solver did not converge\\nat all"
+    assert len([line for line in ended.err.splitlines() if line.startswith("maximum.3.") and failure in line]) == 1
     assert (directory / "manifest.sha256").read_bytes() == (calm / "manifest.sha256").read_bytes()
     certificates = [(each / "certificate.json").read_bytes() for each in (calm, directory)]
     assert without(certificates[0], REPRODUCIBLE) == without(certificates[1], REPRODUCIBLE)

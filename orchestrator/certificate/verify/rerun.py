@@ -27,6 +27,8 @@ class MemoryFactStore:
     def __init__(self, header: Header) -> None:
         self.header = header
         self.written: list[Fact] = []
+        self._rollouts: dict[RolloutId, RolloutFact] = {}
+        self._proposals: dict[tuple[str, int], ProposalFact] = {}
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -36,6 +38,10 @@ class MemoryFactStore:
     def add(self, fact: Fact) -> None:
         """Append a fact."""
         self.written.append(fact)
+        if isinstance(fact, RolloutFact):
+            self._rollouts[fact.rollout] = fact
+        elif isinstance(fact, ProposalFact):
+            self._proposals[fact.problem, fact.test] = fact
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts in their order."""
@@ -43,12 +49,11 @@ class MemoryFactStore:
 
     def rollout(self, rollout: RolloutId) -> RolloutFact:
         """Return a recorded rollout."""
-        return next(fact for fact in self.written if isinstance(fact, RolloutFact) and fact.rollout == rollout)
+        return self._rollouts[rollout]
 
     def proposal(self, problem: str, test: int) -> ProposalFact:
         """Return the proposal of a test that has one."""
-        key = problem, test
-        return next(f for f in self.written if isinstance(f, ProposalFact) and (f.problem, f.test) == key)
+        return self._proposals[problem, test]
 
 
 class NullFileStore:

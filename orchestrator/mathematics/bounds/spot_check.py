@@ -22,8 +22,8 @@ supermartingale that starts at 1, whatever rule chooses the starts from past rol
 enters, including the one that made a start suspicious. By Ville it reaches 1/delta with probability at most delta. W_j
 >= m/delta implies this, so a start is named at its own m/delta without another failure probability.
 
-Rollouts enter in test order. All arithmetic is +, -, *, / and sqrt of doubles in a fixed order: every CPU proposes the
-same tests.
+Rollouts enter in test order. All arithmetic is +, -, *, / and sqrt of doubles in a fixed order, so that every CPU
+proposes the same tests; with a scale R it is also exp, whose last digits decide nothing but when a start is named.
 """
 
 import math

@@ -526,8 +526,8 @@ class World:
         before = self.state
         self.state, actions = step(before, event)
         if isinstance(event, Delivered) and event.failure == RAISED:
-            told = Fail(event.worker, event.attempt, RAISED)
-            assert told in actions, "no failure of the system is acknowledged without a record"
+            recorded = Fail(event.worker, event.attempt, RAISED)
+            assert recorded in actions, "no failure of the system is acknowledged without a record"
         for action in actions:
             self._act(action, before, event)
 
