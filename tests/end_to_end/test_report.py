@@ -13,8 +13,8 @@ from tests.end_to_end.processes import Processes
 from tests.fakes.finished import a_list, finish, play
 
 
-def story(directory: Path) -> Any:
-    """Return the story in the page of a report."""
+def page_data(directory: Path) -> Any:
+    """Return the data in the page of a report."""
     found = re.search(r'id="story">(.*?)</script>', (directory / "report.html").read_text(), re.DOTALL)
     assert found
     return json.loads(found[1])
@@ -22,7 +22,7 @@ def story(directory: Path) -> Any:
 
 def test_a_run_ends_with_its_report(calm: Path, started: Processes) -> None:
     certificate = json.loads((calm / "certificate.json").read_text())["predicate"]
-    found = story(calm)
+    found = page_data(calm)
     assert found["state"] == "finished"
     assert [claim["assumptions"] for claim in found["claims"]] == [
         each["assumptions"] for each in certificate["claims"]
@@ -54,7 +54,7 @@ def test_true_rollouts_are_shown_beside_a_nominal_one(
     finish(play(tmp_path / "run", a_list()), tmp_path / "run")
     ended = started.run("perfbound", "report", tmp_path / "run")
     assert ended.code == 0, ended.err
-    for scene in story(tmp_path / "run")["scenes"]:
+    for scene in page_data(tmp_path / "run")["scenes"]:
         first, *others = scene["traces"]
         assert first["label"] == "nominal, simulated for this report"
         assert {trace["variant"] for trace in others} == {"true"}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.end_to_end.processes import Ended, Processes, processes, recorded, wait_for
-from tests.end_to_end.test_report import story
+from tests.end_to_end.test_report import page_data
 from tests.fakes import plain_function
 from tests.fakes.plain_function import CAMPAIGN, ROOT
 
@@ -64,7 +64,7 @@ def test_killed_and_resumed_it_verifies(started: Processes, folder: Path, path: 
 @pytest.mark.usefixtures("ended")
 def test_it_is_shown_exported_and_replayed(started: Processes, folder: Path, path: str) -> None:
     run = folder / "run"
-    found = story(run)
+    found = page_data(run)
     assert (found["clip"], found["risk_weight"], found["horizon"]) == (None, None, 0.0)
     assert found["now"].startswith("worst robustness over all starts \u2265 0.0")
     shown = started.run("perfbound", "report", run, PYTHONPATH=path)

@@ -295,8 +295,8 @@ def test_the_kind_of_a_failure_changes_no_retry() -> None:
 def test_poison_is_given_up_with_its_story() -> None:
     failures: list[Event] = [done(R[0], number, failure=BAD) for number in (1, 2, 3)]
     _, actions = after(*up(), want(R[0]), *failures)
-    story = tuple(f"attempt {number} on w: bad" for number in (1, 2, 3))
-    assert actions == [Fail("w", first(R[0], 3), BAD), Poison(R[0], story), Acknowledge("w", first(R[0], 3))]
+    reasons = tuple(f"attempt {number} on w: bad" for number in (1, 2, 3))
+    assert actions == [Fail("w", first(R[0], 3), BAD), Poison(R[0], reasons), Acknowledge("w", first(R[0], 3))]
     assert after(*up(), want(R[0]), *failures, done(R[0], 3, failure=BAD))[1] == [
         Fail("w", first(R[0], 3), BAD),
         Acknowledge("w", first(R[0], 3)),
@@ -554,11 +554,11 @@ class World:
                 self.recorded.append(attempt.rollout)
             case GiveUp(worker):
                 self._at(self.now, lambda: self._kill(self.processes[worker]))
-            case Poison(rollout, story):
+            case Poison(rollout, reasons):
                 assert rollout not in self.poison, "poison is reported once"
-                assert len(story) == self.limits.max_attempts
-                assert len(set(story)) == len(story), "no failure counts twice"
-                self.poison[rollout] = story
+                assert len(reasons) == self.limits.max_attempts
+                assert len(set(reasons)) == len(reasons), "no failure counts twice"
+                self.poison[rollout] = reasons
             case Fail():
                 pass
 

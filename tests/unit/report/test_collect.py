@@ -80,10 +80,10 @@ def test_incremental_refreshes_equal_a_fresh_one(tmp_path: Path, name: str) -> N
     collector, tests = Collector(tmp_path), list[int]()
 
     def look() -> bool:
-        story = collector.refresh()
-        assert story == collected(tmp_path)
-        json.loads(to_json(story))
-        tests.append(sum(len(problem.tests.test) for problem in story.problems))
+        report_data = collector.refresh()
+        assert report_data == collected(tmp_path)
+        json.loads(to_json(report_data))
+        tests.append(sum(len(problem.tests.test) for problem in report_data.problems))
         return False
 
     with campaign_lock(tmp_path):
@@ -91,21 +91,21 @@ def test_incremental_refreshes_equal_a_fresh_one(tmp_path: Path, name: str) -> N
         assert collector.refresh().state == "running"
     assert len(set(tests)) > 2, "some refreshes were in the middle"
     assert tests == sorted(tests)
-    story = collector.refresh()
-    assert (story.state, story.claims, story.composition) == ("stopped", (), None)
-    assert story.violations == len(story.counterexamples) > 0
+    report_data = collector.refresh()
+    assert (report_data.state, report_data.claims, report_data.composition) == ("stopped", (), None)
+    assert report_data.violations == len(report_data.counterexamples) > 0
     finish(stage, tmp_path)
-    story = collector.refresh()
-    assert story == collected(tmp_path)
-    assert story.state == "finished"
-    assert story.now == story.claims[0].sentence
+    report_data = collector.refresh()
+    assert report_data == collected(tmp_path)
+    assert report_data.state == "finished"
+    assert report_data.now == report_data.claims[0].sentence
 
 
 def test_a_refresh_changes_no_file_and_leaves_none(finished: Path) -> None:
     before = contents(finished)
     collector = Collector(finished)
-    story = collector.refresh()
-    for problem in story.problems:
+    report_data = collector.refresh()
+    for problem in report_data.problems:
         collector.rollouts_of_test(problem.name, 0)
     assert contents(finished) == before
 
@@ -166,8 +166,8 @@ def test_no_campaign_is_one_clear_error(tmp_path: Path) -> None:
 # Numbers
 
 
-def by_name(story: ReportData) -> dict[str, Problem]:
-    return {problem.name: problem for problem in story.problems}
+def by_name(report_data: ReportData) -> dict[str, Problem]:
+    return {problem.name: problem for problem in report_data.problems}
 
 
 def test_the_numbers_have_the_sign_of_their_objective(finished: Path) -> None:
@@ -249,10 +249,10 @@ def test_a_running_problem_of_the_paper_has_no_bound_yet(tmp_path: Path, no_disk
         return len(seen[-1].problems[0].tests.test) > 3
 
     stage = play(tmp_path, a_pair("paper"), look)
-    story = seen[-1]
-    assert story.problems[0].probability is None
-    assert "not yet a bound" in story.now
-    assert story.now.endswith("The composed claim follows when all problems have stopped.")
+    report_data = seen[-1]
+    assert report_data.problems[0].probability is None
+    assert "not yet a bound" in report_data.now
+    assert report_data.now.endswith("The composed claim follows when all problems have stopped.")
     stage.journal.close()
 
 
@@ -369,9 +369,9 @@ def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
 
 
 def test_a_scene_shows_the_worst_tests_nominal_against_true(finished: Path) -> None:
-    story = collected(finished)
-    for problem in story.problems:
-        shown = [scene for scene in story.scenes if scene.problem == problem.name]
+    report_data = collected(finished)
+    for problem in report_data.problems:
+        shown = [scene for scene in report_data.scenes if scene.problem == problem.name]
         y, x = numbers(problem.tests.y), problem.tests.x
         order = sorted(problem.tests.test, key=lambda test: (y[test] if problem.sense == "min" else -y[test], test))
         worst = [test for place, test in enumerate(order) if x[test] not in [x[each] for each in order[:place]]]
@@ -396,8 +396,8 @@ def test_a_damaged_or_missing_file_leaves_its_curve_out(one: Path) -> None:
     assert found.error is not None
     assert first.name in found.error
     second.unlink()
-    story = collected(one)
-    again = next(each for each in story.scenes if (each.problem, each.test) == ("sim_gap", scene.test))
+    report_data = collected(one)
+    again = next(each for each in report_data.scenes if (each.problem, each.test) == ("sim_gap", scene.test))
     assert again.traces == ()
     assert again.rollouts == scene.rollouts
     assert again.error is not None
@@ -432,11 +432,11 @@ def test_a_scene_of_no_test_is_refused(one: Path, test: int) -> None:
 
 
 def test_counterexamples_come_worst_first_with_what_reproduces_them(finished: Path) -> None:
-    story = collected(finished)
-    found = [rollout.robustness for rollout in story.counterexamples]
+    report_data = collected(finished)
+    found = [rollout.robustness for rollout in report_data.counterexamples]
     assert found == sorted(value for value in found if value is not None)
-    assert story.violations == len(found) > 0
-    for rollout in story.counterexamples:
+    assert report_data.violations == len(found) > 0
+    for rollout in report_data.counterexamples:
         assert rollout.robustness is not None
         assert rollout.robustness < 0
         assert rollout.command == f"perfbound replay {finished} {rollout.id}"
@@ -447,9 +447,9 @@ def test_a_directory_with_a_blank_is_quoted(tmp_path: Path, no_disk: None) -> No
     directory = tmp_path / "a b;rm"
     directory.mkdir()
     finish(play(directory, a_list()), directory)
-    story = collected(directory)
-    assert story.counterexamples[0].command.startswith(f"perfbound replay '{directory}' true_risk.")
-    assert story.resume == f"perfbound resume '{directory}'"
+    report_data = collected(directory)
+    assert report_data.counterexamples[0].command.startswith(f"perfbound replay '{directory}' true_risk.")
+    assert report_data.resume == f"perfbound resume '{directory}'"
 
 
 # Untrusted text
@@ -459,8 +459,8 @@ def test_hostile_names_are_text(one: Path) -> None:
     attempt = {"rollout": "sim_gap.0.true.0", "attempt": 7, "worker": HOSTILE}
     insert(one, "attempts", **attempt, host=HOSTILE, pid=1, session=1, started=0.0)
     insert(one, "outcomes", **attempt, ended=1.0, outcome="lost", cpu_seconds=0.5, wall_seconds=1.5)
-    story = Collector(one).refresh({HOSTILE: LiveState(HOSTILE, HOSTILE, 1.0)})
-    text = to_json(story)
+    report_data = Collector(one).refresh({HOSTILE: LiveState(HOSTILE, HOSTILE, 1.0)})
+    text = to_json(report_data)
     assert "<" not in text
     assert "\u2028" not in text
     (worker,) = (each for each in json.loads(text)["workers"] if each["name"] == HOSTILE)
@@ -478,11 +478,11 @@ def test_a_path_that_leaves_the_run_directory_is_no_link_and_is_not_read(one: Pa
 
 
 def test_a_number_that_is_not_finite_is_refused(one: Path) -> None:
-    story = collected(one)
+    report_data = collected(one)
     with pytest.raises(ValueError, match="not JSON compliant"):
-        to_json(replace(story, risk_weight=math.nan))
+        to_json(replace(report_data, risk_weight=math.nan))
     with pytest.raises(ValueError, match="not JSON compliant"):
-        to_json(replace(story, clip=(0.0, math.inf)))
+        to_json(replace(report_data, clip=(0.0, math.inf)))
 
 
 def test_json_keeps_unix_times_to_the_millisecond(one: Path) -> None:
@@ -496,13 +496,13 @@ def test_json_keeps_unix_times_to_the_millisecond(one: Path) -> None:
 
 
 def test_work_adds_up(finished: Path) -> None:
-    story = collected(finished)
-    assert sum(worker.rollouts for worker in story.workers) == story.rollouts
-    assert {worker.state for worker in story.workers} == {"unknown"}
-    assert {worker.host for worker in story.workers} == {"memory"}
-    assert story.throughput.recorded[-1] == story.rollouts
-    assert list(story.throughput.seconds) == sorted(story.throughput.seconds)
-    assert story.throughput.sessions == 1
+    report_data = collected(finished)
+    assert sum(worker.rollouts for worker in report_data.workers) == report_data.rollouts
+    assert {worker.state for worker in report_data.workers} == {"unknown"}
+    assert {worker.host for worker in report_data.workers} == {"memory"}
+    assert report_data.throughput.recorded[-1] == report_data.rollouts
+    assert list(report_data.throughput.seconds) == sorted(report_data.throughput.seconds)
+    assert report_data.throughput.sessions == 1
 
 
 def test_the_latest_failed_attempts_come_with_their_kind(one: Path) -> None:
@@ -510,22 +510,22 @@ def test_the_latest_failed_attempts_come_with_their_kind(one: Path) -> None:
         row = {"rollout": "sim_gap.0.true.0", "attempt": number + 2, "worker": "w", "cpu_seconds": 0, "wall_seconds": 0}
         kind = "system" if number % 2 else "infrastructure"
         insert(one, "outcomes", **row, ended=float(number), outcome="x" * 4000, kind=kind)
-    story = collected(one)
-    assert (story.throughput.failures, story.throughput.system_failures) == (59, 29)
-    assert [each.ended for each in story.failed_attempts] == [float(number) for number in range(58, 8, -1)]
-    assert [each.kind for each in story.failed_attempts[:2]] == ["infrastructure", "system"]
-    assert {len(each.reason) for each in story.failed_attempts} == {500}
+    report_data = collected(one)
+    assert (report_data.throughput.failures, report_data.throughput.system_failures) == (59, 29)
+    assert [each.ended for each in report_data.failed_attempts] == [float(number) for number in range(58, 8, -1)]
+    assert [each.kind for each in report_data.failed_attempts[:2]] == ["infrastructure", "system"]
+    assert {len(each.reason) for each in report_data.failed_attempts} == {500}
 
 
 def test_the_live_state_of_workers_is_added(finished: Path) -> None:
-    story = Collector(finished).refresh(
+    report_data = Collector(finished).refresh(
         {"puppet-00001": LiveState("busy", "sim_gap.3.true.0", 5.0), "new": LiveState("idle")}, 7.0
     )
-    states = {worker.name: (worker.state, worker.rollout, worker.heartbeat) for worker in story.workers}
+    states = {worker.name: (worker.state, worker.rollout, worker.heartbeat) for worker in report_data.workers}
     assert states["puppet-00001"] == ("busy", "sim_gap.3.true.0", 5.0)
     assert states["puppet-00000"] == ("unknown", None, None)
     assert states["new"] == ("idle", None, None)
-    assert story.updated == 7.0
+    assert report_data.updated == 7.0
 
 
 def test_a_long_campaign_has_few_points(one: Path) -> None:
@@ -543,8 +543,8 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
 
 def test_listed_starts_have_points_and_no_shape(tmp_path: Path, no_disk: None) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
-    story = collected(tmp_path)
-    surface = story.problems[0].surface
+    report_data = collected(tmp_path)
+    surface = report_data.problems[0].surface
     assert isinstance(surface, Surface)
     assert (surface.shape, surface.points[3], set(surface.upper)) == (None, (4.5, 2.0), {None})
-    assert [(axis.low, axis.high) for axis in story.axes] == [(0.0, 4.5), (0.0, 3.0)]
+    assert [(axis.low, axis.high) for axis in report_data.axes] == [(0.0, 4.5), (0.0, 3.0)]

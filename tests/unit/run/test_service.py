@@ -440,7 +440,7 @@ def raising(error: BaseException) -> Callable[[], bytes]:
 
 
 @pytest.mark.parametrize(
-    ("fault", "story"),
+    ("fault", "expected"),
     [
         (raising(RuntimeError("boom")), "RuntimeError: boom"),
         (raising(SimulationError("the Segway fell")), "the Segway fell"),
@@ -450,7 +450,7 @@ def raising(error: BaseException) -> Callable[[], bytes]:
     ],
 )
 def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
-    tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch, fault: Callable[[], bytes], story: str
+    tmp_path: Path, calm: Calm, monkeypatch: pytest.MonkeyPatch, fault: Callable[[], bytes], expected: str
 ) -> None:
     directory, config = tmp_path / "run", SMALL
     begin(directory, config)
@@ -459,10 +459,10 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
         with pytest.raises(PerfboundError) as end:
             serve(directory, network, Log())
         assert f"failed {ATTEMPTS} times" in str(end.value)
-        assert str(end.value).count(story) == ATTEMPTS
+        assert str(end.value).count(expected) == ATTEMPTS
         assert "then resume" in str(end.value)
         assert not (directory / files.CERTIFICATE).exists()
-        assert [kind for outcome, kind in kinds(directory) if story in outcome] == ["system"] * ATTEMPTS
+        assert [kind for outcome, kind in kinds(directory) if expected in outcome] == ["system"] * ATTEMPTS
         assert outcomes(directory).count("recorded") == 0
         assert read.irreproducible(directory) == 0, "a rollout without a result was not selected"
         monkeypatch.setattr(module, "run_request_on", run_request_on)
@@ -473,7 +473,7 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
 
 
 @pytest.mark.parametrize(
-    ("fault", "story"),
+    ("fault", "expected"),
     [
         (raising(RuntimeError("recorded")), "RuntimeError: recorded"),
         (raising(SimulationError("recorded")), "failed: recorded"),
@@ -481,7 +481,7 @@ def test_a_system_that_always_fails_ends_the_campaign_with_its_story(
     ],
 )
 def test_a_system_that_fails_once_is_irreproducible(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Callable[[], bytes], story: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Callable[[], bytes], expected: str
 ) -> None:
     directory, log, failed = tmp_path / "run", Log(), list[str]()
 
@@ -494,7 +494,7 @@ def test_a_system_that_fails_once_is_irreproducible(
     monkeypatch.setattr(module, "run_request_on", once)
     campaign(directory, SMALL, workers=2, log=log)
     check_evidence(directory, 8)
-    assert [row for row in kinds(directory) if row[1] == "system"] == [(story, "system")]
+    assert [row for row in kinds(directory) if row[1] == "system"] == [(expected, "system")]
     assert outcomes(directory).count("recorded") == 8
     assert read.irreproducible(directory) == 1
     said = [line for line in log.lines if line.startswith(failed[0]) and "system failure: " in line]

@@ -213,7 +213,7 @@ def end(journal: Journal, *outcomes: tuple[RolloutId, int, str | Failure]) -> No
 
 def test_a_failure_of_the_system_is_written_after_one_of_the_infrastructure(journal: Journal, tmp_path: Path) -> None:
     """The worker was given up, and reports later that the system had failed: a retry chooses among outcomes."""
-    other = Failure("system", "another story")
+    other = Failure("system", "another reason")
     end(journal, (R0, 1, LOST), (R0, 1, RAISED), (R0, 1, RAISED), (R0, 1, other), (R0, 1, LOST), (R0, 2, "recorded"))
     assert ended(tmp_path) == [
         ("worker lost for 3 s", "infrastructure"),
