@@ -45,10 +45,12 @@ def run(functions: int, workers: int) -> list[Found]:
 def tables(found: list[Found]) -> str:
     """Return the tables of the page."""
     functions = len(found) // (len(FACTORS) * len(OBSERVED))
-    lines = [f"{functions} functions, {len(found)} campaigns.", ""]
+    digest = code("spot_checks")
+    lines = [f"{functions} functions, {len(found)} campaigns; the code under study had the digest `{digest}`.", ""]
     head = ["B too small by", "campaigns", "claim false", "refuted by the method"]
     for low, high in BINS:
-        name = f"h >= {low:.0%}" if high == 1.0 else f"{low:.0%} <= h < {high:.0%}"
+        least, most = round(100 * low), round(100 * high)
+        name = f"h >= {least} %" if high == 1.0 else f"{least} to {most} %" if low else f"h < {most} %"
         head += [f"{name}: false", "silent without", "silent with"]
     for kind in OBSERVED:
         lines += [f"**{WORDS[kind.name]}**", "", _row(head), _row(["---"] * len(head))]
@@ -99,21 +101,25 @@ def _of_family(found: list[Found], family: str, kind: str) -> str:
 
 
 def _deficits(found: list[Found]) -> Iterator[str]:
-    small = [each for each in found if each.judged and each.share < 0.01 and is_silent(each)]
     less = [each for each in found if each.any_share > 0 and not each.judged and is_silent(each)]
     false = [each for each in found if each.any_share > 0 and not each.judged and not each.refuted]
-    if small:
-        median, most, largest = np.quantile([each.deficit for each in small], (0.5, 0.9, 1.0))
-        yield f"Silent with h < 1 %: deficit {median:.3f} in the median, {most:.3f} at 90 %, at most {largest:.3f}."
+    for kind, noisy in (("without noise", False), ("with noise", True)):
+        rows = [each for each in found if (each.observed != "exact") == noisy and is_silent(each)]
+        sizes = [each.deficit for each in rows if each.judged and each.share < BINS[-1][1]]
+        if sizes:
+            yield (
+                f"- Silent with h < 1 %, {kind}: {len(sizes)} claims; deficit {np.median(sizes):.3f} in the median, at "
+                f"most {max(sizes):.3f}."
+            )
     if less:
-        sizes = np.quantile([each.deficit / each.sd for each in less], (0.5, 0.9, 1.0))
+        median, most = np.quantile([each.deficit / each.sd for each in less], (0.5, 0.9))
         yield (
-            f"Deficits below one sd of a rollout: {len(less)} of {len(false)} claims stay silent; their deficit is "
-            f"{sizes[0]:.2f} sd in the median, {sizes[1]:.2f} at 90 %."
+            f"- Deficits below one sd of a rollout: {len(less)} of {len(false)} claims stay silent; their deficit is "
+            f"{median:.2f} sd in the median, {most:.2f} at 90 %."
         )
     honest = [each for each in found if each.any_share == 0 and each.contradicted is not None]
     alarms = sum(bool(each.contradicted) for each in honest)
-    yield f"False alarms of the spot check: {alarms} in {len(honest)} campaigns whose claim is true (level 5 %)."
+    yield f"- False alarms of the spot check: {alarms} in {len(honest)} campaigns whose claim is true (level 5 %)."
 
 
 def main() -> int:

@@ -80,10 +80,13 @@ class TestSpotCheck:
     def test_a_wrong_factor_is_caught(self) -> None:
         assert not is_at_most_one(spot_checks(20_000, 1, 5, 0.5, 4, factor=1.02).mean_wealth())
 
+    def test_followups_that_are_left_out_for_their_value_are_caught(self) -> None:
+        assert not is_at_most_one(spot_checks(20_000, 5, 10, 0.5, 4, late=True).mean_wealth())
+
     def test_a_start_named_without_the_number_of_starts_is_caught(self) -> None:
-        """Twenty starts, each of which may be named at 1/delta instead of m/delta."""
+        """Twenty starts, each of which may be named at 1/delta instead of 2m/delta."""
         checks = spot_checks(2_000, 20, 60, 0.5, 5)
-        assert np.count_nonzero(checks.own_peak.max(axis=1) >= 20 / DELTA) <= allowed(2_000, DELTA)
+        assert np.count_nonzero(checks.own_peak.max(axis=1) >= 2 * 20 / DELTA) <= allowed(2_000, DELTA)
         assert np.count_nonzero(checks.own_peak.max(axis=1) >= 1 / DELTA) > allowed(2_000, DELTA)
 
 

@@ -27,6 +27,7 @@ class SpotChecks:
         self.between = np.full(runs, ((high - low) / 4) ** 2)
         self.least = 1e-6 * (high - low)
         self.wealth = np.full((len(DEFICITS), runs, size), 1 / len(DEFICITS))
+        self.joint = np.full((len(DEFICITS), runs), 1 / len(DEFICITS))
         self.own_peak, self.peak = np.ones((runs, size)), np.ones(runs)
 
     def sd(self) -> Floats:
@@ -41,23 +42,30 @@ class SpotChecks:
         sd, root = self.sd(), np.sqrt(self.count)
         score = np.where(self.mean + SUSPICIOUS * sd / root > 0, self.mean / sd + EXPLORE / root, -np.inf)
         node = score.argmax(axis=1)
-        named = self.own_peak.max(axis=1) >= self.size * (1 + ROUND_OFF) / delta
+        named = self.own_peak.max(axis=1) >= 2 * self.size * (1 + ROUND_OFF) / delta
         return node, (score[np.arange(self.runs), node] > -np.inf) & ~named
 
-    def add(self, node: NDArray[np.int64], excess: Floats, active: Marks, *, factor: float = 1.0) -> None:
-        """Add one rollout of every active run; a `factor` other than 1 is a mistake in the bets."""
+    def add(
+        self, node: NDArray[np.int64], excess: Floats, active: Marks, *, factor: float = 1.0, late: bool = False
+    ) -> None:
+        """Add one rollout of every active run; a `factor` other than 1 is a mistake in the bets, and so is `late`.
+
+        `late`: the product over all starts takes a rollout or leaves it when its value is known.
+        """
         at = np.arange(self.runs)[active], node[active]
         e, largest = excess[active], CAP / max(-self.low + OUTSIDE, OUTSIDE)
         sd = self.sd()[at]
+        joins = e > 0 if late else (self.count[at] > 0) & (self.mean[at] > 0)
         for s, deficit in enumerate(DEFICITS):
             bet = np.minimum(deficit / (sd * (1 + deficit * deficit)), largest)
             self.wealth[s][at] *= (1 + bet * e) * factor
+            self.joint[s][active] *= np.where(joins, (1 + bet * e) * factor, 1.0)
         self.own_peak[at] = np.maximum(self.own_peak[at], self.wealth.sum(axis=0)[at])
         self.peak = np.maximum(self.peak, self.mean_wealth())
         self._take(at, e, active)
 
     def mean_wealth(self) -> Floats:
-        return np.asarray(self.wealth.sum(axis=(0, 2)) / self.size)
+        return np.asarray((self.wealth.sum(axis=(0, 2)) / self.size + self.joint.sum(axis=0)) / 2)
 
     def _take(self, at: tuple[NDArray[np.int64], NDArray[np.int64]], e: Floats, active: Marks) -> None:
         new = self.count[at] == 0

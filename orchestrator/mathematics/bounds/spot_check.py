@@ -8,7 +8,9 @@
 | e        | `excess`      | J - u; its mean is at most 0 under the claim                    | ()     | unit J    |
 | R        | `scale`       | sub-Gaussian scale of one rollout, where no range is given      | ()     | unit J    |
 | lambda_s |               | bet of strategy s on the next e of a start, from the past alone | (S,)   | 1/unit J  |
-| W_j      | `wealth`      | wealth of start j, mean over s of prod (1 + lambda_s e)         | (m,)   | -         |
+| W_j      | `own`         | wealth of start j, mean over s of prod (1 + lambda_s e)         | (m,)   | -         |
+| V        | `joint`       | the same product over the follow-ups at all starts              | ()     | -         |
+| W        | `wealth`      | (mean of W_j + V)/2                                             | ()     | -         |
 | delta    | `delta`       | failure probability, for each hypothesis its own                | ()     | -         |
 | k        | `violations`  | starts whose first rollout has J > u                            | ()     | -         |
 
@@ -19,8 +21,10 @@ A deterministic J shows at each start whether the claim is true there: one viola
 violated share of D (Clopper-Pearson). For a noisy J, 0 <= lambda <= CAP/(u - low) is a function of the rollouts before
 this one, so every factor is positive with a mean of at most 1 under the claim. Hence (1/m) sum_j W_j is a positive
 supermartingale that starts at 1, whatever rule chooses the starts from past rollouts, provided that *every* rollout
-enters, including the one that made a start suspicious. By Ville it reaches 1/delta with probability at most delta. W_j
->= m/delta implies this, so a start is named at its own m/delta without another failure probability.
+enters, including the one that made a start suspicious. So is V: a follow-up is a fresh rollout, whose mean given the
+past is at most u wherever it is made, and V bets on no other. W_j needs many rollouts at one bad start, V some at each
+of many that are little worse than u. By Ville W reaches 1/delta with probability at most delta. W_j >= 2m/delta implies
+this, so a start is named at its own 2m/delta without another failure probability.
 
 Rollouts enter in test order. All arithmetic is +, -, *, / and sqrt of doubles in a fixed order, so that every CPU
 proposes the same tests; with a scale R it is also exp, whose last digits decide nothing but when a start is named.
@@ -107,9 +111,9 @@ class SpotFinding:
     share: float | None = None
     """Deterministic: the claim is false in at most this share of D, at 1 - delta; a missing start is a violation."""
     start: int | None = None
-    """Deterministic: the worst violating start. Noisy: the start of the largest wealth of at least m/delta."""
+    """Deterministic: the worst violating start. Noisy: the start of the largest wealth of at least 2m/delta."""
     wealth: float | None = None
-    """Noisy: largest mean wealth so far; 1/delta refutes the claim."""
+    """Noisy: largest W so far; 1/delta refutes the claim."""
     undecided: int | None = None
     """Noisy: starts that are still suspicious, and not named."""
 
@@ -244,7 +248,8 @@ class _Record:
         width = 4.0 * hypothesis.scale if hypothesis.scale is not None else math.inf
         self._spread = Spread(size, self._high - self._low if self.bounded else width)
         self._wealth = np.full((len(DEFICITS), size), 1.0 / len(DEFICITS))  # (S, m)
-        self._peak = 1.0  # of the mean wealth
+        self._joint = np.full(len(DEFICITS), 1.0 / len(DEFICITS))  # (S,)
+        self._peak = 1.0  # of W
         self._own_peak = np.ones(size)  # (m,)
 
     @property
@@ -301,7 +306,7 @@ class _Record:
     @property
     def _threshold(self) -> float:
         """Wealth from which a start is named."""
-        return self._size * (1.0 + ROUND_OFF) / self._delta
+        return 2.0 * self._size * (1.0 + ROUND_OFF) / self._delta
 
     def _named(self) -> int | None:
         richest = int(np.argmax(self._own_peak))
@@ -315,12 +320,15 @@ class _Record:
     def _bet(self, node: int, excess: float) -> None:
         """Move the wealth of one start; the bets are functions of the rollouts before this one."""
         sd = float(self._spread.sd()[node])
+        # At a start whose past mean keeps the limit, V can only lose.
+        joins = self.count[node] > 0 and self._spread.mean[node] > 0
         for s, deficit in enumerate(DEFICITS):
             factor = self._bounded_factor(deficit, sd, excess) if self.bounded else self._scaled_factor(deficit, excess)
             self._wealth[s, node] = min(self._wealth[s, node] * factor, RICHEST)
+            self._joint[s] = min(self._joint[s] * factor, RICHEST) if joins else self._joint[s]
         own = math.fsum(self._wealth[:, node])
         self._own_peak[node] = max(self._own_peak[node], own)
-        self._peak = max(self._peak, math.fsum(self._wealth.ravel()) / self._size)
+        self._peak = max(self._peak, (math.fsum(self._wealth.ravel()) / self._size + math.fsum(self._joint)) / 2.0)
 
     def _bounded_factor(self, deficit: float, sd: float, excess: float) -> float:
         # Every factor is at least 1 - CAP, also for a value that leaves the range by round-off. A limit below the range

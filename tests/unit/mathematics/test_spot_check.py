@@ -153,6 +153,17 @@ class TestFinding:
         assert finding.wealth is not None
         assert finding.wealth >= 20
 
+    def test_many_starts_that_are_little_too_bad_are_refuted_together(self) -> None:
+        """A tenth of the starts is .12 beyond the limit, the range is 25 sd wide: no single start can be named."""
+        hypothesis = Hypothesis("risk", 0.0, -1.0, 1.5, noisy=True)
+        refuted = named = 0
+        for seed in range(10):
+            check = check_of(hypothesis, size=299, followups=150)
+            campaign(check, a_law([0.12 if j % 10 == 0 else -0.3 for j in range(299)], seed, hypothesis), 10)
+            refuted += check.finding(0).status == "refuted"
+            named += check.finding(0).start is not None
+        assert (refuted, named) == (10, 0)
+
     def test_one_rollout_serves_all_hypotheses(self) -> None:
         """A follow-up that one hypothesis asks for is a rollout of the other, too."""
         other = Hypothesis("other", 0.9, -1.0, 1.0, noisy=True)
@@ -189,7 +200,8 @@ class TestWealth:
                     break
                 check.observe(proposal.node, [high if one else low])
             weight = p ** sum(path) * (1 - p) ** (8 - sum(path))
-            total += float(weight) * math.fsum(check._records[0]._wealth.ravel()) / 3
+            record = check._records[0]
+            total += float(weight) * (math.fsum(record._wealth.ravel()) / 3 + math.fsum(record._joint)) / 2
         assert total == pytest.approx(1, abs=1e-12)
 
     @given(st.lists(st.tuples(st.integers(0, 3), st.floats(-0.4, 1.0)), max_size=60))
