@@ -200,7 +200,8 @@ class Ledger:
                 self.series[problem].bound(fact)
                 event = state.Observed(problem, test, fact.bound.verdict)
         self.state, actions = state.step(self.state, event)
-        return self._begin_check() if state.Certify() in actions else actions
+        # The last observation may withdraw rollouts as well: they come before what the check begins with.
+        return (*actions[:-1], *self._begin_check()) if state.Certify() in actions else actions
 
     def _begin_check(self) -> tuple[state.Action, ...]:
         """Begin the next check of a campaign whose series have all stopped; without one it can be certified."""

@@ -66,9 +66,9 @@ class SpotCheck:
         count = config.spot_check
         # Without follow-ups no start depends on an observation.
         self._budget = count + followups
-        self.plan = state.Plan(
-            SPOT_CHECK, WINDOW if followups else count, self._budget, tuple((variant, 0) for variant in self._variants)
-        )
+        # No more in flight than there are starts: a follow-up without any observation is chosen blindly.
+        window = min(WINDOW, count) if followups else count
+        self.plan = state.Plan(SPOT_CHECK, window, self._budget, tuple((variant, 0) for variant in self._variants))
 
     @classmethod
     def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:

@@ -66,8 +66,9 @@ class Subject:
 
     @property
     def seeds(self) -> list[int]:
-        """Of the rollouts, in the order of the tests."""
-        rows = query(self.calm, "SELECT seed FROM rollouts ORDER BY problem, test, variant, replicate")
+        """Of the rollouts of observed tests, in their order; another run need not try a withdrawn one."""
+        observed = "JOIN observations USING (problem, test)"
+        rows = query(self.calm, f"SELECT seed FROM rollouts {observed} ORDER BY problem, test, variant, replicate")
         return [int(str(row[0])) for row in rows]
 
 
