@@ -224,6 +224,9 @@ class CampaignConfig(Model):
     spot_check_followups: int = Field(
         default=299, ge=0, le=1_000_000, description="further rollouts at suspicious starts, where values are noisy"
     )
+    spot_replicates: int = Field(
+        default=1, ge=1, le=1000, description="rollouts of each test of the spot check, where values are noisy"
+    )
     recheck: int = Field(
         default=20, ge=0, le=10_000, description="recorded rollouts that are simulated once more before the certificate"
     )

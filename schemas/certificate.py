@@ -132,6 +132,15 @@ class SpotCheckedProblem(Model):
     undecided: int | None = Field(description="starts whose noisy values are suspicious, and not refuted")
 
 
+class MostStarts(Model):
+    """A lower bound at all starts of the box but a share, from the rollouts of the spot check; it needs no kernel."""
+
+    share: float
+    quantity: Literal["robustness", "expected_robustness"]
+    bound: float
+    probability: float
+
+
 class SpotCheck(Model):
     """Fresh uniform starts after the campaign; each statement fails with probability `level` at most."""
 
@@ -141,6 +150,10 @@ class SpotCheck(Model):
     failures: int | None = Field(description="starts whose first rollout violates the specification")
     failure_probability: float | None = Field(
         description="upper bound of the probability that a rollout at a uniform start violates the specification"
+    )
+    most_starts: MostStarts | None = Field(
+        description="of the system whose failures are counted; null without a specification, and where noisy values "
+        "have no clip or prove no more than it"
     )
     problems: tuple[SpotCheckedProblem, ...]
 

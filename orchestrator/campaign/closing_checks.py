@@ -7,10 +7,11 @@ from ...schemas.ids import RolloutId
 from . import state
 from .account import Account
 from .observation import Observer
+from .plan import ProblemPlan
 from .recheck import Recheck
 from .recorded import Recorded
 from .series import Series
-from .spot_check import SpotCheck, SpotSeries
+from .spot_check import SpotCheck, SpotSeries, planned
 
 
 class ClosingChecks:
@@ -39,3 +40,15 @@ class ClosingChecks:
         """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""
         check = self.recheck
         return check.rollouts[rollout.test] if check is not None and rollout.problem == check.name else None
+
+
+def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
+    """Return a line about the rollouts that follow the problems; none where there are none."""
+    parts = []
+    if (spot := planned(header, plans.values())) is not None:
+        starts, rollouts = header.config.spot_check, len(spot.rollouts)
+        more = f" and at most {spot.max_tests - starts} follow-ups" if spot.max_tests > starts else ""
+        parts.append(f"{starts} starts{more}, {rollouts} rollout{'s' if rollouts > 1 else ''} each (spot check)")
+    if Recheck.wanted(header):
+        parts.append(f"at most {header.config.recheck} rollouts once more (recheck)")
+    return [f"after the problems: {', then '.join(parts)}"] if parts else []

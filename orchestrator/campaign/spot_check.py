@@ -1,7 +1,7 @@
 """The spot check of a finished campaign on a box: fresh uniform starts that test every bound without smoothness."""
 
 import math
-from collections.abc import Mapping, Set
+from collections.abc import Collection, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,50 +32,47 @@ WINDOW = 64
 class SpotSeries(Series):
     """The facts of a spot check."""
 
-    robustness: dict[int, float] = field(default_factory=dict)
-    """Of the first rollout at each start, by the number of the start; the true system's where there is one."""
+    robustness: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    """Of the first test at each start, by the number of the start, for each replicate; of `tested_variant`."""
 
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
-        """Close an observed test, as every series does, and take the robustness of a first rollout."""
+        """Close an observed test, as every series does, and take the robustness at a start that has none."""
         rollouts = Series.observe(self, fact)  # by name: `super()` finds no cell in a class with slots
-        last = max(rollouts, key=lambda each: each.rollout.variant, default=None)
-        if last is not None and last.robustness is not None:
-            self.robustness.setdefault(self.nodes[-1], last.robustness)
+        tested = tested_variant({each.rollout.variant for each in rollouts})
+        ordered = sorted(rollouts, key=lambda each: each.rollout)
+        found = [each.robustness for each in ordered if each.rollout.variant == tested]
+        self.robustness.setdefault(self.nodes[-1], tuple(value for value in found if value is not None))
         return rollouts
 
 
 class SpotCheck:
-    """The decider of the spot check; a test is one rollout of every variant that some problem needs, at one start.
+    """The decider of the spot check; a test has rollouts of every variant that some problem needs, at one start.
 
-    `each` of an observation has J of every tested problem, in the order of the campaign file.
+    `each` of an observation has J of every tested problem, in the order of the campaign file, for each replicate.
     """
 
     name = SPOT_CHECK
 
     def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer) -> None:
-        config, noisy = header.config, set(header.spec.noisy)
         self._header, self._observer = header, observer
         self._plans = [account.plan for account in accounts.values() if math.isfinite(_limit(account))]
-        used = {variant for plan in self._plans for variant in plan.variants}
-        self._variants: tuple[str, ...] = tuple(variant for variant in ("nominal", "true") if variant in used)
-        hypotheses = [_hypothesis(plan, _limit(accounts[plan.name]), noisy) for plan in self._plans]
-        self.hypotheses = {plan.name: each for plan, each in zip(self._plans, hypotheses, strict=True)}
-        followups = config.spot_check_followups if any(each.noisy for each in hypotheses) else 0
+        plan = planned(header, self._plans)
+        assert plan is not None, "`wanted` was asked"
+        self.plan = plan
+        self.variants = tuple(dict.fromkeys(variant for variant, _ in plan.rollouts))
+        self._replicates = 1 + max(replicate for _, replicate in plan.rollouts)
+        noisy = set(header.spec.noisy)
+        hypotheses = [_hypothesis(each, _limit(accounts[each.name]), noisy) for each in self._plans]
+        self.hypotheses = {each.name: found for each, found in zip(self._plans, hypotheses, strict=True)}
         self.starts = _starts(header, self._plans)
-        self._tests = SpotTests(self.starts, hypotheses, followups=followups, delta=LEVEL)
-        count = config.spot_check
-        # Without follow-ups no start depends on an observation.
-        self._budget = count + followups
-        # No more in flight than there are starts: a follow-up without any observation is chosen blindly.
-        window = min(WINDOW, count) if followups else count
-        self.plan = state.Plan(SPOT_CHECK, window, self._budget, tuple((variant, 0) for variant in self._variants))
+        followups = plan.max_tests - len(self.starts)
+        self._tests = SpotTests(self.starts, hypotheses, followups=followups, replicates=self._replicates, delta=LEVEL)
 
     @classmethod
     def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:
         """Whether the campaign has a spot check: since rules 2, on a box, where some problem has a bound."""
-        box = all(isinstance(account.plan.candidates, Lattice) for account in accounts.values())
         bounded = any(math.isfinite(_limit(account)) for account in accounts.values())
-        return header.rules > 1 and header.config.spot_check > 0 and box and bounded
+        return bounded and planned(header, [account.plan for account in accounts.values()]) is not None
 
     def proposal(self, series: Series, test: int) -> ProposalFact:
         """Choose the next start: each one once, then the most suspicious ones."""
@@ -86,9 +83,13 @@ class SpotCheck:
         return ProposalFact(SPOT_CHECK, test, chosen)
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
-        """Return J of every tested problem; y is the first one."""
+        """Return J of every tested problem for each replicate; y is the first one."""
         with naming(f"{SPOT_CHECK}, test {test}"):
-            values = tuple(self._value(plan, trajectories) for plan in self._plans)
+            values = tuple(
+                self._value(plan, trajectories, replicate)
+                for replicate in range(self._replicates)
+                for plan in self._plans
+            )
         found = Observation(values[0], values)
         return ObservationFact(SPOT_CHECK, test, found, series.next_link(test, found))
 
@@ -96,8 +97,10 @@ class SpotCheck:
         """Take an observation; the check ends with its budget, or when no start is suspicious."""
         assert series.last_proposal is not None
         with naming(f"{SPOT_CHECK}, test {fact.test}"):
-            self._tests.observe(series.last_proposal.node, fact.observation.each)
-        spent = fact.test + 1 >= self._budget
+            values, width = fact.observation.each, len(self._plans)
+            for first in range(0, len(values), width):
+                self._tests.observe(series.last_proposal.node, values[first : first + width])
+        spent = fact.test + 1 >= self.plan.max_tests
         done = not spent and self._tests.propose() is None
         return BoundFact(SPOT_CHECK, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
 
@@ -109,17 +112,48 @@ class SpotCheck:
         """Return the finding of every tested problem, by name."""
         return {plan.name: self._tests.finding(k) for k, plan in enumerate(self._plans)}
 
-    def _value(self, plan: ProblemPlan, trajectories: Trajectories) -> float:
+    def _value(self, plan: ProblemPlan, trajectories: Trajectories, replicate: int) -> float:
+        used: Trajectories = {
+            (variant, 0): trajectories.get((variant, replicate), trajectories[variant, 0]) for variant in plan.variants
+        }
         # Algorithm 1 observes a sample risk, which one rollout has not: its mean is not below the risk that is claimed.
         if plan.objective.risk and plan.problem.method == "paper":
-            found = self._observer.robustness(trajectories["true", 0])
+            found = self._observer.robustness(used["true", 0])
             assert found is not None, "a risk is one of the robustness"
             return -found
-        used: Trajectories = {(variant, 0): trajectories[variant, 0] for variant in plan.variants}
         value = self._observer.observe(replace(plan, replicates=1), used).y
         low, high = _range(plan)
         # The paper clips no gap; where the expectation of a gap is at most its bound, so is that of the clipped one.
         return value if low is None or high is None else min(max(value, low), high)
+
+
+def planned(header: Header, plans: Collection[ProblemPlan]) -> state.Plan | None:
+    """Return the tests of the spot check of these problems; None for a campaign that has none, whatever its bounds."""
+    config, noisy = header.config, header.spec.noisy
+    if header.rules < 2 or not config.spot_check or not all(isinstance(each.candidates, Lattice) for each in plans):
+        return None
+    used = {variant for plan in plans for variant in plan.variants}
+    # Replicates of a variant without noise would be copies, and no follow-up tells more of it.
+    rollouts = tuple(
+        (variant, replicate)
+        for variant in ("nominal", "true")
+        if variant in used
+        for replicate in range(config.spot_replicates if variant in noisy else 1)
+    )
+    followups = config.spot_check_followups if not used.isdisjoint(noisy) else 0
+    # No more in flight than there are starts: a follow-up without any observation is chosen blindly. Without follow-ups
+    # no start depends on an observation.
+    window = min(WINDOW, config.spot_check) if followups else config.spot_check
+    return state.Plan(SPOT_CHECK, window, config.spot_check + followups, rollouts)
+
+
+def tested_variant(variants: Iterable[str]) -> str | None:
+    """Return the variant whose robustness a spot check reports: the true system where it is simulated; None for none.
+
+    >>> tested_variant(["nominal", "true"])
+    'true'
+    """
+    return max(variants, default=None)
 
 
 def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:

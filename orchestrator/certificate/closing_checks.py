@@ -1,13 +1,19 @@
 """Construction of the results of spot check and recheck."""
 
+from collections.abc import Sequence
+from typing import Literal
+
 from ...schemas import certificate as document
 from ...schemas.problems import OBJECTIVES, ProblemName
 from ..campaign.ledger import Ledger
-from ..campaign.spot_check import LEVEL, SpotCheck, SpotSeries
-from ..mathematics.bounds.rounding import round_up
-from ..mathematics.bounds.share import clopper_pearson_upper, unseen_share
+from ..campaign.objectives import mean
+from ..campaign.spot_check import LEVEL, SpotCheck, SpotSeries, tested_variant
+from ..mathematics.bounds.rounding import round_down, round_up
+from ..mathematics.bounds.share import AllButShare, clopper_pearson_upper, quantile_rank, unseen_share
 from ..mathematics.bounds.spot_check import SpotFinding
 
+SHARE = 0.1
+"""Of the starts, which the bound without a kernel leaves out."""
 UNSEEN = 0.05
 """Probability that the recheck misses the share of irreproducible rollouts which it names."""
 DIGITS = 6
@@ -20,15 +26,39 @@ def spot_check(ledger: Ledger) -> document.SpotCheck | None:
     if check is None or not isinstance(series, SpotSeries):
         return None
     starts = len(check.starts)
-    failures = sum(value < 0 for value in series.robustness.values()) if series.robustness else None
+    robustness = [values for _, values in sorted(series.robustness.items()) if values]
+    failures = sum(values[0] < 0 for values in robustness) if robustness else None
     return document.SpotCheck(
         starts=starts,
         rollouts=document.Rollouts(nominal=series.counts["nominal"], true=series.counts["true"]),
         level=LEVEL,
         failures=failures,
         failure_probability=None if failures is None else clopper_pearson_upper(failures, starts, LEVEL),
+        most_starts=_most_starts(ledger, check, robustness) if robustness else None,
         problems=tuple(_problem(check, name, found) for name, found in check.findings().items()),
     )
+
+
+def _most_starts(
+    ledger: Ledger, check: SpotCheck, robustness: Sequence[tuple[float, ...]]
+) -> document.MostStarts | None:
+    """Return what the rollouts of the first test at each start prove of all starts but `SHARE`."""
+    clip = ledger.config.clip
+    if tested_variant(check.variants) not in ledger.header.spec.noisy:
+        rank = quantile_rank(len(robustness), SHARE, LEVEL)
+        found = None if rank is None else sorted(value for value, *_ in robustness)[rank - 1]
+        return None if found is None else _at_most_starts("robustness", round_down(found))
+    if clip is None:
+        return None
+    bound = AllButShare(SHARE, clip, delta=LEVEL)
+    for values in robustness:
+        # A mean of clipped values may leave the clip by round-off.
+        bound.add(min(max(mean(values), clip[0]), clip[1]))
+    return _at_most_starts("expected_robustness", bound.lower()) if bound.lower() > clip[0] else None
+
+
+def _at_most_starts(quantity: Literal["robustness", "expected_robustness"], bound: float) -> document.MostStarts:
+    return document.MostStarts(share=SHARE, quantity=quantity, bound=bound, probability=1 - LEVEL)
 
 
 def _problem(check: SpotCheck, name: ProblemName, found: SpotFinding) -> document.SpotCheckedProblem:

@@ -18,6 +18,7 @@ from ...schemas.certificate import (
     Certificate,
     CertificateClaim,
     CompositionTerms,
+    MostStarts,
     Predicate,
     ProblemResult,
     Recheck,
@@ -115,7 +116,7 @@ def first_claim(certificate: Certificate, console: Console) -> None:
 
 
 def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
-    """Return what a claim owes to its constants, in sentences; none for a claim without a kernel."""
+    """Return what stands beside a claim, in sentences: what it owes to its constants, and what needs none of them."""
     claim = predicate.claims[number]
     rows = [row for row in predicate.sensitivity or () if row.claim == number]
     found = []
@@ -126,7 +127,19 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         both = "" if claim.rule == "single" else ", in both problems"
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
+    if number == 0 and predicate.spot_check is not None and predicate.spot_check.most_starts is not None:
+        found.append(_most_starts(predicate.spot_check.most_starts, predicate.question.get("clip")))
     return tuple(found)
+
+
+def _most_starts(found: MostStarts, clip: object) -> str:
+    """Return the sentence on all starts but a share, which the spot check proves without a kernel."""
+    margin = "robustness" if found.quantity == "robustness" else f"expected robustness, clipped to {clip},"
+    bound, probability = outward(found.bound, ">="), outward(found.probability, ">=")
+    return (
+        f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least {bound}, "
+        f"with probability at least {probability}."
+    )
 
 
 def _nothing(claim: CertificateClaim, value: float | None) -> bool:

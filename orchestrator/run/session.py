@@ -229,7 +229,7 @@ def _conduct(
             text = f"waiting for workers: perfbound-worker --connect {transport.endpoint}"
             console.print(Text(text), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
-        from ..campaign import consistency, forecast  # noqa: PLC0415
+        from ..campaign import closing_checks, consistency, forecast  # noqa: PLC0415
         from ..campaign.ledger import Ledger  # noqa: PLC0415
         from .contradictions import Contradictions  # noqa: PLC0415
         from .progress import SystemdStatus, listener  # noqa: PLC0415
@@ -242,7 +242,12 @@ def _conduct(
             terminal = stack.enter_context(listener(console))
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
-            for line in (*forecast.warnings(ledger.plans), *consistency.before(ledger.plans, ledger.header.spec)):
+            plans = ledger.plans
+            for line in (
+                *(() if resumed else closing_checks.cost(ledger.header, plans)),
+                *forecast.warnings(plans),
+                *consistency.before(plans, ledger.header.spec),
+            ):
                 terminal.print_line(line)
             contradictions = Contradictions(ledger.accounts, terminal.print_line)
             listeners = (terminal, SystemdStatus(systemd), page, contradictions)

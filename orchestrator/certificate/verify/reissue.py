@@ -1,6 +1,6 @@
 """The reissue of the certificate from the evidence, and its comparison with the verified one, part by part."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from ....schemas.certificate import Assumption, Certificate
@@ -39,6 +39,7 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         ),
         ("probabilities", _probabilities_of, ROUND_OFF, f"problems: {problems}, claims: {claims}"),
         ("composition", lambda side: side["composition"], ROUND_OFF, rule),
+        ("spot check", lambda side: _without_wealth(side["spot_check"]), ROUND_OFF, ""),
         ("spot check", lambda side: side["spot_check"], compare.SIX_DIGITS, plural(starts, "start")),
         ("recheck", lambda side: side["recheck"], ROUND_OFF, plural(repeated, "rollout")),
         ("claims", lambda side: side["sensitivity"], ROUND_OFF, ""),
@@ -83,4 +84,12 @@ def _probabilities_of(predicate: Mapping[str, Any]) -> Any:
 
 
 def _without_probabilities(rows: Sequence[Mapping[str, Any]]) -> Any:
-    return [{key: value for key, value in row.items() if key not in PROBABILITIES} for row in rows]
+    return _without(rows, PROBABILITIES)
+
+
+def _without_wealth(spot_check: Mapping[str, Any] | None) -> Any:
+    return spot_check and {**spot_check, "problems": _without(spot_check["problems"], ("wealth",))}
+
+
+def _without(rows: Sequence[Mapping[str, Any]], keys: Collection[str]) -> Any:
+    return [{key: value for key, value in row.items() if key not in keys} for row in rows]

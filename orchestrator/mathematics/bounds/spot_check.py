@@ -124,7 +124,7 @@ class SpotTests:
 
     `starts` (m, p) are drawn uniformly from D by the caller, after every limit was fixed; their rollouts have seeds of
     their own. The first m tests visit them in order; up to `followups` further ones return to the starts where a noisy
-    bounded objective is largest relative to its limit. Not thread-safe.
+    bounded objective is largest relative to its limit. Every test has `replicates` rollouts. Not thread-safe.
 
     Raises:
         ValueError: no start or no hypothesis, differing lengths, a number outside its range, or a name given twice.
@@ -144,12 +144,13 @@ class SpotTests:
         hypotheses: Sequence[Hypothesis],
         *,
         followups: int,
+        replicates: int = 1,
         delta: float = 0.05,
     ) -> None:
-        _check_plan(starts, hypotheses, followups, delta)
+        _check_plan(starts, hypotheses, followups, replicates, delta)
         self._starts = tuple(tuple(float(v) for v in start) for start in starts)
         self._hypotheses = tuple(hypotheses)
-        self._followups, self._delta = followups, delta
+        self._followups, self._replicates, self._delta = followups, replicates, delta
         self._records = tuple(_Record(hypothesis, len(starts), delta) for hypothesis in hypotheses)
 
     @property
@@ -177,11 +178,11 @@ class SpotTests:
         flying = np.zeros(self.size)
         for node in pending:
             check_index(node, self.size)
-            flying[node] += 1.0
+            flying[node] += self._replicates
         untested = np.flatnonzero((self._records[0].count == 0) & (flying == 0))
         if untested.size:
             return self._proposal(int(untested[0]), None, None)
-        if self.rollouts + len(pending) >= self.size + self._followups:
+        if self.rollouts // self._replicates + len(pending) >= self.size + self._followups:
             return None
         return self._followup(flying)
 
@@ -364,7 +365,7 @@ def failure_share(failures: int, count: int, theta: float, delta: float) -> floa
 
 
 def _check_plan(
-    starts: Sequence[Sequence[float]], hypotheses: Sequence[Hypothesis], followups: int, delta: float
+    starts: Sequence[Sequence[float]], hypotheses: Sequence[Hypothesis], followups: int, replicates: int, delta: float
 ) -> None:
     if not starts or not hypotheses:
         raise ValueError("a spot check needs at least one start and one hypothesis")
@@ -373,8 +374,9 @@ def _check_plan(
     names = [hypothesis.name for hypothesis in hypotheses]
     if len(set(names)) < len(names):
         raise ValueError(f"the names of the hypotheses must differ: {names}")
-    if followups < 0 or not 0.0 < delta < 1.0:
-        raise ValueError(f"followups must be >= 0 and delta in (0, 1), not {followups!r} and {delta!r}")
+    if followups < 0 or replicates < 1 or not 0.0 < delta < 1.0:
+        given = f"{followups!r}, {replicates!r} and {delta!r}"
+        raise ValueError(f"followups must be >= 0, replicates positive and delta in (0, 1), not {given}")
 
 
 def _check_value(hypothesis: Hypothesis, value: float) -> None:

@@ -284,6 +284,12 @@ def test_a_hole_is_refuted_with_its_start(tmp_path: Path, function: Callable[[fl
     assert function(*spot["start"]) == -0.71
     for coordinate in spot["start"]:
         assert f"{coordinate:.6g}" in sentence(text, "rkhs_norm/robustness")
+    # What needs no kernel is true: the function is low in a twentieth of the box, and .7 elsewhere.
+    most = found["spot_check"]["most_starts"]
+    assert (most["share"], most["quantity"], most["probability"]) == (0.1, "robustness", 0.95)
+    assert most["bound"] == pytest.approx(0.7, abs=2e-9)
+    (claim,) = worded(Certificate.model_validate_json(text).predicate)
+    assert claim.notes[-1].startswith("Without a kernel: on all but 10 % of the box the robustness is at least 0.7000")
     assert verified(directory) == []
 
 
@@ -297,6 +303,29 @@ def test_a_hole_of_a_noisy_function_is_refuted(tmp_path: Path) -> None:
     assert spot["noisy"]
     assert spot["wealth"] >= 20
     assert "rkhs_norm/robustness" in refuted(text)
+
+
+def test_replicates_of_a_spot_check_prove_more_of_most_starts(tmp_path: Path) -> None:
+    bounds = []
+    for replicates in (1, 4):
+        directory = tmp_path / str(replicates)
+        config = noisy(spot_check=299, spot_check_followups=0, spot_replicates=replicates)
+        spot = predicate(simulate(directory, config, two_levels, noisy=True))["spot_check"]
+        assert spot["rollouts"]["nominal"] == spot["problems"][0]["rollouts"] == 299 * replicates
+        assert spot["most_starts"]["quantity"] == "expected_robustness"
+        bounds.append(spot["most_starts"]["bound"])
+        assert verified(directory) == []
+    # Four fifths have the mean .7, and more than a tenth has .4.
+    assert 0.0 < bounds[0] < bounds[1] <= 0.4
+
+
+def two_levels(request: RolloutRequest) -> float:
+    return (0.4 if request.x[0] < 0.2 else 0.7) + 2 * SD * noise(request.seed)
+
+
+def test_where_no_more_than_the_clip_is_proven_nothing_is_said_of_most_starts(tmp_path: Path) -> None:
+    text = simulate(tmp_path / "run", noisy(), lambda _: 0.0, noisy=True)
+    assert predicate(text)["spot_check"]["most_starts"] is None
 
 
 # Verification, resumes and workers
@@ -344,6 +373,7 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (lambda found: found["spot_check"]["problems"][0].update(start=None), "spot check"),
         (lambda found: found["spot_check"]["problems"][0].update(limit=-0.8), "spot check"),
         (lambda found: found["spot_check"].update(failures=0), "spot check"),
+        (lambda found: found["spot_check"]["most_starts"].update(bound=0.700001), "spot check"),
         (lambda found: found["spot_check"].update(starts=1000), "spot check"),
         (lambda found: found.pop("spot_check"), "spot check"),
         (lambda found: found["recheck"].update(agreed=20), "recheck"),
@@ -376,16 +406,20 @@ def in_check(name: str, *tests: int) -> Iterator[Stop]:
 
 @pytest.mark.parametrize(
     ("config", "is_noisy", "function"),
-    [(exact(), False, lambda request: hole(*request.x)), (noisy(), True, noisy_hole)],
-    ids=["exact", "noisy"],
+    [
+        (exact(), False, lambda request: hole(*request.x)),
+        (noisy(), True, noisy_hole),
+        (noisy(spot_replicates=2), True, noisy_hole),
+    ],
+    ids=["exact", "noisy", "replicates"],
 )
 def test_stops_in_the_checks_change_nothing(
     tmp_path: Path, config: CampaignConfig, function: Function, *, is_noisy: bool
 ) -> None:
     calm = simulate(tmp_path / "calm", config, function, noisy=is_noisy)
     directory = tmp_path / "stopped"
-    # Tests from 100 on are follow-ups, which depend on the observations before them.
-    points = (0, 30, 99, 110) if is_noisy else (0, 30, 99)
+    # Tests from 100 on are follow-ups, which depend on the observations before them; two replicates need none here.
+    points = (0, 30, 99, 110) if is_noisy and config.spot_replicates == 1 else (0, 30, 99)
     stops = [*in_check("spot_check", *points), *in_check("recheck", 0, 7, 19)]
     ends = [simulate(directory, config, function, noisy=is_noisy, stop=stop) for stop in stops]
     assert ends.count(None) >= len(stops) - 1, "it stopped nearly every time"
