@@ -11,7 +11,6 @@ from ....schemas.facts import Header, ProposalFact, RolloutFact
 from ....schemas.ids import RolloutId
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory
-from ...campaign.seeds import rollout_seed
 from ...store import tables
 from ...store.read import read_header, reading
 from ...store.rows import READERS
@@ -43,7 +42,8 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     with reading(directory) as connection:
         header = read_header(connection, directory)
         fact, proposal = _find(connection, header, directory, text)
-    request = header.template.request(fact.rollout, proposal.proposal.x, rollout_seed(header, fact.rollout))
+    # The recorded seed: a recheck has that of the rollout which it repeats. Whether it is the right one, `verify` shows.
+    request = header.template.request(fact.rollout, proposal.proposal.x, fact.seed)
     try:
         file = read_recorded(directory, fact)
     except EvidenceError as error:  # a replay can restore a damaged file

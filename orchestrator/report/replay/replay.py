@@ -109,7 +109,9 @@ def _picture(found: RecordedRollout, again: Trajectory, path: Path) -> bytes:
     from . import picture  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
     header, clip = found.header, found.header.config.clip
-    problem = next(each for each in header.config.problems if each.name == found.fact.rollout.problem)
+    problems = header.config.problems
+    # A closing check has no columns of its own: those of the first problem.
+    problem = next((each for each in problems if each.name == found.fact.rollout.problem), problems[0])
     columns = curves.relevant_columns(header, problem) or again.columns[1:2]
     limits = curves.limits(header, columns)
     margin = margins(curves.formula(header), again)

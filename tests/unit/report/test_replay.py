@@ -140,6 +140,17 @@ def test_the_same_seed_gives_the_same_bits(request: Any, directory: str, rollout
 
 
 @pytest.mark.usefixtures("spoil")
+def test_a_rollout_of_a_closing_check_is_replayed_and_drawn(tmp_path: Path) -> None:
+    """A recheck has the seed of the rollout that it repeats, and no check has columns of its own."""
+    directory = a_run(tmp_path / "run", "test-function", spot_check=2, spot_check_followups=0, recheck=2)
+    for rollout in ("spot_check.1.true.0", "recheck.1.true.0"):
+        picture = tmp_path / f"{rollout}.png"
+        lines = list(replay.replay_rollout(directory, rollout, out=picture))
+        assert lines[1] == "bitwise the same as the recorded trajectory"
+        assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.usefixtures("spoil")
 def test_the_first_line_tells_start_seed_and_robustness(segway: Path, function: Path) -> None:
     found = load_recorded(segway, TRUE)
     x, y = found.request.x
