@@ -203,9 +203,13 @@ class CampaignConfig(Model):
         "noise_scale = 0",
     )
     specification: str | None = Field(
-        default=None, max_length=10_000, description="STL formula over trajectory columns"
+        default=None,
+        max_length=10_000,
+        description="STL formula over trajectory columns; required by every problem but `maximum`",
     )
-    gap: Gap | None = Field(default=None, description="how `sim_gap` compares two trajectories")
+    gap: Gap | None = Field(
+        default=None, description="how `sim_gap` compares two trajectories; required by it, here or in the problem"
+    )
     composition: Rule = Field(
         description="rule of the first claim: Theorem 2 with multiplied probabilities, or with added failure "
         "probabilities; Bhatia-Davis with two extremes, or pointwise; one problem alone"
@@ -219,7 +223,10 @@ class CampaignConfig(Model):
     hung_after: float = Field(default=10.0, ge=1, description="seconds without progress that end an attempt")
     deadline: float = Field(default=600.0, ge=1, description="longest duration of an attempt in s")
     spot_check: int = Field(
-        default=299, ge=0, le=100_000, description="fresh starts on a box that test every bound after its campaign"
+        default=299,
+        ge=0,
+        le=100_000,
+        description="fresh starts on a box that test every bound after the problems have ended",
     )
     spot_check_followups: int = Field(
         default=299, ge=0, le=1_000_000, description="further rollouts at suspicious starts, where values are noisy"
