@@ -11,7 +11,7 @@ from .plan import ProblemPlan
 from .recheck import Recheck
 from .recorded import Recorded
 from .series import Series
-from .spot_check import SpotCheck, SpotSeries, planned
+from .spot_check import SpotCheck, SpotSeries, spot_check_plan
 
 
 class ClosingChecks:
@@ -45,7 +45,7 @@ class ClosingChecks:
 def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
     """Return a line about the rollouts that follow the problems; none where there are none."""
     parts = []
-    if (spot := planned(header, plans.values())) is not None:
+    if (spot := spot_check_plan(header, plans.values())) is not None:
         starts, rollouts = header.config.spot_check, len(spot.rollouts)
         more = f" and at most {spot.max_tests - starts} follow-ups" if spot.max_tests > starts else ""
         parts.append(f"{starts} starts{more}, {rollouts} rollout{'s' if rollouts > 1 else ''} each (spot check)")

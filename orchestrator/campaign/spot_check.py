@@ -56,7 +56,7 @@ class SpotCheck:
     def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer) -> None:
         self._header, self._observer = header, observer
         self._plans = [account.plan for account in accounts.values() if math.isfinite(_limit(account))]
-        plan = planned(header, self._plans)
+        plan = spot_check_plan(header, self._plans)
         assert plan is not None, "`wanted` was asked"
         self.plan = plan
         self.variants = tuple(dict.fromkeys(variant for variant, _ in plan.rollouts))
@@ -72,7 +72,7 @@ class SpotCheck:
     def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:
         """Whether the campaign has a spot check: since rules 2, on a box, where some problem has a bound."""
         bounded = any(math.isfinite(_limit(account)) for account in accounts.values())
-        return bounded and planned(header, [account.plan for account in accounts.values()]) is not None
+        return bounded and spot_check_plan(header, [account.plan for account in accounts.values()]) is not None
 
     def proposal(self, series: Series, test: int) -> ProposalFact:
         """Choose the next start: each one once, then the most suspicious ones."""
@@ -127,7 +127,7 @@ class SpotCheck:
         return value if low is None or high is None else min(max(value, low), high)
 
 
-def planned(header: Header, plans: Collection[ProblemPlan]) -> state.Plan | None:
+def spot_check_plan(header: Header, plans: Collection[ProblemPlan]) -> state.Plan | None:
     """Return the tests of the spot check of these problems; None for a campaign that has none, whatever its bounds."""
     config, noisy = header.config, header.spec.noisy
     if header.rules < 2 or not config.spot_check or not all(isinstance(each.candidates, Lattice) for each in plans):

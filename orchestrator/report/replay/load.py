@@ -42,7 +42,7 @@ def load_recorded(directory: Path, text: str) -> RecordedRollout:
     with reading(directory) as connection:
         header = read_header(connection, directory)
         fact, proposal = _find(connection, header, directory, text)
-    # The recorded seed: a recheck has that of the rollout which it repeats. Whether it is the right one, `verify` shows.
+    # The recorded seed, for a recheck has that of the rollout it repeats; `verify` shows whether it is the right one.
     request = header.template.request(fact.rollout, proposal.proposal.x, fact.seed)
     try:
         file = read_recorded(directory, fact)
