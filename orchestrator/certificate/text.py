@@ -264,8 +264,8 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     alpha = problem.parameters.get("alpha")
     left = _left(problem)
     end = {
-        "converged": f"converged: {left} is at most alpha = {alpha}",
-        "budget": f"NOT converged: its budget ended at {left}, alpha is {alpha}; {BUDGET[problem.method]}",
+        "converged": f"alpha reached: {left} is at most {alpha}",
+        "budget": f"alpha NOT reached: its budget ended at {left}, alpha is {alpha}; {BUDGET[problem.method]}",
         "refuted": "REFUTED: the data contradict the assumptions, so this bound proves nothing",
     }[problem.stopped_by]
     _line(console, f"  {problem.name}", "bold")

@@ -7,6 +7,8 @@ from ...schemas.problems import OBJECTIVES
 
 MINIMA = tuple(name for name, each in OBJECTIVES.items() if each.sense == "min")
 """Problems whose bound is the negative of the method's."""
+ENDS = {"converged": "alpha reached", "budget": "budget ended", "refuted": "assumptions refuted"}
+"""Reasons why a problem ends. That its data show no more to gain is no proof that it has converged at every start."""
 
 
 def figure(value: float | None, digits: int = 4) -> str:

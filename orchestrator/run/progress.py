@@ -10,7 +10,7 @@ from rich.text import Text
 
 from ...schemas.campaign import CampaignConfig, Problem
 from ...schemas.values import ProblemProgress
-from .format import duration, figure
+from .format import ENDS, duration, figure
 from .json_lines import JsonLines
 from .service import Listener, RunStatus
 from .systemd import Systemd
@@ -86,7 +86,7 @@ class Plain:
         away, bound = remaining_distance(problem, progress), bound_in_sense(config, problem, progress)
         if self._json is None:
             name = "F" if problem.method == "paper" else "upper - lower"
-            end = f"; stopped by {progress.stopped_by}" if progress.stopped_by else ""
+            end = f"; {ENDS[progress.stopped_by]}" if progress.stopped_by else ""
             numbers = f"{name} {figure(away)} (alpha {problem.alpha:g}), bound so far {figure(bound, 3)}"
             self.print_line(f"{problem.name}: test {progress.tests}, {numbers}{end}")
             return

@@ -9,7 +9,7 @@ from ...schemas.ids import RECHECK, SPOT_CHECK
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
 from ..campaign.clip import by_clip, floored
-from .format import MINIMA, figure
+from .format import ENDS, MINIMA, figure
 
 
 def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
@@ -51,7 +51,7 @@ def progress_table(
             f"{problem.alpha:g}",
             figure(bound_in_sense(config, problem, progress)),
             str(progress.rollouts),
-            f"ended: {progress.stopped_by}" if progress.stopped_by else left,
+            ENDS[progress.stopped_by] if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",
         )
     for name, progress in (closing or {}).items():

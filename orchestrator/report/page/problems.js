@@ -2,8 +2,8 @@
 
 const SERIES = ["mean", "lower", "upper"];
 const STOPPED = {
-  converged: "converged: stop threshold reached",
-  budget: "budget used up, NOT converged",
+  converged: "stop threshold alpha reached",
+  budget: "budget used up, alpha NOT reached",
   refuted: "REFUTED: the data contradict the assumptions",
 };
 const MOST_BARS = 60;

@@ -102,7 +102,7 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
         "    rkhs_norm                refuted     B is wrong.",
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
         "       It rests on 1 assumption REFUTED: do not rely on it.",
-        "    NOT converged: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
+        "    alpha NOT reached: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
         "Assumptions that are not refuted",
         "    tail                     assumed     Gaussian.",
         "  whole campaign",
