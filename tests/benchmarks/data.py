@@ -2,7 +2,7 @@
 
 The paper's test function sin(z1) cos(z2)/2 on [0, 5]^2, on a lattice of 51 x 51 nodes. The kernel is Matern with
 nu = 2.5, the smoothest that all peers have, l = 1 and unit amplitude; lambda = 1 on the diagonal; the acquisition
-function is mu + SCALE sigma. So everyone is asked for the same proposal.
+function is mu + SCALE sigma. So all but Optuna, which has its own, are asked for the same proposal.
 """
 
 from typing import Any
