@@ -27,7 +27,7 @@ class ClosingChecks:
         header = self._header
         # In this order: a recheck repeats rollouts of the spot check as well.
         if self.recheck is None and self.spot_check is None and SpotCheck.wanted(header, self._accounts):
-            self.spot_check = SpotCheck(header, self._accounts, self._observer)
+            self.spot_check = SpotCheck(header, self._accounts, self._observer, self._recorded)
             return self.spot_check, SpotSeries(first_link(header, SpotCheck.name))
         if self.recheck is None and Recheck.wanted(header):
             plans = {each.plan.problem: each.plan for each in reached.problems}
@@ -46,9 +46,10 @@ def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
     """Return a line about the rollouts that follow the problems; none where there are none."""
     parts = []
     if (spot := spot_check_plan(header, plans.values())) is not None:
-        starts, rollouts = header.config.spot_check, len(spot.rollouts)
-        more = f" and at most {spot.max_tests - starts} follow-ups" if spot.max_tests > starts else ""
-        parts.append(f"{starts} starts{more}, {rollouts} rollout{'s' if rollouts > 1 else ''} each (spot check)")
+        starts, later = spot.later or (spot.max_tests, ())
+        least, more = starts * len(spot.rollouts), (spot.max_tests - starts) * len(later)
+        followups = f" and at most {more} that follow up" if more else ""
+        parts.append(f"a spot check of {starts} starts with {least} rollouts{followups}")
     if Recheck.wanted(header):
-        parts.append(f"at most {header.config.recheck} rollouts once more (recheck)")
-    return [f"after the problems: {', then '.join(parts)}"] if parts else []
+        parts.append(f"a recheck of at most {header.config.recheck} rollouts")
+    return [f"after the problems: {', '.join(parts)}"] if parts else []

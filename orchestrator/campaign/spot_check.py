@@ -19,6 +19,7 @@ from .account import Account
 from .decisions import naming
 from .observation import Observer, Trajectories
 from .plan import ProblemPlan
+from .recorded import Recorded
 from .seeds import rollout_seed, uniform
 from .series import Series
 
@@ -48,13 +49,14 @@ class SpotSeries(Series):
 class SpotCheck:
     """The decider of the spot check; a test has rollouts of every variant that some problem needs, at one start.
 
+    A follow-up has rollouts of noisy variants alone: the others are those of the first test there, test j at start j.
     `each` of an observation has J of every tested problem, in the order of the campaign file, for each replicate.
     """
 
     name = SPOT_CHECK
 
-    def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer) -> None:
-        self._header, self._observer = header, observer
+    def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer, recorded: Recorded) -> None:
+        self._header, self._observer, self._recorded = header, observer, recorded
         self._plans = [account.plan for account in accounts.values() if math.isfinite(_limit(account))]
         plan = spot_check_plan(header, self._plans)
         assert plan is not None, "`wanted` was asked"
@@ -84,9 +86,12 @@ class SpotCheck:
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Return J of every tested problem for each replicate; y is the first one."""
+        start = series.proposals[test].proposal.node
+        missing = [(variant, 0) for variant in self.variants if (variant, 0) not in trajectories]
+        first = {key: self._recorded.trajectory(RolloutId(SPOT_CHECK, start, *key)) for key in missing}
         with naming(f"{SPOT_CHECK}, test {test}"):
             values = tuple(
-                self._value(plan, trajectories, replicate)
+                self._value(plan, {**first, **trajectories}, replicate)
                 for replicate in range(self._replicates)
                 for plan in self._plans
             )
@@ -140,11 +145,14 @@ def spot_check_plan(header: Header, plans: Collection[ProblemPlan]) -> state.Pla
         if variant in used
         for replicate in range(config.spot_replicates if variant in noisy else 1)
     )
-    followups = config.spot_check_followups if not used.isdisjoint(noisy) else 0
+    later = tuple((variant, replicate) for variant, replicate in rollouts if variant in noisy)
+    followups = config.spot_check_followups if later else 0
     # No more in flight than there are starts: a follow-up without any observation is chosen blindly. Without follow-ups
     # no start depends on an observation.
     window = min(WINDOW, config.spot_check) if followups else config.spot_check
-    return state.Plan(SPOT_CHECK, window, config.spot_check + followups, rollouts)
+    return state.Plan(
+        SPOT_CHECK, window, config.spot_check + followups, rollouts, later=(config.spot_check, later) if later else None
+    )
 
 
 def tested_variant(variants: Iterable[str]) -> str | None:

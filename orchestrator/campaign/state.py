@@ -50,11 +50,15 @@ class Plan:
     max_tests: int
     rollouts: tuple[tuple[str, int], ...]
     """(variant, replicate) of every rollout of a test."""
+    later: tuple[int, tuple[tuple[str, int], ...]] | None = None
+    """A number of tests, and the rollouts of every test after them, where these have others."""
     variants: tuple[str, ...] = ()
     """The variant of the one rollout of each test, where the tests differ in it."""
 
     def rollouts_of(self, test: int) -> tuple[tuple[str, int], ...]:
         """Return (variant, replicate) of every rollout of one test."""
+        if self.later is not None and test >= self.later[0]:
+            return self.later[1]
         return ((self.variants[test], 0),) if self.variants else self.rollouts
 
 

@@ -152,6 +152,7 @@ class SpotTests:
         self._hypotheses = tuple(hypotheses)
         self._followups, self._replicates, self._delta = followups, replicates, delta
         self._records = tuple(_Record(hypothesis, len(starts), delta) for hypothesis in hypotheses)
+        self._rollouts = 0
 
     @property
     def size(self) -> int:
@@ -161,7 +162,7 @@ class SpotTests:
     @property
     def rollouts(self) -> int:
         """Number of rollouts observed."""
-        return int(self._records[0].count.sum())
+        return self._rollouts
 
     def propose(self, pending: Sequence[int] = ()) -> Proposal | None:
         """Return the next test, given the starts of the tests in flight; it changes nothing.
@@ -199,6 +200,7 @@ class SpotTests:
             raise ValueError(f"a rollout needs {len(self._records)} values, one for each hypothesis; not {len(values)}")
         for hypothesis, value in zip(self._hypotheses, values, strict=True):
             _check_value(hypothesis, value)
+        self._rollouts += 1
         for record, value in zip(self._records, values, strict=True):
             record.add(node, value)
 
@@ -266,7 +268,9 @@ class _Record:
         )
 
     def add(self, node: int, value: float) -> None:
-        """Bet on one value in the range, then add it to the past."""
+        """Bet on one value in the range, then add it to the past; without noise a second value adds nothing."""
+        if not self._hypothesis.noisy and self.count[node]:
+            return
         excess = value - self._hypothesis.limit
         if self._hypothesis.noisy and self._testable:
             self._bet(node, excess)
