@@ -32,7 +32,7 @@ run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORK
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
 	else $(BIN)/perfbound run $(CAMPAIGN) --workers $(WORKERS) --out $(RUN_DIR); fi
 
-test: announce lint types imports unit ## All checks: ruff, mypy, import rules, pytest; about 10 minutes
+test: announce lint types imports unit ## All checks: ruff, mypy, import rules, pytest; about 25 minutes
 
 test-all: announce lint types imports unit ## All checks, and the tests that take longer still
 
@@ -42,7 +42,7 @@ smoke: $(VENV)/.installed-dev ## Two minutes: real workers, kills, the contract 
 	$(BIN)/python -m pytest -q -m smoke
 
 announce:
-	@echo "About 10 minutes on two quiet cores, after the installation; \`make smoke\` takes two."
+	@echo "About 25 minutes on two quiet cores, after the installation; \`make smoke\` takes two."
 
 lint: $(VENV)/.installed-dev ## Style
 	$(BIN)/ruff check .
@@ -66,10 +66,14 @@ build/backend/.installed: pyproject.toml $(VENV)/.installed
 	touch $@
 
 NOT_SLOW := -m "not slow"
+# In two processes, but for the tests with real processes and real waiting. A file's tests share what is costly to make.
+PROCESSES := tests/end_to_end tests/faults
+IN_TWO := -n 2 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
 OUR_DOCTESTS := tests/architecture/source.py tests/golden/record.py
 unit: $(VENV)/.installed-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
 	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas $(OUR_DOCTESTS)
-	$(BIN)/python -m pytest --durations=10 $(NOT_SLOW)
+	$(BIN)/python -m pytest $(IN_TWO) --durations=10 $(NOT_SLOW)
+	$(BIN)/python -m pytest $(PROCESSES) --durations=10 $(NOT_SLOW)
 
 explore: $(VENV)/.installed-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit

@@ -32,7 +32,7 @@ class Recheck:
         recorded: Recorded,
     ) -> None:
         self._header, self._recorded = header, recorded
-        sizes = [_rollouts(plan, len(series.observations)) for series, plan in checked.values()]
+        sizes = [_size(plan, len(series.observations)) for series, plan in checked.values()]
         ends = list(accumulate(sizes))
         files = digest([series.files for series, _ in checked.values()])
         numbers = drawn(header, RECHECK, files, sum(sizes), min(header.config.recheck, sum(sizes)))
@@ -72,7 +72,7 @@ class Recheck:
         return rollout_seed(self._header, self.rollouts[rollout.test])
 
 
-def _rollouts(plan: state.Plan, tests: int) -> int:
+def _size(plan: state.Plan, tests: int) -> int:
     """Return the number of rollouts of the first tests of a series."""
     first, later = plan.later or (tests, ())
     return min(tests, first) * len(plan.rollouts) + max(tests - first, 0) * len(later)

@@ -128,11 +128,11 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
     if number == 0 and predicate.spot_check is not None and predicate.spot_check.most_starts is not None:
-        found.append(_most_starts(predicate.spot_check.most_starts, predicate.question.get("clip")))
+        found.append(_sentence_on_most_starts(predicate.spot_check.most_starts, predicate.question.get("clip")))
     return tuple(found)
 
 
-def _most_starts(found: MostStarts, clip: object) -> str:
+def _sentence_on_most_starts(found: MostStarts, clip: object) -> str:
     """Return the sentence on all starts but a share, which the spot check proves without a kernel."""
     margin = "robustness" if found.quantity == "robustness" else f"expected robustness, clipped to {clip},"
     bound, probability = outward(found.bound, ">="), outward(found.probability, ">=")
@@ -242,7 +242,7 @@ def _spot_finding(found: SpotCheckedProblem, refuting: float) -> str:
     if found.violated_share is not None:
         share = outward(100 * found.violated_share, "<=")
         return f"{refuted}{found.violations} starts are beyond the bound, at most {share} % of the box"
-    left = f", {found.undecided} suspicious starts are undecided" if found.undecided else ""
+    left = f"; at {found.undecided} starts they are too few to tell" if found.undecided else ""
     return (
         f"{refuted}evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts, {refuting:g} would refute{left}"
     )
