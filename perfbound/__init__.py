@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         SystemUnderTest,
         Trajectory,
         checked_options,
+        system,
     )
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "checked_options",
     "read_certificate",
     "read_trajectory",
+    "system",
 ]
 
 

@@ -4,6 +4,7 @@ from .schemas.errors import SimulationError
 from .schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from .schemas.trajectory import Trajectory, Transform, Visual
 from .workers.systems.base import Cancelled, Progress, SystemUnderTest, checked_options
+from .workers.systems.function import system
 
 __all__ = [
     "Cancelled",
@@ -20,4 +21,5 @@ __all__ = [
     "Variant",
     "Visual",
     "checked_options",
+    "system",
 ]

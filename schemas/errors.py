@@ -53,6 +53,10 @@ class UnknownSystemError(PerfboundError):
     """The system is not installed here."""
 
 
+class DefinitionError(PerfboundError):
+    """The system under test is not defined as it must be."""
+
+
 class RefusedError(PerfboundError):
     """The orchestrator has refused this worker."""
 

@@ -1,5 +1,6 @@
 """The system of a campaign file, and its space: all starting conditions of the claim."""
 
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -14,7 +15,22 @@ class SystemChoice(Model, extra="allow"):
     """The system under test and its options, as its SystemSpec lists them."""
 
     __pydantic_extra__: dict[str, OptionValue] = Field(init=False)
-    name: str = Field(description="an installed system: `perfbound systems` lists them")
+    name: str = Field(default="", description="an installed system: `perfbound systems` lists them")
+    python: str | None = Field(
+        default=None,
+        pattern=r"^[^:]+\.py:[A-Za-z_][A-Za-z0-9_]*$",
+        description="FILE.py:NAME, a function or class in a file; its path is relative to the campaign file",
+    )
+
+    @model_validator(mode="after")
+    def _one(self) -> "SystemChoice":
+        if (self.name == "") == (self.python is None):
+            raise ValueError('give either name = "...", an installed system, or python = "FILE.py:NAME"')
+        return self
+
+    def reference(self, folder: Path) -> str:
+        """Return the system as a worker finds it, given the folder of the campaign file."""
+        return self.name if self.python is None else str(folder.absolute() / self.python)
 
     @property
     def options(self) -> dict[str, OptionValue]:

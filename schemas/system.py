@@ -1,8 +1,8 @@
 """The specification of a system under test, which workers announce so that the orchestrator need not import it."""
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .base import Model, digest
 from .rules import RULES
@@ -12,12 +12,20 @@ OptionValue = str | float
 
 
 class Parameter(Model):
-    """One component of the starting condition d."""
+    """One component of the starting condition d: `Parameter(low, high, unit=...)`, or by names.
 
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
-    unit: str
+    The name may be left out where the parameter stands under it, as in the decorator of a function.
+    """
+
+    name: str = Field(default="", pattern=r"^([a-z][a-z0-9_]*)?$")
+    unit: str = ""
     low: float
     high: float
+
+    def __init__(self, *limits: float, **fields: Any) -> None:
+        if limits:
+            fields |= dict(zip(("low", "high"), limits, strict=True))
+        super().__init__(**fields)
 
 
 class Column(Model):
@@ -43,7 +51,8 @@ class SystemSpec(Model):
     """A system under test: its parameters and options, its columns, and its software.
 
     `columns` starts with the time `t` in seconds. `noisy` names the variants whose rollouts depend on the seed.
-    `versions` are those of the packages that decide the trajectory, e.g. {"pybullet": "3.2.7"}.
+    `versions` are those of the packages that decide the trajectory, e.g. {"pybullet": "3.2.7"}; `code` are the source
+    files of a system that is in no package.
     """
 
     name: str = Field(pattern=r"^[a-z][a-z0-9-]*$")
@@ -55,6 +64,13 @@ class SystemSpec(Model):
     noisy: tuple[Variant, ...] = ("true",)
     max_horizon: float = Field(gt=0, description="longest rollout in seconds")
     versions: dict[str, str] = Field(default_factory=dict)
+    code: dict[str, str] = Field(default_factory=dict, description="sha256 of every source file, of a system in a file")
+
+    @model_validator(mode="after")
+    def _named(self) -> "SystemSpec":
+        if any(not each.name for each in self.parameters):
+            raise ValueError("parameters: every parameter needs a name")
+        return self
 
     @property
     def digest(self) -> str:

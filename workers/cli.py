@@ -39,7 +39,33 @@ def group() -> None:
     one_blas_thread()
 
 
+def _add_files(_context: click.Context, _option: click.Parameter, references: tuple[str, ...]) -> tuple[str, ...]:
+    """Load the systems in files; only those of this command line, never one that a message names."""
+    if references:
+        from .systems import add_file  # noqa: PLC0415
+
+        for reference in references:
+            try:
+                with contextlib.redirect_stdout(sys.stderr):  # what a file prints must not mix with the data
+                    add_file(reference)
+            except PerfboundError as error:
+                fail(str(error))
+    return references
+
+
+system_option = click.option(
+    "--system",
+    "references",
+    multiple=True,
+    metavar="FILE.py:NAME",
+    callback=_add_files,
+    expose_value=False,
+    help="A system in a file, beside those that are installed; may be repeated.",
+)
+
+
 @group.command()
+@system_option
 @click.option("--connect", "endpoint", required=True, help="Endpoint of the orchestrator, e.g. tcp/127.0.0.1:7447.")
 @click.option("--name", default="worker", show_default=True, help="Name in logs and database; gets a random suffix.")
 @click.option("--run", default=None, help="Serve only this run id; otherwise the oldest orchestrator there is.")
@@ -148,8 +174,9 @@ def _abandoned(
 
 
 @group.command()
+@system_option
 def systems() -> None:
-    """Print the SystemSpec of every installed system as one JSON object, name to spec."""
+    """Print the SystemSpec of every system as one JSON object, name to spec."""
     from .systems import available, load_system  # noqa: PLC0415
 
     specs = {}
@@ -163,6 +190,21 @@ def systems() -> None:
 
 
 @group.command()
+@click.argument("reference")
+def spec(reference: str) -> None:
+    """Print the SystemSpec of a system in a file as JSON."""
+    from .systems import add_file, load_system  # noqa: PLC0415
+
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            found = load_system(add_file(reference)).spec
+    except PerfboundError as error:
+        fail(str(error))
+    click.echo(canonical_json(found.model_dump(mode="json")))
+
+
+@group.command()
+@system_option
 @click.option("--request", required=True, help="RolloutRequest as JSON.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file to write.")
 def simulate(request: str, out: Path) -> None:
@@ -187,6 +229,7 @@ def simulate(request: str, out: Path) -> None:
 
 
 @group.command("visual")
+@system_option
 @click.option("--file", "path", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file.")
 def print_visual(path: Path) -> None:
     """Print the visual part of a trajectory as JSON: the scene and the moving frames, or null."""

@@ -15,7 +15,7 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
         CampaignError: one line with the source, the key and the remedy.
 
     """
-    if config.system.name != spec.name:
+    if config.system.name not in ("", spec.name):
         raise CampaignError(f"{source}: system.name: is {config.system.name!r}, the system here is {spec.name!r}")
     check_against(config, spec, source)
     _check_specification(config, spec, source)

@@ -22,12 +22,14 @@ class Version(NamedTuple):
 def software(spec: SystemSpec) -> dict[str, str]:
     """Return name and version of everything that computes trajectories and bounds."""
     own = {"perfbound": __version__, "python": platform.python_version()}
-    return own | {name: version(name) for name in NUMERICS} | spec.versions
+    code = {name: f"sha256 {digest}" for name, digest in spec.code.items()}
+    return own | {name: version(name) for name in NUMERICS} | spec.versions | code
 
 
 def other_numerics(recorded: Mapping[str, str], spec: SystemSpec) -> list[Version]:
     """Return the packages whose installed versions may compute other numbers than the recorded ones."""
     here: dict[str, str | None] = {**software(spec)}
+    # The code of a system in a file is compared where the file is: by the worker.
     here |= {name: _installed(name) for name in spec.versions}
     # Without perfbound: the rules in the header decide what it computes, not its version.
     found = (Version(name, number, here.get(name)) for name, number in recorded.items() if name != "perfbound")

@@ -116,19 +116,29 @@ def orchestrate(*, campaign: Path, out: Path | None, seed: int | None, **options
 
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
+@click.option("--system", default=None, metavar="FILE.py:NAME", help="The system in a file, if it is elsewhere now.")
 @workers_option(0)
 @signing.sign_option
 @strict_option
 @drain_option
 @log_option
 @link_options
-def resume(*, directory: Path, workers: int, sign: Path | None, strict: bool, drain: bool, **link: Any) -> None:
+def resume(
+    *,
+    directory: Path,
+    system: str | None,
+    workers: int,
+    sign: Path | None,
+    strict: bool,
+    drain: bool,
+    **link: Any,
+) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
     from ..run import session  # noqa: PLC0415
 
     key = signing.load_key(sign) if sign else None
     with resumable(directory):
-        options = session.RunOptions(workers, _link(**link), drain)
+        options = session.RunOptions(workers, _link(**link), drain, system)
         resumed = session.resume_campaign(directory, options, STDERR.console)
         _finish(directory, key, strict=strict, report=resumed)
 

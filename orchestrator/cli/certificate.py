@@ -18,8 +18,11 @@ from .stderr import STDERR
 @click.option(
     "--resimulate", "again", type=click.IntRange(0), default=0, metavar="K", help="Simulate K random rollouts again."
 )
+@click.option(
+    "--system", default=None, metavar="FILE.py:NAME", help="With --resimulate: the system, if it is in a file."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON.")
-def verify(*, path: Path, key: Path | None, again: int, as_json: bool) -> None:
+def verify(*, path: Path, key: Path | None, again: int, system: str | None, as_json: bool) -> None:
     """Check the certificate in PATH, a run directory or a certificate, against its evidence.
 
     The campaign is decided again from the trajectory files alone. Exits with 1 if any check fails.
@@ -29,7 +32,7 @@ def verify(*, path: Path, key: Path | None, again: int, as_json: bool) -> None:
     from ..certificate.verify import run, table  # noqa: PLC0415
 
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        found = run.verify_certificate(path, key=key, again=again, report=table.stage_bars(progress))
+        found = run.verify_certificate(path, key=key, again=again, report=table.stage_bars(progress), system=system)
     if as_json:
         click.echo(table.as_json(found))
     else:

@@ -18,7 +18,7 @@ from .group import RUN_DIRECTORY, cli
 def simulate(
     *, system: str, start: str, variant: str, seed: int, horizon: float, options: tuple[str, ...], out: Path
 ) -> None:
-    """Run one rollout of SYSTEM without workers, and write its trajectory."""
+    """Run one rollout of SYSTEM, an installed one or FILE.py:NAME, without workers, and write its trajectory."""
     from ..fleet import simulate  # noqa: PLC0415
 
     for line in simulate.simulate_once(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
@@ -26,11 +26,12 @@ def simulate(
 
 
 @cli.command()
-def systems() -> None:
-    """List the installed systems with their parameters, columns and options."""
+@click.argument("system", required=False)
+def systems(system: str | None) -> None:
+    """Describe SYSTEM, or list the installed ones, with parameters, columns and options."""
     from ..fleet import simulate  # noqa: PLC0415
 
-    for line in simulate.describe():
+    for line in simulate.describe(system):
         click.echo(line)
 
 

@@ -11,6 +11,16 @@ CHILD_TIMEOUT = 120
 """Seconds that a child may take to answer."""
 
 
+def in_file(reference: str) -> bool:
+    """Whether a reference names a system in a file, `FILE.py:NAME`, and not an installed one."""
+    return ".py:" in reference
+
+
+def system_options(reference: str | None) -> list[str]:
+    """Return the options with which a worker knows a system; none for an installed one."""
+    return ["--system", reference] if reference is not None and in_file(reference) else []
+
+
 def ask(command: str, *arguments: str) -> str:
     """Return the output of a command of a `workers` child.
 
@@ -46,12 +56,17 @@ def system_specs() -> dict[str, SystemSpec]:
 
 
 def system_spec(name: str, where: str) -> SystemSpec:
-    """Return one installed system.
+    """Return one system: an installed one, or `FILE.py:NAME`.
 
     Raises:
-        CampaignError: it is not installed; the text names those that are.
+        CampaignError: it is not installed, in which case the text names those that are; or its file cannot be used.
 
     """
+    if in_file(name):
+        try:
+            return SystemSpec.model_validate_json(ask("spec", name))
+        except PerfboundError as error:
+            raise CampaignError(f"{where}: {error}") from None
     specs = system_specs()
     if name not in specs:
         raise CampaignError(f"{where}: {name!r} is not an installed system; allowed are {', '.join(sorted(specs))}")

@@ -7,9 +7,9 @@ from pathlib import Path
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate
-from ...schemas.system import OptionValue, SystemSpec
+from ...schemas.system import Option, OptionValue, SystemSpec
 from ...schemas.trajectory import decode
-from .child import ask, system_spec, system_specs
+from .child import ask, system_options, system_spec, system_specs
 
 
 def simulate_once(
@@ -27,7 +27,7 @@ def simulate_once(
         raise PerfboundError(f"--horizon {horizon:g}: {spec.name} takes 0 to {spec.max_horizon:g} s")
     template = RequestTemplate.of(spec, _options(spec, options), horizon=horizon, visual=True)
     request = template.request(RolloutId("simulate", 0, variant, 0), _numbers(spec, start), seed)
-    ask("simulate", "--request", request.model_dump_json(), "--out", str(out))
+    ask("simulate", "--request", request.model_dump_json(), "--out", str(out), *system_options(system))
     trajectory = decode(out.read_bytes())
     yield f"{'column':<14} {'unit':<8} {'first':>12} {'least':>12} {'greatest':>12} {'last':>12}"
     for column in spec.columns:
@@ -37,16 +37,22 @@ def simulate_once(
     yield f"{len(trajectory.samples)} samples in {out}"
 
 
-def describe() -> Iterator[str]:
-    """Yield a description of every installed system."""
-    for name, spec in system_specs().items():
-        yield f"{name}: {spec.doc}"
+def describe(reference: str | None = None) -> Iterator[str]:
+    """Yield a description of one system, or of every installed one."""
+    found = system_specs() if reference is None else {"": system_spec(reference, "SYSTEM")}
+    for spec in found.values():
+        yield f"{spec.name}: {spec.doc}"
         for parameter in spec.parameters:
             yield f"  parameter {parameter.name} in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
         for option in spec.options:
-            allowed = " | ".join(option.choices) or f"[{option.low}, {option.high}] {option.unit}"
+            allowed = " | ".join(option.choices) or _range(option)
             yield f"  option    {option.name} = {option.default} (allowed: {allowed}) {option.doc}"
         yield f"  columns   {', '.join(f'{column.name} ({column.unit})' for column in spec.columns)}"
+
+
+def _range(option: Option) -> str:
+    limits = [f"{sign} {limit:g}" for sign, limit in ((">=", option.low), ("<=", option.high)) if limit is not None]
+    return " ".join(filter(None, ["a number", " and ".join(limits), option.unit]))
 
 
 def _numbers(spec: SystemSpec, text: str) -> tuple[float, ...]:

@@ -70,6 +70,8 @@ class RunOptions:
     """Local worker processes."""
     link: Link
     drain: bool = False
+    system: str | None = None
+    """FILE.py:NAME, where the system in a file is elsewhere than it was."""
 
 
 def start_campaign(
@@ -84,7 +86,8 @@ def start_campaign(
 
     """
     _check_vacant(directory, config)
-    spec = child.system_spec(config.system.name, f"{source}: system.name")
+    reference = config.system.reference(source.parent)
+    spec = child.system_spec(reference, f"{source}: system.{'python' if config.system.python else 'name'}")
     check(config, spec, str(source))
     header, link = Header.new(config, spec, software(spec)), options.link
     with (
@@ -93,10 +96,10 @@ def start_campaign(
         _claimed(directory, config),
         ExitStack() as stack,
     ):
-        journal = Journal.create(directory, header)
+        journal = Journal.create(directory, header, reference if child.in_file(reference) else None)
         stack.callback(journal.close)
         page.start()
-        _conduct(directory, journal, transport, page, options=options, console=console, resumed=False)
+        _conduct(directory, journal, transport, page, reference, options=options, console=console, resumed=False)
 
 
 def resume_campaign(directory: Path, options: RunOptions, console: Console) -> bool:
@@ -117,12 +120,14 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console) -> b
         campaign_lock(directory),
         ExitStack() as stack,
     ):
-        journal = Journal.open(directory)
+        reference = options.system or read.system_reference(directory)
+        journal = Journal.open(directory, reference if child.in_file(reference) else None)
         stack.callback(journal.close)
         _check_software(journal.header)
+        _check_code(journal.header, reference)
         transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
         page.start()
-        _conduct(directory, journal, transport, page, options=options, console=console, resumed=True)
+        _conduct(directory, journal, transport, page, reference, options=options, console=console, resumed=True)
     return True
 
 
@@ -184,6 +189,22 @@ def _check_software(header: Header) -> None:
         )
 
 
+def _check_code(header: Header, reference: str) -> None:
+    """Refuse a system in a file that is not the one of the campaign; of an installed one the workers tell."""
+    if not child.in_file(reference):
+        return
+    found, campaign = child.system_spec(reference, "--system"), header.spec
+    changed = sorted(name for name, _ in found.code.items() ^ campaign.code.items())
+    if changed or found.digest_by(header.rules) != header.system_sha256:
+        what = (
+            f"{', '.join(dict.fromkeys(changed))}: not the code" if changed else f"{reference}: not the specification"
+        )
+        raise JournalError(
+            f"{what} with which this campaign was started; resume it with the files of then (--system FILE.py:NAME if "
+            "they are elsewhere), or start a new campaign"
+        )
+
+
 @contextmanager
 def _claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
     """Make the run directory and lock it; remove it if no campaign was started in it."""
@@ -213,6 +234,7 @@ def _conduct(
     journal: Journal,
     transport: ZenohTransport,
     page: LivePage,
+    reference: str,
     *,
     options: RunOptions,
     console: Console,
@@ -222,7 +244,8 @@ def _conduct(
     with ExitStack() as stack:
         fleet = None
         if options.workers:
-            fleet = Fleet(options.workers, transport.endpoint, run, options.link.worker_options())
+            links = [*options.link.worker_options(), *child.system_options(reference)]
+            fleet = Fleet(options.workers, transport.endpoint, run, links)
             stack.callback(fleet.stop)
             fleet.start()
         else:

@@ -41,17 +41,17 @@ _INSERTS = {table: table.insert() for table in tables.FACTS} | {
 class Journal:
     """An open campaign database, used by one thread, under `campaign_lock`."""
 
-    def __init__(self, directory: Path, engine: Engine, header: Header) -> None:
+    def __init__(self, directory: Path, engine: Engine, header: Header, system: str | None) -> None:
         self.directory, self.header = directory, header
         self._engine = engine
         self._connection = engine.connect()
         self._version, self._seq = _position(self._connection, directory)
         self._pending: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
-        self.session = _open_session(self._connection)
+        self.session = _open_session(self._connection, self._version, system)
 
     @classmethod
-    def create(cls, directory: Path, header: Header) -> "Journal":
-        """Make the database of a new campaign, whole or not at all."""
+    def create(cls, directory: Path, header: Header, system: str | None = None) -> "Journal":
+        """Make the database of a new campaign, whole or not at all; `system` is the reference of one in a file."""
         # Under another name until it is whole: after kill -9 a database without its header would pass for a campaign.
         partial = temporary(directory / DATABASE)
         engine = _engine(partial)
@@ -63,11 +63,11 @@ class Journal:
             connection.execute(tables.campaign.insert().values(seq=1, **header_row(header)))
         engine.dispose()
         move(partial, directory / DATABASE)
-        return cls(directory, _engine(directory / DATABASE), header)
+        return cls(directory, _engine(directory / DATABASE), header, system)
 
     @classmethod
-    def open(cls, directory: Path) -> "Journal":
-        """Open the database of an existing campaign.
+    def open(cls, directory: Path, system: str | None = None) -> "Journal":
+        """Open the database of an existing campaign; `system` is the reference of one in a file.
 
         Raises:
             JournalError: there is none, or it is of another schema, or damaged.
@@ -81,7 +81,7 @@ class Journal:
             if _of_the_disk(error):
                 raise  # a full disk is no fault of the file
             raise JournalError(f"{directory / DATABASE}: not a campaign database ({error.orig})") from None
-        return cls(directory, engine, header)
+        return cls(directory, engine, header, system)
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -184,9 +184,11 @@ def _position(connection: Connection, directory: Path) -> tuple[int, int]:
         return read_version(connection, directory), max(seq or 0 for seq in last)
 
 
-def _open_session(connection: Connection) -> int:
+def _open_session(connection: Connection, version: int, system: str | None) -> int:
     with connection.begin():
-        row = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
+        row: dict[str, Any] = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
+        if has_column("sessions", "system", version):
+            row["system"] = system
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
         assert key is not None
         return int(key[0])

@@ -82,6 +82,22 @@ def read_header(connection: Connection, directory: Path) -> Header:
     return checked_header(directory, connection.execute(sa.select(*columns).limit(2)).all())
 
 
+def system_reference(directory: Path) -> str:
+    """Return the system of a campaign as a worker finds it: its name, or FILE.py:NAME as the last session had it.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    with reading(directory) as connection:
+        header = read_header(connection, directory)
+        if header.config.system.python is None:
+            return header.spec.name
+        sessions = tables.sessions.c
+        newest = sa.select(sessions.system).where(sessions.system.is_not(None)).order_by(sessions.session.desc())
+        return str(connection.execute(newest.limit(1)).scalar() or header.config.system.python)
+
+
 def read_facts(connection: Connection) -> Iterator[Fact]:
     """Yield all facts after the header in the order in which they were written."""
     rows = [

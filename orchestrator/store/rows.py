@@ -29,7 +29,7 @@ DATABASE = "campaign.db"
 SCHEMA_VERSION = 3
 """Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
 READ_VERSIONS = (1, 2, 3)
-ADDED_IN = {("campaign", "rules"): 2, ("outcomes", "kind"): 3}
+ADDED_IN = {("campaign", "rules"): 2, ("outcomes", "kind"): 3, ("sessions", "system"): 3}
 """(table, column) to the schema version that added it; every other column is as old as version 1.
 
 Campaigns without `rules` follow rules 1; the kind of a failure without `kind` is unknown.

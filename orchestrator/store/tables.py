@@ -136,6 +136,7 @@ sessions = Table(
     Column("host", Text, nullable=False),
     Column("pid", Integer, nullable=False),
     Column("started", REAL, nullable=False),  # Unix time, s
+    Column("system", Text),  # FILE.py:NAME with its folder, of a system in a file
     sqlite_strict=True,
 )
 

@@ -14,7 +14,7 @@ import numpy as np
 from ....schemas.base import canonical_json
 from ....schemas.ids import RolloutId
 from ....schemas.trajectory import Trajectory, read_mcap
-from ...fleet.child import ask
+from ...fleet.child import ask, system_options
 from ...mathematics.bounds.share import unseen_share
 from ...store import files
 from .checks import CheckFailed
@@ -36,7 +36,11 @@ class Resimulation:
 
 
 def resimulate(
-    directory: Path, entries: Mapping[RolloutId, Entry], count: int, progress: Callable[[int], None]
+    directory: Path,
+    entries: Mapping[RolloutId, Entry],
+    count: int,
+    progress: Callable[[int], None],
+    system: str | None = None,
 ) -> tuple[Resimulation, ...]:
     """Simulate `count` rollouts again, chosen at random after the evidence is fixed.
 
@@ -50,18 +54,21 @@ def resimulate(
     chosen = chooser.sample(sorted(entries), min(count, len(entries)))
     found: list[Resimulation] = []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(AT_A_TIME) as pool:
-        tasks = ((directory, rollout, entries[rollout], Path(folder)) for rollout in chosen)
+        tasks = ((directory, rollout, entries[rollout], Path(folder), system) for rollout in chosen)
         for again in pool.map(lambda task: _simulate_again(*task), tasks):
             found.append(again)
             progress(len(found))
     return tuple(found)
 
 
-def _simulate_again(directory: Path, rollout: RolloutId, entry: Entry, folder: Path) -> Resimulation:
+def _simulate_again(
+    directory: Path, rollout: RolloutId, entry: Entry, folder: Path, system: str | None
+) -> Resimulation:
     before = files.read_evidence(directory, entry.path, entry.sha256)
     recorded = read_mcap(before)
     out = folder / f"{rollout}.mcap"
-    ask("simulate", "--request", canonical_json(recorded.request), "--out", str(out))
+    request = canonical_json(recorded.request)
+    ask("simulate", "--request", request, "--out", str(out), *system_options(system))
     after = out.read_bytes()
     out.unlink()
     if after == before:

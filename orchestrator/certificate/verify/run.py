@@ -40,8 +40,18 @@ class Verification:
     reissued: Certificate | None
 
 
-def verify_certificate(path: Path, *, key: Path | None, again: int, report: Report) -> Verification:
-    """Verify the certificate in `path`; `again` rollouts are simulated again.
+@dataclass(frozen=True, slots=True)
+class Again:
+    """Rollouts that are simulated again; `system` is FILE.py:NAME of a system in a file, which no certificate names."""
+
+    rollouts: int
+    system: str | None = None
+
+
+def verify_certificate(
+    path: Path, *, key: Path | None, again: int, report: Report, system: str | None = None
+) -> Verification:
+    """Verify the certificate in `path`; `again` rollouts are simulated again, by `system` if it is one in a file.
 
     Raises:
         PerfboundError: there is no certificate, or the key cannot be read.
@@ -50,13 +60,13 @@ def verify_certificate(path: Path, *, key: Path | None, again: int, report: Repo
     given, checks, certificate, reissued = VerificationInput.of(path), Checks(), None, None
     try:
         certificate = parsed(signed_text(given, key, checks), checks)
-        reissued = _evidence(given.directory, certificate, checks, again, report)
+        reissued = _evidence(given.directory, certificate, checks, Again(again, system), report)
     except CheckFailed as failed:
         checks.failed(failed.name, str(failed))
     return Verification(checks, certificate, reissued)
 
 
-def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: int, report: Report) -> Certificate:
+def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: Again, report: Report) -> Certificate:
     with checks.making("header"):
         header = _header(directory, certificate, checks)
     with checks.making("manifest"):
@@ -194,12 +204,13 @@ def _software(header: Header, checks: Checks) -> bool:
 
 
 def _resimulation(
-    directory: Path, entries: Mapping[RolloutId, Entry], count: int, checks: Checks, report: Report
+    directory: Path, entries: Mapping[RolloutId, Entry], again: Again, checks: Checks, report: Report
 ) -> None:
     """Simulate rollouts again, if requested."""
-    if not count:
+    if not again.rollouts:
         checks.skipped("resimulation", "request it with --resimulate K; workers_honest stays assumed")
         return
     # An impossible simulation fails the check: a forger could cause it.
-    found = resimulate(directory, entries, count, lambda done: report("simulation", done, min(count, len(entries))))
+    count = min(again.rollouts, len(entries))
+    found = resimulate(directory, entries, count, lambda done: report("simulation", done, count), again.system)
     checks.passed("resimulation", finding(found, len(entries)))

@@ -10,7 +10,8 @@ from ....schemas import atomic
 from ....schemas.errors import PerfboundError, TrajectoryError
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory, decode
-from ...fleet.child import ask
+from ...fleet.child import ask, system_options
+from ...store.read import system_reference
 from .. import curves
 from .comparison import Deviation, compare, lines
 from .load import RecordedRollout, load_recorded
@@ -33,18 +34,18 @@ def replay_rollout(
             differs from the recorded one; in the last case the files are written nevertheless.
 
     """
-    found = load_recorded(directory, rollout)
+    found, system = load_recorded(directory, rollout), system_reference(directory)
     yield _title_line(found)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.mcap"
-        data = simulate_file(found.request.model_copy(update={"visual": True}), path)
+        data = simulate_file(found.request.model_copy(update={"visual": True}), path, system)
         try:
             again = decode(data)
         except TrajectoryError as error:
             raise PerfboundError(f"the system returned no trajectory: {error}; fix the system") from None
         if found.trajectory is None:
             yield found.damage
-            fault = _digest_fault(found, data, Path(folder))
+            fault = _digest_fault(found, data, Path(folder), system)
             yield fault or "simulated again, the file is bitwise the same as the recorded one"
         else:
             deviation = compare(again, found.trajectory)
@@ -54,20 +55,20 @@ def replay_rollout(
             atomic.write_whole(mcap.absolute(), data)
             yield f"file: {mcap}"
         if out is not None:
-            atomic.write_whole(out.absolute(), _picture(found, again, path))
+            atomic.write_whole(out.absolute(), _picture(found, again, path, system))
             yield f"picture: {out}"
     if fault:
         raise PerfboundError(f"{found.fact.rollout}: {fault}")
 
 
-def simulate_file(request: RolloutRequest, path: Path) -> bytes:
+def simulate_file(request: RolloutRequest, path: Path, system: str) -> bytes:
     """Simulate a rollout in a child and return its file, which is also at `path`.
 
     Raises:
         PerfboundError: the child fails.
 
     """
-    ask("simulate", "--request", request.model_dump_json(), "--out", str(path))
+    ask("simulate", "--request", request.model_dump_json(), "--out", str(path), *system_options(system))
     return path.read_bytes()
 
 
@@ -81,10 +82,10 @@ def _title_line(found: RecordedRollout) -> str:
     return f"{found.fact.rollout}: {spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
 
 
-def _digest_fault(found: RecordedRollout, data: bytes, folder: Path) -> str:
+def _digest_fault(found: RecordedRollout, data: bytes, folder: Path, system: str) -> str:
     """Return the fault of a file that replaces a damaged one; empty if it is the same file."""
     if not found.request.visual:  # the recorded file had no visual part, so it has other bytes than `data`
-        data = simulate_file(found.request, folder / "exact.mcap")
+        data = simulate_file(found.request, folder / "exact.mcap", system)
     digest = hashlib.sha256(data).hexdigest()
     if digest == found.fact.sha256:
         return ""
@@ -104,7 +105,7 @@ def _fault(found: RecordedRollout, deviation: Deviation) -> str:
     )
 
 
-def _picture(found: RecordedRollout, again: Trajectory, path: Path) -> bytes:
+def _picture(found: RecordedRollout, again: Trajectory, path: Path, system: str) -> bytes:
     """Return the PNG of a rollout whose file is at `path`."""
     from . import picture  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
@@ -115,7 +116,7 @@ def _picture(found: RecordedRollout, again: Trajectory, path: Path) -> bytes:
     columns = curves.relevant_columns(header, problem) or again.columns[1:2]
     limits = curves.limits(header, columns)
     margin = margins(curves.formula(header), again)
-    visual = json.loads(ask("visual", "--file", str(path)))
+    visual = json.loads(ask("visual", "--file", str(path), *system_options(system)))
     return picture.drawn(
         picture.Picture(
             title=_title_line(found),

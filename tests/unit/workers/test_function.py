@@ -1,0 +1,259 @@
+"""Systems of one function: what follows from the signature, what may be returned, and what is refused."""
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+import perfbound as pb
+from perfbound.schemas.errors import DefinitionError, SimulationError, UnknownSystemError
+from perfbound.workers import systems
+from perfbound.workers.systems.files import MODULE, load_file
+from perfbound.workers.systems.function import FunctionSystem, system
+
+RANGE = {"x": pb.Parameter(0, 1, unit="m")}
+T = np.arange(5.0)
+
+
+def made(function: Callable[..., Any], **changes: Any) -> FunctionSystem:
+    return system(**{"parameters": RANGE, "columns": {"a": "m", "b": ""}, "name": "f", **changes})(function)
+
+
+def rolled(function: Callable[..., Any], *, options: dict[str, Any] | None = None, **changes: Any) -> Any:
+    found = made(function, **changes)
+    return found.rollout((0.5,), variant="nominal", seed=7, horizon=2.0, options=options or {}, progress=lambda _: None)
+
+
+# The specification
+
+
+def test_the_spec_follows_from_the_signature() -> None:
+    @pb.system(parameters={"gap": pb.Parameter(5, 60, unit="m"), "v": pb.Parameter(0, 9)}, columns={"d": "m"}, step=0.1)
+    def my_cars(gap: float, v: float, *, seed: int, mode: Literal["a", "b"] = "b", reaction: float = 0.4) -> float:
+        """Two cars.
+
+        More about them.
+        """
+        return gap - v * reaction
+
+    spec = my_cars.spec
+    assert (spec.name, spec.doc, spec.variants, spec.noisy) == ("my-cars", "Two cars.", ("nominal",), ("nominal",))
+    assert [(each.name, each.low, each.high, each.unit) for each in spec.parameters] == [
+        ("gap", 5, 60, "m"),
+        ("v", 0, 9, ""),
+    ]
+    assert [(each.name, each.unit) for each in spec.columns] == [("t", "s"), ("d", "m")]
+    assert [(each.name, each.default, each.choices) for each in spec.options] == [
+        ("mode", "b", ("a", "b")),
+        ("reaction", 0.4, ()),
+    ]
+    assert my_cars(10.0, 5.0, seed=0) == 8.0, "it can still be called"
+
+
+def test_without_seed_nothing_is_noisy_and_with_variant_there_are_two() -> None:
+    assert made(lambda x: (x, x)).spec.noisy == ()
+    both = made(lambda x, *, variant, seed: (x, x)).spec
+    assert both.variants == both.noisy == ("nominal", "true")
+    assert made(lambda x, *, variant, seed: (x, x), noisy=["true"]).spec.noisy == ("true",)
+
+
+@pytest.mark.parametrize(
+    ("function", "changes", "words"),
+    [
+        (lambda y: y, {}, "its positional arguments are y, `parameters` has x"),
+        (lambda x, y: y, {}, "its positional arguments are x, y, `parameters` has x"),
+        (lambda *x: x, {}, r"\*x has no names"),
+        (lambda x, *, gain: x, {}, "option 'gain' needs a default; perfbound passes seed, horizon, variant, progress"),
+        (lambda x, *, name="a": x, {}, r"option 'name' is a key of \[system\]"),
+        (lambda x, *, on=True: x, {}, "option 'on' is a number or a word, not True"),
+        (lambda x: x, {"noisy": ["nominal"]}, "takes its `seed`"),
+        (lambda x, *, seed: x, {"noisy": ["true"]}, "no variant 'true', only nominal"),
+        (lambda x: x, {"step": 0.0}, "step: 0.0 is not a positive"),
+        (lambda x: x, {"columns": {"Distance": "m"}}, "'Distance': a name consists of a-z, 0-9 and _"),
+    ],
+)
+def test_a_signature_that_does_not_fit_is_refused(
+    function: Callable[..., Any], changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(DefinitionError, match=words):
+        made(function, **changes)
+
+
+# What is returned
+
+
+@pytest.mark.parametrize(
+    ("returned", "step"),
+    [
+        ((T, -T), 1.0),
+        ([T, -T], 1.0),
+        (np.column_stack([T, -T]), 1.0),
+        ({"a": T, "b": -T}, 1.0),
+        ({"b": -T, "a": T, "t": T}, None),
+    ],
+)
+def test_columns_may_be_a_tuple_an_array_or_a_dict(returned: Any, step: float | None) -> None:
+    found = rolled(lambda x: returned, step=step)
+    assert found.columns == ("t", "a", "b")
+    assert found.samples.tolist() == np.column_stack([T, T, -T]).tolist()
+
+
+@pytest.mark.parametrize("returned", [(1, 2.0), {"a": [1], "b": 2}, np.array([1.0, 2.0]), np.array([[1.0, 2.0]])])
+def test_numbers_are_one_sample_at_time_zero(returned: Any) -> None:
+    assert rolled(lambda x: returned).samples.tolist() == [[0.0, 1.0, 2.0]]
+
+
+def test_one_column_needs_no_tuple() -> None:
+    assert rolled(lambda x: x, columns={"a": "m"}).samples.tolist() == [[0.0, 0.5]]
+    assert rolled(lambda x: T, columns={"a": "m"}, step=0.5).samples[:, 0].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        ((T, T, T), "returned 3 values, its columns are a, b"),
+        ({"a": T}, "returned a, its columns are a, b"),
+        ((T, T[:3]), "differ in length: a has 5, b has 3"),
+        ((T, T), "5 samples without time; return a dict with a column 't', or give `step`"),
+        (np.zeros((5, 3)), r"returned an array \(5, 3\), its columns are a, b"),
+        ((T, "far"), "b is str, not an array of numbers"),
+        (None, "the returned value is NoneType"),
+        ((np.zeros((5, 2)), T), r"a has the shape \(5, 2\)"),
+        (([], []), "at least one sample"),
+        ((math.nan, 1.0), "not finite"),
+        ({"a": T, "b": T, "t": T[::-1]}, "increas"),
+    ],
+)
+def test_what_is_no_trajectory_is_refused_with_its_remedy(returned: Any, words: str) -> None:
+    with pytest.raises(SimulationError, match=words):
+        rolled(lambda x: returned)
+
+
+def test_options_keep_their_kind() -> None:
+    def counted(x: float, *, count: int = 3, gain: float = 1) -> tuple[list[float], list[float]]:
+        return [float(x)] * count, [gain] * count
+
+    assert len(rolled(counted, step=1.0, options={"count": 4.0}).samples) == 4
+    with pytest.raises(SimulationError, match=r"option count is a whole number, not 2\.5"):
+        rolled(counted, step=1.0, options={"count": 2.5})
+
+
+def test_a_class_is_made_once() -> None:
+    made_at: list[int] = []
+
+    class Loaded:
+        """What is costly stays."""
+
+        def __init__(self) -> None:
+            made_at.append(1)
+
+        def __call__(self, x: float, *, seed: int) -> tuple[float, float]:
+            return x, seed
+
+    found = made(Loaded)
+    assert made_at == [], "the spec needs no instance"
+    for seed in (1, 2):
+        trajectory = found.rollout(
+            (0.5,), variant="nominal", seed=seed, horizon=0.0, options={}, progress=lambda _: None
+        )
+        assert trajectory.samples.tolist() == [[0.0, 0.5, seed]]
+    assert made_at == [1]
+
+
+def test_a_function_without_progress_shows_that_it_lives(monkeypatch: pytest.MonkeyPatch) -> None:
+    import time
+
+    monkeypatch.setattr("perfbound.workers.systems.function.TICK", 0.01)
+    steps: list[int] = []
+
+    def slow(x: float) -> tuple[float, float]:
+        while len(steps) < 3:
+            time.sleep(0.01)
+        return x, x
+
+    made(slow).rollout((0.5,), variant="nominal", seed=0, horizon=0.0, options={}, progress=steps.append)
+    assert steps[:3] == [1, 2, 3]
+
+
+# Files
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(systems, "_FROM_FILES", {})
+    known = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - known | {MODULE}:
+        sys.modules.pop(name, None)
+
+
+CARS = """import perfbound as pb
+{more}
+@pb.system(parameters={{"x": pb.Parameter(0, 1)}}, columns={{"a": "m"}})
+def cars(x):
+    return x
+"""
+
+
+def written(folder: Path, text: str = CARS.format(more="")) -> str:
+    (folder / "cars.py").write_text(text)
+    return f"{folder / 'cars.py'}:cars"
+
+
+def test_a_file_is_a_system_with_its_code(folder: Path) -> None:
+    (folder / "perfbound_helper.py").write_text("GAIN = 2")
+    spec = load_file(written(folder, CARS.format(more="import perfbound_helper"))).spec
+    assert sorted(spec.code) == ["cars.py", "perfbound_helper.py"]
+    assert systems.add_file(written(folder)) == "cars"
+    assert systems.load_system("cars").spec.code.keys() == {"cars.py"}
+    assert "cars" in systems.available()
+
+
+def test_another_code_is_another_system(folder: Path) -> None:
+    before = load_file(written(folder)).spec.digest
+    assert load_file(written(folder, CARS.format(more="# another comment"))).spec.digest != before
+
+
+def test_modules_with_names_of_ours_harm_nothing(folder: Path) -> None:
+    for name in ("schemas", "workers", "orchestrator"):
+        (folder / f"{name}.py").write_text("HERE = True")
+    text = CARS.format(more="import schemas, workers, orchestrator\nassert schemas.HERE and workers.HERE")
+    assert sorted(load_file(written(folder, text)).spec.code) == [
+        "cars.py",
+        "orchestrator.py",
+        "schemas.py",
+        "workers.py",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "words"),
+    [
+        (None, "cars", "no such Python file; its path is relative to the campaign file"),
+        ("def cars(:", "cars", r"cars\.py, line 1: "),
+        ("import nowhere_at_all", "cars", r"cars\.py, line 1: ModuleNotFoundError: No module named 'nowhere_at_all'"),
+        ("\nraise SystemExit(3)", "cars", r"cars\.py, line 2: SystemExit: 3"),
+        (CARS.format(more=""), "bikes", "there is no 'bikes' in it"),
+        ("def cars(x): return x", "cars", "cars is function and no system; put @perfbound.system above it"),
+        (CARS.format(more="").replace("def cars(x)", "def cars(y)"), "cars", "positional arguments are y"),
+    ],
+)
+def test_a_file_that_is_no_system_is_refused_in_one_line(folder: Path, text: str | None, name: str, words: str) -> None:
+    if text is not None:
+        (folder / "cars.py").write_text(text)
+    with pytest.raises(DefinitionError, match=words) as fault:
+        load_file(f"{folder / 'cars.py'}:{name}")
+    assert "\n" not in str(fault.value)
+
+
+def test_a_file_does_not_take_the_name_of_an_installed_system(folder: Path) -> None:
+    text = CARS.format(more="").replace('columns={"a": "m"}', 'columns={"a": "m"}, name="segway"')
+    with pytest.raises(DefinitionError, match="an installed system is called 'segway'"):
+        systems.add_file(written(folder, text))
+    with pytest.raises(UnknownSystemError):
+        systems.load_system("cars")

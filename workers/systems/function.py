@@ -1,0 +1,288 @@
+"""A Python function, or a class whose instances are called, as a system under test.
+
+The specification follows from the signature: positional arguments are the parameters of the starting condition, keyword
+arguments with defaults are the options. `seed`, `horizon`, `variant` and `progress` are passed to a function that names
+them: one without `seed` is deterministic, one without `variant` has a single one.
+"""
+
+import functools
+import inspect
+import re
+import threading
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Literal, get_args, get_origin
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from ...schemas.errors import DefinitionError, SimulationError
+from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ...schemas.trajectory import Trajectory
+from .base import Cancelled, Progress, SystemUnderTest, checked_options
+
+NAME = re.compile(r"[a-z][a-z0-9_]*")
+PASSED = ("seed", "horizon", "variant", "progress")
+"""Arguments of a rollout that a function gets if it names them."""
+RESERVED = ("name", "python", "program")
+"""Keys of `[system]` that are no options."""
+SINGLE: tuple[Variant, ...] = ("nominal",)
+BOTH: tuple[Variant, ...] = ("nominal", "true")
+TICK = 1.0
+"""Seconds between two signs of life of a function that reports no progress of its own; its `deadline` still ends it."""
+
+Floats = NDArray[np.float64]
+
+
+class FunctionSystem(SystemUnderTest):
+    """A decorated function; calling it calls the function itself."""
+
+    def __init__(
+        self, function: Callable[..., Any], spec: SystemSpec, step: float | None, passed: Sequence[str]
+    ) -> None:
+        functools.update_wrapper(self, function)
+        self._function, self._spec, self._step, self._passed = function, spec, step, tuple(passed)
+        self._instance: Callable[..., Any] | None = None if inspect.isclass(function) else function
+        self._whole = {option.name for option in spec.options if _is_whole(function, option.name)}
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Call the function."""
+        return self._function(*args, **kwargs)
+
+    @property
+    def spec(self) -> SystemSpec:
+        """The specification that follows from the signature and the decorator."""
+        return self._spec
+
+    def rollout(
+        self,
+        x: Sequence[float],
+        *,
+        variant: Variant,
+        seed: int,
+        horizon: float,
+        options: Mapping[str, OptionValue],
+        progress: Progress,
+    ) -> Trajectory:
+        """Call the function at `x`, and make a trajectory of what it returns.
+
+        Raises:
+            SimulationError: an argument is outside the spec, or the function returns something else than its columns.
+            Cancelled: raised by `progress`.
+
+        """
+        chosen = checked_options(self._spec, x, variant=variant, horizon=horizon, options=options)
+        given = {"seed": seed, "horizon": horizon, "variant": variant, "progress": progress}
+        keywords: dict[str, Any] = {name: given[name] for name in self._passed}
+        keywords |= {name: self._option(name, value) for name, value in chosen.items()}
+        if self._instance is None:  # a class: made once, for what is costly between rollouts
+            self._instance = self._function()
+        with _signs_of_life(progress, needed="progress" not in self._passed):
+            returned = self._instance(*x, **keywords)
+        return as_trajectory(returned, tuple(column.name for column in self._spec.columns), self._step)
+
+    def _option(self, name: str, value: OptionValue) -> OptionValue | int:
+        if name not in self._whole or isinstance(value, str):
+            return value
+        if value != int(value):
+            raise SimulationError(f"option {name} is a whole number, not {value!r}")
+        return int(value)
+
+
+def system(
+    *,
+    parameters: Mapping[str, Parameter],
+    columns: Mapping[str, str],
+    step: float | None = None,
+    noisy: Collection[Variant] | None = None,
+    name: str | None = None,
+    max_horizon: float = 3600.0,
+    versions: Mapping[str, str] | None = None,
+) -> Callable[[Callable[..., Any]], FunctionSystem]:
+    """Make a system under test of a function, or of a class with `__call__`.
+
+    `parameters` has the range and the unit of every positional argument, `columns` the units of what is returned; with
+    `step`, in seconds, the time of a sample follows from its number, else it is the column `t`. `noisy` names the
+    variants that depend on the seed, by default all of a function that takes one. The name is that of the function.
+
+    The function returns one array (T,) for each column, one array (T, n), or a dict of arrays; a number for each column
+    is one sample at time 0.
+
+    Raises:
+        DefinitionError: signature and arguments do not fit each other.
+
+    >>> import perfbound as pb
+    >>> @pb.system(parameters={"x": pb.Parameter(0, 1, unit="m")}, columns={"y": "m"})
+    ... def square(x, *, gain=2.0):
+    ...     return gain * x * x
+    >>> square.spec.options[0].name, square.spec.noisy, square(0.5)
+    ('gain', (), 0.5)
+
+    """
+
+    def decorate(function: Callable[..., Any]) -> FunctionSystem:
+        place = f"system {getattr(function, '__name__', function)!r}"
+        signature = _signature(function, place)
+        positional = [each.name for each in signature if each.kind is not each.KEYWORD_ONLY]
+        if positional != list(parameters):
+            raise DefinitionError(
+                f"{place}: its positional arguments are {_listed(positional)}, `parameters` has {_listed(parameters)}; "
+                "give both the same names in the same order, and put everything else behind a `*`"
+            )
+        keywords = [each for each in signature if each.kind is each.KEYWORD_ONLY]
+        passed = [each.name for each in keywords if each.name in PASSED]
+        options = tuple(_option_of(each, place) for each in keywords if each.name not in PASSED)
+        variants = BOTH if "variant" in passed else SINGLE
+        found = noisy if noisy is not None else (variants if "seed" in passed else ())
+        if unknown := set(found) - set(variants):
+            raise DefinitionError(
+                f"{place}: noisy: it has no variant {sorted(unknown)[0]!r}, only {', '.join(variants)}"
+            )
+        if found and "seed" not in passed:
+            raise DefinitionError(f"{place}: noisy: a function that depends on chance takes its `seed` as an argument")
+        for each in (*positional, *columns, *(option.name for option in options)):
+            if not NAME.fullmatch(each):
+                raise DefinitionError(f"{place}: {each!r}: a name consists of a-z, 0-9 and _, the first is a letter")
+        if step is not None and not step > 0:
+            raise DefinitionError(f"{place}: step: {step!r} is not a positive number of seconds")
+        try:
+            spec = SystemSpec(
+                name=(name or str(getattr(function, "__name__", "system"))).lower().strip("_").replace("_", "-"),
+                doc=(inspect.getdoc(function) or "").partition("\n")[0],
+                parameters=tuple(each.model_copy(update={"name": key}) for key, each in parameters.items()),
+                columns=tuple(Column(name=key, unit=unit) for key, unit in {"t": "s", **columns}.items()),
+                options=options,
+                variants=variants,
+                noisy=tuple(each for each in variants if each in found),
+                max_horizon=max_horizon,
+                versions=dict(versions or {}),
+            )
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            where = ".".join(map(str, fault["loc"]))
+            raise DefinitionError(f"{place}: {where}: {fault['msg']}; it is {fault.get('input')!r}") from None
+        return FunctionSystem(function, spec, step, passed)
+
+    return decorate
+
+
+def as_trajectory(returned: object, columns: tuple[str, ...], step: float | None) -> Trajectory:
+    """Return what a function returned as a trajectory; `columns` begin with `t`, which may be missing.
+
+    Raises:
+        SimulationError: it does not have these columns, their lengths differ, or its time is not known.
+
+    """
+    if isinstance(returned, Trajectory):
+        return returned
+    found = _by_name(returned, columns[1:])
+    lengths = {name: len(values) for name, values in found.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+        raise SimulationError(
+            f"the columns differ in length: {listed} samples; return one value of each for every sample"
+        )
+    count = next(iter(lengths.values()))
+    if "t" not in found:
+        if step is None and count != 1:
+            raise SimulationError(
+                f"{count} samples without time; return a dict with a column 't', or give `step` to the decorator"
+            )
+        found["t"] = np.arange(count, dtype=np.float64) * float(step or 0.0)
+    try:
+        return Trajectory(columns, np.column_stack([found[name] for name in columns]))
+    except ValueError as error:
+        raise SimulationError(str(error)) from None
+
+
+def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
+    """Return the columns by their names, and `t` if it was returned."""
+    if isinstance(returned, Mapping):
+        if set(returned) - {"t"} != set(names) - {"t"}:
+            raise SimulationError(f"the function returned {_listed(returned)}, its columns are {_listed(names)}")
+        return {name: _array(returned[name], name, 1) for name in returned}
+    if isinstance(returned, tuple | list):
+        if len(returned) != len(names):
+            raise SimulationError(f"the function returned {len(returned)} values, its columns are {_listed(names)}")
+        return {name: _array(value, name, 1) for name, value in zip(names, returned, strict=True)}
+    array = _array(returned, "the returned value", 2, width=len(names))
+    if array.shape[1] != len(names):
+        raise SimulationError(f"the function returned an array {array.shape}, its columns are {_listed(names)}")
+    return {name: array[:, k] for k, name in enumerate(names)}
+
+
+def _array(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
+    try:
+        if value is None:  # numpy makes it NaN
+            raise TypeError
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SimulationError(f"{name} is {type(value).__name__}, not an array of numbers") from None
+    if array.ndim == 0:
+        array = array.reshape((1,) * dimensions)
+    elif array.ndim == 1 and dimensions == 2:
+        array = array.reshape(-1, 1) if width == 1 else array.reshape(1, -1)  # one column, or one sample
+    if array.ndim != dimensions or not len(array):
+        raise SimulationError(f"{name} has the shape {array.shape}; return at least one sample, one number for each")
+    return array
+
+
+def _signature(function: Callable[..., Any], place: str) -> list[inspect.Parameter]:
+    called = function.__call__ if inspect.isclass(function) else function
+    signature = list(inspect.signature(called).parameters.values())[1 if inspect.isclass(function) else 0 :]
+    for each in signature:
+        if each.kind in (each.VAR_POSITIONAL, each.VAR_KEYWORD):
+            raise DefinitionError(f"{place}: {each} has no names; list the arguments")
+    return signature
+
+
+def _option_of(argument: inspect.Parameter, place: str) -> Option:
+    default = argument.default
+    if argument.name in RESERVED:
+        raise DefinitionError(f"{place}: option {argument.name!r} is a key of [system] itself; choose another name")
+    if default is argument.empty:
+        raise DefinitionError(
+            f"{place}: option {argument.name!r} needs a default; perfbound passes {', '.join(PASSED)}"
+        )
+    if isinstance(default, str):
+        choices = get_args(argument.annotation) if get_origin(argument.annotation) is Literal else (default,)
+        return Option(name=argument.name, default=default, choices=tuple(map(str, choices)))
+    if isinstance(default, bool) or not isinstance(default, int | float):
+        raise DefinitionError(f"{place}: option {argument.name!r} is a number or a word, not {default!r}")
+    return Option(name=argument.name, default=float(default))
+
+
+def _is_whole(function: Callable[..., Any], name: str) -> bool:
+    default = {each.name: each.default for each in _signature(function, "")}[name]
+    return isinstance(default, int)
+
+
+@contextmanager
+def _signs_of_life(progress: Progress, *, needed: bool) -> Iterator[None]:
+    """Report progress for a function that does not; a hang of it ends with the deadline of its attempt."""
+    if not needed:
+        yield
+        return
+    done = threading.Event()
+
+    def report() -> None:
+        step = 0
+        while not done.wait(TICK):
+            step += 1
+            try:
+                progress(step)
+            except Cancelled:
+                return  # the function cannot be interrupted: it is cancelled when it returns
+
+    thread = threading.Thread(target=report, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+
+
+def _listed(names: Collection[str]) -> str:
+    return ", ".join(names) or "none"
