@@ -15,7 +15,11 @@ class SystemChoice(Model, extra="allow"):
     """The system under test and its options, as its SystemSpec lists them."""
 
     __pydantic_extra__: dict[str, OptionValue] = Field(init=False)
-    name: str = Field(default="", description="an installed system: `perfbound systems` lists them")
+    name: str = Field(
+        default="",
+        exclude_if=lambda name: name == "",
+        description="an installed system: `perfbound systems` lists them",
+    )
     python: str | None = Field(
         default=None,
         pattern=r"^[^:]+\.py:[A-Za-z_][A-Za-z0-9_]*$",
@@ -25,7 +29,7 @@ class SystemChoice(Model, extra="allow"):
     @model_validator(mode="after")
     def _one(self) -> "SystemChoice":
         if (self.name == "") == (self.python is None):
-            raise ValueError('give either name = "...", an installed system, or python = "FILE.py:NAME"')
+            raise ValueError('name: give either name = "...", an installed system, or python = "FILE.py:NAME"')
         return self
 
     def reference(self, folder: Path) -> str:

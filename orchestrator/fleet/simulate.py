@@ -45,12 +45,12 @@ def describe(reference: str | None = None) -> Iterator[str]:
         for parameter in spec.parameters:
             yield f"  parameter {parameter.name} in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
         for option in spec.options:
-            allowed = " | ".join(option.choices) or _range(option)
+            allowed = " | ".join(option.choices) or _allowed_numbers(option)
             yield f"  option    {option.name} = {option.default} (allowed: {allowed}) {option.doc}"
         yield f"  columns   {', '.join(f'{column.name} ({column.unit})' for column in spec.columns)}"
 
 
-def _range(option: Option) -> str:
+def _allowed_numbers(option: Option) -> str:
     limits = [f"{sign} {limit:g}" for sign, limit in ((">=", option.low), ("<=", option.high)) if limit is not None]
     return " ".join(filter(None, ["a number", " and ".join(limits), option.unit]))
 

@@ -79,12 +79,14 @@ class Roster:
             theirs, ours = f"{state.version} (protocol {state.protocol})", f"{__version__} (protocol {PROTOCOL})"
             return f"the worker is perfbound {theirs}, the orchestrator {ours}; install the same version on both"
         if spec.name not in state.systems:
-            return f"the worker has no system {spec.name!r}; install the package that provides it"
+            remedy = "start it with --system FILE.py:NAME" if spec.code else "install the package that provides it"
+            return f"the worker has no system {spec.name!r}; {remedy}"
         if state.systems[spec.name] != self._spec_sha256:
             # Another build may give other trajectories for the same seed; one certificate names one build.
-            planned = ", ".join(f"{name} {version}" for name, version in spec.versions.items())
+            code = {name: f"sha256 {digest[:12]}..." for name, digest in spec.code.items()}
+            planned = ", ".join(f"{name} {version}" for name, version in (spec.versions | code).items())
             return (
                 f"the worker's {spec.name!r} differs from the one this campaign was planned for ({planned}); "
-                "install the same versions"
+                f"{'use the same files' if code else 'install the same versions'}"
             )
         return None

@@ -6,7 +6,7 @@ Nothing is created before the campaign file, the system and the endpoint have be
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -71,7 +71,7 @@ class RunOptions:
     link: Link
     drain: bool = False
     system: str | None = None
-    """FILE.py:NAME, where the system in a file is elsewhere than it was."""
+    """The system as a worker finds it, its name or FILE.py:NAME; None for the one of the campaign file or database."""
 
 
 def start_campaign(
@@ -99,7 +99,8 @@ def start_campaign(
         journal = Journal.create(directory, header, reference if child.in_file(reference) else None)
         stack.callback(journal.close)
         page.start()
-        _conduct(directory, journal, transport, page, reference, options=options, console=console, resumed=False)
+        found = replace(options, system=reference)
+        _conduct(directory, journal, transport, page, options=found, console=console, resumed=False)
 
 
 def resume_campaign(directory: Path, options: RunOptions, console: Console) -> bool:
@@ -127,7 +128,8 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console) -> b
         _check_code(journal.header, reference)
         transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
         page.start()
-        _conduct(directory, journal, transport, page, reference, options=options, console=console, resumed=True)
+        found = replace(options, system=reference)
+        _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
     return True
 
 
@@ -234,7 +236,6 @@ def _conduct(
     journal: Journal,
     transport: ZenohTransport,
     page: LivePage,
-    reference: str,
     *,
     options: RunOptions,
     console: Console,
@@ -244,7 +245,7 @@ def _conduct(
     with ExitStack() as stack:
         fleet = None
         if options.workers:
-            links = [*options.link.worker_options(), *child.system_options(reference)]
+            links = [*options.link.worker_options(), *child.system_options(options.system)]
             fleet = Fleet(options.workers, transport.endpoint, run, links)
             stack.callback(fleet.stop)
             fleet.start()

@@ -42,14 +42,17 @@ def load_system(name: str) -> SystemUnderTest:
         UnknownSystemError: it is not installed.
 
     """
-    return _FROM_FILES[name] if name in _FROM_FILES else _installed(name)
+    return _FROM_FILES[name] if name in _FROM_FILES else _of_entry_point(name)
 
 
 @cache
-def _installed(name: str) -> SystemUnderTest:
+def _of_entry_point(name: str) -> SystemUnderTest:
     found = _entry_points()
     if name not in found:
-        raise UnknownSystemError(f"the system {name!r} is not installed here; known: {', '.join(available())}")
+        known = ", ".join(available())
+        raise UnknownSystemError(
+            f"the system {name!r} is not installed here; known: {known}; one in a file needs --system FILE.py:NAME"
+        )
     loaded = found[name].load()
     return cast(SystemUnderTest, loaded() if isinstance(loaded, type) else loaded)
 

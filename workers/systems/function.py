@@ -127,7 +127,7 @@ def system(
         positional = [each.name for each in signature if each.kind is not each.KEYWORD_ONLY]
         if positional != list(parameters):
             raise DefinitionError(
-                f"{place}: its positional arguments are {_listed(positional)}, `parameters` has {_listed(parameters)}; "
+                f"{place}: its positional arguments are {_joined_names(positional)}, `parameters` has {_joined_names(parameters)}; "
                 "give both the same names in the same order, and put everything else behind a `*`"
             )
         keywords = [each for each in signature if each.kind is each.KEYWORD_ONLY]
@@ -200,19 +200,23 @@ def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
     """Return the columns by their names, and `t` if it was returned."""
     if isinstance(returned, Mapping):
         if set(returned) - {"t"} != set(names) - {"t"}:
-            raise SimulationError(f"the function returned {_listed(returned)}, its columns are {_listed(names)}")
-        return {name: _array(returned[name], name, 1) for name in returned}
+            raise SimulationError(
+                f"the function returned {_joined_names(returned)}, its columns are {_joined_names(names)}"
+            )
+        return {name: _values(returned[name], name, 1) for name in returned}
     if isinstance(returned, tuple | list):
         if len(returned) != len(names):
-            raise SimulationError(f"the function returned {len(returned)} values, its columns are {_listed(names)}")
-        return {name: _array(value, name, 1) for name, value in zip(names, returned, strict=True)}
-    array = _array(returned, "the returned value", 2, width=len(names))
+            raise SimulationError(
+                f"the function returned {len(returned)} values, its columns are {_joined_names(names)}"
+            )
+        return {name: _values(value, name, 1) for name, value in zip(names, returned, strict=True)}
+    array = _values(returned, "the returned value", 2, width=len(names))
     if array.shape[1] != len(names):
-        raise SimulationError(f"the function returned an array {array.shape}, its columns are {_listed(names)}")
+        raise SimulationError(f"the function returned an array {array.shape}, its columns are {_joined_names(names)}")
     return {name: array[:, k] for k, name in enumerate(names)}
 
 
-def _array(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
+def _values(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
     try:
         if value is None:  # numpy makes it NaN
             raise TypeError
@@ -284,5 +288,5 @@ def _signs_of_life(progress: Progress, *, needed: bool) -> Iterator[None]:
         thread.join()
 
 
-def _listed(names: Collection[str]) -> str:
+def _joined_names(names: Collection[str]) -> str:
     return ", ".join(names) or "none"

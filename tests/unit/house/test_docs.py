@@ -77,6 +77,12 @@ def test_the_rooms_of_the_architecture_page_are_the_layers_that_are_checked() ->
     assert re.findall(r"^\| `(\w+)`", table, re.MULTILINE) == [room for layer in rules for room in layer.split(" : ")]
 
 
+def test_the_function_of_the_docs_is_the_shipped_example() -> None:
+    page, example = (ROOT / "docs/own-system.md").read_text(), ROOT / "deploy/examples/cars"
+    for name, kind in (("cars.py", "python"), ("cars.toml", "toml")):
+        assert f"```{kind}\n{(example / name).read_text()}```" in page, name
+
+
 def test_the_system_of_the_docs_keeps_the_contract() -> None:
     code = re.findall(r"```python\n(.*?)```", (ROOT / "docs/own-system.md").read_text(), re.DOTALL)[-1]
     names: dict[str, Any] = {}

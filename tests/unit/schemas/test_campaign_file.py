@@ -92,7 +92,7 @@ def test_the_digest_tells_content_from_layout() -> None:
         (changed("horizon = 15.0", "horizon = 0.0"), "horizon: problem 'nominal_robustness' needs a rollout longer"),
         (changed("clip = [-0.05, 0.75]", "clip = [1.0]"), "clip.1: [1.0] is not allowed: allowed is [low, high]"),
         (changed('name = "segway-paper"\n', ""), "name: this key is required: 1 to 64 of a-z"),
-        (changed('name = "segway"\n', ""), "system.name: this key is required: text in quotes"),
+        (changed('name = "segway"\n', ""), 'system.name: give either name = "...", an installed system, or python'),
         (changed('gains = "paper"', "gains = [1]"), "system.gains: [1] is not allowed: allowed is text or a number"),
         (
             changed('gap = { kind = "signal_sup", column = "phi", lipschitz = 1.0 }', ""),

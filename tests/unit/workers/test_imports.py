@@ -69,6 +69,7 @@ def test_the_public_names_are_frozen() -> None:
         "checked_options",
         "read_certificate",
         "read_trajectory",
+        "system",
     ]
     assert perfbound.systems.__all__ == [
         "Cancelled",
@@ -85,5 +86,6 @@ def test_the_public_names_are_frozen() -> None:
         "Variant",
         "Visual",
         "checked_options",
+        "system",
     ]
     assert all(hasattr(perfbound.systems, name) for name in perfbound.systems.__all__)

@@ -1,0 +1,155 @@
+"""A function in a file beside the campaign file, from nothing to its verified certificate."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from perfbound.schemas.certificate import Certificate
+from tests.end_to_end.processes import Ended, Processes, processes, recorded, wait_for
+
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "cars"
+CHECKS = "spot_check = 6\nspot_check_followups = 4\nrecheck = 3\n"
+
+
+def copied(folder: Path, *, tests: int = 8) -> Path:
+    """Copy the example, with short checks and few tests; return its campaign file."""
+    shutil.copytree(EXAMPLE, folder)
+    file = folder / "cars.toml"
+    file.write_text(CHECKS + file.read_text().replace("max_tests = 60", f"max_tests = {tests}"))
+    return file
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = tmp_path_factory.mktemp("own") / "cars"
+    copied(found)
+    return found
+
+
+@pytest.fixture(scope="module")
+def ended(folder: Path) -> Ended:
+    """A run without trouble, in the folder `run`."""
+    with processes(folder / "logs") as found:
+        return found.run("perfbound", "run", folder / "cars.toml", "--out", folder / "run")
+
+
+def certificate(directory: Path) -> bytes:
+    return (directory / "certificate.json").read_bytes()
+
+
+def test_the_certificate_names_the_code(ended: Ended, folder: Path) -> None:
+    assert ended.code == 0, ended.err
+    assert "CLAIM  worst expected robustness over all starts >= " in ended.out
+    found = Certificate.model_validate_json(certificate(folder / "run")).predicate
+    assert found.question["system"] == {"python": "cars.py:cars", "reaction": 0.6}
+    assert len(found.software["cars.py"].removeprefix("sha256 ")) == 64
+
+
+@pytest.mark.usefixtures("ended")
+@pytest.mark.parametrize("workers", [1, 3])
+def test_the_number_of_workers_changes_no_byte(started: Processes, folder: Path, tmp_path: Path, workers: int) -> None:
+    run = started.run("perfbound", "run", folder / "cars.toml", "--out", tmp_path / "run", "--workers", str(workers))
+    assert run.code == 0, run.err
+    assert certificate(tmp_path / "run") == certificate(folder / "run")
+
+
+@pytest.mark.usefixtures("ended")
+def test_killed_it_resumes_from_anywhere_and_verifies(started: Processes, folder: Path, tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    first = started.start("perfbound", "run", folder / "cars.toml", "--out", directory, "--workers", "1")
+    wait_for(lambda: recorded(directory) >= 10)
+    assert first.running, "the kill has to come in mid-run"
+    first.popen.kill()
+    first.wait()
+    # From another folder: the journal names the file.
+    assert started.run("perfbound", "resume", directory).code == 0
+    assert certificate(directory) == certificate(folder / "run")
+    verify = ("perfbound", "verify", directory, "--resimulate", "3", "--json")
+    verified = started.run(*verify, "--system", f"{folder / 'cars.py'}:cars")
+    found = {each["check"]: each["status"] for each in json.loads(verified.out)["checks"]}
+    assert {check for check, status in found.items() if status != "passed"} == {"signature"}
+    alone = started.run(*verify)
+    failed = [each for each in json.loads(alone.out)["checks"] if each["status"] == "failed"]
+    assert [each["check"] for each in failed] == ["resimulation"], "a certificate names no code that is run"
+    assert "--system" in failed[0]["detail"]
+
+
+def test_a_changed_function_does_not_resume(started: Processes, tmp_path: Path) -> None:
+    file, directory = copied(tmp_path / "cars"), tmp_path / "run"
+    first = started.start("perfbound", "run", file, "--out", directory, "--workers", "1")
+    wait_for(lambda: recorded(directory) >= 5)
+    first.popen.kill()
+    first.wait()
+    code = tmp_path / "cars" / "cars.py"
+    before = code.read_text()
+    code.write_text(before.replace("7 * np.maximum", "9 * np.maximum"))
+    refused = started.run("perfbound", "resume", directory)
+    assert refused.code == 1
+    assert "cars.py: not the code with which this campaign was started; resume it with the files of then" in (
+        refused.last_line
+    )
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "cars.py").write_text(before)
+    assert started.run("perfbound", "resume", directory, "--system", f"{elsewhere / 'cars.py'}:cars").code == 0
+
+
+def test_workers_elsewhere_need_the_same_code(started: Processes, folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "cars.py"
+    other.write_text((folder / "cars.py").read_text() + "\n# another one\n")
+    server = started.start("perfbound", "orchestrate", folder / "cars.toml", "--out", tmp_path / "run")
+    wait_for(lambda: "waiting for workers" in server.err)
+    endpoint = server.err.split("--connect ")[1].split()[0]
+    connect = ("perfbound-worker", "--connect", endpoint, "--system")
+    refused = started.run(*connect, f"{other}:cars")
+    assert refused.code == 1
+    assert "the worker's 'cars' differs from the one this campaign was planned for (cars.py sha256 " in refused.err
+    worker = started.start(*connect, f"{folder / 'cars.py'}:cars")
+    assert server.wait().code == 0
+    worker.popen.terminate()
+    assert certificate(tmp_path / "run") == certificate(folder / "run") or not (folder / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("system", "words"),
+    [
+        ('python = "bikes.py:cars"', "no such Python file; its path is relative to the campaign file"),
+        ('python = "cars.py:bikes"', "there is no 'bikes' in it"),
+        ('python = "cars.py"', "python: 'cars.py' is not allowed: allowed is"),
+        ('name = "cars"', "'cars' is not an installed system; allowed are segway, test-function"),
+        ('name = "segway"\npython = "cars.py:cars"', 'give either name = "...", an installed system, or python'),
+        ('python = "cars.py:cars"\nreactoin = 0.5', "system.reactoin: unknown key; allowed for cars are"),
+    ],
+)
+def test_a_system_that_cannot_be_used_is_one_line(
+    started: Processes, folder: Path, tmp_path: Path, system: str, words: str
+) -> None:
+    file = tmp_path / "cars.toml"
+    text = (folder / "cars.toml").read_text().replace('python = "cars.py:cars"\nreaction = 0.6', system)
+    assert system in text
+    file.write_text(text)
+    shutil.copy(folder / "cars.py", tmp_path)
+    refused = started.run("perfbound", "run", file, "--out", tmp_path / "run")
+    assert refused.code == 1
+    assert words in refused.fault
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_reference_is_described_and_simulated(started: Processes, folder: Path, tmp_path: Path) -> None:
+    reference = f"{folder / 'cars.py'}:cars"
+    described = started.run("perfbound", "systems", reference)
+    assert "option    reaction = 0.5 (allowed: a number)" in described.out, described.err
+    file = tmp_path / "one.mcap"
+    simulated = started.run("perfbound", "simulate", reference, "--x", "20,30", "--horizon", "8", "--out", file)
+    assert simulated.code == 0, simulated.err
+    assert file.stat().st_size > 0
+
+
+@pytest.mark.usefixtures("ended")
+def test_a_rollout_is_replayed(started: Processes, folder: Path) -> None:
+    replayed = started.run("perfbound", "replay", folder / "run", "robustness.0.nominal.0")
+    assert "bitwise the same as the recorded trajectory" in replayed.out, replayed.err
+    assert os.listdir(folder / "run")
