@@ -127,7 +127,8 @@ def system(
         positional = [each.name for each in signature if each.kind is not each.KEYWORD_ONLY]
         if positional != list(parameters):
             raise DefinitionError(
-                f"{place}: its positional arguments are {_joined_names(positional)}, `parameters` has {_joined_names(parameters)}; "
+                f"{place}: its positional arguments are {_joined_names(positional)}, "
+                f"`parameters` has {_joined_names(parameters)}; "
                 "give both the same names in the same order, and put everything else behind a `*`"
             )
         keywords = [each for each in signature if each.kind is each.KEYWORD_ONLY]
@@ -203,20 +204,20 @@ def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
             raise SimulationError(
                 f"the function returned {_joined_names(returned)}, its columns are {_joined_names(names)}"
             )
-        return {name: _values(returned[name], name, 1) for name in returned}
+        return {name: _samples_of(returned[name], name, 1) for name in returned}
     if isinstance(returned, tuple | list):
         if len(returned) != len(names):
             raise SimulationError(
                 f"the function returned {len(returned)} values, its columns are {_joined_names(names)}"
             )
-        return {name: _values(value, name, 1) for name, value in zip(names, returned, strict=True)}
-    array = _values(returned, "the returned value", 2, width=len(names))
+        return {name: _samples_of(value, name, 1) for name, value in zip(names, returned, strict=True)}
+    array = _samples_of(returned, "the returned value", 2, width=len(names))
     if array.shape[1] != len(names):
         raise SimulationError(f"the function returned an array {array.shape}, its columns are {_joined_names(names)}")
     return {name: array[:, k] for k, name in enumerate(names)}
 
 
-def _values(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
+def _samples_of(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
     try:
         if value is None:  # numpy makes it NaN
             raise TypeError
