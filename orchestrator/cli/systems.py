@@ -40,12 +40,13 @@ def systems(system: str | None) -> None:
 @click.argument("rollout")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="PNG file to write.")
 @click.option("--mcap", type=click.Path(path_type=Path, dir_okay=False), default=None, help="MCAP file to write.")
-def replay(*, directory: Path, rollout: str, out: Path | None, mcap: Path | None) -> None:
+@click.option("--system", default=None, metavar="FILE.py:NAME", help="The system, if it is in a file.")
+def replay(*, directory: Path, rollout: str, out: Path | None, mcap: Path | None, system: str | None) -> None:
     """Simulate one ROLLOUT of the campaign in DIRECTORY again, compare it with its file, and draw it.
 
     ROLLOUT is problem.test.variant.replicate, as in reports and file names: sim_gap.3.true.0
     """
     from ..report.replay.replay import replay_rollout  # noqa: PLC0415
 
-    for line in replay_rollout(directory, rollout, out=out, mcap=mcap):
+    for line in replay_rollout(directory, rollout, out=out, mcap=mcap, system=system):
         click.echo(line)

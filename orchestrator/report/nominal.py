@@ -8,8 +8,8 @@ from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory, decode
-from ..fleet.child import system_spec
-from ..store.read import read_header, reading, system_reference
+from ..fleet.child import system_specs
+from ..store.read import read_header, reading
 from . import curves
 from .data import ReportData, Rollout, RolloutsOfTest
 from .replay.replay import simulate_file
@@ -32,31 +32,33 @@ def with_nominal(directory: Path, data: ReportData) -> ReportData:
     with reading(directory) as connection:
         header = read_header(connection, directory)
     try:
-        system = system_reference(directory)
-        _check_system(header, system)
+        _check_system(header)
         starts = {each.rollouts[0].x: each.rollouts[0] for each in true_only}
-        nominal = {x: _simulated(header, rollout, system) for x, rollout in starts.items()}
+        nominal = {x: _simulated(header, rollout) for x, rollout in starts.items()}
         added = {id(each): _joined(header, each, nominal[each.rollouts[0].x]) for each in true_only}
     except PerfboundError as error:
         added = {id(each): _noted(each, f" (no nominal curve: {error})") for each in true_only}
     return replace(data, scenes=tuple(added.get(id(each), each) for each in data.scenes))
 
 
-def _check_system(header: Header, system: str) -> None:
-    """Refuse another system than the campaign's, or one whose nominal variant depends on the seed."""
-    found, spec = system_spec(system, header.config.name), header.spec
-    if found.digest != spec.digest:
+def _check_system(header: Header) -> None:
+    """Refuse another system than the campaign's, or one whose nominal variant depends on the seed.
+
+    A system in a file is refused too: a run directory, perhaps somebody else's, must not name code that runs here.
+    """
+    found, spec = system_specs().get(header.spec.name), header.spec
+    if found is None or found.digest != spec.digest:
         raise PerfboundError(f"{spec.name} is not installed here as it was in the campaign")
     if "nominal" not in spec.variants or "nominal" in spec.noisy:
         raise PerfboundError(f"{spec.name} has no single nominal rollout of a start")
 
 
-def _simulated(header: Header, rollout: Rollout, system: str) -> Trajectory:
+def _simulated(header: Header, rollout: Rollout) -> Trajectory:
     # Without noise the nominal rollout does not depend on the seed; that of a true one serves.
     nominal = RolloutId(rollout.problem, rollout.test, "nominal", 0)
     request = replace(header.template, visual=False).request(nominal, rollout.x, rollout.seed)
     with tempfile.TemporaryDirectory() as folder:
-        return decode(simulate_file(request, Path(folder) / "nominal.mcap", system))
+        return decode(simulate_file(request, Path(folder) / "nominal.mcap", None))
 
 
 def _joined(header: Header, scene: RolloutsOfTest, trajectory: Trajectory) -> RolloutsOfTest:

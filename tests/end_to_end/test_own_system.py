@@ -1,7 +1,6 @@
 """A function in a file beside the campaign file, from nothing to its verified certificate."""
 
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -150,6 +149,8 @@ def test_a_reference_is_described_and_simulated(started: Processes, folder: Path
 
 @pytest.mark.usefixtures("ended")
 def test_a_rollout_is_replayed(started: Processes, folder: Path) -> None:
-    replayed = started.run("perfbound", "replay", folder / "run", "robustness.0.nominal.0")
+    replay = ("perfbound", "replay", folder / "run", "robustness.0.nominal.0")
+    replayed = started.run(*replay, "--system", f"{folder / 'cars.py'}:cars", "--out", folder / "one.png")
     assert "bitwise the same as the recorded trajectory" in replayed.out, replayed.err
-    assert os.listdir(folder / "run")
+    alone = started.run(*replay)
+    assert "cars is a system in a file: name it with --system FILE.py:NAME" in alone.last_line

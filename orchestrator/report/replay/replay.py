@@ -11,7 +11,6 @@ from ....schemas.errors import PerfboundError, TrajectoryError
 from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory, decode
 from ...fleet.child import ask, system_options
-from ...store.read import system_reference
 from .. import curves
 from .comparison import Deviation, compare, lines
 from .load import RecordedRollout, load_recorded
@@ -23,18 +22,22 @@ MOMENTS = 8
 
 
 def replay_rollout(
-    directory: Path, rollout: str, *, out: Path | None = None, mcap: Path | None = None
+    directory: Path, rollout: str, *, out: Path | None = None, mcap: Path | None = None, system: str | None = None
 ) -> Iterator[str]:
     """Simulate a rollout of the campaign in `directory` again, and yield the result as lines of text.
 
-    Writes its picture to `out` and its file, with the visual part, to `mcap`.
+    Writes its picture to `out` and its file, with the visual part, to `mcap`. `system` is FILE.py:NAME, for a system in
+    a file.
 
     Raises:
         PerfboundError: there is no such rollout, the system is missing or of another version, or the new trajectory
             differs from the recorded one; in the last case the files are written nevertheless.
 
     """
-    found, system = load_recorded(directory, rollout), system_reference(directory)
+    found = load_recorded(directory, rollout)
+    # As in `verify`: somebody else's run directory must not name code that runs here.
+    if found.header.spec.code and system is None:
+        raise PerfboundError(f"{found.header.spec.name} is a system in a file: name it with --system FILE.py:NAME")
     yield _title_line(found)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.mcap"
@@ -61,7 +64,7 @@ def replay_rollout(
         raise PerfboundError(f"{found.fact.rollout}: {fault}")
 
 
-def simulate_file(request: RolloutRequest, path: Path, system: str) -> bytes:
+def simulate_file(request: RolloutRequest, path: Path, system: str | None) -> bytes:
     """Simulate a rollout in a child and return its file, which is also at `path`.
 
     Raises:
@@ -82,7 +85,7 @@ def _title_line(found: RecordedRollout) -> str:
     return f"{found.fact.rollout}: {spec.name}, {request.variant}, {start}, seed {request.seed}{score}"
 
 
-def _digest_fault(found: RecordedRollout, data: bytes, folder: Path, system: str) -> str:
+def _digest_fault(found: RecordedRollout, data: bytes, folder: Path, system: str | None) -> str:
     """Return the fault of a file that replaces a damaged one; empty if it is the same file."""
     if not found.request.visual:  # the recorded file had no visual part, so it has other bytes than `data`
         data = simulate_file(found.request, folder / "exact.mcap", system)
@@ -105,7 +108,7 @@ def _fault(found: RecordedRollout, deviation: Deviation) -> str:
     )
 
 
-def _picture(found: RecordedRollout, again: Trajectory, path: Path, system: str) -> bytes:
+def _picture(found: RecordedRollout, again: Trajectory, path: Path, system: str | None) -> bytes:
     """Return the PNG of a rollout whose file is at `path`."""
     from . import picture  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
