@@ -3,8 +3,9 @@
 import hashlib
 import importlib.util
 import sys
+import sysconfig
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,6 +17,8 @@ from .base import SystemUnderTest
 
 MODULE = "perfbound_system"
 """Name of the module of a file; its own would hide an installed one."""
+INSTALLED = frozenset({"site-packages", "dist-packages"})
+"""Folders of packages; an environment often lies beside the campaign."""
 
 
 def load_file(reference: str) -> SystemUnderTest:
@@ -27,7 +30,9 @@ def load_file(reference: str) -> SystemUnderTest:
     """
     text, _, name = reference.rpartition(":")
     path = Path(text).absolute()
-    before = set(sys.modules)
+    # Anew, also what another system of this folder has imported: the code of each is what it imports itself.
+    for known in list(_beside(path.parent)):
+        del sys.modules[known]
     module = _imported(path)
     found = getattr(module, name, None)
     if found is None:
@@ -37,15 +42,25 @@ def load_file(reference: str) -> SystemUnderTest:
     if not (hasattr(found, "spec") and hasattr(found, "rollout")):
         raise DefinitionError(f"{path}: {name} is {type(found).__name__} and no system; put @perfbound.system above it")
     system: SystemUnderTest = found
-    return _WithCode(system, fingerprint(path, [sys.modules[each] for each in set(sys.modules) - before]))
+    sources = {path, *_beside(path.parent).values()}
+    return _WithCode(system, {str(each.relative_to(path.parent)): _sha256(each) for each in sorted(sources)})
 
 
-def fingerprint(path: Path, modules: Iterable[ModuleType]) -> dict[str, str]:
-    """Return the sha256 of a file, and of those of `modules` whose source is in its folder or below."""
-    folder = path.parent
-    sources = {path, *(Path(file) for each in modules if (file := getattr(each, "__file__", None)))}
-    beside = sorted(source for source in sources if source.is_relative_to(folder))
-    return {str(each.relative_to(folder)): hashlib.sha256(each.read_bytes()).hexdigest() for each in beside}
+def _beside(folder: Path) -> dict[str, Path]:
+    """Return the sources of the loaded modules in a folder and below, without installed packages and perfbound."""
+    found = {name: Path(file) for name, module in sys.modules.items() if (file := getattr(module, "__file__", None))}
+    return {
+        name: file
+        for name, file in found.items()
+        if file.is_relative_to(folder)
+        and not INSTALLED.intersection(file.parts)
+        and not file.is_relative_to(sysconfig.get_path("stdlib"))
+        and name.partition(".")[0] not in {"perfbound", "__main__", MODULE}
+    }
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _imported(path: Path) -> ModuleType:

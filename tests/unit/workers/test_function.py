@@ -214,6 +214,19 @@ def test_a_file_is_a_system_with_its_code(folder: Path) -> None:
     assert "cars" in systems.available()
 
 
+def test_two_systems_of_a_folder_share_a_module_and_no_package(folder: Path) -> None:
+    """Each names it; a package in an environment beside the file is not its code."""
+    (folder / "shared_helper.py").write_text("GAIN = 2")
+    package = folder / ".venv" / "lib" / "site-packages"
+    package.mkdir(parents=True)
+    (package / "some_package.py").write_text("")
+    sys.path.append(str(package))
+    reference = written(folder, CARS.format(more="import shared_helper, some_package"))
+    (folder / "more.py").write_text(CARS.format(more="import shared_helper, some_package").replace("cars", "more"))
+    assert load_file(reference).spec.code.keys() == {"cars.py", "shared_helper.py"}
+    assert load_file(f"{folder / 'more.py'}:more").spec.code.keys() == {"more.py", "shared_helper.py"}
+
+
 def test_another_code_is_another_system(folder: Path) -> None:
     before = load_file(written(folder)).spec.digest
     assert load_file(written(folder, CARS.format(more="# another comment"))).spec.digest != before
