@@ -101,6 +101,8 @@ def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     faults = []
     if config.horizon > spec.max_horizon:
         faults.append(f"horizon: {config.horizon:g} s is more than the {spec.max_horizon:g} s of {spec.name}")
+    if config.horizon == 0 and spec.timed:
+        faults.append(f"horizon: this key is required: {spec.name} takes the duration of a rollout, in s")
     for problem in config.problems:
         variants = set(rolled_out(problem.name, spec))
         missing = variants - set(spec.variants)

@@ -7,6 +7,8 @@ from pydantic import Field, model_validator
 from .base import Model, digest
 from .rules import RULES
 
+ADDED = ("timed", "code")
+"""Keys of a SystemSpec that no campaign of rules 1 has."""
 Variant = Literal["nominal", "true"]
 OptionValue = str | float
 
@@ -64,6 +66,7 @@ class SystemSpec(Model):
     noisy: tuple[Variant, ...] = ("true",)
     max_horizon: float = Field(gt=0, description="longest rollout in seconds")
     versions: dict[str, str] = Field(default_factory=dict)
+    timed: bool = Field(default=False, description="a rollout takes a horizon above 0 s")
     code: dict[str, str] = Field(default_factory=dict, description="sha256 of every source file, of a system in a file")
 
     @model_validator(mode="after")
@@ -79,5 +82,7 @@ class SystemSpec(Model):
 
     def digest_by(self, rules: int) -> str:
         """Return the identity of this system in the campaigns of some rules."""
+        if rules == 1:
+            return digest(self.model_dump(mode="json", exclude=set(ADDED)))
         # Since rules 2 a key that a later version adds changes nothing while it is not set. A changed default does.
-        return digest(self.model_dump(mode="json", exclude_defaults=rules > 1))
+        return digest(self.model_dump(mode="json", exclude_defaults=True))

@@ -34,7 +34,7 @@ def requested_system(request: RolloutRequest) -> SystemUnderTest:
     spec = system.spec
     # A campaign keeps the rules that it was started with, and so the digest of its system; most are new.
     if not any(request.spec_sha256 == spec.digest_by(rules) for rules in sorted(KNOWN, reverse=True)):
-        installed = ", ".join(f"{name} {version}" for name, version in spec.versions.items())
+        installed = ", ".join([*(f"{name} {version}" for name, version in spec.versions.items()), *spec.code])
         raise SimulationError(f"the campaign expects another build of {spec.name} than this one ({installed})")
     return system
 

@@ -175,9 +175,10 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
     console, found = output_console(), session.finished_certificate(directory)
     if key is not None:
         signing.sign_directory(directory, key)
-    text.print_certificate(found, console)
+    # Before anything is printed: a pipe that closes, as that of `| head`, ends the process.
     if report:
         draw(directory)
+    text.print_certificate(found, console)
     text.print_files(directory, console)
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)

@@ -6,6 +6,7 @@ decides is committed in one transaction; only then do messages leave.
 
 import os
 import queue
+import shlex
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -248,12 +249,7 @@ class Service:
         if self._stop is not None:
             raise Stopped(self._stop)
         if self._poisoned is not None:
-            rollout, failures = self._poisoned.rollout, self._poisoned.failures
-            raise PerfboundError(
-                f"rollout {rollout} failed {len(failures)} times, so the campaign cannot continue: "
-                + "; ".join(failures)
-                + ". Reproduce it with `perfbound simulate`, fix the cause, then resume"
-            )
+            raise PerfboundError(poisoned(self._poisoned, self._ledger))
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:
@@ -279,6 +275,28 @@ def _failure_line(action: events.Fail) -> str:
     # The reason is text of a system under test.
     reason = one_line(failure.reason)
     return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"
+
+
+def poisoned(found: events.Poison, ledger: Ledger) -> str:
+    """Return the history of a rollout that failed too often, the command that repeats it, and the remedy."""
+    request, config = ledger.request(found.rollout), ledger.config
+    by_reason: dict[str, list[str]] = {}
+    for failure in found.failures:
+        attempt, _, reason = failure.partition(": ")
+        by_reason.setdefault(reason, []).append(attempt)
+    history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
+    options = [f"--option={name}={value}" for name, value in config.system.options.items()]
+    start = ",".join(f"{value:.17g}" for value in request.x)
+    rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed)]
+    system = config.system.python or request.system
+    horizon = ["--horizon", f"{request.horizon:g}"]
+    command = shlex.join(["perfbound", "simulate", system, *rollout, *horizon, *options, "--out", "failed.mcap"])
+    # Another code is another system, with which the recorded rollouts cannot be mixed.
+    remedy = "If the code of the system is wrong, fix it and start a new campaign (--out); else"
+    return (
+        f"rollout {found.rollout} failed {len(found.failures)} times, so the campaign cannot continue: {history}. "
+        f"Repeat it: {command}. {remedy} fix the worker or the machine, then resume"
+    )
 
 
 def _limits(file: CampaignConfig) -> dispatch.Limits:

@@ -193,7 +193,10 @@ def _check_software(header: Header) -> None:
 
 def _check_code(header: Header, reference: str) -> None:
     """Refuse a system in a file that is not the one of the campaign; of an installed one the workers tell."""
-    if not child.in_file(reference):
+    if child.in_file(reference) != bool(header.spec.code):
+        wanted = "is in a file: give FILE.py:NAME" if header.spec.code else f"is installed: {header.spec.name}"
+        raise JournalError(f"--system {reference}: the system of this campaign {wanted}")
+    if not header.spec.code:
         return
     found, campaign = child.system_spec(reference, "--system"), header.spec
     changed = sorted(name for name, _ in found.code.items() ^ campaign.code.items())

@@ -115,7 +115,7 @@ def test_workers_elsewhere_need_the_same_code(started: Processes, folder: Path, 
 @pytest.mark.parametrize(
     ("system", "words"),
     [
-        ('python = "bikes.py:cars"', "no such Python file; its path is relative to the campaign file"),
+        ('python = "bikes.py:cars"', "there is no such Python file"),
         ('python = "cars.py:bikes"', "there is no 'bikes' in it"),
         ('python = "cars.py"', "python: 'cars.py' is not allowed: allowed is"),
         ('name = "cars"', "'cars' is not an installed system; allowed are segway, test-function"),
@@ -135,6 +135,32 @@ def test_a_system_that_cannot_be_used_is_one_line(
     assert refused.code == 1
     assert words in refused.fault
     assert not (tmp_path / "run").exists()
+
+
+def test_a_forgotten_horizon_is_refused(started: Processes, folder: Path, tmp_path: Path) -> None:
+    """With the horizon 0 of a function without time, the rollout would be one harmless sample."""
+    file = tmp_path / "cars.toml"
+    file.write_text((folder / "cars.toml").read_text().replace("horizon = 8.0\n", ""))
+    shutil.copy(folder / "cars.py", tmp_path)
+    refused = started.run("perfbound", "run", file, "--out", tmp_path / "run")
+    assert "horizon: this key is required: cars takes the duration of a rollout, in s" in refused.fault
+
+
+def test_a_function_that_fails_ends_with_its_command_and_remedy(started: Processes, tmp_path: Path) -> None:
+    file = copied(tmp_path / "cars")
+    code = tmp_path / "cars" / "cars.py"
+    code.write_text(
+        code.read_text().replace("    t = np.arange", "    assert gap > 21, 'too close'\n    t = np.arange")
+    )
+    failed = started.run("perfbound", "run", file, "--out", tmp_path / "run")
+    assert failed.code == 1
+    line = failed.last_line
+    assert line.count("AssertionError: too close") == 1, "one reason, told once"
+    assert "If the code of the system is wrong, fix it and start a new campaign" in line
+    command = line.split("Repeat it: ")[1].split(". If")[0].split()
+    assert command[:3] == ["perfbound", "simulate", "cars.py:cars"]
+    again = started.run("perfbound", "simulate", f"{code}:cars", *command[3:-1], tmp_path / "one.mcap")
+    assert "too close" in again.last_line
 
 
 def test_a_reference_is_described_and_simulated(started: Processes, folder: Path, tmp_path: Path) -> None:

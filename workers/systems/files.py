@@ -66,7 +66,7 @@ def _sha256(file: Path) -> str:
 def _imported(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(MODULE, path)
     if not path.is_file() or spec is None or spec.loader is None:
-        raise DefinitionError(f"{path}: no such Python file; its path is relative to the campaign file")
+        raise DefinitionError(f"{path}: there is no such Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[MODULE] = module
     folder = str(path.parent)

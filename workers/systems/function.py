@@ -157,6 +157,7 @@ def system(
                 variants=variants,
                 noisy=tuple(each for each in variants if each in found),
                 max_horizon=max_horizon,
+                timed="horizon" in passed,
                 versions=dict(versions or {}),
             )
         except ValidationError as error:

@@ -247,7 +247,7 @@ def test_modules_with_names_of_ours_harm_nothing(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "name", "words"),
     [
-        (None, "cars", "no such Python file; its path is relative to the campaign file"),
+        (None, "cars", "there is no such Python file"),
         ("def cars(:", "cars", r"cars\.py, line 1: "),
         ("import nowhere_at_all", "cars", r"cars\.py, line 1: ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("\nraise SystemExit(3)", "cars", r"cars\.py, line 2: SystemExit: 3"),
