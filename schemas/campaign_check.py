@@ -84,11 +84,7 @@ def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
             if value not in option.choices:
                 faults.append(f"system.{name}: {value!r} is not allowed: choose from {', '.join(option.choices)}")
         elif not isinstance(value, int | float) or not _in_limits(value, option.low, option.high):
-            limits = [
-                f"{sign} {limit:g}" for sign, limit in ((">=", option.low), ("<=", option.high)) if limit is not None
-            ]
-            allowed = " ".join(["a number", " and ".join(limits), option.unit]).strip()
-            faults.append(f"system.{name}: {value!r} is not allowed: allowed is {allowed}")
+            faults.append(f"system.{name}: {value!r} is not allowed: allowed is {option.allowed_numbers}")
     return faults
 
 

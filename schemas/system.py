@@ -48,6 +48,16 @@ class Option(Model):
     unit: str = ""
     doc: str = ""
 
+    @property
+    def allowed_numbers(self) -> str:
+        """The numbers that the option takes, in words.
+
+        >>> Option(name="noise_sd", default=0.1, low=0.0, unit="m").allowed_numbers
+        'a number >= 0 m'
+        """
+        limits = [f"{sign} {limit:g}" for sign, limit in ((">=", self.low), ("<=", self.high)) if limit is not None]
+        return " ".join(filter(None, ["a number", " and ".join(limits), self.unit]))
+
 
 class SystemSpec(Model):
     """A system under test: its parameters and options, its columns, and its software.

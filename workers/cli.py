@@ -41,16 +41,20 @@ def group() -> None:
 
 def _add_files(_context: click.Context, _option: click.Parameter, references: tuple[str, ...]) -> tuple[str, ...]:
     """Load the systems in files; only those of this command line, never one that a message names."""
-    if references:
-        from .systems import add_file  # noqa: PLC0415
-
-        for reference in references:
-            try:
-                with contextlib.redirect_stdout(sys.stderr):  # what a file prints must not mix with the data
-                    add_file(reference)
-            except PerfboundError as error:
-                fail(str(error))
+    for reference in references:
+        _add_file(reference)
     return references
+
+
+def _add_file(reference: str) -> str:
+    """Load a system in a file, and return its name; end with one line where it cannot be loaded."""
+    from .systems import add_file  # noqa: PLC0415
+
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # what a file prints must not mix with the data
+            return add_file(reference)
+    except PerfboundError as error:
+        fail(str(error))
 
 
 system_option = click.option(
@@ -174,9 +178,8 @@ def _abandoned(
 
 
 @group.command()
-@system_option
 def systems() -> None:
-    """Print the SystemSpec of every system as one JSON object, name to spec."""
+    """Print the SystemSpec of every installed system as one JSON object, name to spec."""
     from .systems import available, load_system  # noqa: PLC0415
 
     specs = {}
@@ -193,14 +196,9 @@ def systems() -> None:
 @click.argument("reference")
 def spec(reference: str) -> None:
     """Print the SystemSpec of a system in a file as JSON."""
-    from .systems import add_file, load_system  # noqa: PLC0415
+    from .systems import load_system  # noqa: PLC0415
 
-    try:
-        with contextlib.redirect_stdout(sys.stderr):
-            found = load_system(add_file(reference)).spec
-    except PerfboundError as error:
-        fail(str(error))
-    click.echo(canonical_json(found.model_dump(mode="json")))
+    click.echo(canonical_json(load_system(_add_file(reference)).spec.model_dump(mode="json")))
 
 
 @group.command()

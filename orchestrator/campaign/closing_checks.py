@@ -46,8 +46,9 @@ def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
     """Return a line about the rollouts that follow the problems; none where there are none."""
     parts = []
     if (spot := spot_check_plan(header, plans.values())) is not None:
-        starts, later = spot.later or (spot.max_tests, ())
-        least, more = starts * len(spot.rollouts), (spot.max_tests - starts) * len(later)
+        starts = header.config.spot_check
+        least = spot.count(starts)
+        more = spot.count(spot.max_tests) - least
         followups = f" and at most {more} that follow up" if more else ""
         parts.append(f"a spot check of {starts} starts with {least} rollouts{followups}")
     if Recheck.wanted(header):

@@ -32,7 +32,7 @@ class Recheck:
         recorded: Recorded,
     ) -> None:
         self._header, self._recorded = header, recorded
-        sizes = [_size(plan, len(series.observations)) for series, plan in checked.values()]
+        sizes = [plan.count(len(series.observations)) for series, plan in checked.values()]
         ends = list(accumulate(sizes))
         files = digest([series.files for series, _ in checked.values()])
         numbers = drawn(header, RECHECK, files, sum(sizes), min(header.config.recheck, sum(sizes)))
@@ -40,7 +40,7 @@ class Recheck:
         self.rollouts: list[RolloutId] = []
         for number in numbers:
             index = bisect_right(ends, number)
-            test, place = _located(plans[index], number - (ends[index] - sizes[index]))
+            test, place = plans[index].located(number - (ends[index] - sizes[index]))
             self.rollouts.append(RolloutId(names[index], test, *plans[index].rollouts_of(test)[place]))
         variants = tuple(rollout.variant for rollout in self.rollouts)
         self.plan = state.Plan(RECHECK, len(numbers), len(numbers), (), variants=variants)
@@ -70,19 +70,3 @@ class Recheck:
     def seed(self, rollout: RolloutId) -> int:
         """Return the seed of the original."""
         return rollout_seed(self._header, self.rollouts[rollout.test])
-
-
-def _size(plan: state.Plan, tests: int) -> int:
-    """Return the number of rollouts of the first tests of a series."""
-    first, later = plan.later or (tests, ())
-    return min(tests, first) * len(plan.rollouts) + max(tests - first, 0) * len(later)
-
-
-def _located(plan: state.Plan, number: int) -> tuple[int, int]:
-    """Return the test of a rollout of a series, and its place there."""
-    first, later = plan.later or (plan.max_tests, ())
-    before = first * len(plan.rollouts)
-    if number < before:
-        return divmod(number, len(plan.rollouts))
-    test, place = divmod(number - before, len(later))
-    return first + test, place

@@ -89,14 +89,13 @@ class SpotCheck:
         start = series.proposals[test].proposal.node
         missing = [(variant, 0) for variant in self.variants if (variant, 0) not in trajectories]
         first = {key: self._recorded.trajectory(RolloutId(SPOT_CHECK, start, *key)) for key in missing}
+        found: Trajectories = {**first, **trajectories}
         with naming(f"{SPOT_CHECK}, test {test}"):
             values = tuple(
-                self._value(plan, {**first, **trajectories}, replicate)
-                for replicate in range(self._replicates)
-                for plan in self._plans
+                self._value(plan, found, replicate) for replicate in range(self._replicates) for plan in self._plans
             )
-        found = Observation(values[0], values)
-        return ObservationFact(SPOT_CHECK, test, found, series.next_link(test, found))
+        observed = Observation(values[0], values)
+        return ObservationFact(SPOT_CHECK, test, observed, series.next_link(test, observed))
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Take an observation; the check ends with its budget, or when no start is suspicious."""

@@ -61,6 +61,20 @@ class Plan:
             return self.later[1]
         return ((self.variants[test], 0),) if self.variants else self.rollouts
 
+    def count(self, tests: int) -> int:
+        """Return the number of rollouts of the first `tests` tests."""
+        first, later = self.later or (tests, ())
+        return min(tests, first) * len(self.rollouts) + max(tests - first, 0) * len(later)
+
+    def located(self, number: int) -> tuple[int, int]:
+        """Return the test of the rollout with this number, and its place there."""
+        first, later = self.later or (self.max_tests, ())
+        before = self.count(first)
+        if number < before:
+            return divmod(number, len(self.rollouts))
+        test, place = divmod(number - before, len(later))
+        return first + test, place
+
 
 @dataclass(frozen=True, slots=True)
 class OpenTest:

@@ -43,22 +43,29 @@ def _most_starts(
     ledger: Ledger, check: SpotCheck, robustness: Sequence[tuple[float, ...]]
 ) -> document.MostStarts | None:
     """Return what the rollouts of the first test at each start prove of all starts but `SHARE`."""
-    clip = ledger.config.clip
-    if tested_variant(check.variants) not in ledger.header.spec.noisy:
-        rank = quantile_rank(len(robustness), SHARE, LEVEL)
-        found = None if rank is None else sorted(value for value, *_ in robustness)[rank - 1]
-        return None if found is None else _at_most_starts("robustness", round_down(found))
+    noisy = tested_variant(check.variants) in ledger.header.spec.noisy
+    bound = _mean_of_most(robustness, ledger.config.clip) if noisy else _value_of_most(robustness)
+    if bound is None:
+        return None
+    quantity: Literal["robustness", "expected_robustness"] = "expected_robustness" if noisy else "robustness"
+    return document.MostStarts(share=SHARE, quantity=quantity, bound=bound, probability=1 - LEVEL)
+
+
+def _value_of_most(robustness: Sequence[tuple[float, ...]]) -> float | None:
+    """Return a quantile bound of values without noise; None for too few starts."""
+    rank = quantile_rank(len(robustness), SHARE, LEVEL)
+    return None if rank is None else round_down(sorted(value for value, *_ in robustness)[rank - 1])
+
+
+def _mean_of_most(robustness: Sequence[tuple[float, ...]], clip: tuple[float, float] | None) -> float | None:
+    """Return a bound of the means of noisy values; None without a clip, and where no more than the clip is proven."""
     if clip is None:
         return None
     bound = AllButShare(SHARE, clip, delta=LEVEL)
     for values in robustness:
         # A mean of clipped values may leave the clip by round-off.
         bound.add(min(max(mean(values), clip[0]), clip[1]))
-    return _at_most_starts("expected_robustness", bound.lower()) if bound.lower() > clip[0] else None
-
-
-def _at_most_starts(quantity: Literal["robustness", "expected_robustness"], bound: float) -> document.MostStarts:
-    return document.MostStarts(share=SHARE, quantity=quantity, bound=bound, probability=1 - LEVEL)
+    return bound.lower() if bound.lower() > clip[0] else None
 
 
 def _problem(check: SpotCheck, name: ProblemName, found: SpotFinding) -> document.SpotCheckedProblem:

@@ -7,7 +7,7 @@ from pathlib import Path
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate
-from ...schemas.system import Option, OptionValue, SystemSpec
+from ...schemas.system import OptionValue, SystemSpec
 from ...schemas.trajectory import decode
 from .child import ask, system_options, system_spec, system_specs
 
@@ -39,20 +39,14 @@ def simulate_once(
 
 def describe(reference: str | None = None) -> Iterator[str]:
     """Yield a description of one system, or of every installed one."""
-    found = system_specs() if reference is None else {"": system_spec(reference, "SYSTEM")}
-    for spec in found.values():
+    for spec in system_specs().values() if reference is None else [system_spec(reference, "SYSTEM")]:
         yield f"{spec.name}: {spec.doc}"
         for parameter in spec.parameters:
             yield f"  parameter {parameter.name} in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
         for option in spec.options:
-            allowed = " | ".join(option.choices) or _allowed_numbers(option)
+            allowed = " | ".join(option.choices) or option.allowed_numbers
             yield f"  option    {option.name} = {option.default} (allowed: {allowed}) {option.doc}"
         yield f"  columns   {', '.join(f'{column.name} ({column.unit})' for column in spec.columns)}"
-
-
-def _allowed_numbers(option: Option) -> str:
-    limits = [f"{sign} {limit:g}" for sign, limit in ((">=", option.low), ("<=", option.high)) if limit is not None]
-    return " ".join(filter(None, ["a number", " and ".join(limits), option.unit]))
 
 
 def _numbers(spec: SystemSpec, text: str) -> tuple[float, ...]:

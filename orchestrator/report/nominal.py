@@ -44,7 +44,7 @@ def with_nominal(directory: Path, data: ReportData) -> ReportData:
 def _check_system(header: Header) -> None:
     """Refuse another system than the campaign's, or one whose nominal variant depends on the seed.
 
-    A system in a file is refused too: a run directory, perhaps somebody else's, must not name code that runs here.
+    A system in a file is refused too: a run directory may be untrusted, and must not name code that runs here.
     """
     found, spec = system_specs().get(header.spec.name), header.spec
     if found is None or found.digest != spec.digest:
@@ -58,7 +58,7 @@ def _simulated(header: Header, rollout: Rollout) -> Trajectory:
     nominal = RolloutId(rollout.problem, rollout.test, "nominal", 0)
     request = replace(header.template, visual=False).request(nominal, rollout.x, rollout.seed)
     with tempfile.TemporaryDirectory() as folder:
-        return decode(simulate_file(request, Path(folder) / "nominal.mcap", None))
+        return decode(simulate_file(request, Path(folder) / "nominal.mcap"))
 
 
 def _joined(header: Header, scene: RolloutsOfTest, trajectory: Trajectory) -> RolloutsOfTest:

@@ -75,7 +75,7 @@ class Plain:
             self._workers(status, rate)
 
     def _has_news(self, name: str, progress: ProblemProgress, *, due: bool) -> bool:
-        """Whether a series goes on and a line is due, or has ended since the last call."""
+        """Whether a series continues and a line is due, or has ended since the last call."""
         if progress.stopped_by is None:
             return due
         news = name not in self._ended

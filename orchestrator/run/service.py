@@ -249,7 +249,7 @@ class Service:
         if self._stop is not None:
             raise Stopped(self._stop)
         if self._poisoned is not None:
-            raise PerfboundError(poisoned(self._poisoned, self._ledger))
+            raise PerfboundError(_poison_text(self._poisoned, self._ledger))
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:
@@ -277,7 +277,7 @@ def _failure_line(action: events.Fail) -> str:
     return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"
 
 
-def poisoned(found: events.Poison, ledger: Ledger) -> str:
+def _poison_text(found: events.Poison, ledger: Ledger) -> str:
     """Return the history of a rollout that failed too often, the command that repeats it, and the remedy."""
     request, config = ledger.request(found.rollout), ledger.config
     by_reason: dict[str, list[str]] = {}
@@ -286,7 +286,7 @@ def poisoned(found: events.Poison, ledger: Ledger) -> str:
         by_reason.setdefault(reason, []).append(attempt)
     history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
     options = [f"--option={name}={value}" for name, value in config.system.options.items()]
-    start = ",".join(f"{value:.17g}" for value in request.x)
+    start = ",".join(map(repr, request.x))
     rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed)]
     system = config.system.python or request.system
     horizon = ["--horizon", f"{request.horizon:g}"]

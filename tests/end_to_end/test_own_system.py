@@ -155,7 +155,7 @@ def test_a_function_that_fails_ends_with_its_command_and_remedy(started: Process
     failed = started.run("perfbound", "run", file, "--out", tmp_path / "run")
     assert failed.code == 1
     line = failed.last_line
-    assert line.count("AssertionError: too close") == 1, "one reason, told once"
+    assert line.count("AssertionError: too close") == 1, "each reason once"
     assert "If the code of the system is wrong, fix it and start a new campaign" in line
     command = line.split("Repeat it: ")[1].split(". If")[0].split()
     assert command[:3] == ["perfbound", "simulate", "cars.py:cars"]

@@ -78,7 +78,7 @@ def _imported(path: Path) -> ModuleType:
         raise DefinitionError(f"{path}: {error}") from None
     except SyntaxError as error:
         raise DefinitionError(f"{error.filename}, line {error.lineno}: {error.msg}") from None
-    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: the file is somebody's, and the reason is told)
+    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: untrusted code; the reason is in the message)
         place = next(
             (each for each in reversed(traceback.extract_tb(error.__traceback__)) if each.filename == str(path)), None
         )

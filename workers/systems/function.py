@@ -39,12 +39,17 @@ class FunctionSystem(SystemUnderTest):
     """A decorated function; calling it calls the function itself."""
 
     def __init__(
-        self, function: Callable[..., Any], spec: SystemSpec, step: float | None, passed: Sequence[str]
+        self,
+        function: Callable[..., Any],
+        spec: SystemSpec,
+        step: float | None,
+        keywords: Sequence[inspect.Parameter],
     ) -> None:
         functools.update_wrapper(self, function)
-        self._function, self._spec, self._step, self._passed = function, spec, step, tuple(passed)
+        self._function, self._spec, self._step = function, spec, step
+        self._passed = tuple(each.name for each in keywords if each.name in PASSED)
         self._instance: Callable[..., Any] | None = None if inspect.isclass(function) else function
-        self._whole = {option.name for option in spec.options if _is_whole(function, option.name)}
+        self._whole = {each.name for each in keywords if isinstance(each.default, int)}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Call the function."""
@@ -164,7 +169,7 @@ def system(
             fault = error.errors(include_url=False)[0]
             where = ".".join(map(str, fault["loc"]))
             raise DefinitionError(f"{place}: {where}: {fault['msg']}; it is {fault.get('input')!r}") from None
-        return FunctionSystem(function, spec, step, passed)
+        return FunctionSystem(function, spec, step, keywords)
 
     return decorate
 
@@ -257,11 +262,6 @@ def _option_of(argument: inspect.Parameter, place: str) -> Option:
     if isinstance(default, bool) or not isinstance(default, int | float):
         raise DefinitionError(f"{place}: option {argument.name!r} is a number or a word, not {default!r}")
     return Option(name=argument.name, default=float(default))
-
-
-def _is_whole(function: Callable[..., Any], name: str) -> bool:
-    default = {each.name: each.default for each in _signature(function, "")}[name]
-    return isinstance(default, int)
 
 
 @contextmanager

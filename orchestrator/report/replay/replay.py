@@ -35,7 +35,7 @@ def replay_rollout(
 
     """
     found = load_recorded(directory, rollout)
-    # As in `verify`: somebody else's run directory must not name code that runs here.
+    # As in `verify`: a run directory may be untrusted, and must not name code that runs here.
     if found.header.spec.code and system is None:
         raise PerfboundError(f"{found.header.spec.name} is a system in a file: name it with --system FILE.py:NAME")
     yield _title_line(found)
@@ -64,7 +64,7 @@ def replay_rollout(
         raise PerfboundError(f"{found.fact.rollout}: {fault}")
 
 
-def simulate_file(request: RolloutRequest, path: Path, system: str | None) -> bytes:
+def simulate_file(request: RolloutRequest, path: Path, system: str | None = None) -> bytes:
     """Simulate a rollout in a child and return its file, which is also at `path`.
 
     Raises:
