@@ -225,6 +225,8 @@ def test_two_systems_of_a_folder_share_a_module_and_no_package(folder: Path) -> 
     (folder / "more.py").write_text(CARS.format(more="import shared_helper, some_package").replace("cars", "more"))
     assert load_file(reference).spec.code.keys() == {"cars.py", "shared_helper.py"}
     assert load_file(f"{folder / 'more.py'}:more").spec.code.keys() == {"more.py", "shared_helper.py"}
+    (folder / "alone.py").write_text(CARS.format(more="").replace("cars", "alone"))
+    assert load_file(f"{folder / 'alone.py'}:alone").spec.code.keys() == {"alone.py"}, "not what others import"
 
 
 def test_another_code_is_another_system(folder: Path) -> None:
