@@ -1,8 +1,13 @@
 # perfbound: one target per habit. `make help` lists them.
 
-PYTHON ?= python3.11
-VENV := .venv
+VERSIONS := 3.11 3.12 3.13
+VENV ?= .venv
 BIN := $(VENV)/bin
+# That of the environment, if there is one.
+PYTHON ?= $(firstword $(wildcard $(BIN)/python) python3.11)
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+LOCK := locks/$(VERSION)
+INSTALLED := $(VENV)/.installed-$(VERSION)
 CAMPAIGN ?= deploy/campaigns/segway-paper.toml
 WORKERS ?= 2
 RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
@@ -10,23 +15,28 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-all smoke announce lint types imports unit explore faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
+.PHONY: help setup run test test-all other-pythons mujoco smoke announce lint types imports unit explore faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 
-$(VENV)/.installed: requirements.lock pyproject.toml
-	@command -v $(PYTHON) >/dev/null || { echo "perfbound needs $(PYTHON): pybullet has no wheels above 3.11" >&2; exit 1; }
+$(INSTALLED): $(wildcard $(LOCK).txt) pyproject.toml
+	@test -n "$(filter $(VERSION),$(VERSIONS))" || { \
+	  echo "perfbound needs Python $(VERSIONS), and $(PYTHON) is $(or $(VERSION),missing): choose one with PYTHON=..." >&2; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(INSTALL) --require-hashes -r requirements.lock
+	@$(BIN)/python -c 'import sys; sys.exit("%d.%d" % sys.version_info[:2] != "$(VERSION)")' || { \
+	  echo "$(VENV) has another Python than $(PYTHON): choose VENV=.venv-$(VERSION), or run make clean" >&2; exit 1; }
+	$(INSTALL) --require-hashes -r $(LOCK).txt
 	$(INSTALL) --no-deps -e .
 	touch $@
 
-$(VENV)/.installed-dev: requirements-dev.lock $(VENV)/.installed
-	$(INSTALL) --require-hashes -r requirements-dev.lock
+$(INSTALLED)-%: $(LOCK)-%.txt $(INSTALLED)
+	$(INSTALL) --require-hashes -r $<
 	touch $@
 
-setup: $(VENV)/.installed ## Make the virtual environment with the locked versions
+setup: $(INSTALLED) ## Make the virtual environment with the locked versions (PYTHON=python3.12)
+
+mujoco: $(INSTALLED)-mujoco ## Add MuJoCo to it, for deploy/examples/cartpole
 
 run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORKERS=...); continues where it stopped
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
@@ -34,33 +44,41 @@ run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORK
 
 test: announce lint types imports unit ## All checks: ruff, mypy, import rules, pytest; about 25 minutes
 
-test-all: announce lint types imports unit ## All checks, and the tests that take longer still
+test-all: announce lint types imports mujoco unit other-pythons ## All checks, the tests that take longer still, and every other Python
 
 test-all: NOT_SLOW :=
 
-smoke: $(VENV)/.installed-dev ## Two minutes: real workers, kills, the contract of the transports, golden rollouts; no browser
+other-pythons:
+	@for version in $(filter-out $(VERSION),$(VERSIONS)); do \
+	  if python$$version -c '' 2>/dev/null; \
+	  then $(MAKE) mujoco unit PYTHON=python$$version VENV=.venv-$$version NOT_SLOW= || exit 1; \
+	  else missing="$$missing python$$version"; fi; \
+	done; test -z "$$missing" || echo "Not tested, because not on PATH:$$missing"
+
+smoke: $(INSTALLED)-dev ## Two minutes: real workers, kills, the contract of the transports, golden rollouts; no browser
 	$(BIN)/python -m pytest -q -m smoke
 
 announce:
 	@echo "About 25 minutes on two quiet cores, after the installation; \`make smoke\` takes two."
 
-lint: $(VENV)/.installed-dev ## Style
+lint: $(INSTALLED)-dev ## Style
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(VENV)/.installed-dev ## Types, strict
+types: $(INSTALLED)-dev ## Types, strict
 	$(BIN)/mypy
 
-imports: $(VENV)/.installed-dev ## Which room may import which
+imports: $(INSTALLED)-dev ## Which room may import which
 	$(BIN)/lint-imports
 
 # Readers of our files in JavaScript; where there is no npm or no network, their tests are skipped.
 build/node/.installed: Makefile
 	@if command -v npm >/dev/null && npm install --silent --no-save --no-audit --no-fund --prefix build/node \
-	  @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 @foxglove/schemas@2.1.0; then touch $@; fi
+	  @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 @foxglove/schemas@2.1.0 \
+	  @foxglove/rosmsg@5.0.5 @foxglove/rosmsg2-serialization@3.1.0; then touch $@; fi
 
 # The build backend that pyproject.toml pins, so that the test of the wheel needs no network later on.
-build/backend/.installed: pyproject.toml $(VENV)/.installed
+build/backend/.installed: pyproject.toml $(INSTALLED)
 	rm -rf build/backend
 	$(INSTALL) --target build/backend "$$(sed -n 's/^requires = \["\(.*\)"\]$$/\1/p' pyproject.toml)"
 	touch $@
@@ -70,20 +88,20 @@ NOT_SLOW := -m "not slow"
 PROCESSES := tests/end_to_end tests/faults
 IN_TWO := -n 2 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
 OUR_DOCTESTS := tests/architecture/source.py tests/golden/record.py
-unit: $(VENV)/.installed-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
-	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas $(OUR_DOCTESTS)
+unit: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
+	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas perfbound/library $(OUR_DOCTESTS)
 	$(BIN)/python -m pytest $(IN_TWO) --durations=10 $(NOT_SLOW)
 	$(BIN)/python -m pytest $(PROCESSES) --durations=10 $(NOT_SLOW)
 
-explore: $(VENV)/.installed-dev ## Property tests with new random cases, many of them
+explore: $(INSTALLED)-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit
 
 MINUTES ?= 10
 SEED ?= 1
-faults: $(VENV)/.installed-dev ## Campaigns under seeded faults: kill, stop, partition, full disk, ... (MINUTES=10, SEED=1)
+faults: $(INSTALLED)-dev ## Campaigns under seeded faults: kill, stop, partition, full disk, ... (MINUTES=10, SEED=1)
 	$(BIN)/python -m tests.faults --minutes $(MINUTES) --seed $(SEED)
 
-coverage: $(VENV)/.installed-dev ## How often bounds fail, over thousands of campaigns (half an hour; continues where it stopped)
+coverage: $(INSTALLED)-dev ## How often bounds fail, over thousands of campaigns (half an hour; continues where it stopped)
 	$(BIN)/python -m tests.coverage
 
 reproduce: setup ## The paper's tables and figures, into runs/paper (half an hour; continues where it stopped)
@@ -94,36 +112,44 @@ $(VENV)-bench/.installed: tests/benchmarks/requirements.txt
 	$(VENV)-bench/bin/python -m pip install --quiet --disable-pip-version-check -r $<
 	touch $@
 
-bench: $(VENV)/.installed-dev $(VENV)-bench/.installed ## CPU times beside those of peers, in one table and as JSON
+bench: $(INSTALLED)-dev $(VENV)-bench/.installed ## CPU times beside those of peers, in one table and as JSON
 	$(BIN)/python -m tests.benchmarks
 
-bench-compare: $(VENV)/.installed-dev ## Two results side by side: OLD=... NEW=... (JSON files of make bench)
+bench-compare: $(INSTALLED)-dev ## Two results side by side: OLD=... NEW=... (JSON files of make bench)
 	$(BIN)/python -m tests.benchmarks.compare $(OLD) $(NEW)
 
-schemas: $(VENV)/.installed-dev ## Write schemas/json/v1 anew from the models
+schemas: $(INSTALLED)-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m perfbound.schemas
 
-names: $(VENV)/.installed-dev ## Names that are defined in more than one module
+names: $(INSTALLED)-dev ## Names that are defined in more than one module
 	$(BIN)/python -m tests.architecture.names
 
-diagrams: $(VENV)/.installed-dev ## Draw the diagrams of docs/architecture.md from the legality tables and the imports
+diagrams: $(INSTALLED)-dev ## Draw the diagrams of docs/architecture.md from the legality tables and the imports
 	$(BIN)/python -m tests.architecture
 
-$(VENV)/.installed-docs: requirements-docs.lock $(VENV)/.installed
-	$(INSTALL) --require-hashes -r requirements-docs.lock
-	touch $@
-
-docs: $(VENV)/.installed-docs ## Build the docs site into build/site; a broken link fails the build
+docs: $(INSTALLED)-docs ## Build the docs site into build/site; a broken link fails the build
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
-lock: ## Resolve the dependencies anew (needs pip-tools)
-	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \
-	  --no-emit-find-links --no-emit-trusted-host -o requirements.lock pyproject.toml
-	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \
-	  --no-emit-find-links --no-emit-trusted-host --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
-	pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe --no-emit-index-url \
-	  --no-emit-find-links --no-emit-trusted-host --extra docs -c requirements.lock -c requirements-dev.lock \
-	  -o requirements-docs.lock pyproject.toml
+lock: ## Resolve the dependencies for every Python of this machine; a version stays while pyproject.toml allows it
+	@for version in $(VERSIONS); do \
+	  if python$$version -c '' 2>/dev/null; then $(MAKE) lock-$$version || exit 1; \
+	  else echo "not resolved, because not on PATH: python$$version"; fi; \
+	done
+
+.PRECIOUS: build/pip-tools-%/.installed
+build/pip-tools-%/.installed:
+	python$* -m venv build/pip-tools-$*
+	build/pip-tools-$*/bin/python -m pip install --quiet --disable-pip-version-check pip-tools==7.6.2
+	touch $@
+
+# Every Python gets the versions of 3.11, as far as they have wheels for it; the additions, those of the base.
+RESOLVE = build/pip-tools-$*/bin/pip-compile --quiet --generate-hashes --no-header --strip-extras --allow-unsafe \
+  --no-emit-index-url --no-emit-find-links --no-emit-trusted-host $(if $(filter-out 3.11,$*),-c locks/3.11$(1).txt)
+lock-%: build/pip-tools-%/.installed
+	$(call RESOLVE) -o locks/$*.txt pyproject.toml
+	$(call RESOLVE,-dev) --extra dev -c locks/$*.txt -o locks/$*-dev.txt pyproject.toml
+	$(call RESOLVE,-docs) --extra docs -c locks/$*.txt -c locks/$*-dev.txt -o locks/$*-docs.txt pyproject.toml
+	$(call RESOLVE,-mujoco) --extra mujoco -c locks/$*.txt -o locks/$*-mujoco.txt pyproject.toml
 
 clean: ## Remove the environment and caches; runs are kept
-	rm -rf $(VENV) $(VENV)-bench .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build *.egg-info
+	rm -rf $(VENV) $(VENV)-bench $(addprefix .venv-,$(VERSIONS)) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build *.egg-info

@@ -6,8 +6,14 @@ Importing the package loads nothing: every worker runs this module. The public n
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .library.campaign import Campaign
+    from .library.rig import Rig
+    from .library.run import open_run as open  # noqa: A004  (as os.open: read with its package)
+    from .library.run import resume_run as resume
+    from .library.run import robustness
     from .results import read_certificate, read_trajectory
     from .schemas import __version__
+    from .schemas.errors import PerfboundError
     from .systems import (
         Cancelled,
         Column,
@@ -22,20 +28,38 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "Campaign",
     "Cancelled",
     "Column",
     "Option",
     "Parameter",
+    "PerfboundError",
+    "Rig",
     "SimulationError",
     "SystemSpec",
     "SystemUnderTest",
     "Trajectory",
     "__version__",
     "checked_options",
+    "open",
     "read_certificate",
     "read_trajectory",
+    "resume",
+    "robustness",
     "system",
 ]
+_HOMES = {
+    "Campaign": ".library.campaign",
+    "PerfboundError": ".schemas.errors",
+    "Rig": ".library.rig",
+    "__version__": ".schemas",
+    "open": ".library.run:open_run",
+    "read_certificate": ".results",
+    "read_trajectory": ".results",
+    "resume": ".library.run:resume_run",
+    "robustness": ".library.run",
+}
+"""Module of each name, and its name there if it is another one; every other name is in `systems`."""
 
 
 def __getattr__(name: str) -> Any:
@@ -43,5 +67,5 @@ def __getattr__(name: str) -> Any:
 
     if name not in __all__:
         raise AttributeError(f"module 'perfbound' has no attribute {name!r}")
-    home = {"__version__": ".schemas", "read_certificate": ".results", "read_trajectory": ".results"}
-    return getattr(import_module(home.get(name, ".systems"), __name__), name)
+    home, _, renamed = _HOMES.get(name, ".systems").partition(":")
+    return getattr(import_module(home, __name__), renamed or name)

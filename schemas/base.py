@@ -32,3 +32,16 @@ def digest(value: Any) -> str:
     True
     """
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
+
+
+def merged(one: Any, other: Any) -> Any:
+    """Return two JSON values as one with the keys of both, lists entry by entry; where both have a value, `other` wins.
+
+    >>> merged({"a": [{"b": 1}]}, {"a": [{"c": 2}], "d": 3})
+    {'a': [{'b': 1, 'c': 2}], 'd': 3}
+    """
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one | {key: merged(one[key], value) if key in one else value for key, value in other.items()}
+    if isinstance(one, list) and isinstance(other, list):
+        return [merged(*pair) for pair in zip(one, other, strict=True)]
+    return other

@@ -1,10 +1,10 @@
 """The campaign file: every key, its unit, its range and its meaning."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from .base import Model, digest
+from .base import Model, digest, merged
 from .kernel import MaternKernel, Positive, Weighted
 from .problems import CLAIMS, OBJECTIVES, MethodName, ProblemName, Sense, any_of
 from .space import Scenarios, Space, SystemChoice
@@ -17,6 +17,9 @@ MAX_NU = 40
 
 DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline"}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
+IDENTIFIES_ALWAYS: Any = {"composition": True, "problems": {"__all__": {"delta": True, "kernel": {"nu": True}}}}
+"""Keys that are part of the identity also at their default: a file that leaves one out is the same campaign as one that
+writes it, and files from before these keys had a default keep their identity."""
 
 
 class Gap(Model):
@@ -61,7 +64,7 @@ class _Problem(Model):
     column: str | None = Field(
         default=None, description="`maximum` only, required: the column whose expected peak is maximised"
     )
-    delta: float = Field(gt=0, lt=1, description="failure probability of the confidence band")
+    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the confidence band")
     alpha: float = Field(gt=0, description="tolerance at which the problem stops; unit of the objective")
     window: int | None = Field(default=None, ge=1, le=10_000, description="overrides the campaign's")
     replicates: int | None = Field(default=None, ge=1, le=100_000, description="overrides the campaign's")
@@ -159,7 +162,7 @@ class RigorousProblem(_KernelProblem):
 class ScenarioProblem(_Problem):
     """Betting bounds on finitely many starts, without a kernel."""
 
-    delta: float = Field(gt=0, lt=1, description="failure probability of the bound")
+    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the bound")
     method: Literal["scenario"] = Field(description="finitely many starts, no kernel")
     linearised: Linearised | None = Field(
         default=None,
@@ -211,16 +214,26 @@ class CampaignConfig(Model):
         default=None, description="how `sim_gap` compares two trajectories; required by it, here or in the problem"
     )
     composition: Rule = Field(
+        default="single",
         description="rule of the first claim: Theorem 2 with multiplied probabilities, or with added failure "
-        "probabilities; Bhatia-Davis with two extremes, or pointwise; one problem alone"
+        "probabilities; Bhatia-Davis with two extremes, or pointwise; one problem alone",
     )
     visual: Literal["all", "none"] = Field(
         default="all", description="trajectory files with a visual part, for viewers: all, or none"
     )
     max_attempts: int = Field(
-        default=5, ge=1, le=1000, description="number of failed attempts of one rollout that ends the campaign"
+        default=5,
+        ge=1,
+        le=1000,
+        description="number of failed attempts of one rollout that ends the campaign; if the system fails alike, two "
+        "are enough",
     )
-    hung_after: float = Field(default=10.0, ge=1, description="seconds without progress that end an attempt")
+    hung_after: float = Field(
+        default=10.0,
+        ge=1,
+        description="seconds without progress that end an attempt; a function or program that shows none is ended by "
+        "`deadline` alone",
+    )
     deadline: float = Field(default=600.0, ge=1, description="longest duration of an attempt in s")
     spot_check: int = Field(
         default=299,
@@ -345,4 +358,5 @@ class CampaignConfig(Model):
     @property
     def digest(self) -> str:
         """Identity of the campaign since rules 2: its keys that differ from their defaults and decide a number."""
-        return digest(self.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NOTHING))
+        changed = self.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NOTHING)
+        return digest(merged(changed, self.model_dump(mode="json", include=IDENTIFIES_ALWAYS)))

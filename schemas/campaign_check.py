@@ -95,6 +95,8 @@ def _in_limits(value: float, low: float | None, high: float | None) -> bool:
 def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     columns = [column.name for column in spec.columns]
     faults = []
+    if spec.repeated == "nowhere" and config.recheck > 0:
+        faults.append(f"recheck: {config.recheck} is not allowed: no rollout of {spec.name} can be repeated; give 0")
     if config.horizon > spec.max_horizon:
         faults.append(f"horizon: {config.horizon:g} s is more than the {spec.max_horizon:g} s of {spec.name}")
     if config.horizon == 0 and spec.timed:

@@ -1,4 +1,4 @@
-"""The parser of campaign files: from bytes to a CampaignConfig, or to an error of one line."""
+"""The reader of campaign files: from a file or its bytes to a CampaignConfig, or to an error of one line."""
 
 import csv
 import difflib
@@ -8,6 +8,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator
 from datetime import date, time
+from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import ValidationError
@@ -17,12 +18,12 @@ from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised
 from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
 from .problems import OBJECTIVES
-from .space import Range, Scenarios, SystemChoice
+from .space import ProgramLimits, Range, Scenarios, SystemChoice
 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""
 
-_UNION_MEMBER = re.compile(r"constrained-float|float|str|(literal|tuple|dict|constrained-dict|function-.*)\[.*")
+_UNION_MEMBER = re.compile(r"constrained-float|float|str|bool|(literal|tuple|dict|constrained-dict|function-.*)\[.*")
 _LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 _LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
 _WORDS = {
@@ -36,6 +37,12 @@ _WORDS = {
     ("problems", "rigorous", "kernel", "length_scale"): _LENGTHS,
     ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
+    ("system", "program"): 'a list of texts: ["./NAME", "ARGUMENT"]',
+    ("system", "columns"): 'a table with the unit of every column in quotes: { distance = "m" }',
+    ("system", "noisy"): "true, false, or a list of variants",
+    ("system", "variants"): "a list of 'nominal' and 'true'",
+    ("system", "environment"): "a list of names",
+    ("system", "limits"): "a table: { memory = 4, cpu = 60 }",
 }
 """Allowed values in words, where those of the schema and of pydantic are no help."""
 _TAGS = {*PROBLEM_MODELS, "box", "scenarios"}
@@ -43,6 +50,27 @@ _TAGS = {*PROBLEM_MODELS, "box", "scenarios"}
 
 Beside = Callable[[str], bytes]
 """Reads a file beside the campaign file; raises OSError."""
+MAX_CAMPAIGN_FILE = 1024 * 1024
+"""Bytes of a campaign file."""
+
+
+def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
+    """Read a campaign file.
+
+    Raises:
+        CampaignError: it cannot be read, or is not a campaign.
+
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_CAMPAIGN_FILE + 1)
+    except OSError as error:
+        if ".py:" in path.name:
+            raise CampaignError(f"{path}: this is a system; write a campaign file: perfbound init {path}") from None
+        raise CampaignError(f"{path}: {error.strerror}; choose a campaign file, e.g. one of deploy/campaigns") from None
+    if len(data) > MAX_CAMPAIGN_FILE:
+        raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; choose a campaign file")
+    return parse_campaign(data, str(path), lambda name: (path.parent / name).read_bytes(), **overrides)
 
 
 def parse_campaign(data: bytes, source: str, beside: Beside | None = None, **overrides: Any) -> CampaignConfig:
@@ -181,9 +209,11 @@ def _describe(fault: Any, key: str) -> str:
 def _allowed(location: Location) -> str:
     """Return the allowed values of a key in words; empty where the words of pydantic are better."""
     names = tuple(part for part in location if isinstance(part, str))
+    if names[0] == "system" and names[1:2] != ("limits",):
+        names = names[:2]  # an entry of `columns` or of a list
     if names in _WORDS:
         return _WORDS[names]
-    if names[0] == "system" and names[-1] != "name":
+    if names[0] == "system" and names[1] not in SystemChoice.model_fields:
         return "text or a number, as the system has it: see `perfbound systems`"
     field = _model_at(location[:-1]).model_fields.get(names[-1])
     if field is not None and get_origin(field.annotation) is Literal:
@@ -210,10 +240,12 @@ def _model_at(location: Location) -> type[Model]:
         "kernel": MaternKernel,
         "gap": Gap,
         "space": Range,
+        "scenarios": Scenarios,
+        "limits": ProgramLimits,
         "system": SystemChoice,
     }
     if location and location[0] in ("space", "system"):  # whose keys are the user's
-        return Scenarios if location[-1] == "scenarios" else models[location[0]]
+        return models.get(location[-1], models[location[0]])
     names = [part for part in location if part in models]
     return models[names[-1]] if names else CampaignConfig
 

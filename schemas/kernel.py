@@ -12,7 +12,9 @@ Positive = Annotated[float, Field(gt=0)]
 class MaternKernel(Model):
     """Matern kernel of unit amplitude."""
 
-    nu: float = Field(gt=0, le=50, description="smoothness; at most 40 in method `rigorous` and with `refine = true`")
+    nu: float = Field(
+        default=2.5, gt=0, le=50, description="smoothness; at most 40 in method `rigorous` and with `refine = true`"
+    )
     length_scale: Positive | Annotated[dict[str, Positive], Field(min_length=1)] = Field(
         description="distance over which the objective changes: one number per parameter by name, each in its unit; or "
         "one number for all of them"

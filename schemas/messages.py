@@ -18,6 +18,7 @@ MAX_RESULT = MAX_FILE_BYTES
 Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.[0-9]{1,9}\.(nominal|true)\.[0-9]{1,6}$")]
 Attempt = Annotated[int, Field(ge=1, le=1_000_000)]
 Word = Annotated[str, Field(max_length=200)]
+Identities = Annotated[tuple[Word, ...], Field(min_length=1, max_length=20)]
 
 
 class Assign(Model):
@@ -62,7 +63,9 @@ class WorkerState(Model):
     worker: Word
     host: Word
     pid: int
-    systems: dict[Word, Word] = Field(max_length=200, description="digest of the SystemSpec of each installed system")
+    systems: dict[Word, Identities] = Field(
+        max_length=200, description="of each system, the identities by which campaigns may know it"
+    )
     state: Literal["idle", "busy"]
     rollout: Rollout | None = None
     attempt: Attempt | None = None

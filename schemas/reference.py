@@ -16,7 +16,7 @@ from .campaign import (
 )
 from .kernel import MaternKernel, Weighted
 from .problems import OBJECTIVES, Objective
-from .space import Range, Scenarios, SystemChoice
+from .space import ProgramLimits, Range, Scenarios, SystemChoice
 
 HEAD = """# Reference: campaign files
 
@@ -37,6 +37,7 @@ The names of `[[problems]]`. The bound of a problem with a quantity is a claim b
 TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Top level", "", CampaignConfig),
     ("[system]", "The table also takes the options of the system; `perfbound systems` lists them.", SystemChoice),
+    ("[system] of a program, limits", "", ProgramLimits),
     ("[space]", 'One entry per parameter of the system: `x = { low = 0.0, high = 5.0, unit = "m" }`.', Range),
     ("[space], scenarios", "Instead of ranges: `scenarios = [[0.5, 0.5], [1.5, 0.5]]`.", Scenarios),
     ("[[problems]], method paper", "One table per optimisation problem; each name at most once.", PaperProblem),
@@ -57,11 +58,22 @@ ALLOWED = {
     ),
     (ScenarioProblem, "sense"): "`min`",
     (Scenarios, "scenarios"): "lists of numbers, or text",
+    (SystemChoice, "program"): "list of texts",
+    (SystemChoice, "columns"): "table of texts",
+    (SystemChoice, "noisy"): "true or false, or list of `nominal`, `true`",
+    (SystemChoice, "variants"): "list of `nominal`, `true`",
+    (SystemChoice, "environment"): "list of texts",
 }
 """Values that the type of a key does not show: the file's reader or a validator decides them."""
 OMITTED = {(ScenarioProblem, name) for name in ("column", "resolution", "gap")}
 """Keys that a method inherits and refuses or ignores."""
-SECTIONS = {"SystemChoice": "system", "MaternKernel": "kernel", "Gap": "gap", "Linearised": "linearised"}
+SECTIONS = {
+    "SystemChoice": "system",
+    "ProgramLimits": "system-of-a-program-limits",
+    "MaternKernel": "kernel",
+    "Gap": "gap",
+    "Linearised": "linearised",
+}
 """The section of this page that describes a table, by the name of its model."""
 
 

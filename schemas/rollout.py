@@ -8,12 +8,12 @@ from pydantic import Field
 
 from .base import Model
 from .ids import RolloutId
-from .system import OptionValue, SystemSpec, Variant
+from .system import SEED_BITS, OptionValue, SystemSpec, Variant
 
 MAX_FILE_BYTES = 64 * 2**20
 """Of a trajectory's file; a 15 s rollout of nine columns takes 0.2 MB."""
-MAX_SEED = 2**53
-"""Seeds are below this, so that every JSON reader keeps them exact."""
+MAX_SEED = 2**SEED_BITS
+"""Seeds are below this; those of a system that takes shorter ones, below 2^`seed_bits`."""
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

@@ -1,18 +1,28 @@
 """The system of a campaign file, and its space: all starting conditions of the claim."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from .base import Model
-from .system import OptionValue
+from .system import SEED_BITS, OptionValue, Variant
 
 MAX_SCENARIOS = 1000
+SampleFormat = Literal["csv", "f64", "npy"]
+
+
+class ProgramLimits(Model):
+    """What a program may use; the kernel enforces it."""
+
+    memory: float = Field(default=4.0, gt=0, le=1e6, description="address space in GB; more of it cannot be allocated")
+    cpu: float | None = Field(
+        default=None, ge=1, le=1e6, description="CPU seconds of one rollout; without it only `deadline` ends one"
+    )
 
 
 class SystemChoice(Model, extra="allow"):
-    """The system under test and its options, as its SystemSpec lists them."""
+    """The system under test and its options, as its SystemSpec lists them; a program is described here itself."""
 
     __pydantic_extra__: dict[str, OptionValue] = Field(init=False)
     name: str = Field(
@@ -26,20 +36,70 @@ class SystemChoice(Model, extra="allow"):
         description="FILE.py:NAME, a function or class in a file; its path is relative to the campaign file",
     )
 
+    program: tuple[str, ...] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=100,
+        description="a program and its arguments; it is started in the folder of the campaign file",
+    )
+    columns: dict[str, str] | None = Field(
+        default=None,
+        min_length=1,
+        description="of a program, required: columns of its samples with their units, in their order, without `t`",
+    )
+    step: float | None = Field(
+        default=None, gt=0, description="of a program: s between two samples; without it their first column is `t`"
+    )
+    noisy: bool | tuple[Variant, ...] | None = Field(
+        default=None, description="of a program: the rollouts, or those of these variants, depend on the seed"
+    )
+    variants: tuple[Variant, ...] | None = Field(
+        default=None, min_length=1, description="of a program: its variants; without this key it has one, `nominal`"
+    )
+    samples: SampleFormat | None = Field(
+        default=None, description="of a program: the form of its samples; without this key `csv`"
+    )
+    seed_bits: int | None = Field(
+        default=None, ge=31, le=SEED_BITS, description="of a program: seeds are below 2^seed_bits; without this key 53"
+    )
+    limits: ProgramLimits | None = Field(default=None, description="of a program: memory and CPU time that it may use")
+    environment: tuple[str, ...] | None = Field(
+        default=None, description="of a program: variables that it gets besides PATH, HOME and LANG"
+    )
+
     @model_validator(mode="after")
     def _one(self) -> "SystemChoice":
-        if (self.name == "") == (self.python is None):
-            raise ValueError('name: give either name = "...", an installed system, or python = "FILE.py:NAME"')
+        if [self.name != "", self.python is not None, self.program is not None].count(True) != 1:
+            raise ValueError(
+                'name: give one of name = "...", an installed system, python = "FILE.py:NAME", a function in a file, '
+                'and program = ["./NAME"]'
+            )
+        if self.program is not None and self.columns is None:
+            raise ValueError('columns: required by a program: its columns with their units, { distance = "m" }')
+        given = [key for key in PROGRAM_KEYS if getattr(self, key) is not None]
+        if self.program is None and given:
+            raise ValueError(f"{given[0]}: this key is for a program alone")
         return self
 
-    def reference(self, folder: Path) -> str:
-        """Return the system as a worker finds it, given the folder of the campaign file."""
-        return self.name if self.python is None else str(folder.absolute() / self.python)
+    @property
+    def kind(self) -> Literal["name", "python", "program"]:
+        """The key that names the system."""
+        return "name" if self.name else "python" if self.python is not None else "program"
+
+    def reference(self, file: Path) -> str:
+        """Return the system as a worker finds it: its name, FILE.py:NAME, or for a program the campaign file `file`."""
+        if self.python is not None:
+            return str(file.absolute().parent / self.python)
+        return self.name or str(file.absolute())
 
     @property
     def options(self) -> dict[str, OptionValue]:
         """The options that the file sets."""
         return dict(self.__pydantic_extra__ or {})
+
+
+PROGRAM_KEYS = ("columns", "step", "noisy", "variants", "samples", "seed_bits", "limits", "environment")
+"""Keys of `[system]` that describe a program."""
 
 
 class Range(Model):

@@ -5,12 +5,18 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from .base import Model, digest
-from .rules import RULES
+from .rules import KNOWN, RULES
 
-ADDED = ("timed", "code")
+ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated")
 """Keys of a SystemSpec that no campaign of rules 1 has."""
+DECIDES_NO_ROLLOUT = {"default_horizon"}
+"""Keys that are no part of a system's identity: every request has its own horizon."""
+ASSUMED_HORIZON = 10.0
+"""Seconds, where neither the user nor the system names a horizon."""
 Variant = Literal["nominal", "true"]
 OptionValue = str | float
+SEED_BITS = 53
+"""Of the largest seed, so that every JSON reader keeps it exactly."""
 
 
 class Parameter(Model):
@@ -64,7 +70,7 @@ class SystemSpec(Model):
 
     `columns` starts with the time `t` in seconds. `noisy` names the variants whose rollouts depend on the seed.
     `versions` are those of the packages that decide the trajectory, e.g. {"pybullet": "3.2.7"}; `code` are the source
-    files of a system that is in no package.
+    files, filled in where the system is loaded. Seeds are below 2^`seed_bits`: 32 for an unsigned int.
     """
 
     name: str = Field(pattern=r"^[a-z][a-z0-9-]*$")
@@ -77,7 +83,16 @@ class SystemSpec(Model):
     max_horizon: float = Field(gt=0, description="longest rollout in seconds")
     versions: dict[str, str] = Field(default_factory=dict)
     timed: bool = Field(default=False, description="a rollout takes a horizon above 0 s")
-    code: dict[str, str] = Field(default_factory=dict, description="sha256 of every source file, of a system in a file")
+    code: dict[str, str] = Field(default_factory=dict, description="sha256 of every source file")
+    default_horizon: float | None = Field(
+        default=None, ge=0, description="horizon in s where the user names none; 0 for rollouts of one sample"
+    )
+    seed_bits: int = Field(default=SEED_BITS, ge=31, le=SEED_BITS, description="seeds are below 2^seed_bits")
+    repeated: Literal["anywhere", "session", "nowhere"] = Field(
+        default="anywhere",
+        description="where a rollout can be made again: where the system is, in the interactive session that "
+        "defined it, or nowhere, as on a rig",
+    )
 
     @model_validator(mode="after")
     def _named(self) -> "SystemSpec":
@@ -86,13 +101,25 @@ class SystemSpec(Model):
         return self
 
     @property
+    def assumed_horizon(self) -> float:
+        """Horizon in s of a command that is given none: the system's own, else `ASSUMED_HORIZON`."""
+        own = ASSUMED_HORIZON if self.default_horizon is None else self.default_horizon
+        return min(own, self.max_horizon)
+
+    @property
     def digest(self) -> str:
         """Identity of this exact system; workers that announce another one are refused."""
         return self.digest_by(RULES)
+
+    @property
+    def identities(self) -> tuple[str, ...]:
+        """The identities by which campaigns may know this system: by each rules, with its code and without."""
+        specs = (self, self.model_copy(update={"code": {}}))
+        return tuple({spec.digest_by(rules): None for rules in sorted(KNOWN, reverse=True) for spec in specs})
 
     def digest_by(self, rules: int) -> str:
         """Return the identity of this system in the campaigns of some rules."""
         if rules == 1:
             return digest(self.model_dump(mode="json", exclude=set(ADDED)))
         # Since rules 2 a key that a later version adds changes nothing while it is not set. A changed default does.
-        return digest(self.model_dump(mode="json", exclude_defaults=True))
+        return digest(self.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NO_ROLLOUT))

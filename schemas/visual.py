@@ -11,7 +11,7 @@ on a topic of its own under /solids: a box, also for a cylinder or a sphere.
 
 import functools
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,11 +66,23 @@ class Transform:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """The visual part: a scene sent once, moving frames, and lines of a log as (seconds, text)."""
+    """The visual part: a scene sent once, moving frames, and lines of a log as (seconds, text).
 
-    scene: SceneUpdate
-    transforms: tuple[Transform, ...]
+    `Visual(plots=True)` has a channel of numbers for each column instead.
+
+    Raises:
+        ValueError: it has both.
+
+    """
+
+    scene: SceneUpdate = field(default_factory=SceneUpdate)
+    transforms: tuple[Transform, ...] = ()
     log: tuple[tuple[float, str], ...] = ()
+    plots: bool = False
+
+    def __post_init__(self) -> None:
+        if self.plots and (self.scene.entities or self.transforms or self.log):
+            raise ValueError("a visual part has either plots, or a scene with its transforms and its log")
 
 
 class Channel(NamedTuple):

@@ -1,10 +1,56 @@
-"""Property tests are the same on every run, and judge no time; PERFBOUND_EXPLORE=1 finds new cases."""
+"""Property tests are the same on every run, and judge no time; PERFBOUND_EXPLORE=1 finds new cases.
+
+Without PyBullet, the tests that fail for want of it are skipped, with the line that says how to get it.
+"""
 
 import os
+from collections.abc import Generator
 
+import pytest
 from hypothesis import HealthCheck, settings
+
+from perfbound.schemas.errors import UnknownSystemError
+from perfbound.workers.systems.segway import bullet
 
 TIMELESS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("repeatable", TIMELESS, derandomize=True)
 settings.register_profile("explore", TIMELESS, max_examples=2000)
 settings.load_profile("explore" if os.environ.get("PERFBOUND_EXPLORE") else "repeatable")
+
+
+def without_pybullet() -> str:
+    """Return the reason why the Segway cannot be simulated here; nothing if it can."""
+    try:
+        bullet.providers()
+    except UnknownSystemError as error:
+        return str(error)
+    return ""
+
+
+MISSING = without_pybullet()
+
+
+def for_want_of_pybullet(reason: str) -> bool:
+    """Whether a test failed because PyBullet is not installed."""
+    return bool(MISSING) and MISSING.partition(";")[0] in reason
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if report.failed and call.excinfo and for_want_of_pybullet(str(call.excinfo.value)):
+        path, line, _ = item.location
+        report.outcome, report.longrepr = "skipped", (path, (line or 0) + 1, f"Skipped: {MISSING}")
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    report = yield
+    if report.failed and for_want_of_pybullet(str(report.longrepr)):
+        report.outcome, report.longrepr = "skipped", (str(collector.path), 1, f"Skipped: {MISSING}")
+    return report

@@ -1,9 +1,7 @@
 """The commands of the worker side, in a child of `perfbound`: a crash of a simulator stays out of the orchestrator."""
 
 import contextlib
-import ctypes
 import os
-import signal
 import sys
 import threading
 import time
@@ -18,13 +16,12 @@ from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
 from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
 from ..schemas.link import Tls
+from .lifeline import die_with_parent
 
 RUN_GONE = 5.0
 """Seconds without its orchestrator after which an idle worker may join another campaign."""
 OUTBOX_KEPT = 600.0
 """Seconds without its orchestrator after which undelivered results are given up."""
-PR_SET_PDEATHSIG = 1
-"""Of Linux: the signal that a process gets when its parent dies."""
 
 
 def fail(message: str) -> NoReturn:
@@ -89,7 +86,7 @@ def serve(
 ) -> None:
     """Simulate rollouts for an orchestrator until stopped."""
     if lifeline is not None:
-        _die_with_parent()
+        die_with_parent()
         threading.Thread(target=_hold, args=(lifeline,), daemon=True).start()
     tls = None
     if tls_ca or tls_certificate or tls_key:
@@ -104,15 +101,17 @@ def serve(
         sys.exit(130)
 
 
-def _die_with_parent() -> None:
-    """Have the kernel kill this process with its parent: no thread runs while a rollout has the lock of Python."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+def end_programs() -> None:
+    """End the programs of this process, if a system has loaded what starts them."""
+    if (running := sys.modules.get(f"{__package__}.systems.running")) is not None:
+        running.end_all()
 
 
 def _hold(descriptor: int) -> None:
     """Exit with the parent, also in the middle of a rollout: its end of the pipe closes when it dies."""
     while os.read(descriptor, 1):
         pass
+    end_programs()
     os._exit(0)
 
 
@@ -179,17 +178,13 @@ def _abandoned(
 
 @group.command()
 def systems() -> None:
-    """Print the SystemSpec of every installed system as one JSON object, name to spec."""
-    from .systems import available, load_system  # noqa: PLC0415
+    """Print one JSON object: name to SystemSpec of every installed system, or to the reason why it cannot be used."""
+    from .systems import usable  # noqa: PLC0415
 
-    specs = {}
-    for system in available():
-        try:
-            with contextlib.redirect_stdout(sys.stderr):  # the output of a plug-in must not mix with the data
-                specs[system] = load_system(system).spec.model_dump(mode="json")
-        except Exception as error:  # noqa: BLE001  (a broken plug-in must not hide the others)
-            click.echo(f"perfbound-worker: system {system!r} cannot be loaded: {error}", err=True)
-    click.echo(canonical_json(specs))
+    with contextlib.redirect_stdout(sys.stderr):  # the output of a plug-in must not mix with the data
+        found = usable()
+    plain = {name: each if isinstance(each, str) else each.model_dump(mode="json") for name, each in found.items()}
+    click.echo(canonical_json(plain))
 
 
 @group.command()
@@ -207,23 +202,46 @@ def spec(reference: str) -> None:
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file to write.")
 def simulate(request: str, out: Path) -> None:
     """Run one rollout without an orchestrator and write its trajectory."""
-    from pydantic import ValidationError  # noqa: PLC0415
-
-    from ..schemas.rollout import RolloutRequest  # noqa: PLC0415
-    from .simulate import run_request  # noqa: PLC0415
-
-    try:
-        data = run_request(RolloutRequest.model_validate_json(request), lambda _: None)
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")
-    except PerfboundError as error:
-        fail(str(error))
+    data = _trajectory_file(request)
     try:
         with replacing([out]) as (file,):
             file.write(data)
     except OSError as error:
         fail(f"{out}: {error.strerror}")
+
+
+@group.command()
+@system_option
+@click.option("--requests", type=click.Path(dir_okay=False, path_type=Path), required=True, help="One JSON a line.")
+@click.option("--seconds", type=float, required=True, help="No rollout starts later than this.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the files.")
+def pilot(requests: Path, seconds: float, out: Path) -> None:
+    """Run rollouts one after the other in this process; `K.mcap` is the file of the K-th request, from 0."""
+    end = time.monotonic() + seconds
+    for number, request in enumerate(requests.read_text().splitlines()):
+        if number and time.monotonic() > end:
+            break
+        (out / f"{number}.mcap").write_bytes(_trajectory_file(request))
+
+
+def _trajectory_file(request: str) -> bytes:
+    """Return the file of one rollout; end with one line where there is none."""
+    from pydantic import ValidationError  # noqa: PLC0415
+
+    from ..schemas.rollout import RolloutRequest  # noqa: PLC0415
+    from .faults import fault_text  # noqa: PLC0415
+    from .simulate import run_request  # noqa: PLC0415
+
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # where a user of the command finds what a function prints
+            return run_request(RolloutRequest.model_validate_json(request), lambda _: None)
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        fail(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}")
+    except PerfboundError as error:
+        fail(str(error))
+    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: the code of the system)
+        fail(fault_text(error))
 
 
 @group.command("visual")
@@ -241,6 +259,26 @@ def print_visual(path: Path) -> None:
     except PerfboundError as error:
         fail(f"{path}: {error}")
     click.echo(canonical_json(found))
+
+
+@group.command(hidden=True)
+@system_option
+@click.option("--answers", type=int, required=True, help="Pipe for the measurements, a line of JSON each.")
+def measure(answers: int) -> None:
+    """Run the rollouts on stdin, a JSON list of trials, and measure each of them, for `perfbound check-system`."""
+    import resource  # noqa: PLC0415
+
+    from pydantic import TypeAdapter  # noqa: PLC0415
+
+    from ..schemas.system_check import Trial  # noqa: PLC0415
+    from .check_system import measure_trials  # noqa: PLC0415
+
+    die_with_parent()
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # a crash is a finding here; its memory needs no disk
+    os.set_inheritable(answers, False)
+    trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())
+    with os.fdopen(answers, "w") as stream:
+        measure_trials(trials, stream)
 
 
 def main() -> None:

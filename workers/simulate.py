@@ -1,10 +1,7 @@
 """One rollout on this worker: from the request to the bytes of the trajectory's file."""
 
-from dataclasses import replace
-
 from ..schemas.errors import SimulationError
 from ..schemas.rollout import RolloutRequest
-from ..schemas.rules import KNOWN
 from ..schemas.trajectory import encode
 from .systems import load_system
 from .systems.base import Progress, SystemUnderTest
@@ -32,8 +29,8 @@ def requested_system(request: RolloutRequest) -> SystemUnderTest:
     """
     system = load_system(request.system)
     spec = system.spec
-    # A campaign keeps the rules that it was started with, and so the digest of its system; most are new.
-    if not any(request.spec_sha256 == spec.digest_by(rules) for rules in sorted(KNOWN, reverse=True)):
+    # A campaign keeps the identity of its system that it was started with.
+    if request.spec_sha256 not in spec.identities:
         installed = ", ".join([*(f"{name} {version}" for name, version in spec.versions.items()), *spec.code])
         raise SimulationError(f"the campaign expects another build of {spec.name} than this one ({installed})")
     return system
@@ -59,6 +56,7 @@ def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: P
     units = {column.name: column.unit for column in spec.columns}
     if trajectory.columns != tuple(units):
         raise SimulationError(f"{spec.name} returned the columns {trajectory.columns}, not those of its spec")
-    if request.visual:
-        trajectory = replace(trajectory, visual=system.visual(trajectory))
+    visual = system.visual(trajectory) if request.visual else None
+    if visual is not None:
+        trajectory = trajectory.showing(visual)
     return encode(trajectory, request=request.model_dump(mode="json"), metadata=request.metadata, units=units)

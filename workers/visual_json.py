@@ -9,7 +9,7 @@ from .systems import load_system
 
 
 def visual_json(data: bytes) -> dict[str, Any] | None:
-    """Return the scene and the frames of a trajectory's file, one pose per visible frame; None without a visual part.
+    """Return the scene and the frames of a trajectory's file, one pose per visible frame; None without a scene.
 
     Poses are in the frame `parent`: translations (F, 3) in m, rotations (F, 4) as quaternions x, y, z, w.
 
@@ -20,7 +20,7 @@ def visual_json(data: bytes) -> dict[str, Any] | None:
     """
     file = read_mcap(data)
     visual = load_system(str(file.request.get("system"))).visual(file.trajectory)
-    if visual is None:
+    if visual is None or visual.plots:
         return None
     scene = MessageToDict(visual.scene, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
     return {"scene": scene, "transforms": [_pose(each) for each in visual.transforms]}

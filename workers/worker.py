@@ -23,8 +23,10 @@ from ..schemas.messages import (
     WorkerState,
 )
 from ..schemas.rollout import RolloutRequest
+from ..schemas.system import SystemSpec
+from .faults import fault_text
 from .simulate import requested_system, run_request_on
-from .systems import available, load_system
+from .systems import usable
 from .systems.base import Cancelled
 from .transport import Uplink
 
@@ -59,7 +61,7 @@ class WorkerProcess:
         self._progress: tuple[Key | None, int] = (None, 0)
         self._leaving = False
         self._changed = threading.Event()
-        self._systems = {system: load_system(system).spec.digest for system in available()}
+        self._systems = {name: each.identities for name, each in usable().items() if isinstance(each, SystemSpec)}
 
     def receive(self, message: Request) -> None:
         """Take a message of the orchestrator; called by the transport's thread."""
@@ -143,7 +145,7 @@ class WorkerProcess:
         except PerfboundError as fault:
             return Failure(kind, str(fault) or type(fault).__name__)
         except (Exception, SystemExit) as fault:  # noqa: BLE001  (any: the orchestrator decides on a retry)
-            return Failure(kind, f"{type(fault).__name__}: {fault}")
+            return Failure(kind, fault_text(fault))
         if len(payload) > MAX_RESULT:
             size = f"{len(payload)} bytes, more than the {MAX_RESULT} of a result"
             return Failure("system", f"the trajectory's file has {size}")

@@ -39,19 +39,35 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
     if canonical_json(file.request) != canonical_json(wanted):  # as text: 1, 1.0 and true are equal in Python
         differing = sorted(key for key in file.request | wanted if file.request.get(key) != wanted.get(key))
         raise RequestError(f"the trajectory was simulated for another request (other {', '.join(differing)[:200]})")
-    _check_whole(file.trajectory, columns, request.horizon)
+    check_whole(file.trajectory, columns, request.horizon)
     # The metadata name campaign, rollout and seed again; the columns in it were compared with the system's above.
     if {**file.metadata, "columns": ""} != {**request.metadata, "columns": ""}:
         raise RequestError("the metadata of the trajectory are those of another rollout")
     return file.trajectory
 
 
-def _check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float) -> None:
+def check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float) -> None:
+    """Refuse a trajectory that does not have these columns, or does not cover 0 to the horizon in s.
+
+    Raises:
+        UnusableTrajectoryError: with what is wrong.
+
+    """
     if trajectory.columns != columns:
         raise UnusableTrajectoryError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
-    # A trajectory that starts late or ends early would be scored on a part of what the specification covers.
     t = trajectory.samples[:, 0]
-    step = min(float(np.max(np.diff(t), initial=0.0)), horizon / SAMPLES)
-    if t[0] > ROUND_OFF or not horizon - step - ROUND_OFF <= t[-1] <= horizon + ROUND_OFF:
-        span = f"{t[0]:g} to {t[-1]:g} s"
-        raise UnusableTrajectoryError(f"the trajectory covers {span}, the campaign requests 0 to {horizon:g} s")
+    if fault := uncovered(float(t[0]), float(t[-1]), float(np.max(np.diff(t), initial=0.0)), horizon):
+        raise UnusableTrajectoryError(f"{fault}, the campaign requests 0 to {horizon:g} s")
+
+
+def uncovered(first: float, last: float, step: float, horizon: float) -> str | None:
+    """Return what a trajectory covers, if that is not 0 to `horizon`; `step` is its largest one, all are in s.
+
+    One that starts late or ends early would be scored on a part of what the specification covers.
+
+    >>> uncovered(0.0, 7.9, 0.1, 8.0), uncovered(0.1, 8.0, 0.1, 8.0)
+    (None, 'the trajectory covers 0.1 to 8 s')
+    """
+    allowed = min(step, horizon / SAMPLES)
+    whole = first <= ROUND_OFF and horizon - allowed - ROUND_OFF <= last <= horizon + ROUND_OFF
+    return None if whole else f"the trajectory covers {first:g} to {last:g} s"

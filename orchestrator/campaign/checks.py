@@ -21,6 +21,22 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     _check_specification(config, spec, source)
 
 
+def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
+    """Refuse what `check` refuses, and a clip that hides violations; campaigns that have begun may have one.
+
+    Raises:
+        CampaignError: one line with the source, the key and the remedy.
+
+    """
+    check(config, spec, source)
+    # Robustness is recorded clipped, and a violation is one below 0.
+    if config.specification is not None and config.clip is not None and config.clip[0] >= 0:
+        raise CampaignError(
+            f"{source}: clip: its lower end {config.clip[0]:g} hides violations, which have a robustness below 0; "
+            "choose one below 0"
+        )
+
+
 def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     if config.specification is None:
         return

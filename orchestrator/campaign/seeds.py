@@ -7,14 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.facts import Header
-from ...schemas.ids import RolloutId
+from ...schemas.ids import CLOSING, RolloutId
+from ...schemas.system import SEED_BITS
 
 Floats = NDArray[np.float64]
 VARIANTS = ("nominal", "true")
 
 
 def rollout_seed(header: Header, rollout: RolloutId) -> int:
-    """Return the seed of a rollout, below 2^53; a retry uses the same one."""
+    """Return the seed of a rollout, below 2^53 or what its system takes; a retry uses the same one."""
+    if header.rules > 1 and header.spec.seed_bits < SEED_BITS:
+        return _short_seed(header, rollout)
     place = rollout.test, VARIANTS.index(rollout.variant), rollout.replicate
     state = _sequence(header, rollout.problem, *place).generate_state(1, np.uint64)
     # 53 bits: every JSON reader keeps such a number exactly.
@@ -35,6 +38,26 @@ def drawn(header: Header, name: str, evidence: str, size: int, count: int) -> li
     """Return `count` of `size` numbers without repetition, in order; they follow from the digest of the evidence."""
     words = int(hashlib.sha256((header.config_sha256 + name + evidence).encode()).hexdigest(), 16)
     return sorted(int(each) for each in np.random.default_rng(words).permutation(size)[:count])
+
+
+def _short_seed(header: Header, rollout: RolloutId) -> int:
+    """Return a seed below 2^`seed_bits`: the number of the rollout in its campaign, through a permutation of all seeds.
+
+    Drawn ones would collide: of 100,000 seeds of 32 bits one pair is expected, and equal seeds at one start are copies.
+    These differ within a campaign of at most 2^`seed_bits` possible rollouts, and within a test in every campaign.
+    """
+    config, bits = header.config, header.spec.seed_bits
+    series = sorted([*(each.name for each in config.problems), *CLOSING])
+    tests = max(config.spot_check + config.spot_check_followups, *map(config.max_tests_of, config.problems))
+    replicates = max(config.spot_replicates, *map(config.replicates_of, config.problems))
+    test = series.index(rollout.problem) * tests + rollout.test
+    number = (test * replicates + rollout.replicate) * len(VARIANTS) + VARIANTS.index(rollout.variant)
+    keys = _sequence(header, "seeds").generate_state(3, np.uint64)
+    for key in map(int, keys):
+        # Each step can be undone modulo 2^bits: an odd factor has an inverse, and a shifted number gives back its top.
+        number = (number + key) * (key | 1) % 2**bits
+        number ^= number >> bits // 2
+    return number
 
 
 def _sequence(header: Header, problem: str, *place: int) -> np.random.SeedSequence:

@@ -12,6 +12,7 @@ from ...schemas.ids import SPOT_CHECK, RolloutId
 from ...schemas.problems import ProblemName
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.risk import linearised_range
+from ..mathematics.bounds.rounding import round_up
 from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests
 from ..mathematics.gp.lattice import Lattice
 from . import state
@@ -171,9 +172,10 @@ def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:
 
 
 def _limit(account: Account) -> float:
-    """Return the bound on J that the spot check tests; infinite where the problem has none."""
+    """Return the bound on J that the spot check tests, as the certificate has it; infinite where there is none."""
     upper = account.last_bound.bound.upper if account.last_bound else None
-    return math.inf if upper is None else upper
+    # Rounded like the claim: the last digits of a bound depend on the threads of BLAS and on the CPU.
+    return math.inf if upper is None or math.isinf(upper) else round_up(upper)
 
 
 def _range(plan: ProblemPlan) -> tuple[float | None, float | None]:

@@ -28,6 +28,8 @@ TRUSTED = (
     "workers_honest",
 )
 """Assumptions of every campaign that no data of its own can test."""
+MEASURED = {"simulator_is_the_system": "measured_system", "workers_honest": "told_honestly"}
+"""The sentences of those of a system whose rollouts no simulator makes."""
 
 
 def assumptions(
@@ -37,7 +39,8 @@ def assumptions(
 
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later.
     """
-    accounts = ledger.accounts
+    accounts, repeated = ledger.accounts, ledger.header.spec.repeated
+    measured = repeated == "nowhere"
     found: list[Assumption] = []
     for name, account in accounts.items():
         of_problem = list(_of_problem(account, ledger.methods, ledger.header.rules))
@@ -57,7 +60,7 @@ def assumptions(
         found.append(assumption("finite_rollouts", "derived", rollouts, form="finite_rollouts_1"))
     else:
         found.append(assumption("finite_rollouts", "derived", rollouts))
-        found.append(_reproducible(recheck, irreproducible=irreproducible))
+        found.append(_reproducible(recheck, measured=measured, irreproducible=irreproducible))
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
@@ -66,7 +69,10 @@ def assumptions(
     if ledger.header.rules == 1:
         fixed = assumption("fixed_beforehand", "assumed", form="fixed_beforehand_1")
         return [*found, fixed, assumption("workers_honest", "assumed")]
-    return [*found, *(assumption(name, "assumed") for name in TRUSTED)]
+    if repeated == "session":
+        found.append(assumption("defined_in_session", "assumed"))
+    forms = MEASURED if measured else {}
+    return [*found, *(assumption(name, "assumed", form=forms.get(name)) for name in TRUSTED)]
 
 
 def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:
@@ -99,7 +105,7 @@ def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     yield assumption(f"one_law_per_start/{name}", *order.finding())
 
 
-def _reproducible(recheck: Recheck | None, *, irreproducible: bool) -> Assumption:
+def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bool) -> Assumption:
     """Return the assumption that a rollout follows from its seed; in fixed words where an attempt failed."""
     name, values = "reproducible_rollouts", {}
     if recheck is not None and recheck.rollouts:
@@ -108,7 +114,7 @@ def _reproducible(recheck: Recheck | None, *, irreproducible: bool) -> Assumptio
     if irreproducible:
         return assumption(name, "refuted", values, form="failures_vary")
     if not values:
-        return assumption(name, "assumed")
+        return assumption(name, "assumed", form="measured" if measured else None)
     return assumption(name, "not refuted" if recheck and recheck.agreed == recheck.rollouts else "refuted", values)
 
 

@@ -142,8 +142,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
     },
     "independent_rollouts": {
         "refuted": "{copies} of {compared} pairs of rollouts with equal values are copies of each other, bit by bit, "
-        "although their seeds differ: the simulator does not draw its noise from the seed, so {rollouts} rollouts are "
-        "fewer independent ones.",
+        "although their seeds differ: the simulator draws its noise from something else or from too few seeds, or "
+        "some starts have none, so {rollouts} rollouts are fewer independent ones.",
         "assumed": "the {rollouts} noisy rollouts have different seeds, and no two of one start are copies of each "
         "other; that the simulator draws its noise from the seed alone is assumed.",
     },
@@ -203,6 +203,22 @@ SENTENCES: dict[str, dict[Status, str]] = {
     "failures_vary": {
         "refuted": "the system failed in a rollout that ran through when it was repeated with the same seed: failures "
         "depend on more than the seed, so the recorded rollouts may be selected by their outcome.",
+    },
+    "measured": {
+        "assumed": "the rollouts were handed in, and no simulator repeats one with its seed: nothing shows that none "
+        "was chosen among several trials.",
+    },
+    "defined_in_session": {
+        "assumed": "the function was defined in an interactive session; no other process could import it, and no "
+        "one else can repeat a rollout. What it uses from the session beside its own text is not recorded.",
+    },
+    "measured_system": {
+        "assumed": "every claim is about the system that was measured, as it was during the campaign; that it stays "
+        "so, and that a trial is like its operation, is assumed.",
+    },
+    "told_honestly": {
+        "assumed": "the trajectories that were handed in are assumed to be those of the system at the requested "
+        "starts; robustness and gaps are computed from them.",
     },
     "only_campaign": {
         "assumed": "this is assumed to be the only campaign for its question; whoever picks the best of several "

@@ -7,7 +7,7 @@ styles, never as markup: names, paths and formulas may contain brackets.
 import math
 import shlex
 import textwrap
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from pathlib import Path
 
 from rich.console import Console
@@ -119,7 +119,7 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
     """Return what stands beside a claim, in sentences: what it owes to its constants, and what needs none of them."""
     claim = predicate.claims[number]
     rows = [row for row in predicate.sensitivity or () if row.claim == number]
-    found = []
+    found = [_sentence_on_clip(each.values) for each in predicate.assumptions if _hides_values(each, claim)]
     # A claim that shows nothing says so, and owes nothing to the constants.
     if claim.without_data is not None and not claim.vacuous:
         found.append(_without_data(claim, claim.without_data))
@@ -130,6 +130,20 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
     if number == 0 and predicate.spot_check is not None and predicate.spot_check.most_starts is not None:
         found.append(_sentence_on_most_starts(predicate.spot_check.most_starts, predicate.question.get("clip")))
     return tuple(found)
+
+
+def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:
+    """Whether an assumption is that of a clip whose lower end has hidden values behind a claim."""
+    is_clip = assumption.id.startswith("clip/") and assumption.id in claim.assumptions
+    return is_clip and claim.sense == ">=" and float((assumption.values or {}).get("at_low", 0)) > 0
+
+
+def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
+    found = values or {}
+    return (
+        f"It is about the clipped robustness: {found['at_low']} of {found['values']} values are at the lower clip "
+        f"{found['low']}, so the robustness itself may be lower by any amount, its mean too."
+    )
 
 
 def _sentence_on_most_starts(found: MostStarts, clip: object) -> str:

@@ -1,6 +1,6 @@
 """The command line: it parses, calls one function, prints and exits; heavy modules load inside the commands."""
 
-from . import campaigns, certificate, report, systems  # each adds its commands
+from . import campaigns, certificate, check, report, start, systems  # each adds its commands
 from .entry import main
 
-__all__ = ["campaigns", "certificate", "main", "report", "systems"]
+__all__ = ["campaigns", "certificate", "check", "main", "report", "start", "systems"]

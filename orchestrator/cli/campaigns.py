@@ -154,13 +154,14 @@ def _run_new(
     drain: bool,
     **link: Any,
 ) -> None:
+    from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
     from ..run import session  # noqa: PLC0415
 
     key = (
         signing.load_key(sign) if sign else None
     )  # before hours of work: a wrong passphrase must not be noticed at their end
     overrides = {} if seed is None else {"seed": seed}
-    config = session.load_campaign(campaign, **overrides)
+    config = load_campaign(campaign, **overrides)
     directory = out or Path("runs") / config.name
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)

@@ -1,10 +1,14 @@
 """Commands on systems under test and on single rollouts."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from .group import RUN_DIRECTORY, cli
+
+if TYPE_CHECKING:
+    from ...schemas.system import Variant
 
 
 @cli.command()
@@ -12,16 +16,32 @@ from .group import RUN_DIRECTORY, cli
 @click.option("--x", "start", required=True, help="Starting condition, one number per parameter: 5,0")
 @click.option("--variant", type=click.Choice(["nominal", "true"]), default="nominal", show_default=True)
 @click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=0, show_default=True)
-@click.option("--horizon", type=click.FloatRange(0, 86_400), default=15.0, show_default=True, help="Seconds.")
+@click.option("--horizon", type=click.FloatRange(0, 86_400), default=None, help="Seconds; default: the system's own.")
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the system; may be repeated.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="MCAP file to write.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="MCAP file to write.")
+@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), default=None, help="PNG file to write.")
 def simulate(
-    *, system: str, start: str, variant: str, seed: int, horizon: float, options: tuple[str, ...], out: Path
+    *,
+    system: str,
+    start: str,
+    variant: "Variant",
+    seed: int,
+    horizon: float | None,
+    options: tuple[str, ...],
+    out: Path | None,
+    plot: Path | None,
 ) -> None:
-    """Run one rollout of SYSTEM, an installed one or FILE.py:NAME, without workers, and write its trajectory."""
-    from ..fleet import simulate  # noqa: PLC0415
+    """Run one rollout of SYSTEM, an installed one or FILE.py:NAME, without workers, and write or draw its trajectory.
 
-    for line in simulate.simulate_once(system, start, variant, seed=seed, horizon=horizon, options=options, out=out):
+    What the system prints goes to stderr. The exit code is 1 for a rollout that fails or that a campaign would refuse.
+    """
+    from ..fleet.simulate import WantedRollout  # noqa: PLC0415
+    from ..report.single import simulate_once  # noqa: PLC0415
+
+    if out is None and plot is None:
+        raise click.UsageError("give --out FILE.mcap, --plot FILE.png, or both")
+    wanted = WantedRollout(system, start, variant, seed, horizon, options)
+    for line in simulate_once(wanted, out=out, plot=plot, on_line=lambda text: click.echo(text, err=True)):
         click.echo(line)
 
 

@@ -3,26 +3,61 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
+from pathlib import Path
 
-from ...schemas.errors import CampaignError, PerfboundError
+from ...schemas.campaign import CampaignConfig
+from ...schemas.campaign_file import load_campaign
+from ...schemas.errors import CampaignError, PerfboundError, one_line
 from ...schemas.system import SystemSpec
 
 CHILD_TIMEOUT = 120
 """Seconds that a child may take to answer."""
 
 
+CAMPAIGN_FILE = ".toml"
+"""End of a reference that names a campaign file, whose `[system]` is meant."""
+
+
+def resolved(reference: str) -> str:
+    """Return a reference as a worker finds it: an installed name, `FILE.py:NAME`, or the campaign file of a program.
+
+    Raises:
+        CampaignError: it is a campaign file that cannot be read.
+
+    """
+    campaign = named_campaign(reference)
+    return reference if campaign is None else campaign.system.reference(Path(reference))
+
+
+def named_campaign(reference: str) -> CampaignConfig | None:
+    """Return the campaign of a reference that is a campaign file; None for every other one.
+
+    Raises:
+        CampaignError: it cannot be read.
+
+    """
+    return load_campaign(Path(reference)) if reference.endswith(CAMPAIGN_FILE) else None
+
+
 def in_file(reference: str) -> bool:
-    """Whether a reference names a system in a file, `FILE.py:NAME`, and not an installed one."""
-    return ".py:" in reference
+    """Whether a resolved reference names a system that is not installed: `FILE.py:NAME`, or a program."""
+    return ".py:" in reference or reference.endswith(CAMPAIGN_FILE)
 
 
 def system_options(reference: str | None) -> list[str]:
-    """Return the options with which a worker knows a system; none for an installed one."""
-    return ["--system", reference] if reference is not None and in_file(reference) else []
+    """Return the options with which a worker knows a system; none for an installed one.
+
+    Raises:
+        CampaignError: it is a campaign file that cannot be read.
+
+    """
+    found = resolved(reference) if reference is not None else ""
+    return ["--system", found] if in_file(found) else []
 
 
-def ask(command: str, *arguments: str) -> str:
-    """Return the output of a command of a `workers` child.
+def ask(command: str, *arguments: str, on_line: Callable[[str], None] | None = None) -> str:
+    """Return the output of a command of a `workers` child; `on_line` gets what the system printed, line by line.
 
     Raises:
         PerfboundError: the child fails; the text is its last line.
@@ -31,43 +66,72 @@ def ask(command: str, *arguments: str) -> str:
     # -P: a module of the current directory must not replace an installed one.
     line = [sys.executable, "-P", "-m", "perfbound.workers", command, *arguments]
     try:
-        child = subprocess.run(line, capture_output=True, text=True, timeout=CHILD_TIMEOUT, check=False)
+        child = subprocess.run(
+            line, capture_output=True, text=True, errors="replace", timeout=CHILD_TIMEOUT, check=False
+        )
     except subprocess.TimeoutExpired:
         raise PerfboundError(f"`workers {command}` did not answer within {CHILD_TIMEOUT} s") from None
     lines = [text.removeprefix("perfbound-worker: ") for text in child.stderr.splitlines() if text.strip()]
+    # The last line of a child that a signal ended is one of the system, and not its reason.
+    reason = lines.pop() if child.returncode > 0 and lines else f"`workers {command}` {_ended(child.returncode)}"
+    if on_line is not None:
+        for printed in lines:
+            on_line(one_line(printed))
     if child.returncode:
-        raise PerfboundError(lines[-1] if lines else f"`workers {command}` ended with code {child.returncode}")
+        raise PerfboundError(reason)
     return child.stdout
 
 
+def _ended(code: int) -> str:
+    return f"crashed (signal {-code})" if code < 0 else f"ended with code {code}"
+
+
 def system_specs() -> dict[str, SystemSpec]:
-    """Return the installed systems.
+    """Return the installed systems that can be used here.
+
+    Raises:
+        PerfboundError: the child fails.
+
+    """
+    return {name: spec for name, spec in installed_systems().items() if isinstance(spec, SystemSpec)}
+
+
+def installed_systems() -> dict[str, SystemSpec | str]:
+    """Return the installed systems; in place of one that cannot be used here, the reason.
 
     Raises:
         PerfboundError: the child fails.
 
     """
     try:
-        specs = json.loads(ask("systems"))
-        return {name: SystemSpec.model_validate_json(json.dumps(spec)) for name, spec in specs.items()}
+        found = json.loads(ask("systems"))
+        return {
+            name: each if isinstance(each, str) else SystemSpec.model_validate_json(json.dumps(each))
+            for name, each in found.items()
+        }
     except (PerfboundError, ValueError) as error:
         reason = str(error).partition("\n")[0]
         raise PerfboundError(f"the installed systems cannot be listed: {reason}; reinstall perfbound") from None
 
 
-def system_spec(name: str, where: str) -> SystemSpec:
-    """Return one system: an installed one, or `FILE.py:NAME`.
+def system_spec(reference: str, where: str) -> SystemSpec:
+    """Return one system: an installed one, `FILE.py:NAME`, or that of a campaign file.
 
     Raises:
-        CampaignError: it is not installed, in which case the text names those that are; or its file cannot be used.
+        CampaignError: it is not installed, in which case the text names those that are; or it cannot be used here.
 
     """
+    name = resolved(reference)
+    if name.endswith(".py"):
+        raise CampaignError(f"{where}: {name}: name the function in it, too: {name}:NAME")
     if in_file(name):
         try:
             return SystemSpec.model_validate_json(ask("spec", name))
         except PerfboundError as error:
             raise CampaignError(f"{where}: {error}") from None
-    specs = system_specs()
-    if name not in specs:
-        raise CampaignError(f"{where}: {name!r} is not an installed system; allowed are {', '.join(sorted(specs))}")
-    return specs[name]
+    found = installed_systems()
+    if name not in found:
+        raise CampaignError(f"{where}: {name!r} is not an installed system; allowed are {', '.join(sorted(found))}")
+    if isinstance(spec := found[name], str):
+        raise CampaignError(f"{where}: {spec}")
+    return spec

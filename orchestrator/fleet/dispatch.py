@@ -23,10 +23,10 @@ deadline or was cancelled. `new` and `shunned` workers get nothing until they re
 `hung_after` s that they do not. `gone` has lost its liveliness token: after `lost_after` s its attempt is lost. Reports
 that are late, repeated or of unknown rollouts change nothing but are acknowledged. `LEGAL` is all of this as data.
 
-The first valid result of a rollout wins, whichever attempt it came from. A rollout whose attempts failed
-`max_attempts` times is poisoned: the campaign fails and reports every attempt. Closed rollouts leave the state.
-The kind of a failure changes no retry. A failure of the system is recorded even if the rollout is closed; those that
-the machine itself finds (lost, hung, late) are failures of the infrastructure.
+The first valid result of a rollout wins, whichever attempt it came from. `retries` tells which workers come next after
+a failure, and when a rollout is poisoned: the campaign fails and reports every attempt. Closed rollouts leave the
+state. A failure of the system is recorded even if the rollout is closed; those that the machine itself finds (lost,
+hung, late) are failures of the infrastructure.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,11 +55,14 @@ from .events import (
     WorkerDown,
     WorkerUp,
 )
+from .retries import Open, is_poison
 
 WorkerPhase = Literal["new", "idle", "sent", "busy", "shunned", "gone"]
 Phase = WorkerPhase | Literal["unknown"]
 NEVER = float("inf")
 KNOWN: tuple[WorkerPhase, ...] = ("new", "idle", "sent", "busy", "shunned")
+SERVING: tuple[WorkerPhase, ...] = ("idle", "sent", "busy")
+"""Phases of a worker that takes a rollout now or soon: out of `new` and `shunned` a hanging one may never come."""
 
 LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("unknown", "WorkerUp"): ("new",),
@@ -115,15 +118,6 @@ class Worker:
     started_at: float = NEVER
     progress: int = -1
     progress_at: float = NEVER
-
-
-@dataclass(frozen=True, slots=True)
-class Open:
-    """A rollout that has no result yet; `avoid` is a worker that gets it only if there is no other one."""
-
-    attempts: int = 0
-    failures: tuple[str, ...] = ()
-    avoid: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,19 +321,28 @@ def _fail(state: DispatchState, name: str, attempt: Attempt, failure: Failure) -
     known = state.open.get(attempt.rollout)
     if known is None or not _is_current(state, attempt.rollout):
         return state, (Fail(name, attempt, failure),)  # a repeat, or another attempt is under way: no second count
-    failures = (*known.failures, f"attempt {attempt.number} on {name}: {failure.reason}")
-    state = replace(state, open={**state.open, attempt.rollout: replace(known, failures=failures)})
-    if len(failures) >= state.limits.max_attempts:
-        return state, (Fail(name, attempt, failure), Poison(attempt.rollout, failures))
+    failed = Fail(name, attempt, failure)
+    known = replace(known, failures=(*known.failures, failed))
+    alone = not _another_serves(state, known)
+    known = replace(known, poisoned=is_poison(known.failures, state.limits.max_attempts, alone=alone))
+    state = replace(state, open={**state.open, attempt.rollout: known})
+    if known.poisoned:
+        return state, (failed, Poison(attempt.rollout, known.failures))
     # In front: the observation of its test, and all that follow in the problem, wait for it.
-    return replace(state, waiting=(attempt.rollout, *state.waiting)), (Fail(name, attempt, failure),)
+    state = replace(state, waiting=(attempt.rollout, *state.waiting))
+    # Something in this process may be the cause, and no other one can tell.
+    return state, (failed, GiveUp(name)) if alone and failure.kind == "system" else (failed,)
+
+
+def _another_serves(state: DispatchState, known: Open) -> bool:
+    """Whether a worker is there that can try a rollout and has not done so."""
+    return any(worker.phase in SERVING and name not in known.tried for name, worker in state.workers.items())
 
 
 def _is_current(state: DispatchState, rollout: RolloutId) -> bool:
     """Whether nothing has been decided on the rollout since the attempt that failed now."""
-    poison = len(state.open[rollout].failures) >= state.limits.max_attempts
     held = any(worker.attempt is not None and worker.attempt.rollout == rollout for worker in state.workers.values())
-    return not (poison or held or rollout in state.waiting)
+    return not (state.open[rollout].poisoned or held or rollout in state.waiting)
 
 
 def _assign(state: DispatchState, at: float) -> Outcome:
@@ -348,7 +351,7 @@ def _assign(state: DispatchState, at: float) -> Outcome:
     # Sorted: the order of the mapping depends on the order in which the workers came.
     idle = sorted(name for name, worker in state.workers.items() if worker.phase == "idle")
     pairs, waiting = _pairs(state, idle)
-    starts = tuple(_next_attempt(state, *pair) for pair in pairs)
+    starts = tuple(Start(name, Attempt(rollout, state.open[rollout].attempts + 1)) for name, rollout in pairs)
     sent = {start.worker: Worker("sent", start.attempt, sent_at=at, started_at=at, progress_at=at) for start in starts}
     tried = {
         start.attempt.rollout: replace(state.open[start.attempt.rollout], attempts=start.attempt.number)
@@ -360,24 +363,21 @@ def _assign(state: DispatchState, at: float) -> Outcome:
 
 def _pairs(state: DispatchState, idle: Sequence[str]) -> tuple[list[tuple[str, RolloutId]], tuple[RolloutId, ...]]:
     """Return idle workers with a waiting rollout each, and the rollouts that wait on."""
-    alone = sum(worker.phase != "gone" for worker in state.workers.values()) == 1
     free, pairs, left, reached = list(idle), [], [], 0
     for rollout in state.waiting:
         if not free:
             break
         reached += 1
-        avoid = None if alone else state.open[rollout].avoid
-        worker = next((name for name in free if name != avoid), None)
+        known = state.open[rollout]
+        worker = next((name for name in free if name not in known.tried), None)
+        if worker is None and not (known.waits and _another_serves(state, known)):
+            worker = free[0]
         if worker is None:
             left.append(rollout)
         else:
             free.remove(worker)
             pairs.append((worker, rollout))
     return pairs, (*left, *state.waiting[reached:])
-
-
-def _next_attempt(state: DispatchState, name: str, rollout: RolloutId) -> Start:
-    return Start(name, Attempt(rollout, state.open[rollout].attempts + 1))
 
 
 def _shunned(worker: Worker, at: float) -> Worker:

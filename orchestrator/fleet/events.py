@@ -129,17 +129,17 @@ class Fail:
 
 @dataclass(frozen=True, slots=True)
 class GiveUp:
-    """A worker hangs: replace it if it is a local one."""
+    """A worker hangs, or its process may be what makes a rollout fail: replace it if it is a local one."""
 
     worker: str
 
 
 @dataclass(frozen=True, slots=True)
 class Poison:
-    """A rollout has failed too often: the campaign cannot continue."""
+    """A rollout fails again and again: the campaign cannot continue."""
 
     rollout: RolloutId
-    failures: tuple[str, ...]
+    failures: tuple[Fail, ...]
 
 
 Action = Start | Resend | Revoke | Record | Acknowledge | Fail | GiveUp | Poison

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from ...schemas.errors import PerfboundError
 
@@ -16,10 +17,36 @@ FAST_DEATHS = 5
 FAST = 3.0
 
 
+class ChildProcess(Protocol):
+    """What a fleet needs of a process, as `subprocess.Popen` has it."""
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        ...
+
+    def poll(self) -> int | None:
+        """Return the exit code, negative for a signal; None while it runs."""
+        ...
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end; raises `subprocess.TimeoutExpired`."""
+        ...
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        ...
+
+    def kill(self) -> None:
+        """End it."""
+        ...
+
+
 @dataclass
 class _Child:
-    process: subprocess.Popen[bytes]
+    process: ChildProcess
     started: float
+    killed: bool = False
 
 
 class Fleet:
@@ -47,11 +74,12 @@ class Fleet:
 
         """
         news = []
-        for child in [child for child in self._children if child.process.poll() is not None]:
+        gone = [(child, code) for child in self._children if (code := child.process.poll()) is not None]
+        for child, code in gone:
             self._children.remove(child)
             fast = time.monotonic() - child.started < FAST
-            self._fast_deaths = self._fast_deaths + 1 if fast else 0
-            code = child.process.returncode
+            if not child.killed:  # by us, which says nothing on whether a worker can run
+                self._fast_deaths = self._fast_deaths + 1 if fast else 0
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             if self._fast_deaths >= FAST_DEATHS:
                 raise PerfboundError(
@@ -59,14 +87,17 @@ class Fleet:
                     "run `perfbound systems` and `perfbound simulate` to find the cause"
                 )
             self._spawn()
-            news.append(f"local worker {child.process.pid} ended ({how}); started {self.pids[-1]}")
+            what = "replaced" if child.killed else f"ended ({how})"
+            news.append(f"local worker {child.process.pid} {what}; started {self.pids[-1]}")
         return news
 
-    def kill(self, pid: int) -> None:
-        """Kill a local worker; `tend` replaces it. A `pid` that is none of them is ignored."""
-        for child in self._children:
-            if child.process.pid == pid:
-                child.process.kill()
+    def kill(self, pid: int) -> bool:
+        """Kill a local worker, which `tend` replaces; return whether `pid` is one of them."""
+        found = [child for child in self._children if child.process.pid == pid]
+        for child in found:
+            child.killed = True
+            child.process.kill()
+        return bool(found)
 
     @property
     def pids(self) -> list[int]:
@@ -90,11 +121,15 @@ class Fleet:
 
     def _spawn(self) -> None:
         self._next += 1
-        process = subprocess.Popen(
+        self._children.append(_Child(self._started(f"local-{self._next}"), time.monotonic()))
+
+    def _started(self, name: str) -> ChildProcess:
+        """Start one worker, which calls itself `name`."""
+        return subprocess.Popen(
             [
                 # -P: a module of the current directory must not replace an installed one.
                 *(sys.executable, "-P", "-m", "perfbound.workers", *self._arguments),
-                *("--name", f"local-{self._next}", "--lifeline", str(self._lifeline)),
+                *("--name", name, "--lifeline", str(self._lifeline)),
             ],
             pass_fds=[self._lifeline],
             stdin=subprocess.DEVNULL,
@@ -102,4 +137,3 @@ class Fleet:
             # A session of its own: Ctrl-C in the terminal is for the orchestrator, which then ends its workers.
             start_new_session=True,
         )
-        self._children.append(_Child(process, time.monotonic()))

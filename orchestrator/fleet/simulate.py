@@ -1,45 +1,95 @@
 """The commands `simulate` and `systems`: arguments parsed, a child of `workers` run, its answer as lines of text."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError
 from ...schemas.ids import RolloutId
-from ...schemas.rollout import RequestTemplate
-from ...schemas.system import OptionValue, SystemSpec
-from ...schemas.trajectory import decode
-from .child import ask, system_options, system_spec, system_specs
+from ...schemas.rollout import RequestTemplate, RolloutRequest
+from ...schemas.system import OptionValue, SystemSpec, Variant
+from ...schemas.trajectory import Trajectory
+from .child import ask, installed_systems, named_campaign, system_options, system_spec
 
 
-def simulate_once(
-    system: str, start: str, variant: str, *, seed: int, horizon: float, options: Sequence[str], out: Path
-) -> Iterator[str]:
-    """Run one rollout, write its file, and yield lines that describe it.
+@dataclass(frozen=True, slots=True)
+class WantedRollout:
+    """One rollout without a campaign, as the command line names it."""
+
+    system: str
+    """A name, FILE.py:NAME, or a campaign file, whose options and horizon are then taken."""
+    start: str
+    """One number per parameter: `5,0`."""
+    variant: Variant
+    seed: int
+    horizon: float | None
+    """In s; None for the one of the campaign file, or that the system assumes."""
+    options: Sequence[str]
+    """KEY=VALUE each."""
+
+    def request(self) -> tuple[SystemSpec, RolloutRequest]:
+        """Return the system and the request to it.
+
+        Raises:
+            CampaignError: the system is not installed.
+            PerfboundError: start, horizon or an option is not one of the system.
+
+        """
+        spec = system_spec(self.system, "SYSTEM")
+        config = named_campaign(self.system)
+        horizon = chosen_horizon(spec, config.horizon if config and self.horizon is None else self.horizon)
+        if self.seed >= 2**spec.seed_bits:
+            limit = 2**spec.seed_bits - 1
+            raise PerfboundError(f"--seed {self.seed}: {spec.name} takes 0 to {limit}; choose a smaller one")
+        options = ({} if config is None else config.system.options) | chosen_options(spec, self.options)
+        template = RequestTemplate.of(spec, options, horizon=horizon, visual=True)
+        start = _numbers(spec, self.start)
+        return spec, template.request(RolloutId("simulate", 0, self.variant, 0), start, self.seed)
+
+
+def chosen_horizon(spec: SystemSpec, horizon: float | None) -> float:
+    """Return the horizon in s that `--horizon` names, or the one that the system assumes.
 
     Raises:
-        CampaignError: the system is not installed.
-        PerfboundError: an option is not one of the system, or the rollout fails.
+        PerfboundError: the system does not take it.
 
     """
-    spec = system_spec(system, "SYSTEM")
+    if horizon is None:
+        return spec.assumed_horizon
     if not 0 <= horizon <= spec.max_horizon:  # also refuses NaN
         raise PerfboundError(f"--horizon {horizon:g}: {spec.name} takes 0 to {spec.max_horizon:g} s")
-    template = RequestTemplate.of(spec, _options(spec, options), horizon=horizon, visual=True)
-    request = template.request(RolloutId("simulate", 0, variant, 0), _numbers(spec, start), seed)
-    ask("simulate", "--request", request.model_dump_json(), "--out", str(out), *system_options(system))
-    trajectory = decode(out.read_bytes())
+    return horizon
+
+
+def simulate_to(
+    path: Path, request: RolloutRequest, system: str, *, on_line: Callable[[str], None] | None = None
+) -> None:
+    """Run one rollout in a child, and write its file; `on_line` gets what the system prints.
+
+    Raises:
+        PerfboundError: the rollout fails.
+
+    """
+    line = ("simulate", "--request", request.model_dump_json(), "--out", str(path), *system_options(system))
+    ask(*line, on_line=on_line)
+
+
+def column_lines(spec: SystemSpec, trajectory: Trajectory) -> Iterator[str]:
+    """Yield a table with the first, least, greatest and last value of every column."""
     yield f"{'column':<14} {'unit':<8} {'first':>12} {'least':>12} {'greatest':>12} {'last':>12}"
     for column in spec.columns:
         values = trajectory.column(column.name)
         numbers = " ".join(f"{value:12.6g}" for value in (values[0], values.min(), values.max(), values[-1]))
         yield f"{column.name:<14} {column.unit:<8} {numbers}"
-    yield f"{len(trajectory.samples)} samples in {out}"
 
 
 def describe(reference: str | None = None) -> Iterator[str]:
     """Yield a description of one system, or of every installed one."""
-    for spec in system_specs().values() if reference is None else [system_spec(reference, "SYSTEM")]:
+    for spec in installed_systems().values() if reference is None else [system_spec(reference, "SYSTEM")]:
+        if isinstance(spec, str):
+            yield spec
+            continue
         yield f"{spec.name}: {spec.doc}"
         for parameter in spec.parameters:
             yield f"  parameter {parameter.name} in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
@@ -64,7 +114,13 @@ def _numbers(spec: SystemSpec, text: str) -> tuple[float, ...]:
     return numbers
 
 
-def _options(spec: SystemSpec, texts: Sequence[str]) -> dict[str, OptionValue]:
+def chosen_options(spec: SystemSpec, texts: Sequence[str]) -> dict[str, OptionValue]:
+    """Return the options that `--option KEY=VALUE` sets.
+
+    Raises:
+        PerfboundError: one is none of the system, or not allowed.
+
+    """
     known = {option.name: option for option in spec.options}
     chosen: dict[str, OptionValue] = {}
     for text in texts:

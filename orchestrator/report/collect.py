@@ -46,6 +46,7 @@ class Collector:
         """The start of each test of a closing check."""
         self._workers = WorkerStatistics()
         self._violations: list[RolloutFact] = []
+        self._code: str | None = None
         self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
 
     def refresh(self, live: Mapping[str, LiveState] | None = None, at: float | None = None) -> ReportData:
@@ -91,6 +92,7 @@ class Collector:
         if not self._problems:
             found = plans(header.config, header.spec).items()
             self._problems = {name: ProblemCollector(header, plan) for name, plan in found}
+        self._code = ", ".join(filter(None, changes.origin or ())) or None
         self._add(changes)
         return header
 
@@ -128,6 +130,7 @@ class Collector:
             updated=at,
             system=header.spec.name,
             doc=header.spec.doc,
+            code=self._code,
             specification=config.specification,
             horizon=config.horizon,
             risk_weight=config.risk_weight if of_risk else None,

@@ -227,6 +227,8 @@ class ReportData:
     """Unix time of this refresh; None in a report, which does not depend on the clock."""
     system: str
     doc: str
+    code: str | None
+    """Where a system is that is not installed, and its revision."""
     specification: str | None
     horizon: float
     risk_weight: float | None

@@ -15,6 +15,8 @@ from . import style
 from .data import Axis, Problem, ReportData, Series, Surface
 from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
+MAP_HEIGHT, DECAY_HEIGHT = 2.8, 1.8
+"""Inches."""
 DISTANCES = {"F_i": "$F_i$", "U - L": "$U - L$"}
 
 
@@ -28,30 +30,38 @@ def figures(data: ReportData) -> Iterator[tuple[str, bytes]]:
 
 def _figures_of(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:
     if problem.surface is not None:
-        yield "map", _map(data.axes, problem, problem.surface)
-    if any(value is not None and value > 0 for value in problem.tests.distance):  # the scale is logarithmic
-        yield "decay", _decay(problem)
+        with style.new_figure(MAP_HEIGHT) as figure:
+            draw_problem_map(figure, data.axes, problem)
+        yield "map", figure
+    if decays(problem):
+        with style.new_figure(DECAY_HEIGHT) as figure:
+            draw_problem_decay(figure, problem)
+        yield "decay", figure
 
 
-def _map(parameters: tuple[Axis, ...], problem: Problem, surface: Surface) -> Figure:
-    with style.new_figure(2.8) as figure:
-        axes = figure.subplots()
-        axes.set(title=_title(problem), xlabel=style.with_unit(parameters[0].name, parameters[0].unit))
-        if len(parameters) == 1:
-            _profile(axes, parameters[0], problem, surface)
-            return figure
-        axes.set_ylabel(style.with_unit(parameters[1].name, parameters[1].unit))
-        if surface.shape is None:
-            drawn, keys = _scattered(axes, surface)
-        else:
-            nodes = [
-                np.linspace(each.low, each.high, size) for each, size in zip(parameters, surface.shape, strict=False)
-            ]
-            drawn, keys = _plane(axes, problem, surface, *nodes)
-        figure.colorbar(drawn, ax=axes, label=style.with_unit("mean", problem.unit))
-        if keys:
-            figure.legend(handles=keys, loc="outside lower center", borderaxespad=0)
-    return figure
+def decays(problem: Problem) -> bool:
+    """Whether there is a decay to draw: its scale is logarithmic."""
+    return any(value is not None and value > 0 for value in problem.tests.distance)
+
+
+def draw_problem_map(figure: Figure, parameters: tuple[Axis, ...], problem: Problem) -> Axes:
+    """Draw the band of a problem that has a surface over the first two parameters, with its tests."""
+    surface, axes = problem.surface, figure.subplots()
+    assert surface is not None, "the caller has checked it"
+    axes.set(title=_title(problem), xlabel=style.with_unit(parameters[0].name, parameters[0].unit))
+    if len(parameters) == 1:
+        _profile(axes, parameters[0], problem, surface)
+        return axes
+    axes.set_ylabel(style.with_unit(parameters[1].name, parameters[1].unit))
+    if surface.shape is None:
+        drawn, keys = _scattered(axes, surface)
+    else:
+        nodes = [np.linspace(each.low, each.high, size) for each, size in zip(parameters, surface.shape, strict=False)]
+        drawn, keys = _plane(axes, problem, surface, *nodes)
+    figure.colorbar(drawn, ax=axes, label=style.with_unit("mean", problem.unit))
+    if keys:
+        figure.legend(handles=keys, loc="outside lower center", borderaxespad=0)
+    return axes
 
 
 def _profile(axes: Axes, parameter: Axis, problem: Problem, surface: Surface) -> None:
@@ -91,16 +101,16 @@ def _scattered(axes: Axes, surface: Surface) -> tuple[Any, list[Artist]]:
     return drawn, [key]
 
 
-def _decay(problem: Problem) -> Figure:
-    with style.new_figure(1.8) as figure:
-        axes = figure.subplots()
-        found = [pair for pair in zip(problem.tests.test, problem.tests.distance, strict=True) if pair[1]]
-        axes.plot(*zip(*found, strict=True), color=BLUE, linewidth=THICK)
-        style.draw_tolerance(axes, problem.alpha, RED, rf"tolerance $\alpha = {problem.alpha:g}$")
-        axes.set_title(_title(problem))
-        style.decay_axes(axes, style.with_unit(DISTANCES[problem.distance], problem.unit))
-        axes.legend(loc="upper right", borderaxespad=0)
-    return figure
+def draw_problem_decay(figure: Figure, problem: Problem) -> Axes:
+    """Draw how the distance of a problem's bounds decays over its tests, down to its tolerance."""
+    axes = figure.subplots()
+    found = [pair for pair in zip(problem.tests.test, problem.tests.distance, strict=True) if pair[1]]
+    axes.plot(*zip(*found, strict=True), color=BLUE, linewidth=THICK)
+    style.draw_tolerance(axes, problem.alpha, RED, rf"tolerance $\alpha = {problem.alpha:g}$")
+    axes.set_title(_title(problem))
+    style.decay_axes(axes, style.with_unit(DISTANCES[problem.distance], problem.unit))
+    axes.legend(loc="upper right", borderaxespad=0)
+    return axes
 
 
 def _array(values: Series) -> Floats:

@@ -101,5 +101,9 @@ def with_unit(name: str, unit: str) -> str:
     >>> with_unit("phi", "rad"), with_unit("y", "1"), with_unit("y", "$x$")
     ('phi / rad', 'y', 'y / \\\\$x\\\\$')
     """
-    plain = "".join(each for each in unit if each.isprintable() and each != "\\").replace("$", r"\$")[:40]
-    return f"{name} / {plain}" if unit not in ("", "1") else name
+    return f"{name} / {plain_text(unit)}" if unit not in ("", "1") else name
+
+
+def plain_text(text: str) -> str:
+    """Return untrusted text, such as a unit, so that a figure shows it as it is."""
+    return "".join(each for each in text if each.isprintable() and each != "\\").replace("$", r"\$")[:40]

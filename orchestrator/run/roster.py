@@ -5,6 +5,7 @@ worker that fits the campaign is `up` for the dispatch machine from its first he
 once and then ignored.
 """
 
+import os
 from dataclasses import dataclass
 
 from ...schemas import __version__
@@ -73,20 +74,27 @@ class Roster:
         record = self.records.get(worker)
         return record.state if record is not None else None
 
+    def local_pid(self, worker: str) -> int | None:
+        """Return the process id of an admitted worker of this host; on another one it names some other process."""
+        state = self.admitted(worker)
+        return state.pid if state is not None and state.host == os.uname().nodename else None
+
     def _mismatch(self, state: WorkerState) -> str | None:
         spec = self._spec
         if state.protocol != PROTOCOL or state.version != __version__:
             theirs, ours = f"{state.version} (protocol {state.protocol})", f"{__version__} (protocol {PROTOCOL})"
             return f"the worker is perfbound {theirs}, the orchestrator {ours}; install the same version on both"
         if spec.name not in state.systems:
-            remedy = "start it with --system FILE.py:NAME" if spec.code else "install the package that provides it"
+            remedy = (
+                "run `perfbound systems` there, and install what is missing, or start it with --system FILE.py:NAME"
+            )
             return f"the worker has no system {spec.name!r}; {remedy}"
-        if state.systems[spec.name] != self._spec_sha256:
+        if self._spec_sha256 not in state.systems[spec.name]:
             # Another build may give other trajectories for the same seed; one certificate names one build.
             code = {name: f"sha256 {digest[:12]}..." for name, digest in spec.code.items()}
             planned = ", ".join(f"{name} {version}" for name, version in (spec.versions | code).items())
             return (
                 f"the worker's {spec.name!r} differs from the one this campaign was planned for ({planned}); "
-                f"{'use the same files' if code else 'install the same versions'}"
+                "use the same files and versions"
             )
         return None

@@ -4,7 +4,6 @@ A turn takes what has been received, in order, and at most one tick of the clock
 decides is committed in one transaction; only then do messages leave.
 """
 
-import os
 import queue
 import shlex
 import time
@@ -15,6 +14,7 @@ from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped, one_line
+from ...schemas.failure import Failure
 from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.values import ProblemProgress
@@ -101,6 +101,7 @@ class Service:
         self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
+        self._told: set[tuple[RolloutId, Failure]] = set()
         self._started = time.monotonic()
         self._next_tick = self._started
         limits = _limits(ledger.config)
@@ -218,12 +219,15 @@ class Service:
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Fail(worker, attempt, failure):
                 self._journal.attempt_ended(attempt, worker, failure)
-                self._print_line(_failure_line(action))
+                # Once: attempts that fail alike are counted in the database, and listed if they end the campaign.
+                if (attempt.rollout, failure) not in self._told:
+                    self._told.add((attempt.rollout, failure))
+                    self._print_line(_failure_line(action))
             case events.GiveUp(worker):
-                state = self._roster.admitted(worker)
-                # A process id names one of our children on this host only.
-                if self._fleet is not None and state is not None and state.host == os.uname().nodename:
-                    self._fleet.kill(state.pid)
+                pid = self._roster.local_pid(worker)
+                if self._fleet is not None and pid is not None and self._fleet.kill(pid):
+                    # Before its token is gone, so that nothing is assigned to it.
+                    self._events.append(events.WorkerDown(time.monotonic(), worker))
             case events.Poison():
                 self._poisoned = action
 
@@ -278,24 +282,27 @@ def _failure_line(action: events.Fail) -> str:
 
 
 def _poison_text(found: events.Poison, ledger: Ledger) -> str:
-    """Return the history of a rollout that failed too often, the command that repeats it, and the remedy."""
+    """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy."""
     request, config = ledger.request(found.rollout), ledger.config
     by_reason: dict[str, list[str]] = {}
-    for failure in found.failures:
-        attempt, _, reason = failure.partition(": ")
-        by_reason.setdefault(reason, []).append(attempt)
+    for each in found.failures:
+        attempt = f"attempt {each.attempt.number} on {each.worker}"
+        by_reason.setdefault(each.failure.reason, []).append(attempt)
     history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
     options = [f"--option={name}={value}" for name, value in config.system.options.items()]
     start = ",".join(map(repr, request.x))
     rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed)]
-    system = config.system.python or request.system
+    system = config.system.python or config.system.name or "CAMPAIGN.toml"
     horizon = ["--horizon", f"{request.horizon:g}"]
     command = shlex.join(["perfbound", "simulate", system, *rollout, *horizon, *options, "--out", "failed.mcap"])
+    repeat = f"Repeat it: {command}"
+    if ledger.header.spec.repeated == "session":  # which no command has
+        repeat = f"Repeat it: call {request.system.replace('-', '_')} at {start}, with seed {request.seed}"
     # Another code is another system, with which the recorded rollouts cannot be mixed.
     remedy = "If the code of the system is wrong, fix it and start a new campaign (--out); else"
     return (
         f"rollout {found.rollout} failed {len(found.failures)} times, so the campaign cannot continue: {history}. "
-        f"Repeat it: {command}. {remedy} fix the worker or the machine, then resume"
+        f"{repeat}. {remedy} fix the worker or the machine, then resume"
     )
 
 

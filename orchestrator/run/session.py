@@ -3,44 +3,44 @@
 Nothing is created before the campaign file, the system and the endpoint have been checked.
 """
 
+import shlex
 import signal
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from rich.console import Console
 from rich.text import Text
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_file import differences, parse_campaign
 from ...schemas.certificate import Certificate
 from ...schemas.errors import CampaignError, JournalError, PerfboundError
 from ...schemas.facts import Header
 from ...schemas.link import Tls
-from ..campaign.checks import check
+from ...schemas.system import SystemSpec
+from ..campaign.checks import check_new
 from ..campaign.software import other_numerics, software
 from ..certificate import files
 from ..fleet import child
 from ..fleet.processes import Fleet
-from ..fleet.transport import ZenohTransport, listen
+from ..fleet.transport import Transport, listen
 from ..store import read
-from ..store.journal import Journal
+from ..store.journal import INSTALLED, Journal, Origin
 from ..store.lock import campaign_lock
-from ..store.read import read_header
-from ..store.rows import DATABASE, existing
+from ..store.rows import existing
 from .address import Address
+from .directory import check_vacant, claimed
 from .format import resume_command
 from .live_page import LivePage, live_page
+from .revision import revision
 from .systemd import Systemd
 
 if TYPE_CHECKING:
     from ..campaign.ledger import Ledger
-
-MAX_CAMPAIGN_FILE = 1024 * 1024
-"""Bytes of a campaign file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,23 @@ class Link:
         return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]
 
 
+class OwnSystem(Protocol):
+    """A system that no other process can import: its workers are made of this process, and need no network."""
+
+    @property
+    def spec(self) -> SystemSpec:
+        """Its specification."""
+        ...
+
+    def transport(self) -> AbstractContextManager[Transport]:
+        """Open the way to its workers."""
+        ...
+
+    def fleet(self) -> Fleet:
+        """Return the workers, not started yet."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """Settings of a run; none of them changes the certificate.
@@ -72,6 +89,8 @@ class RunOptions:
     drain: bool = False
     system: str | None = None
     """The system as a worker finds it, its name or FILE.py:NAME; None for the one of the campaign file or database."""
+    own: OwnSystem | None = None
+    """The system where this process alone has it; `workers`, `link` and `system` are then not used."""
 
 
 def start_campaign(
@@ -85,19 +104,17 @@ def start_campaign(
         Stopped: a signal arrived.
 
     """
-    _check_vacant(directory, config)
-    reference = config.system.reference(source.parent)
-    spec = child.system_spec(reference, f"{source}: system.{'python' if config.system.python else 'name'}")
-    check(config, spec, str(source))
+    check_vacant(directory, config)
+    reference = options.system or config.system.reference(source)
+    where = f"{source}: system.{config.system.kind}"
+    spec = options.own.spec if options.own else child.system_spec(reference, where)
+    check_new(config, spec, str(source))
     header, link = Header.new(config, spec, software(spec)), options.link
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
-        listen(link.endpoint, link.tls, insecure=link.insecure) as transport,
-        _claimed(directory, config),
-        ExitStack() as stack,
+        _transport(options) as transport,
+        created(directory, header, reference) as journal,
     ):
-        journal = Journal.create(directory, header, reference if child.in_file(reference) else None)
-        stack.callback(journal.close)
         page.start()
         found = replace(options, system=reference)
         _conduct(directory, journal, transport, page, options=found, console=console, resumed=False)
@@ -118,69 +135,70 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console) -> b
     link = options.link
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
-        campaign_lock(directory),
-        ExitStack() as stack,
+        reopened(directory, options, console) as (journal, reference),
     ):
-        reference = options.system or read.system_reference(directory)
-        journal = Journal.open(directory, reference if child.in_file(reference) else None)
-        stack.callback(journal.close)
-        _check_software(journal.header)
-        _check_code(journal.header, reference)
-        transport = stack.enter_context(listen(link.endpoint, link.tls, insecure=link.insecure))
-        page.start()
-        found = replace(options, system=reference)
-        _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
+        check_workers(journal.header.spec, options.own, directory)
+        if options.own is not None:
+            check_own(journal.header, options.own.spec)
+        with _transport(options) as transport:
+            page.start()
+            found = replace(options, system=reference)
+            _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
     return True
 
 
-def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
-    """Read a campaign file.
+@contextmanager
+def created(directory: Path, header: Header, reference: str) -> Iterator[Journal]:
+    """Lock a run directory and make the journal of a new campaign; `reference` is its system as a worker finds it.
 
     Raises:
-        CampaignError: it cannot be read, or is not a campaign.
+        PerfboundError: the directory is in use or cannot be made.
 
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_CAMPAIGN_FILE + 1)
-    except OSError as error:
-        raise CampaignError(f"{path}: {error.strerror}; choose a campaign file, e.g. one of deploy/campaigns") from None
-    if len(data) > MAX_CAMPAIGN_FILE:
-        raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; choose a campaign file")
-    return parse_campaign(data, str(path), lambda name: (path.parent / name).read_bytes(), **overrides)
+    with claimed(directory, header.config), closing(Journal.create(directory, header, _origin(reference))) as new:
+        yield new
 
 
-def _check_vacant(directory: Path, config: CampaignConfig) -> None:
-    if (directory / DATABASE).exists():
-        found = stored_differently(directory, config)
-        if found:
-            raise PerfboundError(
-                f"{directory}: the campaign stored here differs from the file: {found}. A campaign never "
-                "changes after its start; choose another --out"
-            )
-        raise PerfboundError(
-            f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
-            "or choose another --out"
+@contextmanager
+def reopened(directory: Path, options: RunOptions, console: Console) -> Iterator[tuple[Journal, str]]:
+    """Lock a run directory and open its journal, with the system as a worker finds it.
+
+    Raises:
+        PerfboundError: there is no campaign, it is running, or its software or its system is another one.
+
+    """
+    with campaign_lock(directory):
+        reference = child.resolved(options.system or read.system_reference(directory))
+        with closing(Journal.open(directory, _origin(reference))) as journal:
+            _check_software(journal.header)
+            _check_code(journal.header, reference, options, console)
+            yield journal, reference
+
+
+def _origin(reference: str) -> Origin:
+    """Return what a later resume needs to find the system; nothing for an installed one, which its name finds."""
+    if not child.in_file(reference):
+        return INSTALLED
+    return Origin(reference, revision(Path(reference.rpartition(":")[0] or reference).parent))
+
+
+def _transport(options: RunOptions) -> AbstractContextManager[Transport]:
+    link = options.link
+    return options.own.transport() if options.own else listen(link.endpoint, link.tls, insecure=link.insecure)
+
+
+def check_workers(spec: SystemSpec, own: OwnSystem | None, place: Path) -> None:
+    """Refuse a system that no worker can have."""
+    if spec.repeated == "nowhere":
+        raise CampaignError(
+            f"{place}: no simulator makes the rollouts of {spec.name}; hand them in: Campaign.ask_tell, or "
+            f"perfbound.open({str(place)!r}).ask_tell() for a campaign that has begun"
         )
-    if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - set(_unfinished(directory))):
-        raise PerfboundError(f"{directory}: exists and is not empty; choose another --out")
-
-
-def stored_differently(directory: Path, config: CampaignConfig) -> str:
-    """Return where the campaign in `directory` differs from `config`; nothing if it does not, or cannot be read."""
-    try:
-        with read.reading(directory) as connection:
-            stored = read_header(connection, directory).config
-    except JournalError:
-        return ""
-    found = differences(stored, config)
-    more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
-    return f"{'; '.join(found[:3])}{more}, respectively" if found else ""
-
-
-def _unfinished(directory: Path) -> list[Path]:
-    """Return the files of a database that was never finished: its orchestrator failed, or was killed."""
-    return list(directory.glob(f"{DATABASE}.partial*"))
+    if spec.repeated == "session" and own is None:
+        raise CampaignError(
+            f"{place}: {spec.name} was defined in an interactive session, so no worker can import it; continue there: "
+            f"perfbound.resume({str(place)!r}, system={spec.name.replace('-', '_')})"
+        )
 
 
 def _check_software(header: Header) -> None:
@@ -191,53 +209,48 @@ def _check_software(header: Header) -> None:
         )
 
 
-def _check_code(header: Header, reference: str) -> None:
-    """Refuse a system in a file that is not the one of the campaign; of an installed one the workers tell."""
-    if child.in_file(reference) != bool(header.spec.code):
-        wanted = "is in a file: give FILE.py:NAME" if header.spec.code else f"is installed: {header.spec.name}"
-        raise JournalError(f"--system {reference}: the system of this campaign {wanted}")
-    if not header.spec.code:
-        return
-    found, campaign = child.system_spec(reference, "--system"), header.spec
-    changed = sorted(name for name, _ in found.code.items() ^ campaign.code.items())
-    if changed or found.digest_by(header.rules) != header.system_sha256:
-        what = (
-            f"{', '.join(dict.fromkeys(changed))}: not the code" if changed else f"{reference}: not the specification"
-        )
+def check_own(header: Header, spec: SystemSpec) -> None:
+    """Refuse another system of this process than the campaign's.
+
+    Raises:
+        JournalError: it is another one.
+
+    """
+    if spec.digest_by(header.rules) != header.system_sha256:
         raise JournalError(
-            f"{what} with which this campaign was started; resume it with the files of then (--system FILE.py:NAME if "
-            "they are elsewhere), or start a new campaign"
+            f"{spec.name}: not the function with which this campaign was started; give that one, or start a new "
+            "campaign"
         )
 
 
-@contextmanager
-def _claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
-    """Make the run directory and lock it; remove it if no campaign was started in it."""
-    try:
-        there = directory.is_dir()
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
-    with campaign_lock(directory):
-        _check_vacant(directory, config)  # again, under the lock: another orchestrator may have started here
-        _remove(_unfinished(directory))
-        try:
-            yield
-        finally:
-            _remove(_unfinished(directory))
-            if not there and not any(directory.iterdir()):
-                directory.rmdir()
-
-
-def _remove(files: list[Path]) -> None:
-    for each in files:
-        each.unlink()
+def _check_code(header: Header, reference: str, options: RunOptions, console: Console) -> None:
+    """Refuse a system with other sources than those of the campaign."""
+    campaign, installed = header.spec, header.config.system.kind == "name"
+    if campaign.repeated != "anywhere":  # no process but one has it, and nothing here could be compared
+        return
+    if child.in_file(reference) == installed:
+        wanted = f"is installed: {campaign.name}" if installed else "is in a file: give FILE.py:NAME or CAMPAIGN.toml"
+        raise JournalError(f"--system {reference}: the system of this campaign {wanted}")
+    if installed and not options.workers:
+        return  # the workers have it, and are compared when they arrive
+    found = child.system_spec(reference, "--system")
+    if not campaign.code:
+        text = (
+            f"this campaign does not name the sources of {campaign.name}: whether they are still the same is not known"
+        )
+        console.print(Text(text), soft_wrap=True)
+        return
+    changed = sorted({name for name, _ in found.code.items() ^ campaign.code.items()})
+    if changed or found.digest_by(header.rules) != header.system_sha256:
+        what = f"{', '.join(changed)}: not the code" if changed else f"{reference}: not the specification"
+        remedy = "with the version of then" if installed else "with the files of then (--system, if they are elsewhere)"
+        raise JournalError(f"{what} with which this campaign was started; resume it {remedy}, or start a new campaign")
 
 
 def _conduct(
     directory: Path,
     journal: Journal,
-    transport: ZenohTransport,
+    transport: Transport,
     page: LivePage,
     *,
     options: RunOptions,
@@ -247,13 +260,15 @@ def _conduct(
     run, systemd = journal.header.run, Systemd()
     with ExitStack() as stack:
         fleet = None
-        if options.workers:
+        if options.own or options.workers:
             links = [*options.link.worker_options(), *child.system_options(options.system)]
-            fleet = Fleet(options.workers, transport.endpoint, run, links)
+            own = options.own
+            fleet = own.fleet() if own else Fleet(options.workers, transport.endpoint, run, links)
             stack.callback(fleet.stop)
             fleet.start()
         else:
-            text = f"waiting for workers: perfbound-worker --connect {transport.endpoint}"
+            line = ["perfbound-worker", "--connect", transport.endpoint, *child.system_options(options.system)]
+            text = f"waiting for workers: {shlex.join(line)}"
             console.print(Text(text), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
         from ..campaign import closing_checks, consistency, forecast  # noqa: PLC0415
@@ -284,10 +299,11 @@ def _conduct(
             systemd.ready(f"workers connect to {transport.endpoint}")
             stack.callback(systemd.stopping)
             service.run()
-    _certify(directory, ledger)
+    certify(directory, ledger)
 
 
-def _certify(directory: Path, ledger: "Ledger") -> None:
+def certify(directory: Path, ledger: "Ledger") -> None:
+    """Write the certificate of a campaign that is done, and its manifest."""
     from ..certificate.issue import issue, manifest  # noqa: PLC0415
 
     found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
@@ -298,6 +314,9 @@ def _certify(directory: Path, ledger: "Ledger") -> None:
 @contextmanager
 def _signals(put: Callable[[int], None]) -> Iterator[None]:
     """Hand signals to `put`; after the first one, later ones do not interrupt the shutdown."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may take signals
+        return
     taken = []
 
     def take(number: int, _frame: FrameType | None) -> None:

@@ -66,6 +66,13 @@ def _outcomes_query(version: int) -> sa.Select[Any]:
     return sa.select(*columns, _ENDED.label("rowid")).where(_ENDED > _SINCE).order_by(_ENDED)
 
 
+@cache
+def _origin_query(version: int) -> sa.Select[Any]:
+    named = {column.name: column for column in tables.readable(tables.sessions, version)}
+    newest = sa.select(named["system"], named["revision"]).select_from(tables.sessions)
+    return newest.order_by(tables.sessions.c.session.desc()).limit(1)
+
+
 @dataclass(frozen=True, slots=True)
 class Changes:
     """The rows that one call found and the call before had not; `header` and `sessions` are present values.
@@ -80,6 +87,8 @@ class Changes:
     outcomes: tuple[AttemptOutcome, ...]
     hosts: dict[str, str]
     sessions: int
+    origin: tuple[str, str | None] | None
+    """Reference and revision of a system that is not installed, as the last session had it."""
 
 
 class ChangeReader:
@@ -112,6 +121,7 @@ class ChangeReader:
             outcomes = connection.execute(_outcomes_query(self._version), {"since": self._ended}).all()
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
             sessions = connection.execute(_SESSIONS).scalar_one()
+            origin = connection.execute(_origin_query(self._version)).first()
         decisions.sort(key=lambda pair: pair[0])  # the sequence number is common to all tables of facts
         found = Changes(
             header,
@@ -121,6 +131,7 @@ class ChangeReader:
             tuple(AttemptOutcome(**{name: getattr(row, name) for name in _OUTCOME_FIELDS}) for row in outcomes),
             {row.worker: row.host for row in hosts},
             sessions,
+            None if origin is None or origin.system is None else (origin.system, origin.revision),
         )
         # Only now: a call that fails half-way is repeated whole.
         self._header = header

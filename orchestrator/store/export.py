@@ -19,7 +19,7 @@ from .files import FOLDER
 from .read import read_header, read_version, reading
 from .rows import DATABASE
 
-__all__ = ["TABLES", "counterexamples", "export", "stream"]
+__all__ = ["TABLES", "counterexamples", "export", "stream", "table_rows"]
 
 Format = Literal["csv", "parquet"]
 DEFAULT = "export"
@@ -64,6 +64,12 @@ def stream(directory: Path, name: str, out: IO[bytes]) -> int:
     """Write one table as CSV to `out`; return its rows. Raises as `export`, and OSError if `out` is closed."""
     with _open_campaign(directory, [name]) as (connection, header, (table,)):
         return _csv(out, table, table.rows(connection), header)
+
+
+def table_rows(directory: Path, name: str) -> tuple[tuple[ExportColumn, ...], list[Row]]:
+    """Return the columns of one table, and all its rows. Raises as `export`."""
+    with _open_campaign(directory, [name]) as (connection, _, (table,)):
+        return table.columns, list(table.rows(connection))
 
 
 def counterexamples(directory: Path, path: Path) -> int:

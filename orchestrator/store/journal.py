@@ -5,7 +5,8 @@ import sqlite3
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,20 +39,33 @@ _INSERTS = {table: table.insert() for table in tables.FACTS} | {
 """In the order of their foreign keys. An attempt may be written twice (OR IGNORE), a fact never."""
 
 
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the system of a session is that is not installed; outside the hash chain."""
+
+    system: str | None = None
+    """FILE.py:NAME, or the campaign file of a program."""
+    revision: str | None = None
+    """Of its folder: the commit, and whether files are changed; None where there is no repository."""
+
+
+INSTALLED = Origin()
+
+
 class Journal:
     """An open campaign database, used by one thread, under `campaign_lock`."""
 
-    def __init__(self, directory: Path, engine: Engine, header: Header, system: str | None) -> None:
+    def __init__(self, directory: Path, engine: Engine, header: Header, origin: Origin) -> None:
         self.directory, self.header = directory, header
         self._engine = engine
         self._connection = engine.connect()
         self._version, self._seq = _position(self._connection, directory)
         self._pending: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
-        self.session = _open_session(self._connection, self._version, system)
+        self.session = _open_session(self._connection, self._version, origin)
 
     @classmethod
-    def create(cls, directory: Path, header: Header, system: str | None = None) -> "Journal":
-        """Make the database of a new campaign, whole or not at all; `system` is the reference of one in a file."""
+    def create(cls, directory: Path, header: Header, origin: Origin = INSTALLED) -> "Journal":
+        """Make the database of a new campaign, whole or not at all."""
         # Under another name until it is whole: after kill -9 a database without its header would pass for a campaign.
         partial = temporary(directory / DATABASE)
         engine = _engine(partial)
@@ -63,25 +77,28 @@ class Journal:
             connection.execute(tables.campaign.insert().values(seq=1, **header_row(header)))
         engine.dispose()
         move(partial, directory / DATABASE)
-        return cls(directory, _engine(directory / DATABASE), header, system)
+        return cls(directory, _engine(directory / DATABASE), header, origin)
 
     @classmethod
-    def open(cls, directory: Path, system: str | None = None) -> "Journal":
-        """Open the database of an existing campaign; `system` is the reference of one in a file.
+    def open(cls, directory: Path, origin: Origin = INSTALLED) -> "Journal":
+        """Open the database of an existing campaign.
 
         Raises:
             JournalError: there is none, or it is of another schema, or damaged.
 
         """
         engine = _engine(existing(directory))
-        try:
-            with engine.begin() as connection:
-                header = read_header(connection, directory)
-        except sa.exc.DatabaseError as error:
-            if _of_the_disk(error):
-                raise  # a full disk is no fault of the file
-            raise JournalError(f"{directory / DATABASE}: not a campaign database ({error.orig})") from None
-        return cls(directory, engine, header, system)
+        with ExitStack() as refused:
+            refused.callback(engine.dispose)
+            try:
+                with engine.begin() as connection:
+                    header = read_header(connection, directory)
+            except sa.exc.DatabaseError as error:
+                if _of_the_disk(error):
+                    raise  # a full disk is no fault of the file
+                raise JournalError(f"{directory / DATABASE}: not a campaign database ({error.orig})") from None
+            refused.pop_all()
+        return cls(directory, engine, header, origin)
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -184,11 +201,11 @@ def _position(connection: Connection, directory: Path) -> tuple[int, int]:
         return read_version(connection, directory), max(seq or 0 for seq in last)
 
 
-def _open_session(connection: Connection, version: int, system: str | None) -> int:
+def _open_session(connection: Connection, version: int, origin: Origin) -> int:
     with connection.begin():
         row: dict[str, Any] = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
-        if has_column("sessions", "system", version):
-            row["system"] = system
+        told = {"system": origin.system, "revision": origin.revision}
+        row |= {name: value for name, value in told.items() if has_column("sessions", name, version)}
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
         assert key is not None
         return int(key[0])
@@ -219,8 +236,12 @@ def _engine(path: Path) -> Engine:
 def _configure(connection: Any, _record: object) -> None:
     connection.isolation_level = None  # SQLAlchemy begins and commits, not the driver
     # WAL: readers never block the writer. FULL: a commit is on the disk before a worker may drop its result.
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000"):
-        connection.execute(f"PRAGMA {pragma}")
+    try:
+        for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000"):
+            connection.execute(f"PRAGMA {pragma}")
+    except sqlite3.Error:  # SQLAlchemy closes no connection that it has not got yet
+        connection.close()
+        raise
 
 
 def _begin_immediate(connection: Connection) -> None:

@@ -83,7 +83,7 @@ def read_header(connection: Connection, directory: Path) -> Header:
 
 
 def system_reference(directory: Path) -> str:
-    """Return the system of a campaign as a worker finds it: its name, or FILE.py:NAME as the last session had it.
+    """Return the system of a campaign as a worker finds it: its name, or its file as the last session had it.
 
     Raises:
         JournalError: there is no campaign in `directory`, or it cannot be read.
@@ -91,11 +91,12 @@ def system_reference(directory: Path) -> str:
     """
     with reading(directory) as connection:
         header = read_header(connection, directory)
-        if header.config.system.python is None:
+        if header.config.system.kind == "name":
             return header.spec.name
         sessions = tables.sessions.c
         newest = sa.select(sessions.system).where(sessions.system.is_not(None)).order_by(sessions.session.desc())
-        return str(connection.execute(newest.limit(1)).scalar() or header.config.system.python)
+        found = connection.execute(newest.limit(1)).scalar()
+        return str(found or header.config.system.reference(directory / f"{header.config.name}.toml"))
 
 
 def read_facts(connection: Connection) -> Iterator[Fact]:

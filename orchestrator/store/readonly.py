@@ -14,8 +14,12 @@ def open_readonly(path: Path, *, immutable: bool) -> sqlite3.Connection:
     """Open a database for reading; nothing in the file runs, and no value fills the memory."""
     query = "mode=ro&immutable=1" if immutable else "mode=ro"
     connection = sqlite3.connect(f"file:{quote(str(path))}?{query}", uri=True)
-    connection.execute("PRAGMA trusted_schema=OFF")  # a view or a generated column of the file may call functions
-    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
+    try:
+        connection.execute("PRAGMA trusted_schema=OFF")  # a view or a generated column of the file may call functions
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
+    except sqlite3.Error:
+        connection.close()
+        raise
     return connection
 
 

@@ -26,10 +26,10 @@ from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 
 DATABASE = "campaign.db"
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
-READ_VERSIONS = (1, 2, 3)
-ADDED_IN = {("campaign", "rules"): 2, ("outcomes", "kind"): 3, ("sessions", "system"): 3}
+READ_VERSIONS = tuple(range(1, SCHEMA_VERSION + 1))
+ADDED_IN = {("campaign", "rules"): 2, ("outcomes", "kind"): 3, ("sessions", "system"): 3, ("sessions", "revision"): 4}
 """(table, column) to the schema version that added it; every other column is as old as version 1.
 
 Campaigns without `rules` follow rules 1; the kind of a failure without `kind` is unknown.
@@ -64,7 +64,7 @@ def checked_version(directory: Path, version: int | None) -> int:
     """
     if version is None or version not in READ_VERSIONS:
         raise JournalError(
-            f"{directory / DATABASE}: schema version {version}, this perfbound reads {SCHEMA_VERSION}; "
+            f"{directory / DATABASE}: schema version {version}, this perfbound reads 1 to {SCHEMA_VERSION}; "
             "use the perfbound that wrote it, or a newer one"
         )
     return version

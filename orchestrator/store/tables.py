@@ -136,7 +136,8 @@ sessions = Table(
     Column("host", Text, nullable=False),
     Column("pid", Integer, nullable=False),
     Column("started", REAL, nullable=False),  # Unix time, s
-    Column("system", Text),  # FILE.py:NAME with its folder, of a system in a file
+    Column("system", Text),  # FILE.py:NAME or campaign file, with its folder, of a system that is not installed
+    Column("revision", Text),  # of this folder: the commit, and whether files are changed
     sqlite_strict=True,
 )
 

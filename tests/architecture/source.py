@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("orchestrator", "workers", "schemas")
+FOLDERS = ("orchestrator", "workers", "schemas", "perfbound/library")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 Arrow = tuple[str, str]
 """Importing module and imported module."""

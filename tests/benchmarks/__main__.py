@@ -19,6 +19,7 @@ from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     campaign,
     durability,
     fleet,
+    forms,
     proposal,
     reactions,
     report,
@@ -39,6 +40,7 @@ PARTS = (
     "scenario",
     "stl",
     "rollout",
+    "forms",
     "campaign",
     "fleet",
     "durability",
@@ -79,7 +81,7 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
         return stl.main(stl.measured() if alone else child("stl"))
     if part == "durability":
         return durability.main(None if alone else lambda: child("peers_storage"))
-    plain = {"scenario": scenario.main, "rollout": rollout.main, "fleet": fleet.main}
+    plain = {"scenario": scenario.main, "rollout": rollout.main, "forms": forms.main, "fleet": fleet.main}
     whole = {"campaign": campaign.main, "reactions": reactions.main, "throughput": throughput.main}
     return (plain | whole)[part]()
 

@@ -7,11 +7,11 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("numpy", "scipy", "scikit-learn", "pybullet", "eclipse-zenoh", "mcap", "pydantic", "sqlalchemy")
+PACKAGES = {"numpy", "scipy", "scikit-learn", "pybullet", "eclipse-zenoh", "mcap", "pydantic", "sqlalchemy"}
 HEAD = ("measured", "value", "unit", "peer", "ratio", "target")
 RIGHT = (False, True, False, False, True, False)
 
@@ -94,6 +94,7 @@ def document(rows: Sequence[Row], surroundings: dict[str, Any]) -> dict[str, Any
 
 def surroundings() -> dict[str, Any]:
     """Return commit, date, load, machine and versions."""
+    installed = {each.name: each.version for each in distributions() if each.name in PACKAGES}
     return {
         "commit": _git("rev-parse", "HEAD"),
         "changed_files": len(_git("status", "--porcelain").splitlines()),
@@ -101,7 +102,7 @@ def surroundings() -> dict[str, Any]:
         "load": os.getloadavg()[0],
         "cpu": _cpu_model(),
         "cores": os.cpu_count(),
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "versions": {"python": platform.python_version(), **installed},
     }
 
 

@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import pybullet
-
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import decode
 from perfbound.workers.simulate import run_request_on
@@ -70,6 +68,8 @@ def bare_steps() -> float:
 
     The world is built as `perfbound.workers.systems.segway.bullet` builds it, and is upright at rest.
     """
+    import pybullet  # not there on every Python
+
     client = pybullet.connect(pybullet.DIRECT)
     steps = round(CONTROL_RATE * HORIZON)
 

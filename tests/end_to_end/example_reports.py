@@ -35,6 +35,7 @@ def small(tests: int = 6) -> ReportData:
         updated=None,
         system="segway",
         doc="A system.",
+        code="cars.py:cars, commit 0123456789ab, with changes",
         specification="always (abs(phi) <= 0.95)",
         horizon=2.0,
         risk_weight=0.2,

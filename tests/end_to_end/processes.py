@@ -13,6 +13,7 @@ from pathlib import Path
 
 import psutil
 
+from perfbound.workers.systems.segway import bullet
 from tests.campaigns import FOLDER
 from tests.patience import PATIENCE
 
@@ -131,7 +132,13 @@ def processes(folder: Path) -> Iterator[Processes]:
 
 
 def write_campaign(path: Path, **changes: str) -> Path:
-    """Write the paper's Segway campaign, small and without recheck; `changes` are lines of its first table in TOML."""
+    """Write the paper's Segway campaign, small and without recheck; `changes` are lines of its first table in TOML.
+
+    Raises:
+        UnknownSystemError: PyBullet is not installed; nobody then waits for a campaign that cannot start.
+
+    """
+    bullet.providers()
     text = (FOLDER / "segway-paper.toml").read_text()
     for key, value in {"resolution": "7", "max_tests": "8", "horizon": "20.0", "recheck": "0", **changes}.items():
         lines = [line for line in text.splitlines() if line.startswith(f"{key} = ")]

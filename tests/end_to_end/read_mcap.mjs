@@ -1,7 +1,7 @@
 // node read_mcap.mjs PACKAGES FILE...: what @mcap/core, the reader inside Foxglove, finds in MCAP files, as JSON on
 // stdout: one object a file under "files", and the schemas that Foxglove publishes under "published".
 // PACKAGES is the folder into which npm installed @mcap/core, @mcap/support (decodes protobuf by the types in a file),
-// fzstd (chunks are compressed) and @foxglove/schemas.
+// fzstd (chunks are compressed), @foxglove/schemas, and the parser and reader of ROS messages.
 
 import { createHash } from "node:crypto";
 import { open } from "node:fs/promises";
@@ -13,6 +13,8 @@ const require = createRequire(join(resolve(packages), "none.js"));
 const { McapIndexedReader, McapStreamReader } = require("@mcap/core");
 const { decompress } = require("fzstd");
 const { protobufFromBinaryDescriptor } = require("@mcap/support");
+const { parse } = require("@foxglove/rosmsg");
+const { MessageReader } = require("@foxglove/rosmsg2-serialization");
 const published = require("@foxglove/schemas/jsonschema");
 
 const decompressHandlers = { zstd: (data, size) => decompress(data, new Uint8Array(Number(size))) };
@@ -20,7 +22,11 @@ const decompressHandlers = { zstd: (data, size) => decompress(data, new Uint8Arr
 const plain = { defaults: true, longs: Number, bytes: String, enums: Number };
 
 /** Return a function that decodes messages of a type by the definition in the file. */
-function decoder({ name, data }) {
+function decoder({ name, encoding, data }) {
+  if (encoding === "ros2msg") {
+    const reader = new MessageReader(parse(new TextDecoder().decode(data), { ros2: true }));
+    return (bytes) => [...reader.readMessage(bytes).data];
+  }
   const type = protobufFromBinaryDescriptor(data).lookupType(name);
   return (bytes) => type.toObject(type.decode(bytes), plain);
 }

@@ -78,15 +78,15 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureF
 
 
 @pytest.fixture(scope="module")
-def installed() -> dict[str, SystemSpec]:
+def installed() -> dict[str, SystemSpec | str]:
     """Return the output of the `workers` child; started once for all tests of this file."""
-    return child.system_specs()
+    return child.installed_systems()
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch, installed: dict[str, SystemSpec]) -> None:
+def asked(monkeypatch: pytest.MonkeyPatch, installed: dict[str, SystemSpec | str]) -> None:
     """The child has been asked."""
-    monkeypatch.setattr(child, "system_specs", lambda: installed)
+    monkeypatch.setattr(child, "installed_systems", lambda: installed)
 
 
 def changed(old: str, new: str) -> str:
@@ -132,7 +132,7 @@ def changed(old: str, new: str) -> str:
         ("seed = 1\n", 'seed = 1\n"\\n\\u001b[2J" = 1\n', r"\n\x1b[2J", "unknown key"),
         ('column = "phi"', 'column = "x"', "gap.column", 'the specification reads phi; use kind = "predicate_sup"'),
         ('column = "phi"', 'column = "t"', "gap.column", "does not bound the robustness"),
-        ('composition = "product"', "", "composition", "this key is required: one of 'product', 'sum', "),
+        ('composition = "product"', "", "composition", "'single' is for one problem; allowed here: 'product', 'sum'"),
     ],
 )
 def test_a_wrong_key_is_named_with_what_is_allowed(here: Here, old: str, new: str, key: str, allowed: str) -> None:
@@ -361,7 +361,7 @@ def test_a_database_of_a_newer_schema(busy: Process, here: Here) -> None:
     for command in ("resume", "status"):
         ended = here.run(command, "newer")
         assert ended.code == 1
-        assert f"schema version {SCHEMA_VERSION + 1}, this perfbound reads {SCHEMA_VERSION}" in ended.fault
+        assert f"schema version {SCHEMA_VERSION + 1}, this perfbound reads 1 to {SCHEMA_VERSION}" in ended.fault
         assert "newer/campaign.db" in ended.fault
     (directory / "campaign.db").write_bytes(b"no database " * 100)
     for command in ("resume", "status"):

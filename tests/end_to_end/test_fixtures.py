@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,9 @@ from tests.end_to_end.processes import Processes, query
 
 pytestmark = pytest.mark.smoke
 RULES_1 = Path(__file__).parents[1] / "fixtures" / "rules-1"
+RECORDED = sys.version_info[:2] == (3, 11)
+"""Whether this is the Python of these campaigns: another one verifies them, and resumes none."""
+resumed = pytest.mark.skipif(not RECORDED, reason="needs Python 3.11, with which these campaigns were started")
 FINISHED = ("paper-pair", "rigorous-pair", "scenario-list")
 DECIDED = ("claims", "problems", "composition", "evidence")
 """Parts of a certificate that follow from the campaign alone, not from the perfbound that wrote it."""
@@ -33,11 +37,13 @@ def test_a_finished_campaign_verifies(started: Processes, name: str) -> None:
     directory = copied(name, started.folder)
     ended = started.run("perfbound", "verify", directory, "--resimulate", "2", "--json")
     found = {each["check"]: each["status"] for each in json.loads(ended.out)["checks"]}
-    assert {check: status for check, status in found.items() if status != "passed"} == {"signature": "skipped"}
+    skipped = {"signature"} if RECORDED else {"signature", "software"}
+    assert {check: status for check, status in found.items() if status != "passed"} == dict.fromkeys(skipped, "skipped")
     assert ended.code == 0
     assert len(found) >= 20
 
 
+@resumed
 def test_the_stopped_campaign_resumes_to_the_certificate_of_the_finished_one(started: Processes) -> None:
     directory, calm = copied("rigorous-pair-stopped", started.folder), RULES_1 / "rigorous-pair"
     recorded = "SELECT count(*) FROM rollouts"
@@ -50,17 +56,25 @@ def test_the_stopped_campaign_resumes_to_the_certificate_of_the_finished_one(sta
     assert started.run("perfbound", "verify", directory).code == 0
 
 
-@pytest.mark.parametrize(("name", "version"), [("rules-1/rigorous-pair-stopped", 1), ("schema-2", 2)])
-def test_an_older_database_is_resumed_as_it_is(started: Processes, name: str, version: int) -> None:
-    """Both are stopped runs of the campaign of `rigorous-pair`; the database is written without newer columns."""
+@resumed
+@pytest.mark.parametrize(
+    ("name", "version", "manifest"),
+    [
+        ("rules-1/rigorous-pair-stopped", 1, "rules-1/rigorous-pair/manifest.sha256"),
+        ("schema-2", 2, "rules-1/rigorous-pair/manifest.sha256"),
+        ("schema-3", 3, "schema-3.manifest.sha256"),
+    ],
+)
+def test_an_older_database_is_resumed_as_it_is(started: Processes, name: str, version: int, manifest: str) -> None:
+    """Stopped runs, and the manifests of undisturbed ones; the database is written without newer columns."""
     directory = Path(shutil.copytree(RULES_1.parent / name, started.folder / "run"))
     before = query(directory, "SELECT sql FROM sqlite_master")
     ended = started.run("perfbound", "resume", directory, "--workers", "2")
     assert ended.code == 0, ended.err
     assert query(directory, "SELECT version FROM schema") == [(version,)]
     assert query(directory, "SELECT sql FROM sqlite_master") == before
-    manifest = (RULES_1 / "rigorous-pair" / "manifest.sha256").read_bytes()
-    assert (directory / "manifest.sha256").read_bytes() == manifest
+    assert "does not name the sources of test-function" in ended.err
+    assert (directory / "manifest.sha256").read_bytes() == (RULES_1.parent / manifest).read_bytes()
     for command in ("verify", "status", "export", "report"):
         ended = started.run("perfbound", command, directory)
         assert ended.code == 0, ended.err

@@ -15,16 +15,23 @@ from google.protobuf.message import Message
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from perfbound.schemas.trajectory import decode
 from tests.end_to_end import processes
 from tests.end_to_end.processes import BIN, Ended, Processes
 from tests.patience import PATIENCE
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ROOT / "build" / "node"
-NEEDED = ("@mcap/core", "@mcap/support", "fzstd", "@foxglove/schemas")
-INSTALL = (
-    "npm install --no-save --prefix build/node @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 @foxglove/schemas@2.1.0"
+NEEDED = (
+    *("@mcap/core", "@mcap/support", "fzstd"),
+    *("@foxglove/schemas", "@foxglove/rosmsg", "@foxglove/rosmsg2-serialization"),
 )
+INSTALL = (
+    "npm install --no-save --prefix build/node @mcap/core@2.2.2 @mcap/support@1.1.0 fzstd@0.1.1 "
+    "@foxglove/schemas@2.1.0 @foxglove/rosmsg@5.0.5 @foxglove/rosmsg2-serialization@3.1.0"
+)
+CARS = Path(__file__).parents[2] / "deploy" / "examples" / "cars" / "cars.py"
+PLOTS = {"/distance", "/speed"}
 FRAMES = 91
 """Of three seconds at 30 Hz."""
 SOLIDS = {f"/solids/{name}" for name in ("ground/0", "goal/0", "wheels/0", "wheels/1", "body/0")}
@@ -43,8 +50,14 @@ def evidence(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulated(tmp_path_factory.mktemp("evidence"), "test-function", "1,2")
 
 
+@pytest.fixture(scope="module")
+def plotted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a rollout of a function, whose columns are plots."""
+    return simulated(tmp_path_factory.mktemp("plotted"), f"{CARS}:cars", "20,30")
+
+
 def simulated(folder: Path, system: str, x: str) -> Path:
-    path = folder / f"{system}.mcap"
+    path = folder / f"{system.rpartition(':')[2]}.mcap"
     with processes.processes(folder) as started:
         ended = started.run("perfbound", "simulate", system, "--x", x, "--horizon", "3", "--out", path)
     assert ended.code == 0, ended.err
@@ -58,7 +71,7 @@ def simulated(folder: Path, system: str, x: str) -> Path:
 def rerun(started: Processes, tmp_path: Path) -> Any:
     """Runs `rerun`, whose reports of its use are switched off in a home of its own."""
     if not (BIN / "rerun").exists():
-        pytest.skip("install rerun-sdk: make .venv/.installed-dev")
+        pytest.skip("install rerun-sdk: make test")
     home = tmp_path / "home"
     home.mkdir()
 
@@ -75,6 +88,18 @@ def test_rerun_finds_no_fault(rerun: Any, visual: Path, evidence: Path) -> None:
     lines = [line.split() for line in found.out.splitlines() if line.startswith(("ok", "warn", "err", "fail"))]
     assert {line[3]: (line[0], line[-1]) for line in lines} == dict.fromkeys(TOPICS, ("ok", "—"))
     assert rerun("mcap", "check", "--full", evidence).code == 0
+
+
+def test_rerun_plots_the_columns_of_a_function(rerun: Any, plotted: Path, tmp_path: Path) -> None:
+    """As Scalars, of which it makes time series unasked."""
+    checked = rerun("mcap", "check", "--full", plotted)
+    assert checked.code == 0, checked.err
+    assert {line.split()[3] for line in checked.out.splitlines() if line.startswith("ok")} == PLOTS
+    converted = tmp_path / "one.rrd"
+    assert rerun("mcap", "convert", plotted, "-o", converted).code == 0
+    printed = rerun("rrd", "print", "-v", converted).out
+    series = re.findall(r"with (\d+) rows .* - (\S+) - data columns: \[\S+@Scalars:scalars\]", printed)
+    assert sorted(series) == [("61", topic) for topic in sorted(PLOTS)]
 
 
 def test_rerun_draws_a_file(rerun: Any, visual: Path, evidence: Path, tmp_path: Path) -> None:
@@ -104,7 +129,7 @@ def test_rerun_draws_a_file(rerun: Any, visual: Path, evidence: Path, tmp_path: 
 
 
 @pytest.fixture(scope="module")
-def javascript(visual: Path, evidence: Path) -> dict[str, Any]:
+def javascript(visual: Path, evidence: Path, plotted: Path) -> dict[str, Any]:
     """Output of the JavaScript reader for both files, and the schemas that Foxglove publishes."""
     node = shutil.which("node")
     if node is None:
@@ -112,11 +137,22 @@ def javascript(visual: Path, evidence: Path) -> dict[str, Any]:
     if not all((PACKAGES / "node_modules" / name).is_dir() for name in NEEDED):
         pytest.skip(INSTALL)
     script = Path(__file__).with_name("read_mcap.mjs")
-    line: list[str | Path] = [node, script, PACKAGES, visual, evidence]
+    line: list[str | Path] = [node, script, PACKAGES, visual, evidence, plotted]
     ended = subprocess.run(line, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert ended.returncode == 0, ended.stderr
     found: dict[str, Any] = json.loads(ended.stdout)
     return found
+
+
+def test_javascript_plots_the_columns_of_a_function(javascript: Any, plotted: Path) -> None:
+    found, trajectory = javascript["files"][2], decode(plotted.read_bytes())
+    assert set(found["channels"]) == PLOTS
+    times = [str(round(t * 1e9)) for t in trajectory.column("t").tolist()]
+    for topic, channel in found["channels"].items():
+        assert (channel["messageEncoding"], channel["encoding"]) == ("cdr", "ros2msg")
+        numbers = trajectory.column(topic[1:]).tolist()
+        assert channel["messages"] == [[t, t, [number]] for t, number in zip(times, numbers, strict=True)]
+    assert found["streamed"] == {"messages": 2 * len(times), "done": True}
 
 
 @pytest.mark.parametrize("number", [0, 1], ids=["visual", "evidence"])

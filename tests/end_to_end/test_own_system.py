@@ -1,13 +1,14 @@
 """A function in a file beside the campaign file, from nothing to its verified certificate."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 
 from perfbound.schemas.certificate import Certificate
-from tests.end_to_end.processes import Ended, Processes, processes, recorded, wait_for
+from tests.end_to_end.processes import Ended, Processes, processes, query, recorded, wait_for
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "cars"
 CHECKS = "spot_check = 6\nspot_check_followups = 4\nrecheck = 3\n"
@@ -105,7 +106,7 @@ def test_workers_elsewhere_need_the_same_code(started: Processes, folder: Path, 
     connect = ("perfbound-worker", "--connect", endpoint, "--system")
     refused = started.run(*connect, f"{other}:cars")
     assert refused.code == 1
-    assert "the worker's 'cars' differs from the one this campaign was planned for (cars.py sha256 " in refused.err
+    assert "the worker's 'cars' differs from the one this campaign was planned for (numpy " in refused.err
     worker = started.start(*connect, f"{folder / 'cars.py'}:cars")
     assert server.wait().code == 0
     worker.popen.terminate()
@@ -119,7 +120,7 @@ def test_workers_elsewhere_need_the_same_code(started: Processes, folder: Path, 
         ('python = "cars.py:bikes"', "there is no 'bikes' in it"),
         ('python = "cars.py"', "python: 'cars.py' is not allowed: allowed is"),
         ('name = "cars"', "'cars' is not an installed system; allowed are segway, test-function"),
-        ('name = "segway"\npython = "cars.py:cars"', 'give either name = "...", an installed system, or python'),
+        ('name = "segway"\npython = "cars.py:cars"', 'give one of name = "...", an installed system, python'),
         ('python = "cars.py:cars"\nreactoin = 0.5', "system.reactoin: unknown key; allowed for cars are"),
     ],
 )
@@ -146,16 +147,24 @@ def test_a_forgotten_horizon_is_refused(started: Processes, folder: Path, tmp_pa
     assert "horizon: this key is required: cars takes the duration of a rollout, in s" in refused.fault
 
 
-def test_a_function_that_fails_ends_with_its_command_and_remedy(started: Processes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_function_that_fails_ends_with_its_command_and_remedy(
+    started: Processes, tmp_path: Path, workers: str
+) -> None:
     file = copied(tmp_path / "cars")
     code = tmp_path / "cars" / "cars.py"
     code.write_text(
         code.read_text().replace("    t = np.arange", "    assert gap > 21, 'too close'\n    t = np.arange")
     )
-    failed = started.run("perfbound", "run", file, "--out", tmp_path / "run")
+    failed = started.run("perfbound", "run", file, "--out", tmp_path / "run", "--workers", workers)
     assert failed.code == 1
     line = failed.last_line
     assert line.count("AssertionError: too close") == 1, "each reason once"
+    rollout = re.search(r"rollout (\S+) failed 2 times.*: attempt 1 on (\S+), attempt 2 on (\S+): Ass", line)
+    assert rollout is not None, line
+    assert rollout[2] != rollout[3], "on another worker, or in a fresh process"
+    told = [each for each in failed.err.splitlines() if f"{rollout[1]}, attempt" in each]
+    assert len(told) == 1, told
     assert "If the code of the system is wrong, fix it and start a new campaign" in line
     command = line.split("Repeat it: ")[1].split(". If")[0].split()
     assert command[:3] == ["perfbound", "simulate", "cars.py:cars"]
@@ -179,4 +188,30 @@ def test_a_rollout_is_replayed(started: Processes, folder: Path) -> None:
     replayed = started.run(*replay, "--system", f"{folder / 'cars.py'}:cars", "--out", folder / "one.png")
     assert "bitwise the same as the recorded trajectory" in replayed.out, replayed.err
     alone = started.run(*replay)
-    assert "cars is a system in a file: name it with --system FILE.py:NAME" in alone.last_line
+    assert "cars is a system in a file: name it with --system" in alone.last_line
+
+
+def test_seeds_of_32_bits_are_those_that_the_function_gets(started: Processes, tmp_path: Path) -> None:
+    file, directory, code = copied(tmp_path / "cars"), tmp_path / "run", tmp_path / "cars" / "cars.py"
+    text = code.read_text().replace("    step=0.05,\n", "    step=0.05,\n    seed_bits=32,\n")
+    # numpy's old generator takes nothing larger.
+    code.write_text(text.replace("np.random.default_rng(seed)", "np.random.RandomState(seed)"))
+    run = started.run("perfbound", "run", file, "--out", directory)
+    assert run.code == 0, run.err
+    seeds = {int(str(seed)) for (seed,) in query(directory, "SELECT seed FROM rollouts WHERE problem != 'recheck'")}
+    assert len(seeds) == query(directory, "SELECT count(*) FROM rollouts WHERE problem != 'recheck'")[0][0]
+    assert 2**31 < max(seeds) < 2**32
+    verified = started.run("perfbound", "verify", directory, "--resimulate", "3", "--system", f"{code}:cars")
+    assert verified.code == 0, verified.out
+    one = ("perfbound", "simulate", f"{code}:cars", "--x", "20,30", "--horizon", "8", "--out", tmp_path / "one.mcap")
+    assert started.run(*one, "--seed", str(2**32 - 1)).code == 0
+    refused = started.run(*one, "--seed", str(2**32))
+    assert refused.fault == "perfbound: --seed 4294967296: cars takes 0 to 4294967295; choose a smaller one"
+
+
+@pytest.mark.usefixtures("ended")
+def test_the_report_names_folder_and_revision(folder: Path) -> None:
+    """The folder of the tests is in no repository; that of the file is named."""
+    report = (folder / "run" / "report.html").read_text()
+    assert f"{folder / 'cars.py'}:cars" in report
+    assert str(folder) not in certificate(folder / "run").decode(), "the certificate depends on no folder"

@@ -144,5 +144,5 @@ def test_a_database_of_a_newer_perfbound_is_refused(started: Processes, tmp_path
     for command in ("status", "resume"):
         ended = started.run("perfbound", command, directory)
         assert ended.code == 1
-        numbers = f"schema version {SCHEMA_VERSION + 1}, this perfbound reads {SCHEMA_VERSION}"
+        numbers = f"schema version {SCHEMA_VERSION + 1}, this perfbound reads 1 to {SCHEMA_VERSION}"
         assert f"{numbers}; use the perfbound that wrote it" in ended.fault

@@ -1,8 +1,8 @@
 """The wheel, built from the sdist and installed into an environment of its own: its files, and the main job run there.
 
 The environment cannot import the checkout, and its working folder holds modules with the names of the three folders of
-the repository that raise when they are imported. Its dependencies are exactly those of `requirements.lock`: links to
-what the environment of the tests has of them, or, in the slow test, a fresh installation with checked hashes.
+the repository that raise when they are imported. Its dependencies are exactly those of the lock of this Python: links
+to what the environment of the tests has of them, or, in the slow test, a fresh installation with checked hashes.
 """
 
 import json
@@ -23,7 +23,7 @@ import pytest
 from tests.end_to_end.processes import Ended, Processes
 
 ROOT = Path(__file__).parents[2]
-LOCK = ROOT / "requirements.lock"
+LOCK = ROOT / "locks" / "{}.{}.txt".format(*sys.version_info[:2])
 BACKEND = ROOT / "build" / "backend"
 """Folder into which `make test` installs the build backend once, so that later runs need no network."""
 
@@ -46,26 +46,30 @@ def pip(folder: Path, *arguments: str | Path) -> None:
     call([sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *arguments], folder)
 
 
+def backend(folder: Path) -> Path:
+    """Return the folder of the build backend; without that of `make test` it is downloaded into `folder`."""
+    (requirement,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    name, version = requirement.split("==")
+    if (BACKEND / f"{name}-{version}.dist-info").exists():
+        return BACKEND
+    pip(folder, "install", "--target", folder / "backend", requirement)
+    return folder / "backend"
+
+
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The sdist and the wheel that is built from it alone."""
     folder = tmp_path_factory.mktemp("built")
-    (requirement,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
-    name, version = requirement.split("==")
-    backend = BACKEND
-    if not (backend / f"{name}-{version}.dist-info").exists():
-        backend = folder / "backend"
-        pip(folder, "install", "--target", backend, requirement)
-
+    tools = str(backend(folder))
     # A copy: setuptools leaves build/ and *.egg-info in the folder of the sources, and believes those that it finds.
     sources = Path(shutil.copytree(ROOT, folder / "sources", True, shutil.ignore_patterns(*NOT_SOURCES)))
     code = "import sys; from setuptools import build_meta as b; print(getattr(b, sys.argv[1])(sys.argv[2]))"
-    call([sys.executable, "-c", code, "build_sdist", folder], sources, PYTHONPATH=str(backend))
+    call([sys.executable, "-c", code, "build_sdist", folder], sources, PYTHONPATH=tools)
     (sdist,) = folder.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         archive.extractall(folder / "unpacked", filter="data")
     (unpacked,) = (folder / "unpacked").iterdir()
-    call([sys.executable, "-c", code, "build_wheel", folder], unpacked, PYTHONPATH=str(backend))
+    call([sys.executable, "-c", code, "build_wheel", folder], unpacked, PYTHONPATH=tools)
     (wheel,) = folder.glob("*.whl")
     return sdist, wheel
 

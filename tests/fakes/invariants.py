@@ -11,7 +11,7 @@ def check_invariants(state: DispatchState) -> None:
     assert not set(held) & set(state.waiting), "a waiting rollout is on no worker"
     assert len(set(state.waiting)) == len(state.waiting), "no rollout waits twice"
     assert set(state.waiting) <= set(state.open), "a waiting rollout is open"
-    poisoned = {key for key, known in state.open.items() if len(known.failures) >= state.limits.max_attempts}
+    poisoned = {key for key, known in state.open.items() if known.poisoned}
     assert set(state.open) == set(held) | set(state.waiting) | poisoned, (
         "an open rollout is held, waits, or is poisoned"
     )

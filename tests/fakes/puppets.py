@@ -135,7 +135,7 @@ class Puppets:
             worker=name,
             host="memory",
             pid=1,
-            systems={self._spec.name: self._spec.digest},
+            systems={self._spec.name: self._spec.identities},
             state="busy" if assign else "idle",
             rollout=assign.request.rollout if assign else None,
             attempt=assign.attempt if assign else None,

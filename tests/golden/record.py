@@ -18,12 +18,13 @@ import numpy as np
 
 from perfbound.schemas.trajectory import Trajectory, encode
 from perfbound.workers.systems.base import SystemUnderTest
+from perfbound.workers.systems.segway.bullet import providers
 
 FILE = Path(__file__).with_name("segway.json")
 PLATFORMS = Path(__file__).with_name("platforms")
 CPU_INFO = Path("/proc/cpuinfo")
 INSTRUCTION_SETS = ("fma", "avx2", "avx512f")
-DECIDING_PACKAGES = ("foxglove-schemas-protobuf", "lz4", "mcap", "numpy", "protobuf", "pybullet", "zstandard")
+DECIDING_PACKAGES = ("foxglove-schemas-protobuf", "lz4", "mcap", "numpy", "protobuf", "zstandard")
 
 TOLERANCE = 1e-9
 
@@ -96,7 +97,7 @@ def platform_key() -> dict[str, str]:
     The C library and numpy choose their sin, tanh or atan2 by the instruction sets of the CPU; Python brings its own
     hypot, pybullet its own compiled code; mcap, protobuf and the compressions decide the bytes around the samples.
     """
-    packages = {package: version(package) for package in DECIDING_PACKAGES}
+    packages = {package: version(package) for package in DECIDING_PACKAGES} | providers()
     python = ".".join(platform.python_version_tuple()[:2])
     libc = " ".join(platform.libc_ver())
     return {"machine": platform.machine(), "cpu": _cpu(), "libc": libc, "python": python} | packages

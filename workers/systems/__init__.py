@@ -4,8 +4,11 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
-from ...schemas.errors import DefinitionError, UnknownSystemError
-from .base import SystemUnderTest
+from ...schemas.errors import DefinitionError, PerfboundError, UnknownSystemError
+from ...schemas.system import SystemSpec
+from ..faults import fault_text
+from .base import SystemUnderTest, WithSpec
+from .fingerprint import code_of_module
 
 GROUP = "perfbound.systems"
 
@@ -14,20 +17,26 @@ _FROM_FILES: dict[str, SystemUnderTest] = {}
 
 
 def add_file(reference: str) -> str:
-    """Load a system from a file, `FILE.py:NAME`, and return its name.
+    """Load a system from a file, `FILE.py:NAME` or a campaign file, and return its name.
 
     Raises:
         DefinitionError: it cannot be loaded, or an installed system has its name.
+        CampaignError: the campaign file cannot be read.
 
     """
-    from .files import load_file  # noqa: PLC0415  (most workers have none)
+    from .files import load_reference  # noqa: PLC0415  (most workers have none)
 
-    system = load_file(reference)
+    system = load_reference(reference)
     name = system.spec.name
     if name in _entry_points():
         raise DefinitionError(f"{reference}: an installed system is called {name!r}; give the function another name")
     _FROM_FILES[name] = system
     return name
+
+
+def add(system: SystemUnderTest) -> None:
+    """Add a system that only this process has, in place of one of its name."""
+    _FROM_FILES[system.spec.name] = system
 
 
 def available() -> tuple[str, ...]:
@@ -40,9 +49,24 @@ def load_system(name: str) -> SystemUnderTest:
 
     Raises:
         UnknownSystemError: it is not installed.
+        DefinitionError: the system of this entry point has another name.
 
     """
     return _FROM_FILES[name] if name in _FROM_FILES else _of_entry_point(name)
+
+
+def usable() -> dict[str, SystemSpec | str]:
+    """Return the spec of every available system, or in its place the reason why it cannot be used here."""
+    return {name: _spec_or_reason(name) for name in available()}
+
+
+def _spec_or_reason(name: str) -> SystemSpec | str:
+    try:
+        return load_system(name).spec
+    except PerfboundError as error:
+        return str(error)
+    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: a broken plug-in must not hide the others)
+        return f"{name}: it cannot be loaded: {fault_text(error)}; install its package again"
 
 
 @cache
@@ -54,7 +78,10 @@ def _of_entry_point(name: str) -> SystemUnderTest:
             f"the system {name!r} is not installed here; known: {known}; one in a file needs --system FILE.py:NAME"
         )
     loaded = found[name].load()
-    return cast(SystemUnderTest, loaded() if isinstance(loaded, type) else loaded)
+    system = cast(SystemUnderTest, loaded() if isinstance(loaded, type) else loaded)
+    if system.spec.name != name:  # a request names the system, and would not find it
+        raise DefinitionError(f"the entry point {name!r} leads to {system.spec.name!r}; give both the same name")
+    return WithSpec(system, code=code_of_module(found[name].module))
 
 
 def _entry_points() -> dict[str, EntryPoint]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 from ...schemas.errors import SimulationError
 from ...schemas.system import Option, OptionValue, SystemSpec, Variant
@@ -57,6 +57,28 @@ class SystemUnderTest(Protocol):
         Optional: None, the default, draws nothing.
         """
         return None
+
+
+class WithSpec(SystemUnderTest):
+    """A system under another specification, which says more of it, such as the code behind it."""
+
+    def __init__(self, system: SystemUnderTest, **keys: Any) -> None:
+        self._system = system
+        self._spec = system.spec.model_copy(update=keys)
+
+    @property
+    def spec(self) -> SystemSpec:
+        """The specification that says more."""
+        return self._spec
+
+    def rollout(self, x: Sequence[float], **arguments: Any) -> Trajectory:
+        """Simulate with the system."""
+        return self._system.rollout(x, **arguments)
+
+    def visual(self, trajectory: Trajectory) -> Visual | None:
+        """Return the visual part that the system gives, if it gives any: a class need not derive from the port."""
+        visual = getattr(self._system, "visual", None)
+        return None if visual is None else visual(trajectory)
 
 
 def checked_options(

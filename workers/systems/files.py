@@ -1,28 +1,46 @@
-"""Systems in files: `FILE.py:NAME`, and the fingerprint of the code behind them."""
+"""Systems in files: `FILE.py:NAME` or a program, and the fingerprint of the code behind them."""
 
-import hashlib
 import importlib.util
 import sys
 import sysconfig
 import traceback
-from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
+from ...schemas.campaign_file import load_campaign
 from ...schemas.errors import DefinitionError
-from ...schemas.system import SystemSpec
-from ...schemas.trajectory import Trajectory, Visual
-from .base import SystemUnderTest
+from ...schemas.places import PACKAGES
+from .base import SystemUnderTest, WithSpec
+from .fingerprint import code_of_files, sources_of, versions_of
+from .program import load_program
 
 MODULE = "perfbound_system"
 """Name of the module of a file; its own would hide an installed one."""
-INSTALLED = frozenset({"site-packages", "dist-packages"})
-"""Folders of packages; an environment often lies beside the campaign."""
+
+
+def load_reference(reference: str) -> SystemUnderTest:
+    """Return the system `FILE.py:NAME`, or the one that a campaign file names.
+
+    Raises:
+        DefinitionError: it cannot be loaded; a campaign file that names an installed system is refused, too.
+        CampaignError: the campaign file cannot be read.
+
+    """
+    if not reference.endswith(".toml"):
+        return load_file(reference)
+    path = Path(reference)
+    config = load_campaign(path)
+    if config.system.program is not None:
+        return load_program(path, config)
+    if config.system.python is None:
+        raise DefinitionError(f"{path}: its system {config.system.name!r} is installed, and needs no reference")
+    return load_file(config.system.reference(path))
 
 
 def load_file(reference: str) -> SystemUnderTest:
     """Return the system `FILE.py:NAME`; its spec carries the digests of the file and of what it imports beside it.
+
+    The versions of the packages that these import are in the spec, too.
 
     Raises:
         DefinitionError: the file or the name is not there, or is no system, or the file cannot be imported.
@@ -42,8 +60,10 @@ def load_file(reference: str) -> SystemUnderTest:
     if not (hasattr(found, "spec") and hasattr(found, "rollout")):
         raise DefinitionError(f"{path}: {name} is {type(found).__name__} and no system; put @perfbound.system above it")
     system: SystemUnderTest = found
-    sources = {path, *_beside(path.parent).values()}
-    return _WithCode(system, {str(each.relative_to(path.parent)): _sha256(each) for each in sorted(sources)})
+    # What it has imported, by whatever way, and what its functions will import.
+    sources = sources_of(path) | set(_beside(path.parent).values())
+    versions = versions_of(sources) | system.spec.versions
+    return WithSpec(system, code=code_of_files(sources, path.parent), versions=versions)
 
 
 def _beside(folder: Path) -> dict[str, Path]:
@@ -53,14 +73,18 @@ def _beside(folder: Path) -> dict[str, Path]:
         name: file
         for name, file in found.items()
         if file.is_relative_to(folder)
-        and not INSTALLED.intersection(file.parts)
+        and not PACKAGES.intersection(file.parts)  # an environment often lies beside the campaign
         and not file.is_relative_to(sysconfig.get_path("stdlib"))
         and name.partition(".")[0] not in {"perfbound", "__main__", MODULE}
     }
 
 
-def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+_loading: list[Path] = []
+
+
+def loading() -> Path | None:
+    """Return the file that is being loaded as a system, by the code that it runs at its top; None otherwise."""
+    return _loading[-1] if _loading else None
 
 
 def _imported(path: Path) -> ModuleType:
@@ -72,6 +96,7 @@ def _imported(path: Path) -> ModuleType:
     folder = str(path.parent)
     # In front while the file is imported, as for a script; afterwards behind all installed ones, for late imports.
     sys.path.insert(0, folder)
+    _loading.append(path)
     try:
         spec.loader.exec_module(module)
     except DefinitionError as error:
@@ -85,24 +110,7 @@ def _imported(path: Path) -> ModuleType:
         where = f"{path}, line {place.lineno}" if place else str(path)
         raise DefinitionError(f"{where}: {type(error).__name__}: {error}") from None
     finally:
+        _loading.pop()
         sys.path.remove(folder)
         sys.path.append(folder)
     return module
-
-
-class _WithCode(SystemUnderTest):
-    """A system whose spec names the code behind it."""
-
-    def __init__(self, system: SystemUnderTest, code: dict[str, str]) -> None:
-        self._system = system
-        self._spec = system.spec.model_copy(update={"code": code})
-
-    @property
-    def spec(self) -> SystemSpec:
-        return self._spec
-
-    def rollout(self, x: Sequence[float], **arguments: Any) -> Trajectory:
-        return self._system.rollout(x, **arguments)
-
-    def visual(self, trajectory: Trajectory) -> Visual | None:
-        return self._system.visual(trajectory)

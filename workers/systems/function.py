@@ -8,9 +8,8 @@ them: one without `seed` is deterministic, one without `variant` has a single on
 import functools
 import inspect
 import re
-import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
@@ -18,19 +17,19 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from ...schemas.errors import DefinitionError, SimulationError
-from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
-from ...schemas.trajectory import Trajectory
-from .base import Cancelled, Progress, SystemUnderTest, checked_options
+from ...schemas.space import SystemChoice
+from ...schemas.system import SEED_BITS, Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ...schemas.trajectory import Trajectory, Visual
+from .base import Progress, SystemUnderTest, checked_options
+from .life import signs_of_life
 
 NAME = re.compile(r"[a-z][a-z0-9_]*")
 PASSED = ("seed", "horizon", "variant", "progress")
 """Arguments of a rollout that a function gets if it names them."""
-RESERVED = ("name", "python", "program")
+RESERVED = tuple(SystemChoice.model_fields)
 """Keys of `[system]` that are no options."""
 SINGLE: tuple[Variant, ...] = ("nominal",)
 BOTH: tuple[Variant, ...] = ("nominal", "true")
-TICK = 1.0
-"""Seconds between two signs of life of a function that reports no progress of its own; its `deadline` still ends it."""
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +59,11 @@ class FunctionSystem(SystemUnderTest):
         """The specification that follows from the signature and the decorator."""
         return self._spec
 
+    @property
+    def step(self) -> float | None:
+        """Seconds between two samples; None where the function returns the time."""
+        return self._step
+
     def rollout(
         self,
         x: Sequence[float],
@@ -83,9 +87,13 @@ class FunctionSystem(SystemUnderTest):
         keywords |= {name: self._option(name, value) for name, value in chosen.items()}
         if self._instance is None:  # a class: made once, for what is costly between rollouts
             self._instance = self._function()
-        with _signs_of_life(progress, needed="progress" not in self._passed):
+        with nullcontext() if "progress" in self._passed else signs_of_life(progress):
             returned = self._instance(*x, **keywords)
         return as_trajectory(returned, tuple(column.name for column in self._spec.columns), self._step)
+
+    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
+        """Return a plot of every column: a function has no scene."""
+        return Visual(plots=True)
 
     def _option(self, name: str, value: OptionValue) -> OptionValue | int:
         if name not in self._whole or isinstance(value, str):
@@ -104,12 +112,14 @@ def system(
     name: str | None = None,
     max_horizon: float = 3600.0,
     versions: Mapping[str, str] | None = None,
+    seed_bits: int = SEED_BITS,
 ) -> Callable[[Callable[..., Any]], FunctionSystem]:
     """Make a system under test of a function, or of a class with `__call__`.
 
     `parameters` has the range and the unit of every positional argument, `columns` the units of what is returned; with
     `step`, in seconds, the time of a sample follows from its number, else it is the column `t`. `noisy` names the
-    variants that depend on the seed, by default all of a function that takes one. The name is that of the function.
+    variants that depend on the seed, by default all of a function that takes one. Seeds are below 2^`seed_bits`, which
+    is 31 to 53: 32 for Gymnasium and for libraries in C. The name is that of the function.
 
     The function returns one array (T,) for each column, one array (T, n), or a dict of arrays; a number for each column
     is one sample at time 0.
@@ -163,7 +173,9 @@ def system(
                 noisy=tuple(each for each in variants if each in found),
                 max_horizon=max_horizon,
                 timed="horizon" in passed,
+                default_horizon=_default_horizon(keywords, max_horizon, place),
                 versions=dict(versions or {}),
+                seed_bits=seed_bits,
             )
         except ValidationError as error:
             fault = error.errors(include_url=False)[0]
@@ -183,6 +195,15 @@ def as_trajectory(returned: object, columns: tuple[str, ...], step: float | None
     """
     if isinstance(returned, Trajectory):
         return returned
+    samples = as_samples(returned, columns, step)
+    try:
+        return Trajectory(columns, samples)
+    except ValueError as error:
+        raise SimulationError(str(error)) from None
+
+
+def as_samples(returned: object, columns: tuple[str, ...], step: float | None) -> Floats:
+    """Return what a function returned as one array (T, n), in the order of `columns`. Raises as `as_trajectory`."""
     found = _by_name(returned, columns[1:])
     lengths = {name: len(values) for name, values in found.items()}
     if len(set(lengths.values())) > 1:
@@ -197,10 +218,7 @@ def as_trajectory(returned: object, columns: tuple[str, ...], step: float | None
                 f"{count} samples without time; return a dict with a column 't', or give `step` to the decorator"
             )
         found["t"] = np.arange(count, dtype=np.float64) * float(step or 0.0)
-    try:
-        return Trajectory(columns, np.column_stack([found[name] for name in columns]))
-    except ValueError as error:
-        raise SimulationError(str(error)) from None
+    return np.column_stack([found[name] for name in columns])
 
 
 def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
@@ -225,7 +243,7 @@ def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
 
 def _samples_of(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
     try:
-        if value is None:  # numpy makes it NaN
+        if value is None or np.iscomplexobj(np.asarray(value)):  # numpy makes it NaN, or drops the imaginary part
             raise TypeError
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -264,30 +282,17 @@ def _option_of(argument: inspect.Parameter, place: str) -> Option:
     return Option(name=argument.name, default=float(default))
 
 
-@contextmanager
-def _signs_of_life(progress: Progress, *, needed: bool) -> Iterator[None]:
-    """Report progress for a function that does not; a hang of it ends with the deadline of its attempt."""
-    if not needed:
-        yield
-        return
-    done = threading.Event()
-
-    def report() -> None:
-        step = 0
-        while not done.wait(TICK):
-            step += 1
-            try:
-                progress(step)
-            except Cancelled:
-                return  # the function cannot be interrupted: it is cancelled when it returns
-
-    thread = threading.Thread(target=report, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        done.set()
-        thread.join()
+def _default_horizon(keywords: Sequence[inspect.Parameter], max_horizon: float, place: str) -> float | None:
+    """Return the default of `horizon` in s: None if it has none, 0 for a function that takes no horizon."""
+    found = [each.default for each in keywords if each.name == "horizon"]
+    if not found:
+        return 0.0
+    (default,) = found
+    if default is inspect.Parameter.empty:
+        return None
+    if isinstance(default, bool) or not isinstance(default, int | float) or not 0 < default <= max_horizon:
+        raise DefinitionError(f"{place}: horizon: {default!r} is not a number of seconds in (0, {max_horizon:g}]")
+    return float(default)
 
 
 def _joined_names(names: Collection[str]) -> str:

@@ -37,6 +37,7 @@ class TestFunctionSystem(SystemUnderTest):
             columns=(Column(name="t", unit="s"), Column(name="value", unit="1")),
             options=(noise,),
             max_horizon=3600.0,
+            default_horizon=0.0,
             versions={"numpy": version("numpy")},
         )
 

@@ -73,7 +73,11 @@ class Envelope:
 
     def at(self, z: Floats) -> tuple[Floats, Floats]:
         """Return (upper, lower) at the points `z` (N, p), which need not be candidates."""
-        return self.band(self.radial.value(_lengths(self._differences(z))))
+        return self.limits(*self.moments_at(z))
+
+    def moments_at(self, z: Floats) -> tuple[Floats, Floats]:
+        """Return mu_a and sigma_a, (N, A) each, at the points `z` (N, p); see `moments`."""
+        return self.moments(self.radial.value(_lengths(self._differences(z))))
 
     def scaled(self, factor: float) -> "Envelope":
         """Return the band of `factor` times the objective, factor > 0: everything in the unit of J is multiplied."""

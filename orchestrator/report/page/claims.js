@@ -12,6 +12,7 @@ const MEANING = {
 function titleSection(report) {
   const facts = [
     ["System", nameElement(report.system, 60)],
+    ["Code", report.code === null ? null : short(report.code, 300)],
     ["Specification", report.specification === null ? null : el("code", short(report.specification, 300))],
     ["Starting conditions", spaceText(report)],
     ["Horizon", `${num(report.horizon)} s`],

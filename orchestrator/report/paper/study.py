@@ -10,11 +10,13 @@ from rich.console import Console
 from rich.text import Text
 
 from ....schemas.campaign import CampaignConfig
+from ....schemas.campaign_file import load_campaign
 from ....schemas.errors import PerfboundError
 from ....schemas.link import LOCAL
 from ....schemas.problems import MethodName, ProblemName
 from ...certificate import files
 from ...run import session
+from ...run.directory import stored_differently
 from ...run.format import duration
 from ...store.rows import DATABASE
 
@@ -97,7 +99,7 @@ def planned(extent: Extent, folder: Path, out: Path) -> tuple[Planned, ...]:
 
 
 def _planned(preset: Preset, source: Path, out: Path, seed: int | None) -> Planned:
-    config = session.load_campaign(source) if seed is None else session.load_campaign(source, seed=seed)
+    config = load_campaign(source) if seed is None else load_campaign(source, seed=seed)
     for name in preset.problems:  # --campaigns may name any folder
         if not any((each.name, each.method) == (name, preset.method) for each in config.problems):
             raise PerfboundError(
@@ -117,7 +119,7 @@ def check_stored(campaigns: Iterable[Planned]) -> None:
     """
     for each in campaigns:
         if (each.directory / DATABASE).exists():
-            found = session.stored_differently(each.directory, each.config)
+            found = stored_differently(each.directory, each.config)
             if found:
                 raise PerfboundError(
                     f"{each.directory}: was run with another {each.source}: {found}; restore that file, "

@@ -36,8 +36,8 @@ def replay_rollout(
     """
     found = load_recorded(directory, rollout)
     # As in `verify`: a run directory may be untrusted, and must not name code that runs here.
-    if found.header.spec.code and system is None:
-        raise PerfboundError(f"{found.header.spec.name} is a system in a file: name it with --system FILE.py:NAME")
+    if found.header.config.system.kind != "name" and system is None:
+        raise PerfboundError(f"{found.header.spec.name} is a system in a file: name it with --system")
     yield _title_line(found)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.mcap"

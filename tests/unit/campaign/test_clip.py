@@ -5,10 +5,14 @@ from typing import Any
 
 import pytest
 
+from perfbound.orchestrator.campaign.checks import check, check_new
 from perfbound.orchestrator.campaign.clip import by_clip, least_risk
 from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis
 from perfbound.schemas.campaign import Gap
+from perfbound.schemas.errors import CampaignError
+from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.campaigns import config
+from tests.fakes.finished import a_pair
 
 
 @pytest.mark.parametrize(
@@ -44,3 +48,13 @@ def test_no_law_on_the_clip_has_a_lower_risk(changes: dict[str, Any]) -> None:
         mean, sd = low + share * (high - low), math.sqrt(share * (1 - share)) * (high - low)
         assert least <= mean - found.risk_weight * sd
     assert least == pytest.approx(bhatia_davis(low, found.clip, found.risk_weight), abs=2e-9)
+
+
+@pytest.mark.parametrize("low", [0.0, 0.5])
+def test_a_clip_that_hides_violations_is_refused_for_new_campaigns(low: float) -> None:
+    spec, pair = TestFunctionSystem().spec, a_pair("rigorous")
+    campaign = pair.model_copy(update={"clip": (low, 0.75)})
+    with pytest.raises(CampaignError, match=r"here: clip: its lower end .* hides violations"):
+        check_new(campaign, spec, "here")
+    check(campaign, spec, "here")
+    check_new(pair, spec, "here")

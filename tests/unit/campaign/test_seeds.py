@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -16,6 +17,7 @@ GOLDEN = {
     1: [6121951589640100, 7505485939480075, 1284382602483127],
     2: [4685279568859548, 4120374171100042, 3904387885288489],
 }
+SHORT = [3555178937, 1209646203, 631762417]
 GOLDEN_NODES = {1: [6, 415], 2: [356, 74]}
 
 
@@ -42,6 +44,56 @@ def test_seeds_stay_what_they_were(rules: int) -> None:
     seeds = [rollout_seed(fixed, RolloutId("sim_gap", test, "true", 0)) for test in range(3)]
     assert seeds == GOLDEN[rules]
     assert [first_node(fixed, name, 441) for name in PROBLEMS] == GOLDEN_NODES[rules]
+
+
+def short(bits: int = 32, **changes: Any) -> Header:
+    """Return the header of a campaign on a system whose seeds have so many bits."""
+    found = header(**changes)
+    return replace(found, spec=found.spec.model_copy(update={"seed_bits": bits}))
+
+
+def test_short_seeds_differ_within_a_campaign() -> None:
+    # So many that three pairs of drawn ones would be equal, in all problems and the spot check.
+    campaign = short(31, replicates=10, max_tests=1900)
+    places = itertools.product((*PROBLEMS, "spot_check"), range(1900), ("nominal", "true"), range(10))
+    seeds = {rollout_seed(campaign, RolloutId(*key)) for key in places}
+    assert len(seeds) == 114_000
+
+
+@pytest.mark.parametrize("bits", [31, 32, 40, 52])
+def test_short_seeds_fit(bits: int) -> None:
+    campaign = short(bits)
+    seeds = [rollout_seed(campaign, RolloutId("sim_gap", test, "true", 0)) for test in range(200)]
+    assert 2**bits * 0.9 < max(seeds) < 2**bits
+
+
+def test_short_seeds_of_a_test_differ_in_a_campaign_that_has_more_rollouts_than_seeds() -> None:
+    large = short(31, replicates=100_000, max_tests=1_000_000)
+    seeds = {rollout_seed(large, RolloutId("sim_gap", 999_999, "true", each)) for each in range(0, 100_000, 7)}
+    assert len(seeds) == 14_286
+
+
+def test_short_seeds_look_drawn() -> None:
+    """Every bit is set in half of the seeds of neighbouring rollouts, and differs between half of the neighbours."""
+    campaign = short()
+    seeds = [rollout_seed(campaign, RolloutId("sim_gap", test, "true", 0)) for test in range(2000)]
+    changes = [one ^ other for one, other in itertools.pairwise(seeds)]
+    for numbers in (seeds, changes):
+        counts = [sum(number >> bit & 1 for number in numbers) for bit in range(32)]
+        assert all(880 <= count <= 1120 for count in counts), counts  # 1000 expected, sd 22
+
+
+def test_short_seeds_stay_what_they_were() -> None:
+    fixed = replace(short(), config_sha256="1234" * 16)
+    assert [rollout_seed(fixed, RolloutId("sim_gap", test, "true", 0)) for test in range(3)] == SHORT
+    assert rollout_seed(replace(fixed, rules=1), RolloutId("sim_gap", 0, "true", 0)) == GOLDEN[1][0]
+
+
+@pytest.mark.parametrize("change", [{"seed": 2}, {"max_tests": 7}, {"replicates": 3}])
+def test_another_campaign_has_other_short_seeds(change: dict[str, Any]) -> None:
+    one, other = short(), short(**change)
+    ids = [RolloutId("sim_gap", test, "true", 0) for test in range(100)]
+    assert not {rollout_seed(one, each) for each in ids} & {rollout_seed(other, each) for each in ids}
 
 
 @pytest.mark.parametrize("change", [{"seed": 2}, {"risk_weight": 0.3}, {"specification": "always (phi <= 0.8)"}])

@@ -137,7 +137,7 @@ def test_outcomes_that_a_hidden_state_selects_are_refuted(tmp_path: Path) -> Non
     def selecting(request: RolloutRequest) -> float:
         value = 0.7 + SD * hidden.standard_normal()
         if value < 0.7:
-            raise SimulationError("fell")
+            raise SimulationError(f"fell by {value}")  # another reason each time
         return float(value)
 
     text = simulate(tmp_path / "run", listed(max_attempts=100, max_tests=40), selecting, noisy=True)
@@ -303,6 +303,13 @@ def test_a_hole_of_a_noisy_function_is_refuted(tmp_path: Path) -> None:
     assert spot["noisy"]
     assert spot["wealth"] >= 20
     assert "rkhs_norm/robustness" in refuted(text)
+
+
+def test_a_spot_check_tests_the_bound_that_is_claimed(tmp_path: Path) -> None:
+    """The last digits of a bound before rounding differ between CPUs, and the certificate may not."""
+    found = predicate(simulate(tmp_path, noisy(), honest, noisy=True))
+    (problem,), (tested,) = found["problems"], found["spot_check"]["problems"]
+    assert tested["limit"] == problem["bound"]
 
 
 def test_replicates_of_a_spot_check_prove_more_of_most_starts(tmp_path: Path) -> None:

@@ -283,26 +283,107 @@ def test_a_failure_of_the_system_is_recorded_even_when_the_rollout_is_closed() -
     assert after(*closed, done(R[0], worker="a", at=6, failure=BAD))[1] == [Acknowledge("a", first(R[0]))]
 
 
-def test_the_kind_of_a_failure_changes_no_retry() -> None:
-    histories = [[*up(), want(R[0]), *(done(R[0], n, failure=each) for n in (1, 2, 3))] for each in (BAD, RAISED)]
-    for length in range(2, 7):
-        one, other = (after(*history[:length]) for history in histories)
-        assert [type(action) for action in one[1]] == [type(action) for action in other[1]]
-        assert one[0].waiting == other[0].waiting
-        assert one[0].workers == other[0].workers
+def failed(number: int = 1, *, worker: str = "w", failure: Failure = RAISED) -> Delivered:
+    return done(R[0], number, worker=worker, failure=failure)
 
 
-def test_poison_is_given_up_with_its_story() -> None:
-    failures: list[Event] = [done(R[0], number, failure=BAD) for number in (1, 2, 3)]
-    _, actions = after(*up(), want(R[0]), *failures)
-    reasons = tuple(f"attempt {number} on w: bad" for number in (1, 2, 3))
-    assert actions == [Fail("w", first(R[0], 3), BAD), Poison(R[0], reasons), Acknowledge("w", first(R[0], 3))]
-    assert after(*up(), want(R[0]), *failures, done(R[0], 3, failure=BAD))[1] == [
-        Fail("w", first(R[0], 3), BAD),
-        Acknowledge("w", first(R[0], 3)),
-    ]
-    _, actions = after(*up(), want(R[0]), *failures, done(R[0], 2))
-    assert Record("w", first(R[0], 2)) in actions, "a late valid result is better than none"
+def said(number: int, worker: str = "w", failure: Failure = RAISED) -> Fail:
+    return Fail(worker, first(R[0], number), failure)
+
+
+def test_two_workers_on_which_the_system_fails_alike_poison_a_rollout() -> None:
+    history: list[Event] = [*up("a"), *up("b"), want(R[0]), failed(1, worker="a")]
+    _, actions = after(*history)
+    assert actions == [said(1, "a"), Acknowledge("a", first(R[0])), Start("b", first(R[0], 2))]
+    state, actions = after(*history, failed(2, worker="b"))
+    poison = Poison(R[0], (said(1, "a"), said(2, "b")))
+    assert actions == [said(2, "b"), poison, Acknowledge("b", first(R[0], 2))]
+    assert step(state, failed(2, worker="b"))[1] == (said(2, "b"), Acknowledge("b", first(R[0], 2))), "told once"
+    assert Record("b", first(R[0], 2)) in step(state, done(R[0], 2, worker="b"))[1], "a late result is better than none"
+
+
+def test_the_only_worker_tries_a_rollout_twice_and_the_second_time_afresh_where_it_can() -> None:
+    history: list[Event] = [*up(), want(R[0]), failed(1)]
+    state, actions = after(*history)
+    # One of our own is killed, and a fresh one takes its place; to one elsewhere nothing happens.
+    assert actions == [said(1), GiveUp("w"), Acknowledge("w", first(R[0])), Start("w", first(R[0], 2))]
+    assert Poison(R[0], (said(1), said(2))) in step(state, failed(2))[1]
+    killed, _ = dispatch.advance(after(*up(), want(R[0]))[0], failed(1))
+    killed, done_next = step(killed, WorkerDown(0, "w"))
+    assert done_next == (), "nothing is assigned to a worker that is about to be replaced"
+    fresh, _ = step(killed, WorkerUp(1, "v"))
+    fresh, done_next = step(fresh, idle("v", 1))
+    assert done_next == (Start("v", first(R[0], 2)),)
+    assert Poison(R[0], (said(1), said(2, "v"))) in step(fresh, failed(2, worker="v"))[1]
+
+
+def test_twice_on_one_worker_is_not_enough_where_another_one_came() -> None:
+    history: list[Event] = [*up("a"), want(R[0]), failed(1, worker="a"), *up("b"), failed(2, worker="a")]
+    state, actions = after(*history, limits=replace(LIMITS, max_attempts=9))
+    assert actions == [said(2, "a"), Acknowledge("a", first(R[0], 2)), Start("b", first(R[0], 3))]
+    poison = Poison(R[0], (said(1, "a"), said(2, "a"), said(3, "b")))
+    assert step(state, failed(3, worker="b"))[1][1] == poison
+
+
+@pytest.mark.parametrize("second", [BAD, Failure("system", "another reason")])
+def test_failures_that_differ_poison_only_as_many_as_are_allowed(second: Failure) -> None:
+    history: list[Event] = [*up("a"), *up("b"), want(R[0]), failed(1, worker="a")]
+    state, actions = after(*history, failed(2, worker="b", failure=second))
+    retried = actions[-1]
+    assert isinstance(retried, Start)
+    assert not any(isinstance(action, Poison) for action in actions)
+    third = Failure("system", "a third reason")
+    told = (said(1, "a"), said(2, "b", second), said(3, retried.worker, third))
+    assert Poison(R[0], told) in step(state, failed(3, worker=retried.worker, failure=third))[1]
+
+
+def test_failures_of_the_infrastructure_poison_only_as_many_as_are_allowed() -> None:
+    history: list[Event] = [*up(), want(R[0]), *(failed(number, failure=BAD) for number in (1, 2))]
+    state, actions = after(*history)
+    assert actions == [said(2, failure=BAD), Acknowledge("w", first(R[0], 2)), Start("w", first(R[0], 3))]
+    told = tuple(said(number, failure=BAD) for number in (1, 2, 3))
+    assert step(state, failed(3, failure=BAD))[1][1] == Poison(R[0], told)
+
+
+@pytest.mark.parametrize("failure", [BAD, RAISED])
+def test_another_idle_worker_comes_before_one_on_which_a_rollout_failed(failure: Failure) -> None:
+    history: list[Event] = [*up("a"), want(R[0]), *up("b"), failed(1, worker="a", failure=failure)]
+    _, actions = after(*history)
+    assert actions[-1] == Start("b", first(R[0], 2))
+
+
+def test_after_a_failure_of_the_system_a_rollout_waits_for_a_busy_worker() -> None:
+    busy_elsewhere: list[Event] = [*up("a"), *up("b"), want(R[0], R[1]), want(R[2])]
+    state, actions = after(*busy_elsewhere, failed(1, worker="a"))
+    assert actions[-1] == Start("a", first(R[2])), "meanwhile the idle one takes another rollout"
+    assert state.waiting == (R[0],)
+    assert step(state, done(R[1], worker="b"))[1][-1] == Start("b", first(R[0], 2))
+    # Of the infrastructure: waiting would tell nothing.
+    assert after(*busy_elsewhere, failed(1, worker="a", failure=BAD))[1][-1] == Start("a", first(R[0], 2))
+
+
+@pytest.mark.parametrize(
+    "leaves", [[Tick(10), done(R[1], 2, worker="a", at=11)], [WorkerDown(9, "b")]], ids=["hung", "gone"]
+)
+def test_a_rollout_does_not_wait_for_a_worker_that_hangs_or_is_gone(leaves: list[Event]) -> None:
+    history: list[Event] = [*up("a"), *up("b"), want(R[0], R[1]), failed(1, worker="a"), idle("a", 9)]
+    state, actions = after(*history)
+    assert (actions, state.waiting) == ([], (R[0],))
+    for event in leaves:
+        state, more = step(state, event)
+        actions += more
+    assert Start("a", first(R[0], 2)) in actions
+
+
+def test_a_recheck_goes_to_another_worker_while_one_serves() -> None:
+    both: list[Event] = [*up("a"), *up("b"), want(R[1]), Wanted(0, ((R[0], 0),), {R[0]: "b"})]
+    state, actions = after(*both)
+    assert (actions, state.waiting) == ([], (R[0],)), "the idle one recorded the original"
+    assert step(state, done(R[1], worker="a"))[1][-1] == Start("a", first(R[0]))
+    assert Start("b", first(R[0])) in step(state, WorkerDown(1, "a"))[1]
+    hung, retried = step(state, Tick(10))
+    assert retried[-1] == Start("b", first(R[1], 2))
+    assert step(hung, done(R[1], 2, worker="b"))[1][-1] == Start("b", first(R[0])), "it does not wait for ever"
 
 
 @pytest.mark.parametrize(("at", "reason"), [(10.0, "no progress for 10 s"), (60.0, "not done after 60 s")])
@@ -435,7 +516,7 @@ class World:
         self.recorded: list[RolloutId] = []
         self.started: set[Attempt] = set()
         self.failures: dict[RolloutId, int] = {}
-        self.poison: dict[RolloutId, tuple[str, ...]] = {}
+        self.poison: dict[RolloutId, tuple[Fail, ...]] = {}
         self.generation = 0
         self._restart()
         for _ in range(workers):
@@ -525,8 +606,8 @@ class World:
     def _step(self, event: Event) -> None:
         before = self.state
         self.state, actions = step(before, event)
-        if isinstance(event, Delivered) and event.failure == RAISED:
-            recorded = Fail(event.worker, event.attempt, RAISED)
+        if isinstance(event, Delivered) and event.failure is not None and event.failure.kind == "system":
+            recorded = Fail(event.worker, event.attempt, event.failure)
             assert recorded in actions, "no failure of the system is acknowledged without a record"
         for action in actions:
             self._act(action, before, event)
@@ -556,7 +637,8 @@ class World:
                 self._at(self.now, lambda: self._kill(self.processes[worker]))
             case Poison(rollout, reasons):
                 assert rollout not in self.poison, "poison is reported once"
-                assert len(reasons) == self.limits.max_attempts
+                alike = [each for each in reasons if each.failure == reasons[-1].failure == RAISED]
+                assert len(alike) == 2 or len(reasons) == self.limits.max_attempts
                 assert len(set(reasons)) == len(reasons), "no failure counts twice"
                 self.poison[rollout] = reasons
             case Fail():
@@ -611,8 +693,11 @@ class World:
             self._finish(process)
         elif self.rng.random() < 0.08:  # four seconds a rollout
             failing = self.chaos.failing if self.now < self.chaos.until else 0.0
-            fails = attempt.rollout in self.always_fails or self.rng.random() < failing
-            failure = self.rng.choice([BAD, RAISED]) if fails else None
+            failure: Failure | None = None
+            if attempt.rollout in self.always_fails:
+                failure = self.rng.choice([BAD, RAISED])
+            elif self.rng.random() < failing:  # never twice with one reason
+                failure = self.rng.choice([BAD, Failure("system", str(attempt))])
             process.outbox[attempt] = failure
             self._finish(process)
             self._hand_in(process, attempt, failure)

@@ -17,7 +17,9 @@ LARGE_MODULES: dict[str, str] = {}
 """Name -> reason, here and below. An entry that is no longer larger than the limit fails the test, too."""
 
 LARGE_CLASSES: dict[str, str] = {}
-MANY_PARAMETERS: dict[str, str] = {}
+MANY_PARAMETERS: dict[str, str] = {
+    "workers/systems/function.py:system": "the public decorator: keywords, of which most have a default",
+}
 
 
 def test_few_names_are_defined_twice() -> None:

@@ -532,7 +532,7 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
     statistics, about = WorkerStatistics(), ChangeReader(one).read().header
     outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
     lost = AttemptOutcome("r", 1, "w", "hung", 5000.0, 0.0, 10.0)
-    statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2))
+    statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2, None))
     found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200
     assert (found.recorded[0], found.recorded[-1], found.seconds[-1]) == (1, 5000, 4999.0)

@@ -55,6 +55,38 @@ def test_what_a_file_leaves_out_has_a_default() -> None:
     )
 
 
+WRITTEN_OUT = """name = "a"
+seed = 1
+composition = "single"
+specification = "value <= 0.6"
+system.name = "any"
+space.z = { low = 0.0, high = 5.0 }
+
+[[problems]]
+name = "robustness"
+method = "rigorous"
+noise_scale = 0.0
+delta = 0.05
+alpha = 0.05
+rkhs_norm = 2.0
+kernel = { nu = 2.5, length_scale = 1.0 }
+"""
+
+
+@pytest.mark.parametrize("left_out", ["", 'composition = "single"\n', "delta = 0.05\n", "nu = 2.5, "])
+def test_a_default_that_is_left_out_or_written_is_one_campaign(left_out: str) -> None:
+    """The digest is that of a perfbound which required these keys: campaigns from then resume."""
+    assert left_out in WRITTEN_OUT
+    found = parse_campaign(WRITTEN_OUT.replace(left_out or "\0", "").encode(), "c.toml").digest
+    assert found == "b3b69bba932a0d602ac61cd7464b905f9be7f1bb53ed67626fa7437464ac5aac"
+
+
+def test_another_value_of_these_keys_is_another_campaign() -> None:
+    known = parse_campaign(WRITTEN_OUT.encode(), "c.toml").digest
+    for old, new in (("delta = 0.05", "delta = 0.1"), ("nu = 2.5", "nu = 1.5")):
+        assert parse_campaign(WRITTEN_OUT.replace(old, new).encode(), "c.toml").digest != known
+
+
 def test_a_problem_overrides_what_the_campaign_says() -> None:
     first, second = table("segway-paper")["problems"]
     gap = {"column": "x", "lipschitz": 2.0}
@@ -92,7 +124,7 @@ def test_the_digest_tells_content_from_layout() -> None:
         (changed("horizon = 15.0", "horizon = 0.0"), "horizon: problem 'nominal_robustness' needs a rollout longer"),
         (changed("clip = [-0.05, 0.75]", "clip = [1.0]"), "clip.1: [1.0] is not allowed: allowed is [low, high]"),
         (changed('name = "segway-paper"\n', ""), "name: this key is required: 1 to 64 of a-z"),
-        (changed('name = "segway"\n', ""), 'system.name: give either name = "...", an installed system, or python'),
+        (changed('name = "segway"\n', ""), 'system.name: give one of name = "...", an installed system, python'),
         (changed('gains = "paper"', "gains = [1]"), "system.gains: [1] is not allowed: allowed is text or a number"),
         (
             changed('gap = { kind = "signal_sup", column = "phi", lipschitz = 1.0 }', ""),

@@ -167,11 +167,12 @@ def test_counterexamples_are_the_rollouts_below_zero(tmp_path: Path) -> None:
     assert [number(row["robustness (rad)"]) for row in found["rollouts"]] == list(values)
 
 
-SEGWAY = load_system("segway").spec
+def segway() -> SystemSpec:
+    return load_system("segway").spec
 
 
-def journal_of(directory: Path, settings: CampaignConfig, spec: SystemSpec = SEGWAY) -> Journal:
-    return Journal.create(directory, Header.new(settings, spec, {}, run="0" * 16))
+def journal_of(directory: Path, settings: CampaignConfig, spec: SystemSpec | None = None) -> Journal:
+    return Journal.create(directory, Header.new(settings, spec or segway(), {}, run="0" * 16))
 
 
 def add(journal: Journal, *facts: Fact) -> None:
@@ -355,14 +356,14 @@ COLUMNS = (("t", "s"), ("phi", "rad"), ("x", "m"), ("y", "m"), ("e", ""))
     ],
 )
 def test_the_unit_of_a_robustness_is_that_of_what_is_compared(specification: str | None, expected: str) -> None:
-    spec = SEGWAY.model_copy(update={"columns": tuple(Column(name=name, unit=unit) for name, unit in COLUMNS)})
+    spec = segway().model_copy(update={"columns": tuple(Column(name=name, unit=unit) for name, unit in COLUMNS)})
     settings = config("segway-paper").model_copy(update={"specification": specification})
     assert robustness_unit(settings, spec) == expected
 
 
 def test_a_gap_has_the_unit_of_its_column() -> None:
     settings = config("segway-paper", specification="always x <= 1")
-    assert [unit(problem, settings, SEGWAY) for problem in settings.problems] == ["m", "rad"]
+    assert [unit(problem, settings, segway()) for problem in settings.problems] == ["m", "rad"]
 
 
 # Files

@@ -1,5 +1,6 @@
 """Systems of one function: what follows from the signature, what may be returned, and what is refused."""
 
+import io
 import math
 import sys
 from collections.abc import Callable, Iterator
@@ -8,10 +9,15 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 import perfbound as pb
 from perfbound.schemas.errors import DefinitionError, SimulationError, UnknownSystemError
+from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.system import ASSUMED_HORIZON
 from perfbound.workers import systems
+from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems.files import MODULE, load_file
 from perfbound.workers.systems.function import FunctionSystem, system
 
@@ -61,9 +67,34 @@ def test_without_seed_nothing_is_noisy_and_with_variant_there_are_two() -> None:
     assert made(lambda x, *, variant, seed: (x, x), noisy=["true"]).spec.noisy == ("true",)
 
 
+def test_the_default_horizon_is_that_of_the_function_and_no_part_of_its_identity() -> None:
+    own = made(lambda x, *, horizon=8: (x, x)).spec
+    named = made(lambda x, *, horizon: (x, x)).spec
+    assert (own.default_horizon, own.assumed_horizon, own.timed) == (8.0, 8.0, True)
+    assert (named.default_horizon, named.assumed_horizon, named.timed) == (None, ASSUMED_HORIZON, True)
+    assert own.digest == named.digest, "every request has its own horizon"
+    assert own.digest_by(1) == named.digest_by(1)
+    assert made(lambda x: (x, x)).spec.assumed_horizon == 0.0, "one sample"
+    assert made(lambda x, *, horizon: (x, x), max_horizon=3.0).spec.assumed_horizon == 3.0
+
+
+def test_short_seeds_are_part_of_the_spec_and_of_its_digest() -> None:
+    plain, short = made(lambda x, *, seed: (x, x)).spec, made(lambda x, *, seed: (x, x), seed_bits=32).spec
+    assert (plain.seed_bits, short.seed_bits) == (53, 32)
+    assert plain.digest != short.digest
+    # What has 53 bits is the system that it was before there was this key.
+    assert "seed_bits" not in plain.model_dump(mode="json", exclude_defaults=True)
+    assert plain.digest_by(1) == short.digest_by(1)
+    with pytest.raises(DefinitionError, match="seed_bits: Input should be greater than or equal to 31; it is 16"):
+        made(lambda x, *, seed: (x, x), seed_bits=16)
+
+
 @pytest.mark.parametrize(
     ("function", "changes", "words"),
     [
+        (lambda x, *, horizon=None: x, {}, r"horizon: None is not a number of seconds in \(0, 3600\]"),
+        (lambda x, *, horizon=0: x, {}, "horizon: 0 is not a number of seconds"),
+        (lambda x, *, horizon=9.0: x, {"max_horizon": 8.0}, r"horizon: 9.0 is not a number of seconds in \(0, 8\]"),
         (lambda y: y, {}, "its positional arguments are y, `parameters` has x"),
         (lambda x, y: y, {}, "its positional arguments are x, y, `parameters` has x"),
         (lambda *x: x, {}, r"\*x has no names"),
@@ -142,6 +173,18 @@ def test_options_keep_their_kind() -> None:
         rolled(counted, step=1.0, options={"count": 2.5})
 
 
+def test_the_file_of_a_function_plots_its_columns_unless_that_is_switched_off() -> None:
+    found = made(lambda x: (x * T, T), step=0.5)
+    template = RequestTemplate.of(found.spec, {}, horizon=0.0, visual=True)
+    request = template.request(RolloutId("simulate", 0, "nominal", 0), (0.5,), 0)
+    topics = {
+        visual: {channel.topic for _, channel, _ in make_reader(io.BytesIO(data)).iter_messages()}
+        for visual in (True, False)
+        for data in [run_request_on(found, request.model_copy(update={"visual": visual}), lambda _: None)]
+    }
+    assert topics == {True: {"/a", "/b"}, False: set()}
+
+
 def test_a_class_is_made_once() -> None:
     made_at: list[int] = []
 
@@ -167,7 +210,7 @@ def test_a_class_is_made_once() -> None:
 def test_a_function_without_progress_shows_that_it_lives(monkeypatch: pytest.MonkeyPatch) -> None:
     import time
 
-    monkeypatch.setattr("perfbound.workers.systems.function.TICK", 0.01)
+    monkeypatch.setattr("perfbound.workers.systems.life.TICK", 0.01)
     steps: list[int] = []
 
     def slow(x: float) -> tuple[float, float]:
@@ -272,3 +315,36 @@ def test_a_file_does_not_take_the_name_of_an_installed_system(folder: Path) -> N
         systems.add_file(written(folder, text))
     with pytest.raises(UnknownSystemError):
         systems.load_system("cars")
+
+
+# The fingerprint of the code
+
+
+def test_a_late_import_is_part_of_the_code(tmp_path: Path) -> None:
+    (tmp_path / "late.py").write_text("K = 2\n")
+    (tmp_path / "tools").mkdir()
+    (tmp_path / "tools" / "__init__.py").write_text("")
+    (tmp_path / "tools" / "deep.py").write_text("from . import beside\n")
+    (tmp_path / "tools" / "beside.py").write_text("")
+    (tmp_path / "stranger.py").write_text("")
+    source = SOURCE.replace("return x", "import late, scipy.linalg; from tools.deep import beside; return late.K * x")
+    (tmp_path / "one.py").write_text(source)
+    spec = load_file(f"{tmp_path / 'one.py'}:one").spec
+    assert set(spec.code) == {"one.py", "late.py", "tools/__init__.py", "tools/deep.py", "tools/beside.py"}
+    assert set(spec.versions) == {"numpy", "scipy"}
+
+
+SOURCE = """
+import numpy as np
+import perfbound as pb
+@pb.system(parameters={"x": pb.Parameter(0, 1)}, columns={"y": ""})
+def one(x):
+    return x
+"""
+
+
+def test_the_code_of_an_installed_system_is_its_folder() -> None:
+    spec = systems.load_system("segway").spec
+    assert {"segway/system.py", "segway/model.urdf", "segway/__init__.py"} <= set(spec.code)
+    assert not [name for name in spec.code if "__pycache__" in name]
+    assert set(systems.load_system("test-function").spec.code) == {"test_function.py", "base.py"}

@@ -10,7 +10,7 @@ import perfbound
 import perfbound.systems
 from tests.patience import PATIENCE
 
-FORBIDDEN = ("sqlalchemy", "scipy", "sklearn", "perfbound.orchestrator")
+FORBIDDEN = ("sqlalchemy", "scipy", "sklearn", "perfbound.orchestrator", "perfbound.library")
 REPORT = "import atexit, json, sys; atexit.register(lambda: print(json.dumps(sorted(sys.modules)), file=sys.stderr))"
 AS_MODULE = "import runpy; runpy.run_module('perfbound.workers', run_name='__main__', alter_sys=True)"
 
@@ -32,6 +32,7 @@ def of(modules: list[str], *packages: str) -> list[str]:
     [
         (("systems",), "perfbound.workers.systems.segway"),
         (("simulate", "--request", "{}", "--out", "never.mcap"), "perfbound.workers.simulate"),
+        (("measure", "--answers", "1"), "perfbound.workers.check_system"),
         # The name is refused after everything is imported and before anything is opened.
         (("serve", "--connect", "tcp/127.0.0.1:1", "--name", "no name"), "perfbound.workers.worker"),
     ],
@@ -57,18 +58,24 @@ def test_every_public_name_is_there() -> None:
 def test_the_public_names_are_frozen() -> None:
     """A name that disappears breaks systems and scripts of users, and a new one is a promise."""
     assert perfbound.__all__ == [
+        "Campaign",
         "Cancelled",
         "Column",
         "Option",
         "Parameter",
+        "PerfboundError",
+        "Rig",
         "SimulationError",
         "SystemSpec",
         "SystemUnderTest",
         "Trajectory",
         "__version__",
         "checked_options",
+        "open",
         "read_certificate",
         "read_trajectory",
+        "resume",
+        "robustness",
         "system",
     ]
     assert perfbound.systems.__all__ == [

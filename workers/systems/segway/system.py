@@ -11,7 +11,7 @@ from ....schemas.errors import SimulationError
 from ....schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ....schemas.trajectory import Trajectory, Visual
 from ..base import Progress, SystemUnderTest, checked_options
-from .bullet import CONTROL_RATE, StartPose, World
+from .bullet import CONTROL_RATE, StartPose, World, providers
 from .controller import GAINS
 from .visual import visual
 
@@ -53,7 +53,12 @@ class SegwaySystem(SystemUnderTest):
 
     @cached_property
     def spec(self) -> SystemSpec:
-        """Parameters x, y in m; the columns are the state, then the voltages of the wheels."""
+        """Parameters x, y in m; the columns are the state, then the voltages of the wheels.
+
+        Raises:
+            UnknownSystemError: PyBullet is not installed.
+
+        """
         return SystemSpec(
             name="segway",
             doc="A Segway in PyBullet (240 Hz physics, 120 Hz control) that drives to (2.5, 2.5) m and must not tilt",
@@ -61,7 +66,8 @@ class SegwaySystem(SystemUnderTest):
             columns=tuple(Column(name=name, unit=unit) for name, unit in UNITS.items()),
             options=OPTIONS,
             max_horizon=120.0,
-            versions={package: version(package) for package in ("numpy", "pybullet")},
+            default_horizon=15.0,
+            versions={"numpy": version("numpy"), **providers()},
         )
 
     def rollout(

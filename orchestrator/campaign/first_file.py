@@ -1,0 +1,168 @@
+"""The text of a first campaign file: every key that a new user needs, with its meaning in a comment."""
+
+import json
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ...schemas.errors import one_line
+from ...schemas.problems import ProblemName
+from ...schemas.space import SystemChoice
+from ...schemas.system import Option, SystemSpec
+from ...schemas.toml_text import toml_key, toml_quoted, toml_value
+from .pilot import NU, Constants
+
+WIDTH = 100
+"""Characters of a comment line."""
+FORMULAS = "docs/stl.md has the grammar: always, eventually, until, and, or, not, implies, abs()."
+ABOUT: dict[str, tuple[str, str]] = {
+    "robustness": (
+        "The worst robustness over all starts, of noisy rollouts their worst mean: a bound that is valid at any time.",
+        "-robustness",
+    ),
+    "nominal_robustness": ("Lower bound of the worst mean robustness of the variant nominal.", "-robustness"),
+    "sim_gap": ("Upper bound of how much less robust the variant true is than nominal, as a mean.", "the difference"),
+}
+"""What a problem bounds, and its objective J in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstValues:
+    """What a first campaign assumes, from a pilot or guessed."""
+
+    source: str
+    """Of the constants, in a sentence."""
+    horizon: float
+    """In s; 0 for rollouts of one sample."""
+    specification: str
+    about: str
+    """Of the specification, in a sentence."""
+    clip: tuple[float, float] | None
+    constants: dict[ProblemName, Constants]
+    """Of each problem, in the order of the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstCampaign:
+    """The content of a first campaign file."""
+
+    spec: SystemSpec
+    system: SystemChoice
+    command: str
+    """`perfbound init` with the system."""
+    basis: FirstValues
+    lengths: dict[str, float]
+    """Length scale of each parameter."""
+    resolution: int | None
+    """None for the default."""
+    replicates: dict[ProblemName, int]
+
+    def text(self) -> str:
+        """Return the file."""
+        return "\n".join([*self._head(), *self._system(), *self._space(), *self._problems()]) + "\n"
+
+    def _head(self) -> Iterator[str]:
+        spec, basis = self.spec, self.basis
+        yield from _comment(f"{spec.name}: {spec.doc}" if spec.doc else spec.name)
+        yield from _comment(f"Written by `perfbound init`. {basis.source}")
+        yield ""
+        yield f"name = {json.dumps(spec.name[:64])}"
+        yield "# Every random choice follows from this number: the same seed gives the same certificate."
+        yield "seed = 1"
+        if basis.horizon:
+            own = (
+                "the default of the system"
+                if basis.horizon == spec.default_horizon
+                else "choose it as long as your question needs"
+            )
+            yield f"# Duration of a rollout in s: {own}."
+            yield f"horizon = {basis.horizon!r}"
+        columns = ", ".join(f"{each.name} ({each.unit})" if each.unit else each.name for each in spec.columns)
+        yield from _comment(f"Columns of a rollout: {columns}.")
+        yield from _comment(f"{basis.about} {FORMULAS}")
+        yield "# For another formula, propose the constants anew and write them to another file:"
+        yield f'#   {one_line(self.command)} --specification "..." --out FILE'
+        yield f"specification = {toml_quoted(basis.specification)}"
+        if basis.clip is not None:
+            yield from _comment(
+                "Range to which the robustness, the margin to a violation, is clipped; the claim is about the clipped "
+                "one. Choose it so that it contains nearly all values."
+            )
+            yield f"clip = [{basis.clip[0]!r}, {basis.clip[1]!r}]"
+        if len(basis.constants) == 2:
+            yield "# How the rollouts of the two variants are compared, and the two bounds become one claim."
+            yield 'gap = { kind = "robustness" }'
+            yield 'composition = "pointwise"'
+        if self.resolution is not None:
+            yield "# Starts per parameter among which tests are chosen: fewer than usual, for so many parameters."
+            yield f"resolution = {self.resolution}"
+        yield "# Tests of a problem at most; the bound is valid whenever they end."
+        yield f"max_tests = {100 if set(self.replicates.values()) == {1} else 60}"
+
+    def _system(self) -> Iterator[str]:
+        yield ""
+        yield "[system]"
+        chosen = self.system.model_dump(mode="json", exclude_none=True)
+        yield from (f"{toml_key(name)} = {toml_value(value)}" for name, value in chosen.items())
+        yield from (_option_line(option) for option in self.spec.options if option.name not in chosen)
+
+    def _space(self) -> Iterator[str]:
+        yield ""
+        yield "# All starting conditions of the claim: here the whole range of the system."
+        yield "[space]"
+        for each in self.spec.parameters:
+            unit = f", unit = {toml_quoted(each.unit)}" if each.unit else ""
+            yield f"{each.name} = {{ low = {each.low!r}, high = {each.high!r}{unit} }}"
+
+    def _problems(self) -> Iterator[str]:
+        for name, constants in self.basis.constants.items():
+            about, objective = ABOUT[name]
+            yield ""
+            yield from _comment(about)
+            yield "[[problems]]"
+            yield f'name = "{name}"'
+            yield 'method = "rigorous"'
+            yield "# The claim may fail with this probability, given its assumptions."
+            yield "delta = 0.05"
+            yield from _constant_lines(constants, objective)
+            if self.replicates[name] > 1:
+                yield "# Rollouts of a test, with different seeds."
+                yield f"replicates = {self.replicates[name]}"
+            lengths = ", ".join(f"{each} = {length!r}" for each, length in self.lengths.items())
+            yield "# Distances in each parameter over which the robustness changes its course: assumptions."
+            yield f"kernel = {{ nu = {NU!r}, length_scale = {{ {lengths} }} }}"
+
+
+def _constant_lines(found: Constants, objective: str) -> Iterator[str]:
+    yield "# The problem stops when its bounds are so near."
+    yield f"alpha = {found.alpha!r}"
+    yield f"# About the mean of {objective} over all starts."
+    yield f"prior_mean = {found.prior_mean!r}"
+    yield from _comment(
+        f"B, the norm of {objective} minus prior_mean for the kernel: the main assumption. It is above every distance "
+        "from prior_mean; a larger one is safer and proves less."
+    )
+    yield f"rkhs_norm = {found.rkhs_norm!r}"
+    yield from _comment(_NOISE.get(found.noise_scale, _NOISE_NUMBER))
+    yield f"noise_scale = {json.dumps(found.noise_scale)}"
+
+
+_NOISE = {
+    0.0: "The rollouts do not depend on the seed.",
+    "derived": "R, the noise of one rollout: derived from the clip, no assumption. The standard deviation at the "
+    "noisiest start, as a number, is an assumption and proves more.",
+}
+_NOISE_NUMBER = (
+    "R, the noise of one rollout: the standard deviation at the noisiest start, with a margin; an assumption. "
+    '"derived" follows from the clip, assumes nothing and proves less.'
+)
+
+
+def _option_line(option: Option) -> str:
+    allowed = " or ".join(map(toml_quoted, option.choices)) or option.allowed_numbers
+    doc = f"; {option.doc}" if option.doc else ""
+    return one_line(f"# {option.name} = {toml_value(option.default)}  # {allowed}{doc}")
+
+
+def _comment(text: str) -> list[str]:
+    return [f"# {line}" for line in textwrap.wrap(one_line(text), WIDTH - 2, break_on_hyphens=False)]

@@ -1,0 +1,1 @@
+"""`check-system`: its rollouts, and the findings from their measurements; pure functions."""

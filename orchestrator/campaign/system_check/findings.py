@@ -1,0 +1,53 @@
+"""The checks of a system, and their findings."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+FindingStatus = Literal["passed", "warning", "failed", "skipped"]
+
+SYSTEM_CHECKS = {
+    "ends": "every rollout ends within its time limit, and no rollout ends the process",
+    "errors": "no rollout raises an exception",
+    "columns": "every trajectory has the columns of the system",
+    "finite": "every number is finite, at the corners of the box and at random starts",
+    "times": "the first sample is at 0, the times increase in equal steps, the last sample is at the horizon",
+    "repeatable": "equal requests give equal bytes: again, after other rollouts, in another process",
+    "seed": "the rollouts of a noisy variant differ between seeds, those of another one do not",
+    "random state": "no rollout depends on the global random state, or changes it",
+    "horizon": "a longer horizon gives a longer trajectory with the same beginning",
+    "memory": "the memory of the process does not grow with its rollouts",
+    "output": "no rollout prints to stdout",
+    "leftovers": "no rollout leaves threads or files behind",
+    "speed": "time of a rollout, size of its file",
+}
+"""Every check in the order of the table, and what it tests."""
+
+
+@dataclass(frozen=True)
+class SystemFinding:
+    """One line of the table: what was found, and what to do about it."""
+
+    check: str
+    status: FindingStatus
+    detail: str
+    remedy: str = ""
+
+    @property
+    def meaning(self) -> str:
+        """What this check tests."""
+        return SYSTEM_CHECKS[self.check]
+
+
+def passed(check: str, detail: str) -> SystemFinding:
+    """Return the finding of a check that passed."""
+    return SystemFinding(check, "passed", detail)
+
+
+def warning(check: str, detail: str, remedy: str) -> SystemFinding:
+    """Return a finding on which no certificate rests."""
+    return SystemFinding(check, "warning", detail, remedy)
+
+
+def failed(check: str, detail: str, remedy: str) -> SystemFinding:
+    """Return a finding that makes certificates worthless."""
+    return SystemFinding(check, "failed", detail, remedy)

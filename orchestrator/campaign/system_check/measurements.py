@@ -1,0 +1,54 @@
+"""What was measured of a system."""
+
+from dataclasses import dataclass
+
+from ....schemas.rollout import RolloutRequest
+from ....schemas.system import SystemSpec
+from ....schemas.system_check import ChildRun, Measured, Trial
+
+Rolled = tuple[Trial, Measured]
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What was measured of one system: the runs of the child processes `fresh`, `first` and `second`."""
+
+    spec: SystemSpec
+    runs: tuple[ChildRun, ...]
+    limit: float  # s
+    processors: int
+    own_horizon: bool = False
+
+    @property
+    def horizon(self) -> float:
+        """Length of the rollouts in s; a few are shorter."""
+        return self.runs[-1].trials[0].request.horizon
+
+    @property
+    def rolled(self) -> list[Rolled]:
+        """Every measured rollout of the horizon, in the order of the processes."""
+        return [pair for pair in self._all if pair[0].request.horizon == self.horizon]
+
+    @property
+    def good(self) -> list[Rolled]:
+        """Those with a trajectory."""
+        return [(trial, found) for trial, found in self.rolled if not found.error]
+
+    @property
+    def shorter(self) -> list[Rolled]:
+        """The measured rollouts of a shorter horizon; nothing rests on them."""
+        return [pair for pair in self._all if pair[0].request.horizon < self.horizon]
+
+    @property
+    def _all(self) -> list[Rolled]:
+        return [pair for run in self.runs for pair in zip(run.trials, run.measured, strict=False)]
+
+    def rows(self, run: int) -> list[Rolled]:
+        """Return the rollouts of one process; none if it was not started."""
+        return list(zip(self.runs[run].trials, self.runs[run].measured, strict=False)) if run < len(self.runs) else []
+
+
+def start_of(spec: SystemSpec, request: RolloutRequest) -> str:
+    """Return a rollout in words: its start, variant and seed."""
+    x = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.parameters, request.x, strict=True))
+    return f"at {x}" + (f", variant {request.variant}" if len(spec.variants) > 1 else "") + f", seed {request.seed}"

@@ -1,0 +1,176 @@
+"""The rollouts of `check-system`: what runs in which process, in which order."""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ....schemas.ids import RolloutId
+from ....schemas.rollout import RequestTemplate, RolloutRequest
+from ....schemas.space import Space
+from ....schemas.system import OptionValue, Parameter, SystemSpec, Variant
+from ....schemas.system_check import ChildRun, Trial
+from ..admission import SAMPLES
+
+CORNERS, STARTS = 16, 8
+"""Most corners of the box, and random starts in it."""
+SEEDS = 2
+"""Seeds for each random start."""
+GLOBAL_SEEDS = (1, 1, 2)
+"""Of the global random states: equal ones that give unequal rollouts show nothing, unequal ones a dependence."""
+GROWTH_SECONDS, GROWTH_ROLLOUTS = 10.0, 300
+"""Limits of the rollouts that follow to measure the growth of memory, and to see noise that rarely acts."""
+START, CORNER, RANDOM, GROWTH = "start", "corner", "random", "growth"
+"""Kinds of rollouts: their `problem`."""
+
+Point = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Trials:
+    """The rollouts of one check: a function of system, box, variants, horizon and seed.
+
+    `halves` adds rollouts of half the horizon.
+    """
+
+    template: RequestTemplate
+    box: tuple[Parameter, ...]
+    variants: tuple[Variant, ...]
+    seed: int
+    halves: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        spec: SystemSpec,
+        options: Mapping[str, OptionValue],
+        *,
+        variants: tuple[Variant, ...],
+        horizon: float,
+        seed: int,
+        space: Space | None = None,
+    ) -> "Trials":
+        """Plan rollouts of `horizon` seconds in the box of a campaign; without one, in the whole box of the system."""
+        template = RequestTemplate.of(spec, options, horizon=horizon, visual=True)
+        return cls(template, _box_of(spec, space), variants, seed)
+
+    @property
+    def spec(self) -> SystemSpec:
+        """The system."""
+        return self.template.spec
+
+    @property
+    def horizon(self) -> float:
+        """Length of the rollouts, in s."""
+        return self.template.horizon
+
+    def of_own_horizon(self, horizon: float) -> "Trials":
+        """Return the rollouts of a system that has one horizon alone, in s."""
+        return replace(self, template=replace(self.template, horizon=horizon), halves=False)
+
+    def fresh(self) -> tuple[Trial, ...]:
+        """Return the rollouts of a process that runs no other: the start of each variant."""
+        return tuple(
+            Trial(request=self._request(START, 0, variant), beginning=self._beginning) for variant in self.variants
+        )
+
+    def first(self, seconds: float) -> tuple[Trial, ...]:
+        """Return the rollouts of the first process; `seconds` is the time of a rollout.
+
+        They begin as `fresh`, so that a difference is one between processes, and not one of what ran before.
+        """
+        starts = self.fresh()
+        return (
+            *starts,
+            *starts,
+            *self._others(),
+            *starts,
+            *self._reseeded(),
+            *self._shorter(),
+            *self._growing(seconds),
+            *starts,
+        )
+
+    def second(self) -> tuple[Trial, ...]:
+        """Return the rollouts of the second process: those of the first, once each, in the opposite order."""
+        return tuple(reversed((*self.fresh(), *self._others())))
+
+    @property
+    def _beginning(self) -> float:
+        # Not up to the end of the shorter rollout: its last sample may be one that only an end has.
+        return self.horizon / 2 - self.horizon / SAMPLES
+
+    def _others(self) -> tuple[Trial, ...]:
+        requests = [
+            self._request(CORNER, number, variant, corner)
+            for number, corner in enumerate(corners(self.box, self.seed))
+            for variant in self.variants
+        ]
+        requests += [
+            self._request(RANDOM, test, variant, replicate=replicate)
+            for test in range(STARTS)
+            for variant in self.variants
+            for replicate in range(SEEDS)
+        ]
+        return tuple(Trial(request=request) for request in requests)
+
+    def _reseeded(self) -> Iterator[Trial]:
+        for trial in self.fresh():
+            for seed in GLOBAL_SEEDS:
+                yield trial.model_copy(update={"reseed": seed})
+
+    def _shorter(self) -> Iterator[Trial]:
+        if self.halves and self.horizon:
+            short = {"horizon": self.horizon / 2}
+            for trial in self.fresh():
+                yield trial.model_copy(update={"request": trial.request.model_copy(update=short)})
+
+    def _growing(self, seconds: float) -> Iterator[Trial]:
+        count = min(GROWTH_ROLLOUTS, int(GROWTH_SECONDS / max(seconds, 1e-6)))
+        places = ((start, replicate) for start in itertools.count() for replicate in range(SEEDS))
+        each = ((start, replicate, variant) for start, replicate in places for variant in self.variants)
+        for start, replicate, variant in itertools.islice(each, count):
+            yield Trial(request=self._request(GROWTH, start, variant, replicate=replicate))
+
+    def _request(
+        self, kind: str, number: int, variant: Variant, x: Point | None = None, *, replicate: int = 0
+    ) -> RolloutRequest:
+        """Return a rollout at `x`, by default at a random start of its own; its seed is one as campaigns draw them."""
+        rng = np.random.default_rng([self.seed, *kind.encode(), number])
+        start = random_start(self.box, rng) if x is None else x
+        seed = int(rng.integers(2**self.spec.seed_bits, size=SEEDS)[replicate])
+        return self.template.request(RolloutId(kind, number, variant, replicate), start, seed)
+
+
+def random_start(box: Sequence[Parameter], rng: np.random.Generator) -> Point:
+    """Return a point of the box, uniform, in the units of the parameters."""
+    return tuple(float(rng.uniform(each.low, each.high)) for each in box)
+
+
+def corners(box: Sequence[Parameter], seed: int) -> list[Point]:
+    """Return the corners of the box; of more than `CORNERS` the lowest, the highest and random ones."""
+    ends = [(each.low, each.high) for each in box]
+    if 2 ** len(ends) <= CORNERS:
+        return list(itertools.product(*ends))
+    chosen = np.random.default_rng([seed, len(ends)]).integers(2, size=(CORNERS, len(ends)))
+    chosen[0], chosen[1] = 0, 1
+    return [tuple(pair[int(side)] for pair, side in zip(ends, row, strict=True)) for row in chosen]
+
+
+def _box_of(spec: SystemSpec, space: Space | None) -> tuple[Parameter, ...]:
+    if not isinstance(space, dict):
+        return spec.parameters
+    ranges = {name: {"low": each.low, "high": each.high} for name, each in space.items()}
+    return tuple(each.model_copy(update=ranges[each.name]) for each in spec.parameters)
+
+
+def own_horizon(spec: SystemSpec, fresh: ChildRun) -> float | None:
+    """Return when the rollouts of a system without horizon end, in s; None if they end at the horizon asked for.
+
+    A function that does not take its `horizon` has a duration of its own, often 0.
+    """
+    if spec.timed or not fresh.measured or fresh.measured[0].grid is None:
+        return None
+    last, asked = fresh.measured[0].grid.last, fresh.trials[0].request.horizon
+    return last if abs(last - asked) > asked / SAMPLES and last <= spec.max_horizon else None

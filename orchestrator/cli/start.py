@@ -1,0 +1,45 @@
+"""Commands that write the first files of a user: a campaign file, a package with a system."""
+
+from pathlib import Path
+
+import click
+
+from .group import cli
+
+
+@cli.command()
+@click.argument("system")
+@click.option(
+    "--question",
+    type=click.Choice(["worst", "often", "find", "where", "transfer"]),
+    default="worst",
+    show_default=True,
+    help="worst: the least robustness over all starts; transfer: the same of a true system, from a nominal one and the "
+    "gap between both. The others are not there yet.",
+)
+@click.option("--specification", default=None, help="Formula to test; by default a harmless one over the first column.")
+@click.option("--horizon", type=click.FloatRange(0, 86_400), default=None, help="Seconds; default: the system's own.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Default: SYSTEM.toml.")
+def init(*, system: str, question: str, specification: str | None, horizon: float | None, out: Path | None) -> None:
+    """Write a commented campaign file for SYSTEM, an installed one or FILE.py:NAME.
+
+    A pilot of some rollouts proposes its constants. An existing file stays as it is.
+    """
+    from ..run.first_campaign import Wish, write_first_campaign  # noqa: PLC0415
+
+    for line in write_first_campaign(Wish(system, question, specification, horizon, out)):
+        click.echo(line)
+
+
+@cli.command("new-system")
+@click.argument("name")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None, help="Folder; default: NAME.")
+def new_system(*, name: str, out: Path | None) -> None:
+    """Write an installable package with the system NAME, a test of it and a README.
+
+    An existing folder stays as it is, unless it is empty.
+    """
+    from ..run.new_package import write_package  # noqa: PLC0415
+
+    for line in write_package(name, out or Path(name)):
+        click.echo(line)

@@ -1,0 +1,77 @@
+"""The run directory of a new campaign: empty, or with the leftovers of an attempt to start one; locked."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ...schemas.campaign import CampaignConfig
+from ...schemas.campaign_file import differences
+from ...schemas.errors import JournalError, PerfboundError
+from ..store import read
+from ..store.lock import campaign_lock
+from ..store.read import read_header
+from ..store.rows import DATABASE
+from .format import resume_command
+
+
+def check_vacant(directory: Path, config: CampaignConfig) -> None:
+    """Refuse a directory that is not empty; the text says what the campaign in it differs in, or how to continue it.
+
+    Raises:
+        PerfboundError: something is there.
+
+    """
+    if (directory / DATABASE).exists():
+        found = stored_differently(directory, config)
+        if found:
+            raise PerfboundError(
+                f"{directory}: the campaign stored here differs from the file: {found}. A campaign never "
+                "changes after its start; choose another --out"
+            )
+        raise PerfboundError(
+            f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
+            "or choose another --out"
+        )
+    if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - set(_unfinished(directory))):
+        raise PerfboundError(f"{directory}: exists and is not empty; choose another --out")
+
+
+def stored_differently(directory: Path, config: CampaignConfig) -> str:
+    """Return where the campaign in `directory` differs from `config`; nothing if it does not, or cannot be read."""
+    try:
+        with read.reading(directory) as connection:
+            stored = read_header(connection, directory).config
+    except JournalError:
+        return ""
+    found = differences(stored, config)
+    more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
+    return f"{'; '.join(found[:3])}{more}, respectively" if found else ""
+
+
+def _unfinished(directory: Path) -> list[Path]:
+    """Return the files of a database that was never finished: its orchestrator failed, or was killed."""
+    return list(directory.glob(f"{DATABASE}.partial*"))
+
+
+@contextmanager
+def claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
+    """Make the run directory and lock it; remove it if no campaign was started in it."""
+    try:
+        there = directory.is_dir()
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
+    with campaign_lock(directory):
+        check_vacant(directory, config)  # again, under the lock: another orchestrator may have started here
+        _remove(_unfinished(directory))
+        try:
+            yield
+        finally:
+            _remove(_unfinished(directory))
+            if not there and not any(directory.iterdir()):
+                directory.rmdir()
+
+
+def _remove(files: list[Path]) -> None:
+    for each in files:
+        each.unlink()

@@ -1,0 +1,226 @@
+"""`perfbound init`: a pilot of a few rollouts in one child process, and a campaign file with what follows from it."""
+
+import os
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...schemas import atomic
+from ...schemas.campaign import CampaignConfig
+from ...schemas.campaign_file import parse_campaign
+from ...schemas.errors import PerfboundError
+from ...schemas.problems import OBJECTIVES, ProblemName, rolled_out
+from ...schemas.space import SystemChoice
+from ...schemas.system import SystemSpec, Variant
+from ...schemas.trajectory import Floats
+from ..campaign import pilot
+from ..campaign.checks import check_new
+from ..campaign.first_file import FirstCampaign, FirstValues
+from ..fleet.child import in_file, named_campaign, resolved, system_spec
+from ..fleet.simulate import chosen_horizon
+from .first_pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
+
+QUESTIONS: dict[str, tuple[ProblemName, ...]] = {
+    "worst": ("robustness",),
+    "transfer": ("nominal_robustness", "sim_gap"),
+}
+NOT_YET = {
+    "often": "how often the specification is violated cannot be asked yet; choose worst, the worst start",
+    "find": "a search for violations cannot be asked for yet; choose worst, whose report lists those that it finds",
+    "where": "the starts that are safe cannot be asked for yet; choose worst, whose report maps its bounds",
+}
+DEFAULT_RESOLUTION: int = CampaignConfig.model_fields["resolution"].default
+REPLICATES = 8
+"""Rollouts of a test, where they depend on the seed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What a first campaign is about, as the command line names it."""
+
+    reference: str
+    """The system, a name, FILE.py:NAME or a campaign file."""
+    question: str
+    specification: str | None
+    """None for a harmless formula."""
+    horizon: float | None
+    """In s; None for the one that the system assumes."""
+    out: Path | None
+
+
+def write_first_campaign(wish: Wish) -> Iterator[str]:
+    """Write a campaign file for a system, and yield lines of progress.
+
+    Where a rollout of the pilot fails, the constants are guesses, and the file says so.
+
+    Raises:
+        CampaignError: the system is not installed, or cannot be loaded.
+        PerfboundError: the question does not fit the system, the specification is none of its columns, or the file
+            exists or cannot be written.
+
+    """
+    if wish.question in NOT_YET:
+        raise PerfboundError(f"--question {wish.question}: {NOT_YET[wish.question]}")
+    spec = system_spec(wish.reference, "SYSTEM")
+    out = wish.out or Path(f"{spec.name}.toml")
+    _check_unwritten(out)
+    variants, choice = _variants(spec, wish.question), _system_choice(wish.reference, out)
+    horizon = chosen_horizon(spec, wish.horizon)
+    score = pilot.score(wish.specification, spec)
+    yield f"{spec.name}: a pilot of a few rollouts, for about {SECONDS:g} s at most, proposes the constants"
+    try:
+        found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon), score)
+        basis, news = _proposal(wish, spec, found), f"the constants are proposed from {found.size}"
+    except PilotError as error:
+        basis = _guess(wish, spec, horizon, str(error))
+        news = f"the constants are guesses, because the pilot failed: {error}"
+    if basis.horizon == 0 and not all(OBJECTIVES[problem].static for problem in QUESTIONS[wish.question]):
+        raise PerfboundError(
+            f"--question {wish.question}: rollouts of {spec.name} are one sample, and this question needs longer ones; "
+            "choose --question worst"
+        )
+    text = _first_campaign(wish, spec, choice, basis).text()
+    check_new(parse_campaign(text.encode(), str(out)), spec, str(out))
+    try:
+        atomic.write_new({out.absolute(): (text.encode(), 0o666)})
+    except FileExistsError:
+        raise _exists(out) from None
+    yield f"{out}: {news}"
+    file, edit = shlex.quote(str(out)), "" if wish.specification else "Edit its specification. "
+    yield f"{edit}Check the system: perfbound check-system {file}. Then: perfbound run {file}"
+
+
+def _check_unwritten(out: Path) -> None:
+    if out.exists():
+        raise _exists(out)
+    if not out.absolute().parent.is_dir():
+        raise PerfboundError(f"{out}: there is no such folder; make it, or choose another --out")
+
+
+def _exists(out: Path) -> PerfboundError:
+    return PerfboundError(f"{out}: exists already and stays as it is; choose another --out")
+
+
+def _variants(spec: SystemSpec, question: str) -> tuple[Variant, ...]:
+    """Return the variants that a question simulates, each once."""
+    found = dict.fromkeys(variant for problem in QUESTIONS[question] for variant in rolled_out(problem, spec))
+    if missing := set(found) - set(spec.variants):
+        raise PerfboundError(
+            f"--question {question}: {spec.name} has no variant {', '.join(sorted(missing))}; give it two variants, "
+            "nominal and true, or choose --question worst"
+        )
+    for each in spec.parameters:
+        if not each.low < each.high:
+            raise PerfboundError(f"{spec.name}: the range of {each.name} is empty; give it a low below its high")
+    if pilot.nodes_per_parameter(len(spec.parameters), 2) < 2:
+        raise PerfboundError(
+            f"{spec.name} has {len(spec.parameters)} parameters, too many for bounds on a box; write a campaign file "
+            "over listed starts, as deploy/campaigns/segway-scenario.toml"
+        )
+    return tuple(found)
+
+
+def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> FirstValues:
+    """Return what follows from a pilot."""
+    scores, specification, about = found.scores, wish.specification, "The constants below fit this formula."
+    if specification is None:
+        column, every = spec.columns[1].name, _all(scores)
+        limit, _ = pilot.covering(every, 0.1, 0.0)
+        specification = _above(column, limit, found.horizon)
+        scores = {variant: each - limit for variant, each in scores.items()}
+        about = f"This formula holds in the whole pilot, where {column} was at least {every.min():g}: put yours here."
+    clip = pilot.clip_around(_all(scores))
+    lengths = tuple(pilot.length_scales(spec.parameters).values())
+    constants = {
+        name: pilot.proposed(
+            lengths,
+            found.starts,
+            _objective(name, spec, scores),
+            noisy=_noisy(name, spec),
+            half_range=(clip[1] - clip[0]) / 2,
+        )
+        for name in QUESTIONS[wish.question]
+    }
+    source = f"The constants are proposed from {found.size}."
+    return FirstValues(source, found.horizon, specification, about, clip, constants)
+
+
+def _above(column: str, limit: float, horizon: float) -> str:
+    """Return a formula that suits rollouts of one sample, where the horizon is 0, and longer ones."""
+    return f"always ({column} >= {limit!r})" if horizon else f"{column} >= {limit!r}"
+
+
+def _all(scores: dict[Variant, Floats]) -> Floats:
+    return np.concatenate([each.ravel() for each in scores.values()])
+
+
+def _objective(name: ProblemName, spec: SystemSpec, scores: dict[Variant, Floats]) -> Floats:
+    """Return the maximised objective of a problem, shape (n, k)."""
+    if name != "sim_gap":
+        return -scores[rolled_out(name, spec)[0]]
+    nominal, true = scores["nominal"], scores["true"]
+    count = max(nominal.shape[1], true.shape[1])
+    return np.stack([nominal[:, k % nominal.shape[1]] - true[:, k % true.shape[1]] for k in range(count)], axis=1)
+
+
+def _noisy(name: ProblemName, spec: SystemSpec) -> bool:
+    return bool(set(rolled_out(name, spec)) & set(spec.noisy))
+
+
+def _guess(wish: Wish, spec: SystemSpec, horizon: float, fault: str) -> FirstValues:
+    """Return numbers to replace, where no pilot shows better ones."""
+    return FirstValues(
+        source=f"The constants are GUESSES, because the pilot failed: {fault}",
+        horizon=horizon,
+        specification=wish.specification or _above(spec.columns[1].name, 0.0, horizon),
+        about="Put your formula here.",
+        clip=(-10.0, 10.0),
+        constants={
+            name: pilot.Constants(0.0, 30.0, "derived" if _noisy(name, spec) else 0.0, 1.0)
+            for name in QUESTIONS[wish.question]
+        },
+    )
+
+
+def _first_campaign(wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: FirstValues) -> FirstCampaign:
+    names = QUESTIONS[wish.question]
+    resolution = pilot.nodes_per_parameter(len(spec.parameters), DEFAULT_RESOLUTION)
+    needs_clip = any(_noisy(name, spec) or not OBJECTIVES[name].static for name in names)
+    return FirstCampaign(
+        spec=spec,
+        system=choice,
+        command=f"perfbound init {shlex.quote(wish.reference)}",
+        basis=basis if needs_clip else replace(basis, clip=None),
+        lengths=pilot.length_scales(spec.parameters),
+        resolution=None if resolution == DEFAULT_RESOLUTION else resolution,
+        replicates={name: REPLICATES if _noisy(name, spec) else 1 for name in names},
+    )
+
+
+def _system_choice(reference: str, out: Path) -> SystemChoice:
+    """Return `[system]` of a campaign file `out`; the path of a system in a file is relative to it.
+
+    Raises:
+        PerfboundError: it cannot be named from there.
+
+    """
+    file = Path(reference)
+    campaign, found = named_campaign(reference), resolved(reference)
+    if campaign is not None and campaign.system.program is not None:
+        if out.absolute().parent != file.absolute().parent:
+            raise PerfboundError(
+                f"{out}: a program belongs to the folder of its campaign file; choose --out beside {file}"
+            )
+        return campaign.system
+    if campaign is not None:
+        raise PerfboundError(f"{file}: this is a campaign file already; give the name of its system: {found}")
+    if not in_file(found):
+        return SystemChoice.model_validate({"name": found})
+    path, _, name = found.rpartition(":")
+    relative = os.path.relpath(Path(path).absolute(), out.absolute().parent)
+    if ":" in relative:
+        raise PerfboundError(f"{relative}: a campaign file takes no ':' in the path of a system; rename the folder")
+    return SystemChoice.model_validate({"python": f"{relative}:{name}"})

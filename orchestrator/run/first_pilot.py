@@ -1,0 +1,130 @@
+"""The rollouts of a pilot, in one child process: some starts of a system, scored, before there is a campaign."""
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...schemas.errors import PerfboundError, TrajectoryError
+from ...schemas.ids import RolloutId
+from ...schemas.rollout import RequestTemplate, RolloutRequest
+from ...schemas.system import OptionValue, SystemSpec, Variant
+from ...schemas.trajectory import Floats, Trajectory, decode
+from ..campaign.admission import check_whole
+from ..campaign.pilot import NOISY_ROLLOUTS, Score, pilot_starts, settled_horizon
+from ..fleet.child import ask, system_options
+
+SECONDS = 60.0
+"""No rollout of a pilot starts later than this."""
+FEWEST_STARTS = 8
+LARGEST = 1e100
+"""Scores from here on are no quantity of a system, and their squares overflow."""
+
+
+class PilotError(PerfboundError):
+    """The pilot has no usable rollouts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pilot:
+    """The scores of a pilot's rollouts."""
+
+    starts: Floats
+    """Shape (n, p)."""
+    horizon: float
+    """In s, as a campaign has to request it."""
+    scores: dict[Variant, Floats]
+    """Shape (n, k), k rollouts at each start."""
+
+    @property
+    def size(self) -> str:
+        """The number of rollouts and starts, in words."""
+        return f"{sum(each.size for each in self.scores.values())} rollouts at {len(self.starts)} starts"
+
+
+@dataclass(frozen=True, slots=True)
+class PilotPlan:
+    """What a pilot simulates."""
+
+    reference: str
+    """The system, a name, FILE.py:NAME or a campaign file."""
+    spec: SystemSpec
+    options: Mapping[str, OptionValue]
+    variants: tuple[Variant, ...]
+    horizon: float
+    """In s, as it is asked for; the system may have a duration of its own."""
+
+    def seeds(self, variant: Variant) -> int:
+        """Return the rollouts of a variant at each start."""
+        return NOISY_ROLLOUTS if variant in self.spec.noisy else 1
+
+    def requests(self) -> list[RolloutRequest]:
+        """Return the requests, those of a start one after the other."""
+        template = RequestTemplate.of(self.spec, self.options, horizon=self.horizon, visual=False, campaign="init")
+        return [
+            template.request(RolloutId("pilot", test, variant, replicate), x, test * NOISY_ROLLOUTS + replicate)
+            for test, x in enumerate(pilot_starts(self.spec.parameters))
+            for variant in self.variants
+            for replicate in range(self.seeds(variant))
+        ]
+
+
+def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
+    """Return the pilot, as far as it comes in its time.
+
+    Raises:
+        PilotError: a rollout fails or would be refused by a campaign, or there are too few.
+        PerfboundError: a rollout has no score.
+
+    """
+    requests = plan.requests()
+    scores: dict[Variant, list[float]] = {variant: [] for variant in plan.variants}
+    horizon = None
+    for request, trajectory in _finished(plan, requests):
+        if horizon is None:
+            horizon = settled_horizon(plan.horizon, trajectory)
+        try:
+            check_whole(trajectory, tuple(column.name for column in plan.spec.columns), horizon)
+        except TrajectoryError as fault:
+            raise PilotError(f"{_words(request, plan.spec)}: a campaign would refuse this rollout: {fault}") from None
+        scores[request.variant].append(score(trajectory))
+        if not abs(scores[request.variant][-1]) < LARGEST:
+            raise PilotError(f"{_words(request, plan.spec)}: its values are above {LARGEST:g}")
+    whole = min(len(found) // plan.seeds(variant) for variant, found in scores.items())
+    if horizon is None or whole < FEWEST_STARTS:
+        raise PilotError(f"after {SECONDS:g} s it has the rollouts of {whole} starts, and needs {FEWEST_STARTS}")
+    shaped = {
+        variant: np.array(found[: whole * plan.seeds(variant)]).reshape(whole, -1) for variant, found in scores.items()
+    }
+    return Pilot(np.array(pilot_starts(plan.spec.parameters)[:whole]), horizon, shaped)
+
+
+def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple[RolloutRequest, Trajectory]]:
+    """Yield the rollouts that one child simulates in its time, one at a time: they may be large."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        listed = folder / "requests"
+        listed.write_text("".join(request.model_dump_json() + "\n" for request in requests))
+        place = ("--requests", str(listed), "--out", str(folder), "--seconds", str(SECONDS))
+        paths = [folder / f"{number}.mcap" for number in range(len(requests))]
+        try:
+            ask("pilot", *place, *system_options(plan.reference))
+        except PerfboundError as error:
+            failed = next((each for each, path in zip(requests, paths, strict=True) if not path.exists()), requests[-1])
+            raise PilotError(f"{_words(failed, plan.spec)}: {error}") from None
+        for request, path in zip(requests, paths, strict=True):
+            if not path.exists():
+                return
+            try:
+                trajectory = decode(path.read_bytes())
+            except TrajectoryError as fault:
+                raise PilotError(f"{_words(request, plan.spec)}: {fault}") from None
+            yield request, trajectory
+
+
+def _words(request: RolloutRequest, spec: SystemSpec) -> str:
+    """Return start, variant and seed of a rollout."""
+    start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.parameters, request.x, strict=True))
+    return f"{start}, {request.variant}, seed {request.seed}"

@@ -1,0 +1,146 @@
+"""`perfbound check-system`: rollouts in child processes, and the findings about the system, as a table and as JSON."""
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ...schemas.campaign_check import check_against
+from ...schemas.errors import PerfboundError
+from ...schemas.system import SystemSpec, Variant
+from ...schemas.system_check import ChildRun, Trial
+from ..campaign.system_check.findings import SystemFinding
+from ..campaign.system_check.judge import judge
+from ..campaign.system_check.measurements import Measurements
+from ..campaign.system_check.trials import Trials, own_horizon
+from ..fleet.child import named_campaign, system_options, system_spec
+from ..fleet.measure import measure_in_child
+from ..fleet.simulate import chosen_horizon, chosen_options
+
+COLOURS = {"passed": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
+Report = Callable[[str, int, int], None]
+"""Progress callback: stage, completed, total."""
+
+
+@dataclass(frozen=True)
+class SystemCheck:
+    """The findings about one system."""
+
+    spec: SystemSpec
+    horizon: float
+    findings: tuple[SystemFinding, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether no check failed."""
+        return not self.count("failed")
+
+    def count(self, status: str) -> int:
+        """Return the number of checks with this status."""
+        return sum(finding.status == status for finding in self.findings)
+
+
+def checked_system(
+    reference: str,
+    *,
+    variant: Variant | None,
+    horizon: float | None,
+    options: Sequence[str],
+    seed: int,
+    limit: float,
+    report: Report,
+) -> SystemCheck:
+    """Run the rollouts of a check, `limit` seconds each at most, and judge them.
+
+    A campaign file gives its options, its horizon and its space, too.
+
+    Raises:
+        CampaignError: the system is not installed, its file cannot be used, or the campaign file does not fit it.
+        PerfboundError: an option is not one of the system.
+
+    """
+    spec = system_spec(reference, "SYSTEM")
+    config = named_campaign(reference)
+    if config is not None:
+        check_against(config, spec, reference)
+    if variant is not None and variant not in spec.variants:
+        raise PerfboundError(f"--variant {variant}: {spec.name} has {', '.join(spec.variants)}")
+    given = horizon if horizon is not None or config is None else config.horizon
+    trials = Trials.of(
+        spec,
+        ({} if config is None else config.system.options) | chosen_options(spec, options),
+        variants=spec.variants if variant is None else (variant,),
+        horizon=chosen_horizon(spec, given),
+        seed=seed,
+        space=None if config is None else config.space,
+    )
+    rolled = partial(_in_child, arguments=system_options(reference), limit=limit, report=report)
+    fresh = rolled("start", trials.fresh())
+    own = own_horizon(spec, fresh) if given is None else None
+    if own is not None:
+        trials = trials.of_own_horizon(own)
+        fresh = rolled("start", trials.fresh())
+    runs = [fresh]
+    if not fresh.ended:
+        seconds = min((found.seconds for found in fresh.measured), default=0.0)
+        runs.append(rolled("rollouts", trials.first(seconds)))
+    if not runs[-1].ended:
+        runs.append(rolled("opposite order", trials.second()))
+    measurements = Measurements(
+        spec, tuple(runs), limit=limit, processors=len(os.sched_getaffinity(0)), own_horizon=own is not None
+    )
+    return SystemCheck(spec, trials.horizon, judge(measurements))
+
+
+def _in_child(
+    stage: str, trials: Sequence[Trial], *, arguments: Sequence[str], limit: float, report: Report
+) -> ChildRun:
+    done = 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        report(stage, done, len(trials))
+
+    report(stage, 0, len(trials))
+    return measure_in_child(trials, arguments, limit=limit, done=advance)
+
+
+def print_findings(found: SystemCheck, console: Console) -> None:
+    """Print one row for each check: what was found, and what to do about it."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("check", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    table.add_column("finding and remedy", overflow="fold")
+    for finding in found.findings:
+        bad = finding.status in {"warning", "failed"}
+        text = Text(finding.detail, "" if bad else "dim")
+        if finding.remedy:
+            text.append(f"\n{finding.remedy[0].upper()}{finding.remedy[1:]}.", "default")
+        table.add_row(finding.check, Text(finding.status, COLOURS[finding.status]), text)
+    console.print(table)
+    counts = ", ".join(f"{found.count(status)} {status}" for status in COLOURS if found.count(status))
+    verdict = "no check failed" if found.good else "fix what failed before you run a campaign"
+    line = f"\n{found.spec.name}, rollouts of {found.horizon:g} s: {counts}; {verdict}"
+    console.print(Text(line, "bold" if found.good else "bold red"))
+
+
+def findings_json(found: SystemCheck) -> str:
+    """Return the findings as JSON."""
+    checks = [
+        {
+            "check": finding.check,
+            "status": finding.status,
+            "detail": finding.detail,
+            "remedy": finding.remedy,
+            "meaning": finding.meaning,
+        }
+        for finding in found.findings
+    ]
+    head = {"passed": found.good, "system": found.spec.name, "horizon": found.horizon}
+    return json.dumps({**head, "checks": checks}, indent=1)

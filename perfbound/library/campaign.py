@@ -1,0 +1,152 @@
+"""A campaign from Python: the keys of a campaign file as arguments, checked by the parser of that file."""
+
+import html
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..orchestrator.campaign.checks import check_new
+from ..schemas import atomic
+from ..schemas.campaign import PROBLEM_MODELS, CampaignConfig
+from ..schemas.campaign_file import load_campaign, parse_campaign
+from ..schemas.errors import CampaignError
+from .given import GivenSystem, given_system
+from .toml import toml
+
+if TYPE_CHECKING:
+    from .run import Run
+    from .study import Study
+
+OF_PROBLEM = {name for model in PROBLEM_MODELS.values() for name in model.model_fields}
+"""Keys of a problem; those that a campaign has too mean the same in both places."""
+OF_CAMPAIGN = set(CampaignConfig.model_fields)
+
+
+class Campaign:
+    """A test campaign: what is tested, from which starts, against which specification, by which method.
+
+    `system` is a function under `@perfbound.system`, the name of an installed system, "FILE.py:NAME" or a `Rig`;
+    `options` are its options. All other arguments are the keys of a campaign file: see the reference. `space` maps
+    each parameter to (low, high), or lists the starts, (n, d). Without `problems` there is one, `robustness`, by method
+    `rigorous` on a box and `scenario` on a list, and its keys (`alpha`, `delta`, `rkhs_norm`, `kernel`, ...) are
+    arguments too. `name` is by default that of the system, `seed` 1.
+
+    Raises:
+        CampaignError: one line with the key and the allowed values, as for a campaign file.
+
+    """
+
+    def __init__(
+        self,
+        system: object,
+        *,
+        space: Mapping[str, Any] | Sequence[Sequence[float]],
+        options: Mapping[str, Any] | None = None,
+        **keys: Any,
+    ) -> None:
+        where = f"Campaign({getattr(system, '__name__', None) or getattr(system, 'name', system)})"
+        found = given_system(system, where)
+        if not found.choice:
+            raise CampaignError(f"{where}: a program is described in its campaign file; use Campaign.load for that")
+        self._text = toml(_campaign_table(found, space, options or {}, keys), where)
+        self._begin(found, parse_campaign(self._text.encode(), where), Path(where))
+
+    def _begin(self, found: GivenSystem, config: CampaignConfig, source: Path) -> None:
+        check_new(config, found.spec, str(source))
+        self._subject, self.config, self._source = found, config, source
+
+    @classmethod
+    def load(cls, path: str | Path, **overrides: int) -> "Campaign":
+        """Return the campaign of a campaign file; `overrides` replace top-level keys, such as `seed`.
+
+        Raises:
+            CampaignError: it cannot be read, or is not a campaign, or its system cannot be used.
+
+        """
+        file = Path(path)
+        config = load_campaign(file, **overrides)
+        campaign = cls.__new__(cls)
+        campaign._begin(given_system(config.system.reference(file), str(file)), config, file)
+        campaign._text = toml(config.model_dump(mode="json", exclude_defaults=True), str(file))
+        return campaign
+
+    @property
+    def name(self) -> str:
+        """Name of the campaign, and of its run directory."""
+        return self.config.name
+
+    def to_toml(self) -> str:
+        """Return the campaign as the text of a campaign file; the path of a system in a file is relative to it."""
+        return self._text
+
+    def save(self, path: str | Path) -> Path:
+        """Write the campaign file; `perfbound run` runs it if it is beside the file of its system.
+
+        Raises:
+            OSError: it cannot be written.
+
+        """
+        atomic.write_whole(Path(path).absolute(), self._text.encode())
+        return Path(path)
+
+    def run(self, out: str | Path | None = None, *, workers: int = 2, progress: bool = True) -> "Run":
+        """Run the campaign with local workers to its certificate; it takes minutes and prints its progress.
+
+        `out` is the run directory, by default runs/NAME. A function that no other process can import runs in a child
+        that is forked from this process, on one worker. An interrupt leaves a directory that `perfbound.resume`
+        continues.
+
+        Raises:
+            PerfboundError: the directory is in use, or the run fails.
+            KeyboardInterrupt: it was interrupted.
+
+        """
+        from .run import run_campaign  # noqa: PLC0415  (late: it loads the store)
+
+        return run_campaign(self.config, self._source, self._subject, self._directory(out), workers, progress=progress)
+
+    def ask_tell(self, out: str | Path | None = None) -> "Study":
+        """Begin or continue this campaign in `out` without workers: its rollouts are handed in.
+
+        Raises:
+            PerfboundError: another campaign is there, or it is in use.
+
+        """
+        from .study import open_study  # noqa: PLC0415
+
+        return open_study(self._directory(out), self.config, self._subject)
+
+    def _directory(self, out: str | Path | None) -> Path:
+        return Path("runs") / self.name if out is None else Path(out)
+
+    def __repr__(self) -> str:
+        """Name, system and specification."""
+        return f"<Campaign {self.name} of {self._subject.spec.name}: {self.config.specification}>"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(self._text)}</pre>"
+
+
+def _campaign_table(
+    found: GivenSystem, space: Any, options: Mapping[str, Any], keys: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the table of the campaign file; keys that are none are refused by its parser."""
+    table = {"name": found.spec.name, "seed": 1, **keys}
+    if found.spec.repeated == "nowhere":
+        table.setdefault("recheck", 0)
+    if "problems" not in keys:
+        listed = not isinstance(space, Mapping) or "scenarios" in space
+        problem = {"name": "robustness", "method": "scenario" if listed else "rigorous"}
+        problem |= {key: table.pop(key) for key in keys if key in OF_PROBLEM - OF_CAMPAIGN}
+        table["problems"] = [problem]
+    table["system"] = {**found.choice, **options}
+    table["space"] = (
+        {key: _range_table(each) for key, each in space.items()} if isinstance(space, Mapping) else {"scenarios": space}
+    )
+    return table
+
+
+def _range_table(value: Any) -> Any:
+    """Return the table of a range that is given as (low, high)."""
+    pair = isinstance(value, tuple | list) and len(value) == 2 and not isinstance(value[0], tuple | list)
+    return {"low": value[0], "high": value[1]} if pair else value

@@ -1,0 +1,58 @@
+"""A system that no simulator repeats: a rig, a vehicle, or another program's loop."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pydantic import ValidationError
+
+from ..schemas.errors import DefinitionError
+from ..schemas.system import Column, Parameter, SystemSpec
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A system whose trajectories are handed in, by `Campaign.ask_tell`.
+
+    `parameters` has the range and the unit of each parameter of the starting condition, `columns` the unit of each
+    column of a trajectory, beside the time `t` in s; with `step`, in seconds, the time of a sample follows from its
+    number. `noisy`: two trials from one start may differ.
+
+    Raises:
+        DefinitionError: a name is not one of a-z, 0-9 and _, or a range is none.
+
+    >>> rig = Rig("brake-rig", parameters={"speed": Parameter(5, 30, unit="m/s")}, columns={"distance": "m"})
+    >>> rig.spec.columns[0].name, rig.spec.repeated
+    ('t', 'nowhere')
+
+    """
+
+    name: str
+    parameters: Mapping[str, Parameter]
+    columns: Mapping[str, str]
+    noisy: bool = True
+    step: float | None = None
+    max_horizon: float = 3600.0
+    doc: str = "measured, not simulated"
+
+    def __post_init__(self) -> None:
+        """Refuse a description that is none."""
+        _ = self.spec
+
+    @property
+    def spec(self) -> SystemSpec:
+        """The specification of the rig."""
+        try:
+            return SystemSpec(
+                name=self.name,
+                doc=self.doc,
+                parameters=tuple(each.model_copy(update={"name": key}) for key, each in self.parameters.items()),
+                columns=tuple(Column(name=key, unit=unit) for key, unit in {"t": "s", **self.columns}.items()),
+                variants=("nominal",),
+                noisy=("nominal",) if self.noisy else (),
+                max_horizon=self.max_horizon,
+                repeated="nowhere",
+            )
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            where = ".".join(map(str, fault["loc"]))
+            raise DefinitionError(f"rig {self.name!r}: {where}: {fault['msg']}; it is {fault.get('input')!r}") from None

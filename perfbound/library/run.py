@@ -1,0 +1,267 @@
+"""The run of a campaign: its certificate, tables, trajectories and posterior, while it runs and afterwards."""
+
+import html
+import io
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rich.console import Console
+
+from ..orchestrator.certificate import files, text
+from ..orchestrator.run import directory as places
+from ..orchestrator.run import session
+from ..orchestrator.store import export, read
+from ..orchestrator.store.rows import DATABASE, existing
+from ..schemas.campaign import CampaignConfig
+from ..schemas.certificate import Predicate
+from ..schemas.errors import EvidenceError, PerfboundError
+from ..schemas.facts import Header
+from ..schemas.ids import CLOSING
+from ..schemas.link import LOCAL
+from ..schemas.trajectory import Trajectory
+from .forked import Forked
+from .given import GivenSystem, given_system
+from .process import interruptible, output, reproducible
+from .tables import Table
+
+if TYPE_CHECKING:
+    from ..orchestrator.certificate.verify.run import Verification
+    from .plot import Plot
+    from .study import Study
+
+MOST_WORKERS = 256
+
+
+class BandAt(NamedTuple):
+    """A problem's objective at N starts, by its method: mean and band, (N,) each, in the unit of the objective."""
+
+    mean: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+
+class Run:
+    """A run directory, read from its files at every access; it changes nothing there."""
+
+    def __init__(self, directory: Path) -> None:
+        existing(directory)
+        self.directory = directory
+
+    @cached_property
+    def header(self) -> Header:
+        """The first fact: the campaign, its system and its software."""
+        with read.reading(self.directory) as connection:
+            return read.read_header(connection, self.directory)
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is a certificate."""
+        return files.read(self.directory) is not None
+
+    @property
+    def certificate(self) -> Predicate:
+        """The content of the certificate: claims, problems, assumptions.
+
+        Raises:
+            PerfboundError: there is none yet, or it is damaged.
+
+        """
+        found = files.read(self.directory)
+        if found is None:
+            raise PerfboundError(f"{self.directory}: no certificate yet; perfbound.resume continues the campaign")
+        return found.predicate
+
+    @property
+    def tests(self) -> Table:
+        """A row for each test of a problem: its start, its observation, and the bounds after it."""
+        found = self.table("tests")
+        return found.only(~np.isin(found["problem"].astype(str), CLOSING))  # `table("tests")` has their tests as well
+
+    @property
+    def rollouts(self) -> Table:
+        """A row for each rollout: its id, seed, start, robustness, file and worker."""
+        return self.table("rollouts")
+
+    def table(self, name: str) -> Table:
+        """Return a table that `perfbound export` has: also observations, counterexamples and failures.
+
+        Raises:
+            PerfboundError: there is no such table, or the campaign cannot be read.
+
+        """
+        return Table.of(*export.table_rows(self.directory, name))
+
+    def trajectory(self, rollout: int | str) -> Trajectory:
+        """Return the trajectory of a rollout by its id, "robustness.7.nominal.0", or the first one of a test.
+
+        A number is that of a test of the first problem.
+
+        Raises:
+            PerfboundError: there is no such rollout, or its file is damaged.
+
+        """
+        from ..orchestrator.campaign.plan import plans  # noqa: PLC0415
+        from ..orchestrator.report.replay.load import load_recorded  # noqa: PLC0415
+
+        if isinstance(rollout, int):
+            name, plan = next(iter(plans(self.header.config, self.header.spec).items()))
+            variant, replicate = plan.rollouts[0]
+            rollout = f"{name}.{rollout}.{variant}.{replicate}"
+        found = load_recorded(self.directory, rollout)
+        if found.trajectory is None:
+            raise EvidenceError(found.damage)
+        return found.trajectory
+
+    def posterior(self, x: ArrayLike, problem: str | None = None) -> BandAt:
+        """Return mean and band of a problem's objective, by default the first one's, at the starts `x` (N, p).
+
+        They follow from all observations so far. Method `rigorous` has a band anywhere in the box, the others at their
+        candidates: the nodes of the lattice, or the listed starts.
+
+        Raises:
+            PerfboundError: there is no such problem, it has no observation, or a start is not one of its method.
+
+        """
+        from ..orchestrator.report.posterior import posterior  # noqa: PLC0415  (late: it loads the numerics)
+
+        starts = np.atleast_2d(np.asarray(x, dtype=np.float64))
+        with reproducible():
+            return BandAt(*posterior(self.directory, problem, starts))
+
+    def verify(self, *, resimulate: int = 0, system: object = None, key: str | Path | None = None) -> "Verification":
+        """Check the certificate against its evidence, as `perfbound verify`; `.checks.good` is the result.
+
+        `resimulate` rollouts are simulated again. A system in a file has to be given for that, as a function or
+        "FILE.py:NAME": no run directory names code that runs here.
+
+        Raises:
+            PerfboundError: there is no certificate, or the key cannot be read.
+
+        """
+        from ..orchestrator.certificate.verify.run import verify_certificate  # noqa: PLC0415
+
+        reference = None if system is None else given_system(system, "verify").reference
+        with reproducible():
+            return verify_certificate(
+                self.directory,
+                key=None if key is None else Path(key),
+                again=resimulate,
+                report=lambda _stage, _done, _total: None,
+                system=reference,
+            )
+
+    @property
+    def plot(self) -> "Plot":
+        """Figures of the problems, as matplotlib axes."""
+        from .plot import Plot  # noqa: PLC0415  (late: matplotlib takes a second to load)
+
+        return Plot(self.directory)
+
+    def ask_tell(self) -> "Study":
+        """Continue a campaign whose rollouts are handed in; see `Campaign.ask_tell`."""
+        from .study import open_study  # noqa: PLC0415
+
+        return open_study(self.directory)
+
+    def __repr__(self) -> str:
+        """Return the claim, or the number of tests so far."""
+        return self._text().rstrip()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(self._text())}</pre>"
+
+    def _text(self) -> str:
+        """Return what `perfbound run` prints of the first claim; names in it may be anybody's text."""
+        found = files.read(self.directory)
+        if found is None:
+            rollouts = len(self.rollouts)
+            return f"{self.directory}: not finished, {rollouts} rollouts so far; perfbound.resume continues it\n"
+        console = Console(file=io.StringIO(), width=text.WIDTH, force_terminal=False, color_system=None)
+        refuted = [each.id for each in found.predicate.assumptions if each.status == "refuted"]
+        with console.capture() as captured:
+            text.first_claim(found, console)
+        first = f"REFUTED: {', '.join(refuted)}\n" if refuted else ""
+        return f"{first}{captured.get().lstrip()}"
+
+
+def open_run(directory: str | Path) -> Run:
+    """Return the run in a directory: running, stopped or finished.
+
+    Raises:
+        JournalError: there is no campaign, or it cannot be read.
+
+    """
+    return Run(Path(directory))
+
+
+def resume_run(directory: str | Path, *, system: object = None, workers: int = 2, progress: bool = True) -> Run:
+    """Continue a campaign to its certificate; a finished one is left as it is.
+
+    `system` is the function, where it was typed into a notebook, or "FILE.py:NAME" where the file is elsewhere now.
+
+    Raises:
+        PerfboundError: there is no campaign, its software or its system is another one, or the run fails.
+        KeyboardInterrupt: it was interrupted.
+
+    """
+    found = None if system is None else given_system(system, "resume")
+    own = Forked(found.here, found.spec) if found is not None and found.here is not None else None
+    reference = found.reference if found is not None and own is None else None
+    path, console = Path(directory), output(progress=progress)
+    with reproducible(), interruptible(path, console):
+        session.resume_campaign(path, _run_options(workers, reference, own), console)
+    return Run(path)
+
+
+def run_campaign(
+    config: CampaignConfig, source: Path, system: GivenSystem, directory: Path, workers: int, *, progress: bool
+) -> Run:
+    """Run a new campaign; see `Campaign.run`."""
+    own = Forked(system.here, system.spec) if system.here is not None else None
+    session.check_workers(system.spec, own, directory)
+    if (directory / DATABASE).exists():
+        found = places.stored_differently(directory, config)
+        differing = f"another campaign is here ({found})" if found else "this campaign is here already"
+        remedy = "choose another `out`" if found else f"continue it with perfbound.resume({str(directory)!r})"
+        raise PerfboundError(f"{directory}: {differing}; {remedy}")
+    console = output(progress=progress)
+    if system.here is not None:
+        console.print(f"{system.spec.name}: one worker, forked from this process: {system.reason}", markup=False)
+    with reproducible(), interruptible(directory, console):
+        session.start_campaign(config, source, directory, _run_options(workers, system.reference, own), console)
+    return Run(directory)
+
+
+def _run_options(workers: int, reference: str | None, own: Forked | None) -> session.RunOptions:
+    if not 1 <= workers <= MOST_WORKERS:
+        raise PerfboundError(f"workers: {workers} is not allowed: allowed is a whole number from 1 to {MOST_WORKERS}")
+    return session.RunOptions(workers, session.Link(LOCAL), system=reference, own=own)
+
+
+def robustness(specification: str, trajectory: Trajectory | dict[str, Sequence[float]]) -> float:
+    """Return the robustness of a trajectory, in the unit of the predicates: above 0 it satisfies the formula.
+
+    `trajectory` may be a dict of columns, (T,) each; without `t` it is one sample.
+
+    Raises:
+        PerfboundError: the formula cannot be read, or not be evaluated on this trajectory.
+
+    >>> robustness("always (x <= 1)", {"t": [0.0, 0.5], "x": [0.2, 0.75]})
+    0.25
+
+    """
+    from ..orchestrator.mathematics.stl.parser import parse_formula  # noqa: PLC0415
+    from ..orchestrator.mathematics.stl.robustness import robustness as evaluated  # noqa: PLC0415
+    from ..workers.systems.function import as_trajectory  # noqa: PLC0415
+
+    if not isinstance(trajectory, Trajectory):
+        columns = ("t", *(name for name in trajectory if name != "t"))
+        trajectory = as_trajectory(trajectory, columns, None)
+    try:
+        return evaluated(parse_formula(specification, trajectory.columns), trajectory.columns, trajectory.samples)
+    except ValueError as error:
+        raise PerfboundError(f"robustness: {error}") from None

@@ -1,0 +1,266 @@
+"""Ask and tell: a campaign whose rollouts are made elsewhere, on a rig, in a vehicle or in another program's loop.
+
+No worker and no network: the ledger itself. What is handed in is admitted by the checks of a worker's result, and is
+durable before the next request follows from it.
+"""
+
+import os
+import weakref
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from ..orchestrator.campaign.copies import same_trajectory
+from ..orchestrator.campaign.ledger import Ledger, Work
+from ..orchestrator.campaign.software import software
+from ..orchestrator.certificate import files
+from ..orchestrator.run import session
+from ..orchestrator.run.directory import stored_differently
+from ..orchestrator.store import read
+from ..orchestrator.store.journal import Journal
+from ..orchestrator.store.rows import DATABASE
+from ..schemas.campaign import CampaignConfig
+from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryError
+from ..schemas.facts import RECORDED, RESTORED, Header
+from ..schemas.failure import Failure
+from ..schemas.ids import Attempt, RolloutId
+from ..schemas.link import LOCAL
+from ..schemas.rollout import RolloutRequest
+from ..schemas.system import OptionValue, SystemSpec
+from .given import GivenSystem
+from .process import reproducible
+from .run import Run
+from .told import Admitted, admitted
+
+SILENT = Console(quiet=True)
+TOLD_BY = "told"
+"""The worker of a rollout that was handed in."""
+
+
+@dataclass(frozen=True)
+class TrialRequest:
+    """A rollout that is wanted: make one from `start`, and hand in its trajectory from 0 to `horizon` s."""
+
+    id: str
+    start: Mapping[str, float]
+    """The starting condition by parameter, in the units of the system."""
+    variant: str
+    seed: int
+    horizon: float
+    options: Mapping[str, OptionValue]
+    request: RolloutRequest
+    """All of it, as a worker gets it."""
+
+    @classmethod
+    def of(cls, request: RolloutRequest, spec: SystemSpec) -> "TrialRequest":
+        """Return a request with the names of the parameters."""
+        return cls(
+            id=request.rollout,
+            start=dict(zip((each.name for each in spec.parameters), request.x, strict=True)),
+            variant=request.variant,
+            seed=request.seed,
+            horizon=request.horizon,
+            options=request.options,
+            request=request,
+        )
+
+    @property
+    def x(self) -> tuple[float, ...]:
+        """The starting condition (p,), in the order of the parameters."""
+        return self.request.x
+
+
+class _Rollouts:
+    """The rollouts of a campaign that are told: those that are wanted, and those that are recorded."""
+
+    def __init__(self, directory: Path, journal: Journal) -> None:
+        self.directory, self._journal, self._ledger = directory, journal, Ledger(directory, journal)
+        self.spec = journal.header.spec
+        self.wanted: dict[RolloutId, None] = {}
+        """In the order of the tests."""
+        self._attempts = read.attempts(directory)
+        with reproducible():
+            self._ledger.replay()
+            self._ledger.check_files(journal)
+            with self._ledger.transaction():
+                self._take(self._ledger.outstanding())
+            self._certify()
+
+    def known(self, name: str) -> RolloutId:
+        """Return the rollout of a request that is wanted, or was told before; raises `RequestError`."""
+        try:
+            rollout = RolloutId.parse(name)
+        except ValueError:
+            raise RequestError(f"{name!r} is no request; give what ask() returned, or its id") from None
+        if rollout not in self.wanted and all(rollout != fact.rollout for fact in self._journal.recorded()):
+            raise RequestError(f"{name}: not wanted, or no longer; ask again")
+        return rollout
+
+    def request(self, rollout: RolloutId) -> RolloutRequest:
+        """Return the request of a rollout that is wanted or was told."""
+        if rollout in self.wanted:
+            return self._ledger.request(rollout)
+        start = self._journal.proposal(rollout.problem, rollout.test).proposal.x
+        return self._ledger.header.template.request(rollout, start, self._journal.rollout(rollout).seed)
+
+    def same(self, rollout: RolloutId, told: Admitted) -> bool:
+        """Whether a rollout was told the same trajectory before, in whatever form."""
+        fact = self._journal.rollout(rollout)
+        return fact.sha256 == told.sha256 or same_trajectory(self._ledger.recorded.read(fact), told.trajectory)
+
+    def record(self, rollout: RolloutId, told: Admitted) -> None:
+        """Make a trajectory durable, and everything that follows from it."""
+        outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
+        with reproducible():
+            with self._ledger.transaction():
+                attempt = self._attempt(rollout)
+                work = self._ledger.record(rollout, told.payload, told.trajectory, told.sha256)
+                self._journal.attempt_ended(attempt, TOLD_BY, outcome)
+            del self.wanted[rollout]
+            self._take(work)
+            self._certify()
+
+    def failed(self, rollout: RolloutId, reason: str) -> None:
+        """Record a trial that the system did not survive."""
+        with self._ledger.transaction():
+            self._journal.attempt_ended(self._attempt(rollout), TOLD_BY, Failure("system", reason))
+
+    def _attempt(self, rollout: RolloutId) -> Attempt:
+        attempt = Attempt(rollout, self._attempts.get(rollout, 0) + 1)
+        self._attempts[rollout] = attempt.number
+        self._journal.attempt_started(attempt, TOLD_BY, os.uname().nodename, os.getpid())
+        return attempt
+
+    def _take(self, work: Work) -> None:
+        self.wanted |= dict.fromkeys(work.wanted)
+        for rollout in work.unwanted:
+            self.wanted.pop(rollout, None)
+
+    def _certify(self) -> None:
+        if self._ledger.done and files.read(self.directory) is None:
+            session.certify(self.directory, self._ledger)
+
+
+class Study:
+    """A campaign that is asked and told, under the lock of its run directory; use it from one thread.
+
+    Every `tell` is durable when it returns: the process may end at any time, and the same call continues. `close`
+    releases the directory, and so does the end of a `with` block.
+    """
+
+    def __init__(self, directory: Path, journal: Journal, stack: ExitStack, step: float | None) -> None:
+        self.directory, self._stack, self._step = directory, stack, step
+        self._open: _Rollouts | None = _Rollouts(directory, journal)
+
+    @property
+    def run(self) -> Run:
+        """The run so far: its tables, and at the end its certificate."""
+        return Run(self.directory)
+
+    @property
+    def requests(self) -> tuple[TrialRequest, ...]:
+        """Every rollout that is wanted now, in the order of the tests: these may be made at the same time."""
+        rollouts = self._rollouts
+        return tuple(TrialRequest.of(rollouts.request(each), rollouts.spec) for each in rollouts.wanted)
+
+    def ask(self) -> TrialRequest | None:
+        """Return the next rollout that is wanted, the same one until it is told; None when the campaign is done."""
+        rollouts = self._rollouts
+        first = next(iter(rollouts.wanted), None)
+        return None if first is None else TrialRequest.of(rollouts.request(first), rollouts.spec)
+
+    def tell(self, request: TrialRequest | str, data: object, *, step: float | None = None) -> None:
+        """Hand in the trajectory of a request, or of its id.
+
+        `data` is what a function under `@perfbound.system` may return: a `Trajectory`, an array (T,) for each column,
+        one array (T, n), a dict or a DataFrame of columns; or a path: a CSV file with a line of titles, or the MCAP
+        file that `perfbound` has made for this request. Without a column `t`, `step` is the time between two samples.
+        The same data told again change nothing.
+
+        Data that do not fit are refused, and change nothing. A trajectory that is not finite, or ends before the
+        horizon, is a failure of the system: it is refused as well, and recorded, and if a later trial of the request
+        succeeds, the certificate says so.
+
+        Raises:
+            PerfboundError: one line with the request and the reason; the request stays open. Or other data were told
+                before.
+
+        """
+        rollouts, name = self._rollouts, request if isinstance(request, str) else request.id
+        rollout = rollouts.known(name)
+        wanted = rollouts.request(rollout)
+        if isinstance(request, TrialRequest) and request.request != wanted:
+            raise RequestError(f"{name}: this request is one of another campaign; ask again")
+        first = rollout in rollouts.wanted
+        try:
+            told = admitted(wanted, rollouts.spec, data, self._step if step is None else step)
+        except UnusableTrajectoryError as fault:
+            if first:  # of one that was told already, there is nothing to record
+                rollouts.failed(rollout, str(fault))
+            raise
+        if not first:
+            if not rollouts.same(rollout, told):
+                raise RequestError(f"{name}: another trajectory was told before, and a record never changes")
+            return
+        try:
+            rollouts.record(rollout, told)
+        except BaseException:
+            self.close()  # the ledger may be ahead of its journal, which alone counts: only a replay continues
+            raise
+
+    def close(self) -> None:
+        """Release the run directory; everything that was told is durable."""
+        self._open = None
+        self._stack.close()
+
+    @property
+    def _rollouts(self) -> _Rollouts:
+        if self._open is None:
+            raise PerfboundError(f"{self.directory}: this study is closed; open it again with ask_tell")
+        return self._open
+
+    def __enter__(self) -> "Study":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        """Return the directory, and the number of wanted rollouts."""
+        state = "closed" if self._open is None else f"{len(self._open.wanted)} rollouts wanted"
+        return f"<Study in {self.directory}: {state}>"
+
+
+_OPEN: "weakref.WeakValueDictionary[Path, Study]" = weakref.WeakValueDictionary()
+"""The studies of this process, by directory."""
+
+
+def open_study(directory: Path, config: CampaignConfig | None = None, system: GivenSystem | None = None) -> Study:
+    """Continue the study in `directory`, or begin that of a campaign there.
+
+    Raises:
+        PerfboundError: there is no campaign, another one, or it is in use.
+
+    """
+    # A cell of a notebook that is run again: the study that it made before holds the lock.
+    if (before := _OPEN.pop(directory.absolute(), None)) is not None:
+        before.close()
+    step = system.step if system else None
+    with ExitStack() as stack:
+        if (directory / DATABASE).exists() or config is None or system is None:
+            if config is not None and (found := stored_differently(directory, config)):
+                raise PerfboundError(f"{directory}: another campaign is here ({found}); choose another `out`")
+            # No worker: of an installed system nothing is compared: the caller has it.
+            options = session.RunOptions(0, session.Link(LOCAL), system=system.reference if system else None)
+            journal, _ = stack.enter_context(session.reopened(directory, options, SILENT))
+            if system is not None and system.spec.repeated != "anywhere":
+                session.check_own(journal.header, system.spec)
+        else:
+            header = Header.new(config, system.spec, software(system.spec))
+            journal = stack.enter_context(session.created(directory, header, system.reference))
+        study = Study(directory, journal, stack.pop_all(), step)
+    _OPEN[directory.absolute()] = study
+    return study

@@ -1,0 +1,50 @@
+"""Local workers that end: replaced, and a reason to stop only where they end by themselves."""
+
+import subprocess
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from perfbound.orchestrator.fleet import processes
+from perfbound.orchestrator.fleet.processes import FAST_DEATHS, Fleet
+from perfbound.schemas.errors import PerfboundError
+
+
+@pytest.fixture
+def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
+    """A fleet of one process that does nothing."""
+
+    def spawn(found: Fleet) -> None:
+        child = subprocess.Popen(["sleep", "1000"])
+        found._children.append(processes._Child(child, time.monotonic()))
+
+    monkeypatch.setattr(Fleet, "_spawn", spawn)
+    found = Fleet(1, "tcp/127.0.0.1:1", "run")
+    found.start()
+    yield found
+    found.stop()
+
+
+def ended(fleet: Fleet) -> str:
+    """Wait until the process has ended; return the line of its replacement."""
+    fleet._children[0].process.wait()
+    (line,) = fleet.tend()
+    return line
+
+
+def test_workers_that_are_replaced_on_purpose_are_no_sign_that_none_can_run(fleet: Fleet) -> None:
+    for _ in range(2 * FAST_DEATHS):
+        (pid,) = fleet.pids
+        assert fleet.kill(pid)
+        assert ended(fleet) == f"local worker {pid} replaced; started {fleet.pids[0]}"
+    assert not fleet.kill(1), "none of ours"
+
+
+def test_workers_that_end_at_once_by_themselves_end_the_run(fleet: Fleet) -> None:
+    for _ in range(FAST_DEATHS - 1):
+        fleet._children[0].process.kill()
+        assert "ended (signal 9)" in ended(fleet)
+    fleet._children[0].process.kill()
+    with pytest.raises(PerfboundError, match="local workers in a row ended within"):
+        ended(fleet)

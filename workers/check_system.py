@@ -1,0 +1,181 @@
+"""The measurements of `check-system`: rollouts one after the other in this process, each with what it leaves behind."""
+
+import ctypes
+import gc
+import hashlib
+import os
+import pickle
+import random
+import stat
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from ..schemas.errors import PerfboundError, SimulationError
+from ..schemas.messages import MAX_RESULT
+from ..schemas.places import of_perfbound, own_place
+from ..schemas.system_check import Measured, SampleTimes, Trial
+from ..schemas.trajectory import Trajectory, decode
+from .simulate import requested_system, run_request_on
+
+STDOUT = 1
+LIBC = ctypes.CDLL(None)
+MOST, REASON = 50, 500
+"""Most names in a list, and characters of an error, that are kept."""
+ROUND_OFF = 1e-9
+"""Of a sample time, in s."""
+STATES: dict[str, Callable[[], object]] = {
+    "random": random.getstate,
+    "numpy.random": lambda: np.random.get_state(legacy=False),  # noqa: NPY002  (the global state is what is watched)
+}
+
+
+def measure_trials(trials: Sequence[Trial], answers: TextIO) -> None:
+    """Run `trials` in their order, and write a line of JSON after loading and after each of them."""
+    gc.freeze()  # what is loaded now need not be searched for garbage after every rollout
+    folder = os.getcwd()  # a rollout may change it
+    surroundings = _Surroundings.now(folder)
+    started = threading.enumerate()
+    _answer(answers, Measured(printed=_printed(), memory=_memory(), peak=_peak(), tasks=_tasks()))
+    for trial in trials:
+        if trial.reseed is not None:
+            random.seed(trial.reseed)
+            np.random.seed(trial.reseed)  # noqa: NPY002  (the one that a system may use by mistake)
+        before = _Surroundings.now(folder, files=surroundings.files)
+        found = _measured(trial)
+        after = _Surroundings.now(folder)
+        changes = {
+            "printed": after.printed - before.printed,
+            "reseeded": tuple(name for name in STATES if after.random[name] != before.random[name]),
+            "files": tuple(sorted(after.files - surroundings.files)[:MOST]),
+            "threads": tuple(each.name for each in threading.enumerate() if each not in started)[:MOST],
+            "tasks": _tasks(),
+            "memory": _memory(),
+            "peak": _peak(),
+        }
+        surroundings = after
+        _answer(answers, found.model_copy(update=changes))
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """What a rollout must leave alone."""
+
+    printed: int
+    random: dict[str, str]
+    files: frozenset[str]
+
+    @classmethod
+    def now(cls, folder: str, files: frozenset[str] | None = None) -> "_Surroundings":
+        states = {name: hashlib.sha256(pickle.dumps(state())).hexdigest() for name, state in STATES.items()}
+        return cls(_printed(), states, _entries(folder) if files is None else files)
+
+
+def _measured(trial: Trial) -> Measured:
+    request = trial.request
+    started = time.perf_counter()
+    try:
+        payload = run_request_on(requested_system(request), request, lambda _: None)
+        seconds = time.perf_counter() - started
+        if len(payload) > MAX_RESULT:
+            raise SimulationError(f"the trajectory's file has {len(payload)} bytes, more than the {MAX_RESULT} allowed")
+        trajectory = decode(payload)
+    except (Exception, SystemExit) as error:  # noqa: BLE001  (any: the judge is the orchestrator)
+        return _failed(error, time.perf_counter() - started)
+    t = trajectory.samples[:, 0]
+    return Measured(
+        file_sha256=hashlib.sha256(payload).hexdigest(),
+        samples_sha256=_samples_sha256(trajectory.samples),
+        beginning_sha256=_samples_sha256(trajectory.samples[t <= trial.beginning + ROUND_OFF]),
+        file_bytes=len(payload),
+        grid=_grid(trajectory),
+        seconds=seconds,
+    )
+
+
+def _failed(error: BaseException, seconds: float) -> Measured:
+    text = str(error).partition("\n")[0]
+    known = isinstance(error, PerfboundError)
+    frames = [(each.filename, each.lineno or 0) for each in traceback.extract_tb(error.__traceback__)]
+    reason = text if known and text else f"{type(error).__name__}: {text}"
+    printable = reason[:REASON].encode(errors="backslashreplace").decode()
+    raised = bool(frames) and not of_perfbound(frames[-1][0])
+    return Measured(error=printable, raised=raised, place=own_place(frames), seconds=seconds)
+
+
+def _grid(trajectory: Trajectory) -> SampleTimes:
+    t = trajectory.samples[:, 0]
+    steps = np.diff(t) if len(t) > 1 else np.zeros(1)
+    return SampleTimes(
+        samples=len(t),
+        first=float(t[0]),
+        last=float(t[-1]),
+        least_step=float((steps[:-1] if len(steps) > 1 else steps).min()),
+        greatest_step=float(steps.max()),
+    )
+
+
+def _samples_sha256(samples: np.ndarray) -> str:
+    return hashlib.sha256(samples.tobytes()).hexdigest()
+
+
+def _printed() -> int:
+    """Return the bytes on stdout so far; 0 where it is no file."""
+    # A system may have closed or replaced it.
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stdout.flush()
+        LIBC.fflush(None)  # a library in C has a buffer of its own
+        found = os.fstat(STDOUT)
+        return found.st_size if stat.S_ISREG(found.st_mode) else 0
+    return 0
+
+
+def _entries(folder: str) -> frozenset[str]:
+    """Return the entries of the working and of the temporary directory, without hidden ones and caches of Python."""
+    here = {each for each in os.listdir(folder) if not each.startswith((".", "__pycache__"))}
+    return frozenset(here | {f"$TMPDIR/{each}" for each in os.listdir(tempfile.gettempdir())})
+
+
+def _memory() -> int:
+    gc.collect()  # garbage that Python has not collected yet is no growth
+    return sum(_of_status(pid, "VmRSS:") for pid in _family())
+
+
+def _peak() -> int:
+    # Not ru_maxrss, which begins with the size of the process that started this one.
+    return sum(_of_status(pid, "VmHWM:") for pid in _family())
+
+
+def _of_status(pid: str, key: str) -> int:
+    """Return a number of bytes from the status of a process; 0 if it has ended."""
+    with suppress(OSError, IndexError):
+        return int(Path(f"/proc/{pid}/status").read_text().partition(key)[2].split()[0]) * 1024
+    return 0
+
+
+def _family() -> list[str]:
+    """Return this process and all that it started, of which a system may consist."""
+    family = ["self"]
+    for pid in family:  # grows while it is read
+        with suppress(OSError):
+            for task in os.listdir(f"/proc/{pid}/task"):
+                family += Path(f"/proc/{pid}/task/{task}/children").read_text().split()
+    return family
+
+
+def _tasks() -> int:
+    return len(os.listdir("/proc/self/task"))
+
+
+def _answer(answers: TextIO, measured: Measured) -> None:
+    answers.write(measured.model_dump_json() + "\n")
+    answers.flush()

@@ -1,0 +1,25 @@
+"""The text of an exception of a system, with its place in the system's own code."""
+
+import traceback
+from pathlib import Path
+
+from ..schemas.places import own_frame
+
+LONGEST_TEXT = 3000
+"""Characters of an exception's own text, so that its place behind it is never cut off."""
+
+
+def fault_text(fault: BaseException) -> str:
+    """Return an exception that a system raised as text, with its place in the system's own code.
+
+    `ZeroDivisionError: division by zero (cars.py, line 17)`
+    """
+    try:
+        text = str(fault)[:LONGEST_TEXT]
+    except Exception:  # noqa: BLE001  (the text is the system's code as well)
+        text = ""
+    kind = type(fault).__name__
+    frames = [(each.filename, each.lineno or 0) for each in traceback.extract_tb(fault.__traceback__)]
+    found = own_frame(frames)
+    place = f" ({Path(found[0]).name}, line {found[1]})" if found else ""
+    return (f"{kind}: {text}" if text else kind) + place

@@ -1,0 +1,95 @@
+"""The fingerprint of a system: its source files, and the versions of the packages that they import."""
+
+import ast
+import hashlib
+import importlib.util
+import sys
+from collections.abc import Iterable, Iterator
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from pathlib import Path
+
+LARGEST = 2**20
+"""Bytes of a file of an installed package that belongs to its code; larger ones are data."""
+CACHES = frozenset({"__pycache__"})
+
+
+def file_sha256(path: Path) -> str:
+    """Return the sha256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def code_of_module(name: str) -> dict[str, str]:
+    """Return file -> sha256 of an installed module: of a package its folder, else the file and what it imports beside.
+
+    Names are relative to the folder above the package, or to that of the file; files of a package above 1 MB are data,
+    and not among them.
+    """
+    found = importlib.util.find_spec(name)
+    if found is None or found.origin is None:
+        return {}
+    file = Path(found.origin)
+    if found.submodule_search_locations is None:
+        return code_of_files(sources_of(file), file.parent) if file.is_file() else {}
+    files = (each for each in file.parent.rglob("*") if each.is_file() and not CACHES.intersection(each.parts))
+    return code_of_files((each for each in files if each.stat().st_size <= LARGEST), file.parent.parent)
+
+
+def code_of_files(files: Iterable[Path], folder: Path) -> dict[str, str]:
+    """Return file -> sha256, by names relative to `folder`, sorted."""
+    return {str(each.relative_to(folder)): file_sha256(each) for each in sorted(files)}
+
+
+def sources_of(file: Path) -> set[Path]:
+    """Return a Python file and those of its folder and below that it imports anywhere, also inside its functions."""
+    known: set[Path] = set()
+    waiting = [file]
+    while waiting:
+        source = waiting.pop()
+        if source not in known:
+            known.add(source)
+            waiting += (each for each in _imported_files(source, file.parent) if each.is_relative_to(file.parent))
+    return known
+
+
+def versions_of(files: Iterable[Path]) -> dict[str, str]:
+    """Return distribution -> version of the installed packages that Python files import, perfbound left out."""
+    tops = {name.partition(".")[0] for file in files for level, name in _imports(file) if not level}
+    outside = tops - set(sys.stdlib_module_names) - {"perfbound", "__future__"}
+    return dict(sorted(found for name in outside if (found := _distribution(name))))
+
+
+def _imported_files(source: Path, folder: Path) -> Iterator[Path]:
+    for level, name in _imports(source):
+        base = source.parents[level - 1] if level else folder
+        path = base.joinpath(*filter(None, name.split(".")))
+        # Of `from a.b import c`, c may be a module or a name in a/b.py; of a package its __init__ runs, too.
+        for each in (path, *path.parents):
+            if each == base or not each.is_relative_to(base):
+                break
+            yield from (file for file in (each.with_suffix(".py"), each / "__init__.py") if file.is_file())
+
+
+def _imports(source: Path) -> tuple[tuple[int, str], ...]:
+    """Return (level, dotted name) of every import statement of a file, wherever it stands; level 0 is absolute."""
+    try:
+        tree = ast.parse(source.read_bytes())
+    except (SyntaxError, ValueError):
+        return ()  # no Python; importing it says so
+    found: list[tuple[int, str]] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += ((0, each.name) for each in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            found += ((node.level, f"{node.module or ''}.{each.name}".strip(".")) for each in node.names)
+    return tuple(found)
+
+
+def _distribution(name: str) -> tuple[str, str] | None:
+    """Return the distribution of a top-level module, and its version; None for a module that is in none."""
+    try:
+        return name, version(name)
+    except PackageNotFoundError:
+        for distribution in packages_distributions().get(name, ()):  # as of `sklearn`; takes a while
+            return distribution, version(distribution)
+    return None

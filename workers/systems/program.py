@@ -1,0 +1,306 @@
+"""Any program as a system under test, described by the campaign file.
+
+For every rollout it gets one line of JSON on its stdin, writes the samples into the file that the line names, and
+answers with one line on its stdout: `{"done": true}` or `{"error": "TEXT"}`. It may stay for the next line, or end.
+"""
+
+import contextlib
+import json
+import os
+import re
+import secrets
+import shlex
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from ...schemas.campaign import CampaignConfig
+from ...schemas.errors import DefinitionError, SimulationError
+from ...schemas.rollout import MAX_FILE_BYTES
+from ...schemas.space import ProgramLimits, SampleFormat, Scenarios, SystemChoice
+from ...schemas.system import SEED_BITS, Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ...schemas.trajectory import Trajectory, Visual
+from .base import Progress, SystemUnderTest, checked_options
+from .fingerprint import file_sha256
+from .running import Command, EndedError, RunningProgram
+
+KEPT = ("PATH", "HOME", "LANG")
+"""Variables that every program gets: no secret of the worker's is among them."""
+GIGABYTE = 10**9
+PREFIX = "perfbound-samples-"
+"""Of the files of samples; the number of their worker follows."""
+MAX_HORIZON = 86_400.0
+SHOWN = 100
+"""Characters of a wrong answer that are shown."""
+
+ONE_LINE = 'its stdout takes one line a rollout, {"done": true} or {"error": "TEXT"}; print everything else to stderr'
+
+Floats = NDArray[np.float64]
+
+
+class ProgramSystem(SystemUnderTest):
+    """The program of a campaign file; it is started by the first rollout, and again after a failed one."""
+
+    def __init__(self, spec: SystemSpec, choice: SystemChoice, folder: Path) -> None:
+        assert choice.program is not None, "of a program"
+        self._spec, self._choice, self._folder = spec, choice, folder
+        # The script of an interpreter, else the program itself.
+        self._program = next(reversed(spec.code))
+        limits = choice.limits or ProgramLimits()
+        self._command = Command(self._program, choice.program, int(limits.memory * GIGABYTE), limits.cpu)
+        self._running: RunningProgram | None = None
+        self._asked = 0
+        _remove_stale()
+
+    @property
+    def spec(self) -> SystemSpec:
+        """The specification that follows from `[system]` and `[space]`."""
+        return self._spec
+
+    def rollout(
+        self,
+        x: Sequence[float],
+        *,
+        variant: Variant,
+        seed: int,
+        horizon: float,
+        options: Mapping[str, OptionValue],
+        progress: Progress,
+    ) -> Trajectory:
+        """Have the program simulate, and read its samples.
+
+        Raises:
+            SimulationError: an argument is outside the spec, or the program fails or writes what it should not.
+            Cancelled: raised by `progress`.
+
+        """
+        chosen = checked_options(self._spec, x, variant=variant, horizon=horizon, options=options)
+        # No folder of its own: a worker that is killed would leave it behind.
+        name = f"{PREFIX}{os.getpid()}-{secrets.token_hex(8)}.{self._choice.samples or 'csv'}"
+        path = Path(tempfile.gettempdir(), name)
+        names = (parameter.name for parameter in self._spec.parameters)
+        line = {
+            "start": dict(zip(names, map(float, x), strict=True)),
+            "seed": seed,
+            "variant": variant,
+            "horizon": float(horizon),
+            "options": chosen,
+            "path": str(path),
+        }
+        ticks = iter(range(1, 2**62))
+        try:
+            answer = self._answer(json.dumps(line).encode(), lambda: progress(next(ticks)))
+            self._check(answer)
+            return self._trajectory(path)
+        except BaseException:  # also a cancelled one: what state it is in is not known
+            self.end()
+            raise
+        finally:
+            path.unlink(missing_ok=True)
+
+    def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
+        """Return a plot of every column: a program has no scene."""
+        return Visual(plots=True)
+
+    def end(self) -> None:
+        """End the program, if it runs; the next rollout starts it anew."""
+        if self._running is not None:
+            self._running.kill()
+            self._running = None
+
+    def _answer(self, line: bytes, waiting: Callable[[], None]) -> bytes:
+        if self._running is not None and self._asked:
+            try:
+                return self._ask(line, waiting)
+            except EndedError as error:
+                if not error.quietly:
+                    raise
+                self.end()  # it serves one rollout, or some, and ends
+        if self._running is None:
+            self._start()
+        return self._ask(line, waiting)
+
+    def _ask(self, line: bytes, waiting: Callable[[], None]) -> bytes:
+        assert self._running is not None, "started by `_answer`"
+        if stray := self._running.unasked:
+            raise SimulationError(f"{self._program} wrote {_excerpt(stray)} after its answer; {ONE_LINE}")
+        answer = self._running.ask(line, waiting)
+        self._asked += 1
+        return answer
+
+    def _start(self) -> None:
+        names = [*KEPT, *(self._choice.environment or ())]
+        environment = {name: os.environ[name] for name in names if name in os.environ}
+        self._running = RunningProgram(self._command, self._folder, environment)
+        self._asked = 0
+
+    def _check(self, answer: bytes) -> None:
+        """Refuse every answer but `{"done": true}`."""
+        try:
+            found = json.loads(answer)
+        except ValueError:
+            raise SimulationError(f"{self._program} answered {_excerpt(answer)}; {ONE_LINE}") from None
+        error = found.get("error") if isinstance(found, dict) else None
+        if error is not None:
+            raise SimulationError(f"{self._program}: {str(error)[:1000]}")
+        if found != {"done": True}:
+            raise SimulationError(f"{self._program} answered {_excerpt(answer)}; {ONE_LINE}")
+
+    def _trajectory(self, path: Path) -> Trajectory:
+        names, step = tuple(column.name for column in self._spec.columns), self._choice.step
+        samples = read_samples(path, self._choice.samples or "csv", names if step is None else names[1:])
+        if step is not None:
+            samples = np.column_stack([np.arange(len(samples)) * step, samples])
+        try:
+            return Trajectory(names, samples)
+        except ValueError as error:
+            raise SimulationError(f"{self._program}: {error}") from None
+
+
+def read_samples(path: Path, form: SampleFormat, columns: Sequence[str]) -> Floats:
+    """Return the samples in a file, shape (T, n) for n columns.
+
+    `csv` is numbers with commas between them, below a header or not; `f64` are little-endian numbers of 8 bytes, sample
+    after sample; `npy` is an array of numpy.
+
+    Raises:
+        SimulationError: there is no file, it is too large, or it contains something else.
+
+    """
+    try:
+        size = path.stat().st_size
+    except OSError:
+        raise SimulationError("the program said that it was done, and wrote no samples to its `path`") from None
+    if not 0 < size <= MAX_FILE_BYTES:
+        raise SimulationError(f"the program wrote {size} bytes of samples; allowed are 1 to {MAX_FILE_BYTES}")
+    try:
+        samples = _READERS[form](path, columns)
+    except (ValueError, EOFError, OSError) as error:
+        raise SimulationError(f"the program's samples are not {form}: {error}") from None
+    if samples.ndim != 2 or samples.shape[1] != len(columns) or not len(samples):
+        listed = ", ".join(columns)
+        raise SimulationError(f"the program wrote an array {samples.shape}, not samples of {listed}")
+    return samples
+
+
+def _read_csv(path: Path, columns: Sequence[str]) -> Floats:
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    first = [cell.strip().strip('"') for cell in lines[0].split(",")]
+    if not _is_number(first[0]):
+        # Columns in another order would be other quantities.
+        if first != list(columns):
+            raise ValueError(f"the header is {','.join(first)[:SHOWN]}, the columns are {','.join(columns)}")
+        lines = lines[1:]
+    if not lines:
+        raise ValueError("no line of numbers")
+    return np.loadtxt(lines, delimiter=",", ndmin=2, dtype=np.float64)
+
+
+def _read_f64(path: Path, columns: Sequence[str]) -> Floats:
+    return np.fromfile(path, dtype="<f8").reshape(-1, len(columns))
+
+
+def _read_npy(path: Path, _columns: Sequence[str]) -> Floats:
+    return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+
+
+_READERS: dict[SampleFormat, Callable[[Path, Sequence[str]], Floats]] = {
+    "csv": _read_csv,
+    "f64": _read_f64,
+    "npy": _read_npy,
+}
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _excerpt(text: bytes) -> str:
+    return repr(text[:SHOWN].decode(errors="backslashreplace"))
+
+
+def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
+    """Return the program of a campaign, read from `file`.
+
+    Raises:
+        DefinitionError: the program is not there, or a name in the file is none.
+
+    """
+    choice, folder = config.system, file.absolute().parent
+    assert choice.program is not None, "of a program"
+    assert choice.columns is not None, "required by a program"
+    code = _code(choice.program, folder, f"{file}: system.program")
+    variants: tuple[Variant, ...] = choice.variants or ("nominal",)
+    noisy = (variants if choice.noisy else ()) if isinstance(choice.noisy, bool | None) else choice.noisy
+    try:
+        spec = SystemSpec(
+            name=_name(next(reversed(code))),
+            doc=f"the program {shlex.join(choice.program)}",
+            parameters=tuple(_space_parameters(config)),
+            columns=tuple(Column(name=name, unit=unit) for name, unit in {"t": "s", **choice.columns}.items()),
+            options=tuple(_option(name, value) for name, value in sorted(choice.options.items())),
+            variants=variants,
+            noisy=tuple(each for each in variants if each in noisy),
+            max_horizon=MAX_HORIZON,
+            default_horizon=config.horizon,
+            seed_bits=choice.seed_bits or SEED_BITS,
+            code=code,
+        )
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        raise DefinitionError(f"{file}: system: {fault['msg']}; it is {fault.get('input')!r}") from None
+    return ProgramSystem(spec, choice, folder)
+
+
+def _space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
+    """Yield the parameters of `[space]`; those of a list of starts are x1, x2, ..., each with its range."""
+    if isinstance(config.space, Scenarios):
+        for k, values in enumerate(zip(*config.space.scenarios, strict=True)):
+            yield Parameter(name=f"x{k + 1}", low=min(values), high=max(values))
+        return
+    for name, box in config.space.items():
+        yield Parameter(name=name, unit=box.unit, low=box.low, high=box.high)
+
+
+def _remove_stale() -> None:
+    """Remove the samples of workers that were killed in the middle of a rollout."""
+    for file in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        number = file.name.removeprefix(PREFIX).partition("-")[0]
+        if number.isdigit() and not Path("/proc", number).exists():
+            with contextlib.suppress(OSError):  # of another user
+                file.unlink()
+
+
+def _option(name: str, value: OptionValue) -> Option:
+    return Option(name=name, default=value, choices=(value,) if isinstance(value, str) else ())
+
+
+def _name(path: str) -> str:
+    """Return the name of a system from that of its file: `./Pendulum_2.sh` is pendulum-2."""
+    found = re.sub("[^a-z0-9]+", "-", Path(path).stem.lower()).strip("-")
+    return found if re.match("[a-z]", found) else f"program-{found}".strip("-")
+
+
+def _code(command: Sequence[str], folder: Path, where: str) -> dict[str, str]:
+    """Return the sha256 of the program, and of the files beside it that its arguments name.
+
+    The last one is the file that simulates: a script behind its interpreter, or the program itself.
+    """
+    program = str(folder / command[0]) if "/" in command[0] else shutil.which(command[0])
+    if program is None or not Path(program).is_file():
+        raise DefinitionError(
+            f"{where}: there is no program {command[0]!r}; build it, or give its path from the folder of this file"
+        )
+    if not os.access(program, os.X_OK):
+        raise DefinitionError(f"{where}: {command[0]} is not executable; chmod +x {program}")
+    named = {command[0]: Path(program)} | {each: folder / each for each in command[1:] if (folder / each).is_file()}
+    return {name: file_sha256(path) for name, path in named.items()}
