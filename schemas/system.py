@@ -113,8 +113,12 @@ class SystemSpec(Model):
 
     @property
     def identities(self) -> tuple[str, ...]:
-        """The identities by which campaigns may know this system: by each rules, with its code and without."""
-        specs = (self, self.model_copy(update={"code": {}}))
+        """The identities by which campaigns may know this system: by each rules, with its code and without.
+
+        Campaigns of the first functions know the code, and not yet the versions of the packages that it imports.
+        """
+        less = ({"code": {}}, {"versions": {}}) if self.code else ()
+        specs = (self, *(self.model_copy(update=without) for without in less))
         return tuple({spec.digest_by(rules): None for rules in sorted(KNOWN, reverse=True) for spec in specs})
 
     def digest_by(self, rules: int) -> str:

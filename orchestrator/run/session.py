@@ -234,14 +234,14 @@ def _check_code(header: Header, reference: str, options: RunOptions, console: Co
     if installed and not options.workers:
         return  # the workers have it, and are compared when they arrive
     found = child.system_spec(reference, "--system")
-    if not campaign.code:
-        text = (
-            f"this campaign does not name the sources of {campaign.name}: whether they are still the same is not known"
-        )
+    unnamed = {"sources": not campaign.code, "packages": bool(found.versions) and not campaign.versions}
+    if missing := " and ".join(what for what, absent in unnamed.items() if absent):
+        text = f"this campaign does not name the {missing} of {campaign.name}: whether they are the same is not known"
         console.print(Text(text), soft_wrap=True)
+    if not campaign.code:
         return
     changed = sorted({name for name, _ in found.code.items() ^ campaign.code.items()})
-    if changed or found.digest_by(header.rules) != header.system_sha256:
+    if changed or header.system_sha256 not in found.identities:
         what = f"{', '.join(changed)}: not the code" if changed else f"{reference}: not the specification"
         remedy = "with the version of then" if installed else "with the files of then (--system, if they are elsewhere)"
         raise JournalError(f"{what} with which this campaign was started; resume it {remedy}, or start a new campaign")

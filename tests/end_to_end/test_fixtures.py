@@ -73,8 +73,21 @@ def test_an_older_database_is_resumed_as_it_is(started: Processes, name: str, ve
     assert ended.code == 0, ended.err
     assert query(directory, "SELECT version FROM schema") == [(version,)]
     assert query(directory, "SELECT sql FROM sqlite_master") == before
-    assert "does not name the sources of test-function" in ended.err
+    assert "does not name the sources of test-function: whether they are the same is not known" in ended.err
     assert (directory / "manifest.sha256").read_bytes() == (RULES_1.parent / manifest).read_bytes()
     for command in ("verify", "status", "export", "report"):
         ended = started.run("perfbound", command, directory)
         assert ended.code == 0, ended.err
+
+
+@resumed
+def test_a_function_of_an_older_database_is_resumed(started: Processes) -> None:
+    """Its campaign knows the code of the function, but not the version of the package that it imports."""
+    directory = Path(shutil.copytree(RULES_1.parent / "function-schema-3", started.folder / "run"))
+    ended = started.run("perfbound", "resume", directory, "--system", f"{directory / 'hill.py'}:hill")
+    assert ended.code == 0, ended.err
+    assert "does not name the packages of hill: whether they are the same is not known" in ended.err
+    # Its trajectory files have channels to plot since then, so their digests are others.
+    found, calm = decided(directory / "certificate.json"), decided(RULES_1.parent / "function-schema-3.certificate.json")
+    assert (found["claims"], found["problems"]) == (calm["claims"], calm["problems"])
+    assert started.run("perfbound", "verify", directory).code == 0
