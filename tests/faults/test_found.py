@@ -46,8 +46,8 @@ HANGS = {
 @pytest.mark.parametrize("how", HANGS)
 def test_a_worker_that_cannot_run_ends_with_its_parent(how: str) -> None:
     """It had to read the end of a pipe, which it never did: it never ended."""
-    lines = ("from perfbound.workers.lifeline import die_with_parent", "die_with_parent()", "print('hangs', flush=True)")
-    child = "; ".join((*lines, HANGS[how]))
+    bound = "from perfbound.workers.lifeline import die_with_parent; die_with_parent()"
+    child = f"{bound}; print('hangs', flush=True); {HANGS[how]}"
     line = [sys.executable, "-c", child]
     parent = f"import subprocess as s; c = s.Popen({line!r}); print(c.pid, flush=True); c.wait()"
     with subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True) as process:
