@@ -117,7 +117,7 @@ class SystemSpec(Model):
 
         Campaigns of the first functions know the code, and not yet the versions of the packages that it imports.
         """
-        less = ({"code": {}}, {"versions": {}}) if self.code else ()
+        less: tuple[dict[str, Any], ...] = ({"code": {}}, {"versions": {}}) if self.code else ()
         specs = (self, *(self.model_copy(update=without) for without in less))
         return tuple({spec.digest_by(rules): None for rules in sorted(KNOWN, reverse=True) for spec in specs})
 
