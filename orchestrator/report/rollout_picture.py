@@ -16,6 +16,8 @@ PER_STACK = 10
 """Panels above one another; further ones are beside them."""
 MOST = 40
 """Panels of a picture."""
+LABEL = -0.15
+"""Place of a label left of its panel, in widths of the panel: as far as tick labels reach."""
 CHARACTERS = 62
 """Of a line of the title."""
 
@@ -36,13 +38,15 @@ def drawn_rollout(spec: SystemSpec, request: RolloutRequest, trajectory: Traject
             axes.set_ylabel(style.with_unit(column.name, column.unit))
             axes.spines[["top", "right"]].set_visible(False)
             axes.margins(x=0.01)
+            axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
+            # A place of its own: aligning the labels of n panels costs n^2 times.
+            axes.yaxis.set_label_coords(LABEL, 0.5)
         for axes in panels[len(shown) :]:
             axes.set_visible(False)
         for axes in grid[-1]:
             axes.set_xlabel("t / s")
             if len(t) == 1:
                 axes.set_xticks(t)
-        figure.align_ylabels()
     return style.png(figure)
 
 

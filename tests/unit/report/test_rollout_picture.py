@@ -14,6 +14,10 @@ from perfbound.schemas.trajectory import Trajectory
 
 
 def picture(columns: int, samples: int = 50, unit: str = "m/s", parameters: int = 2) -> Image.Image:
+    return Image.open(io.BytesIO(drawn(columns, samples, unit, parameters)))
+
+
+def drawn(columns: int, samples: int = 50, unit: str = "m/s", parameters: int = 2) -> bytes:
     spec = SystemSpec(
         name="robot",
         doc="",
@@ -27,9 +31,11 @@ def picture(columns: int, samples: int = 50, unit: str = "m/s", parameters: int 
     t = np.linspace(0, 5, samples) if samples > 1 else np.zeros(1)
     values = np.column_stack([t, *(np.sin(t + k) for k in range(columns))])
     trajectory = Trajectory(tuple(column.name for column in spec.columns), values)
-    data = drawn_rollout(spec, request, trajectory)
-    assert data == drawn_rollout(spec, request, trajectory)
-    return Image.open(io.BytesIO(data))
+    return drawn_rollout(spec, request, trajectory)
+
+
+def test_equal_rollouts_give_equal_bytes() -> None:
+    assert drawn(2) == drawn(2)
 
 
 @pytest.mark.parametrize("unit", ["m", "1", "", "$\\frac{m$", "ä\n\x1b"])
@@ -38,8 +44,8 @@ def test_any_unit_is_drawn(unit: str) -> None:
 
 
 def test_one_sample_is_a_point() -> None:
-    drawn = np.asarray(picture(1, samples=1).convert("RGB"))
-    assert (drawn.reshape(-1, 3) == (0, 0x72, 0xB2)).all(axis=1).any()
+    pixels = np.asarray(picture(1, samples=1).convert("RGB"))
+    assert (pixels.reshape(-1, 3) == (0, 0x72, 0xB2)).all(axis=1).any()
 
 
 def test_many_columns_are_beside_one_another_and_the_first_of_very_many_are_drawn() -> None:
