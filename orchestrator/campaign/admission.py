@@ -1,4 +1,4 @@
-"""The admission of a result: every check before a rollout becomes a fact."""
+"""The checks of a result against its request: bytes, columns, times; `border` adds those of the objective."""
 
 import hashlib
 

@@ -11,7 +11,7 @@ from ...schemas.trajectory import Trajectory
 from ...schemas.values import Proposal
 from .account import Account
 from .methods import Methods
-from .observation import Observer, Trajectories
+from .observation import Observer, Others, Trajectories
 from .seeds import first_node, rollout_seed
 from .series import Series
 
@@ -31,6 +31,10 @@ class Decider(Protocol):
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Turn the trajectories of a test into its observation."""
+        ...
+
+    def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
+        """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
         ...
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
@@ -73,6 +77,10 @@ class ProblemDecisions:
         with naming(f"problem {problem}, test {test}"):
             found = self._observer.observe(self._plan, trajectories)
         return ObservationFact(problem, test, found, series.next_link(test, found))
+
+    def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:  # noqa: ARG002
+        """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
+        self._observer.check(self._plan, rollout[2:], trajectory, others)
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Give an observation to the method, once, and return the bound after it."""

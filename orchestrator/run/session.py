@@ -306,7 +306,7 @@ def certify(directory: Path, ledger: "Ledger") -> None:
     """Write the certificate of a campaign that is done, and its manifest."""
     from ..certificate.issue import issue, manifest  # noqa: PLC0415
 
-    found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
+    found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), ledger.discards)
     irreproducible = read.irreproducible(directory) > 0
     files.write(directory, issue(ledger, found, irreproducible=irreproducible), found.text)
 

@@ -13,6 +13,8 @@ from ...schemas.ids import RolloutId
 from ...schemas.rollout import MAX_FILE_BYTES
 
 FOLDER = "trajectories"
+DISCARDED = "discarded"
+"""The folder of files whose rollouts were discarded."""
 NEWEST = 256
 """Files of which a resume compares the digest, not the size alone."""
 SYNCING = 8
@@ -22,6 +24,11 @@ SYNCING = 8
 def relative_path(rollout: RolloutId) -> str:
     """Return the place of a rollout's file in the run directory, a thousand tests a folder."""
     return f"{FOLDER}/{rollout.problem}/{rollout.test // 1000}/{rollout}.mcap"
+
+
+def discarded_path(rollout: RolloutId, sha256: str) -> str:
+    """Return the place where the file of a discarded rollout is kept."""
+    return f"{DISCARDED}/{rollout}.{sha256[:16]}.mcap"
 
 
 class Batch:

@@ -68,7 +68,7 @@ class Journal:
         """Make the database of a new campaign, whole or not at all."""
         # Under another name until it is whole: after kill -9 a database without its header would pass for a campaign.
         partial = temporary(directory / DATABASE)
-        engine = _engine(partial)
+        engine = open_engine(partial)
         with engine.begin() as connection:
             tables.metadata.create_all(connection)
             for trigger in tables.insert_only():
@@ -77,7 +77,7 @@ class Journal:
             connection.execute(tables.campaign.insert().values(seq=1, **header_row(header)))
         engine.dispose()
         move(partial, directory / DATABASE)
-        return cls(directory, _engine(directory / DATABASE), header, origin)
+        return cls(directory, open_engine(directory / DATABASE), header, origin)
 
     @classmethod
     def open(cls, directory: Path, origin: Origin = INSTALLED) -> "Journal":
@@ -87,7 +87,7 @@ class Journal:
             JournalError: there is none, or it is of another schema, or damaged.
 
         """
-        engine = _engine(existing(directory))
+        engine = open_engine(existing(directory))
         with ExitStack() as refused:
             refused.callback(engine.dispose)
             try:
@@ -197,8 +197,10 @@ class Journal:
 def _position(connection: Connection, directory: Path) -> tuple[int, int]:
     """Return the schema version of a database and its last sequence number."""
     with connection.begin():
-        last = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in tables.FACTS]
-        return read_version(connection, directory), max(seq or 0 for seq in last)
+        version = read_version(connection, directory)
+        there = tables.facts_of_version(version)
+        last = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in there]
+        return version, max(seq or 0 for seq in last)
 
 
 def _open_session(connection: Connection, version: int, origin: Origin) -> int:
@@ -226,7 +228,8 @@ def _of_the_disk(error: sa.exc.DatabaseError) -> bool:
     return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
 
 
-def _engine(path: Path) -> Engine:
+def open_engine(path: Path) -> Engine:
+    """Return the engine of a database that is written: a commit is on the disk when it returns."""
     engine = sa.create_engine(sa.URL.create("sqlite", database=str(path)))
     sa.event.listen(engine, "connect", _configure)
     sa.event.listen(engine, "begin", _begin_immediate)

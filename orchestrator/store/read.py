@@ -16,7 +16,7 @@ from ...schemas.ids import CLOSING, RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .readonly import is_still, open_readonly
-from .rows import DATABASE, READERS, checked_header, checked_version, existing, has_column, header_columns
+from .rows import DATABASE, READERS, checked_header, checked_version, existing, has_column, has_table, header_columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +101,11 @@ def system_reference(directory: Path) -> str:
 
 def read_facts(connection: Connection) -> Iterator[Fact]:
     """Yield all facts after the header in the order in which they were written."""
+    version = connection.execute(sa.select(tables.schema.c.version)).scalar_one()
     rows = [
         (row.seq, make(row))
         for table, make in READERS.items()
+        if has_table(table, version)
         for row in connection.execute(sa.select(tables.metadata.tables[table]))
     ]
     rows.sort(key=lambda pair: pair[0])  # the order of the decisions: a replay takes the same way as the run
