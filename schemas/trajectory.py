@@ -37,21 +37,31 @@ from numpy.typing import NDArray
 
 from . import plots
 from .base import canonical_json
+from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, check_canonical
 from .errors import TrajectoryError, UnusableTrajectoryError
 from .rollout import MAX_FILE_BYTES
 from .visual import Floats, Transform, Visual, channels
 
-__all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read_mcap"]
+__all__ = [
+    "File",
+    "Floats",
+    "Trajectory",
+    "TrajectoryError",
+    "Transform",
+    "Visual",
+    "decode",
+    "encode",
+    "read_canonical",
+    "read_mcap",
+]
 
-LIBRARY = "perfbound"
 FRAME_RATE = 30  # 1/s
 CHUNK_BYTES = 65536
 PLOT_LEVEL = -1  # of zstd: two thirds of the time of its default, and here 7 % smaller
 MAX_RECORDS = 10_000
 MAX_NPY_HEADER = 128
-EVIDENCE, REQUEST, RECORD = "trajectory.npy", "request.json", "rollout"
 
-_MAGIC = b"\x89MCAP0\r\n"
+_MAGIC = MAGIC
 _DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
 
@@ -152,8 +162,8 @@ def encode(
     writer.start(profile="", library=LIBRARY)
     record = {**metadata, "columns": json.dumps(trajectory.columns)}
     writer.add_metadata(RECORD, dict(sorted(record.items())))
-    writer.add_attachment(0, 0, REQUEST, "application/json", canonical_json(dict(request)).encode())
-    writer.add_attachment(0, 0, EVIDENCE, "application/x-npy", _npy(trajectory.samples))
+    writer.add_attachment(0, 0, REQUEST, MEDIA_TYPES[REQUEST], canonical_json(dict(request)).encode())
+    writer.add_attachment(0, 0, EVIDENCE, MEDIA_TYPES[EVIDENCE], _npy(trajectory.samples))
     if visual is not None and not plotted:
         _write_visual(writer, trajectory, visual, units)
     writer.finish()  # type: ignore[no-untyped-call]
@@ -170,6 +180,19 @@ def decode(data: bytes) -> Trajectory:
     return read_mcap(data).trajectory
 
 
+def read_canonical(data: bytes, *, visual: bool) -> File:
+    """Return the evidence in the one file that `encode` writes for it; with `visual` it may have a visual part.
+
+    Raises:
+        TrajectoryError: as `read_mcap`, or the file is written otherwise.
+
+    """
+    try:
+        return _read(data, canonical=True, visual=visual)
+    except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
+        raise _no_file(error) from error
+
+
 def read_mcap(data: bytes) -> File:
     """Return the evidence in a trajectory's file, without its visual part.
 
@@ -181,19 +204,29 @@ def read_mcap(data: bytes) -> File:
 
     """
     try:
-        _check_checksums(data)
-        record, attachments = _evidence_records(data)
-        columns = json.loads(record["columns"])
-        if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
-            raise TrajectoryError("the columns are not a list of names")
-        request = json.loads(attachments[REQUEST])
-        if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
-            raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
-        return File(_usable(tuple(columns), _from_npy(attachments[EVIDENCE])), request, record)
-    except TrajectoryError:
-        raise
+        return _read(data)
     except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
-        raise TrajectoryError(f"not a trajectory file: {type(error).__name__}: {error}") from error
+        raise _no_file(error) from error
+
+
+def _read(data: bytes, *, canonical: bool = False, visual: bool = True) -> File:
+    _check_checksums(data)
+    record, attachments = _evidence_records(data)
+    if canonical:
+        check_canonical(data, record, attachments, visual=visual)
+    columns = json.loads(record["columns"])
+    if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
+        raise TrajectoryError("the columns are not a list of names")
+    if canonical and record["columns"] != json.dumps(columns):
+        raise TrajectoryError("the list of columns is not written as perfbound writes it")
+    request = json.loads(attachments[REQUEST])
+    if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
+        raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
+    return File(_usable(tuple(columns), _from_npy(attachments[EVIDENCE])), request, record)
+
+
+def _no_file(error: Exception) -> TrajectoryError:
+    return TrajectoryError(f"not a trajectory file: {type(error).__name__}: {error}")
 
 
 def _usable(columns: tuple[str, ...], samples: Floats) -> Trajectory:
