@@ -13,7 +13,7 @@ Every version of perfbound has written the evidence in this form, so that the ru
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from enum import IntEnum
 from functools import lru_cache
 
@@ -36,6 +36,7 @@ MEDIA_TYPES = {REQUEST: "application/json", EVIDENCE: "application/x-npy"}
 """In the order of the file."""
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of the content
+_LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 _DATA_END = struct.Struct("<BQI")
 _FOOTER = struct.Struct("<BQQQI")
 _VISUAL = frozenset({_Record.SCHEMA, _Record.CHANNEL, _Record.CHUNK, _Record.MESSAGE_INDEX})
@@ -43,26 +44,77 @@ _INDEXES = frozenset({_Record.ATTACHMENT_INDEX, _Record.METADATA_INDEX})
 _SUMMARY = frozenset({_Record.SCHEMA, _Record.CHANNEL, _Record.STATISTICS, _Record.CHUNK_INDEX, _Record.SUMMARY_OFFSET})
 
 
-def check_canonical(
-    data: bytes, metadata: Mapping[str, str], attachments: Mapping[str, bytes], *, visual: bool
-) -> None:
-    """Check that a file whose checksums are right is the canonical one of its content; `visual`: it may be seen.
+def canonical_evidence(data: bytes, *, visual: bool) -> tuple[dict[str, str], dict[str, bytes]]:
+    """Return the metadata and the attachments of a canonical file whose checksums are right; `visual`: it may be seen.
 
     Raises:
-        TrajectoryError: with the part that is another one.
+        TrajectoryError: with the part that is not canonical.
+        struct.error, UnicodeDecodeError: a length in it is wrong.
 
     """
-    evidence, indexes = _evidence(metadata, attachments)
+    if not data.startswith(_HEAD):
+        raise TrajectoryError("it is not written as perfbound writes it: its head is another one")
+    metadata, after = _metadata(data, len(_HEAD))
+    place = struct.pack("<QQ", len(_HEAD), after - len(_HEAD))
+    listed = _record(_Record.METADATA_INDEX, place + _text(RECORD))
+    attachments: dict[str, bytes] = {}
+    indexes = []
+    for name, media_type in MEDIA_TYPES.items():
+        start = after
+        attachments[name], after = _attachment(data, start, name, media_type)
+        place = struct.pack("<QQQQQ", start, after - start, 0, 0, len(attachments[name]))
+        indexes.append(_record(_Record.ATTACHMENT_INDEX, place + _text(name) + _text(media_type)))
+    _check_rest(data, after, [*indexes, listed], visual=visual)
+    return metadata, attachments
+
+
+def _metadata(data: bytes, start: int) -> tuple[dict[str, str], int]:
+    """Return the metadata record that begins at `start`, and its end; the keys are sorted."""
+    opcode, length = _RECORD.unpack_from(data, start)
+    end, at = start + _RECORD.size + length, start + _RECORD.size
+    name, at = _read_text(data, at)
+    (size,) = _LENGTH.unpack_from(data, at)
+    at += _LENGTH.size
+    if opcode != _Record.METADATA or name != RECORD or at + size != end:
+        raise TrajectoryError("its metadata are not written as perfbound writes them")
+    found: list[tuple[str, str]] = []
+    while at < end:
+        key, at = _read_text(data, at)
+        value, at = _read_text(data, at)
+        if found and key <= found[-1][0]:
+            raise TrajectoryError("its metadata are not in order")
+        found.append((key, value))
+    if at != end:
+        raise TrajectoryError("its metadata are not written as perfbound writes them")
+    return dict(found), end
+
+
+def _attachment(data: bytes, start: int, name: str, media_type: str) -> tuple[bytes, int]:
+    """Return the attachment that begins at `start`, and the end of its record."""
+    head = bytes(16) + _text(name) + _text(media_type)  # no times
+    at = start + _RECORD.size
+    (size,) = _SIZE.unpack_from(data, at + len(head))
+    content = at + len(head) + _SIZE.size
+    end = content + size + _LENGTH.size
+    expected = _RECORD.pack(_Record.ATTACHMENT, end - at) + head
+    if data[start : start + len(expected)] != expected or end > len(data):
+        raise TrajectoryError(f"its attachments are not {' and '.join(MEDIA_TYPES)}, as perfbound writes them")
+    found = data[content : content + size]
+    if _LENGTH.unpack_from(data, content + size)[0] != zlib.crc32(memoryview(data)[at : content + size]):
+        raise TrajectoryError(f"the checksum of {name} is wrong")
+    return found, end
+
+
+def _check_rest(data: bytes, start: int, indexes: list[bytes], *, visual: bool) -> None:
+    """Check everything behind the evidence, which `indexes` list in the summary."""
     footer = len(data) - len(MAGIC) - _FOOTER.size
     summary = _FOOTER.unpack_from(data, footer)[2]
     end = summary - _DATA_END.size
-    if end < len(evidence) or not data.startswith(evidence):
-        raise TrajectoryError("its evidence is not written as perfbound writes it")
-    if end == len(evidence) and data[summary:] == _plain_end(summary, tuple(indexes)):
+    if end == start and data[summary:] == _plain_end(summary, tuple(indexes)):
         return
     if not visual:
         raise TrajectoryError("it has more than the evidence, and no visual part was requested")
-    if any(opcode not in _VISUAL for opcode, _ in _records(data, len(evidence), end)):
+    if any(opcode not in _VISUAL for opcode, _ in _records(data, start, end)):
         raise TrajectoryError("its visual part has records of another kind")
     found = []
     for opcode, record in _records(data, summary, footer):
@@ -75,34 +127,14 @@ def check_canonical(
 
 
 def _records(data: bytes, start: int, end: int) -> Iterator[tuple[int, bytes]]:
-    while start < end:
-        if end - start < _RECORD.size:
-            raise TrajectoryError("a record is cut")
+    """Yield the opcode of each record, and the bytes of those that list evidence."""
+    while start != end:
         opcode, length = _RECORD.unpack_from(data, start)
         after = start + _RECORD.size + length
         if after > end:
             raise TrajectoryError("a record is cut")
         yield opcode, data[start:after] if opcode in _INDEXES else b""
         start = after
-
-
-def _evidence(metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> tuple[bytes, list[bytes]]:
-    """Return the bytes of the evidence, and the records of the summary that list it."""
-    listed = b"".join(_text(key) + _text(value) for key, value in sorted(metadata.items()))
-    record = _record(_Record.METADATA, _text(RECORD) + struct.pack("<I", len(listed)) + listed)
-    parts = [MAGIC + _record(_Record.HEADER, _text("") + _text(LIBRARY))]
-    index = _record(_Record.METADATA_INDEX, struct.pack("<QQ", len(parts[0]), len(record)) + _text(RECORD))
-    parts.append(record)
-    indexes = []
-    for name, media_type in MEDIA_TYPES.items():
-        content = attachments[name]
-        head = bytes(16) + _text(name) + _text(media_type) + struct.pack("<Q", len(content))  # no times
-        crc = zlib.crc32(content, zlib.crc32(head))
-        record = _record(_Record.ATTACHMENT, b"".join([head, content, struct.pack("<I", crc)]))
-        place = struct.pack("<QQ", sum(map(len, parts)), len(record)) + bytes(16) + struct.pack("<Q", len(content))
-        indexes.append(_record(_Record.ATTACHMENT_INDEX, place + _text(name) + _text(media_type)))
-        parts.append(record)
-    return b"".join(parts), [*indexes, index]
 
 
 @lru_cache(maxsize=64)  # the sizes of the files of a campaign differ little
@@ -135,3 +167,14 @@ def _record(opcode: int, content: bytes) -> bytes:
 def _text(text: str) -> bytes:
     data = text.encode()
     return struct.pack("<I", len(data)) + data
+
+
+def _read_text(data: bytes, at: int) -> tuple[str, int]:
+    (length,) = _LENGTH.unpack_from(data, at)
+    after = at + _LENGTH.size + length
+    if after > len(data):
+        raise TrajectoryError("a text is cut")
+    return data[at + _LENGTH.size : after].decode(), after
+
+
+_HEAD = MAGIC + _record(_Record.HEADER, _text("") + _text(LIBRARY))

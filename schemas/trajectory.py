@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from . import plots
 from .base import canonical_json
-from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, check_canonical
+from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, canonical_evidence
 from .errors import TrajectoryError, UnusableTrajectoryError
 from .rollout import MAX_FILE_BYTES
 from .visual import Floats, Transform, Visual, channels
@@ -211,9 +211,7 @@ def read_mcap(data: bytes) -> File:
 
 def _read(data: bytes, *, canonical: bool = False, visual: bool = True) -> File:
     _check_checksums(data)
-    record, attachments = _evidence_records(data)
-    if canonical:
-        check_canonical(data, record, attachments, visual=visual)
+    record, attachments = canonical_evidence(data, visual=visual) if canonical else _evidence_records(data)
     columns = json.loads(record["columns"])
     if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
         raise TrajectoryError("the columns are not a list of names")
