@@ -106,9 +106,12 @@ class Ledger:
                 f"{self._directory}: the facts contradict each other ({error}); restore the database from a copy"
             ) from None
 
-    def check_files(self, recorded: RecordedRollouts) -> int:
-        """Find files that a crash of the machine damaged, after a replay; return how many are simulated again."""
-        self._restoration = Restoration(self._directory, recorded)
+    def check_files(self, recorded: RecordedRollouts, *, whole: bool = False) -> int:
+        """Find files that are missing or damaged; return how many are simulated again.
+
+        After a replay those that a crash of the machine may have damaged; `whole` before the certificate, each one.
+        """
+        self._restoration = Restoration(self._directory, recorded, whole=whole)
         return len(self._restoration)
 
     def outstanding(self) -> Work:
@@ -148,7 +151,7 @@ class Ledger:
             return Work() if self._restoration else self.outstanding()
         value = robustness(self.observer, rollout, trajectory)
         path = evidence.relative_path(rollout)
-        self._files.write(self._directory / path, payload)
+        self._files.write(evidence.inside(self._directory, path), payload)
         self.recorded.keep(rollout, trajectory)
         return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, value)))
 

@@ -13,7 +13,7 @@ from sqlalchemy import Connection
 from ...schemas import atomic
 from ...schemas.facts import DiscardFact, RolloutFact
 from . import tables
-from .files import discarded_path, read_evidence
+from .files import discarded_path, inside, read_evidence
 from .journal import open_engine
 from .read import read_version
 from .rows import ADDED_IN, DATABASE, SCHEMA_VERSION
@@ -33,7 +33,7 @@ def discard(directory: Path, fact: RolloutFact, reason: str) -> DiscardFact:
     kept = discarded_path(fact.rollout, fact.sha256)
     # First the copy, then the row: what a crash leaves between them is overwritten by the next call. The file itself
     # has no row from then on, so that a resume sweeps it.
-    atomic.write_whole(directory / kept, read_evidence(directory, fact.path, fact.sha256))
+    atomic.write_whole(inside(directory, kept), read_evidence(directory, fact.path, fact.sha256))
     engine = open_engine(directory / DATABASE)
     try:
         with engine.begin() as connection:

@@ -59,6 +59,7 @@ class Journal:
         self.directory, self.header = directory, header
         self._engine = engine
         self._connection = engine.connect()
+        self._place = os.stat(directory / DATABASE)
         self._version, self._seq = _position(self._connection, directory)
         self._pending: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
         self.session = _open_session(self._connection, self._version, origin)
@@ -87,7 +88,7 @@ class Journal:
             JournalError: there is none, or it is of another schema, or damaged.
 
         """
-        engine = open_engine(existing(directory))
+        engine = open_engine(_unlinked(existing(directory)))
         with ExitStack() as refused:
             refused.callback(engine.dispose)
             try:
@@ -182,6 +183,23 @@ class Journal:
         self._flush()
         return self._connection.execute(query).all()
 
+    def check_place(self) -> None:
+        """Refuse to go on without the database: what is written now would be lost with the last open file.
+
+        Raises:
+            JournalError: another file is in its place, or none.
+
+        """
+        path = self.directory / DATABASE
+        try:
+            same = os.path.samestat(os.stat(path), self._place)
+        except OSError:
+            same = False
+        if not same:
+            raise JournalError(
+                f"{path}: removed or replaced while the campaign was running; restore it from a copy, then resume"
+            )
+
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
         # SQLite folds the log when the last connection closes: with a reader at that moment, no connection would.
@@ -192,6 +210,14 @@ class Journal:
                 driver.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self._connection.close()
         self._engine.dispose()
+
+
+def _unlinked(path: Path) -> Path:
+    """Refuse a database, or a log beside it, that is a symbolic link: SQLite would write what it leads to."""
+    for each in (path, *(path.with_name(f"{path.name}-{log}") for log in ("wal", "shm", "journal"))):
+        if each.is_symlink():
+            raise JournalError(f"{each}: a symbolic link; put the file itself there")
+    return path
 
 
 def _position(connection: Connection, directory: Path) -> tuple[int, int]:

@@ -149,7 +149,12 @@ class _Rollouts:
             self.wanted.pop(rollout, None)
 
     def _certify(self) -> None:
-        if self._ledger.done and files.read(self.directory) is None:
+        if not self._ledger.done or files.read(self.directory) is not None:
+            return
+        self._journal.check_place()
+        if self._ledger.check_files(self._journal, whole=True):
+            self._take(self._ledger.outstanding())  # what was removed meanwhile is wanted again
+        else:
             session.certify(self.directory, self._ledger)
 
 
