@@ -10,6 +10,7 @@ from pathlib import Path
 from ...schemas.atomic import TEMPORARY, fresh, make_folder, sync, temporary
 from ...schemas.errors import EvidenceError
 from ...schemas.ids import RolloutId
+from ...schemas.outside import read_outside
 from ...schemas.rollout import MAX_FILE_BYTES
 
 FOLDER = "trajectories"
@@ -127,15 +128,9 @@ def contents(path: Path, most: int) -> bytes:
 
     """
     try:
-        # Opened first, examined then: between a stat and an open the file could be exchanged.
-        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
-            regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
-            data = file.read(most + 1) if regular else b""
+        return read_outside(path, most)
     except OSError as error:
         raise EvidenceError(f"{path}: {error.strerror}; restore it from a copy") from None
-    if not regular or len(data) > most:
-        raise EvidenceError(f"{path}: not a file of at most {most} bytes; restore it from a copy")
-    return data
 
 
 def damaged(
