@@ -216,7 +216,7 @@ def _allowed(location: Location) -> str:
         names = names[:2]  # an entry of `columns` or of a list
     if names in _WORDS:
         return _WORDS[names]
-    if names[0] == "system" and names[1] not in SystemChoice.model_fields:
+    if names[0] == "system" and len(names) > 1 and names[1] not in SystemChoice.model_fields:
         return "text or a number, as the system has it: see `perfbound systems`"
     field = _model_at(location[:-1]).model_fields.get(names[-1])
     if field is not None and get_origin(field.annotation) is Literal:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import IllegalEvent, JournalError
+from ...schemas.errors import IllegalEvent, JournalError, one_line
 from ...schemas.facts import BoundFact, DiscardFact, Fact, ObservationFact, ProposalFact, RolloutFact, first_link
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RolloutRequest
@@ -101,9 +101,11 @@ class Ledger:
             # Both are written in one transaction, so no crash leaves one of them.
             if any(series.due for series in self.series.values()):
                 raise IllegalEvent("an observation without its bound")
-        except (IllegalEvent, KeyError) as error:
+        # Not IllegalEvent alone: the facts are what a disk has left of them.
+        except (ValueError, LookupError, ArithmeticError, TypeError, AttributeError, AssertionError) as error:
             raise JournalError(
-                f"{self._directory}: the facts contradict each other ({error}); restore the database from a copy"
+                f"{self._directory}: the facts contradict each other ({one_line(str(error))[:300]}); "
+                "restore the database from a copy"
             ) from None
 
     def check_files(self, recorded: RecordedRollouts, *, whole: bool = False) -> int:

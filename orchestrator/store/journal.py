@@ -14,7 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
 from ...schemas.atomic import move, temporary
-from ...schemas.errors import JournalError
+from ...schemas.errors import JournalError, one_line
 from ...schemas.facts import RECORDED, Fact, Header, ProposalFact, RolloutFact
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
@@ -23,6 +23,7 @@ from .read import read_facts, read_header, read_version
 from .rows import (
     DATABASE,
     SCHEMA_VERSION,
+    UNREADABLE,
     attempt_key,
     existing,
     fact_row,
@@ -91,15 +92,12 @@ class Journal:
         engine = open_engine(_unlinked(existing(directory)))
         with ExitStack() as refused:
             refused.callback(engine.dispose)
-            try:
+            with _readable(directory):
                 with engine.begin() as connection:
                     header = read_header(connection, directory)
-            except sa.exc.DatabaseError as error:
-                if _of_the_disk(error):
-                    raise  # a full disk is no fault of the file
-                raise JournalError(f"{directory / DATABASE}: not a campaign database ({error.orig})") from None
+                opened = cls(directory, engine, header, origin)
             refused.pop_all()
-        return cls(directory, engine, header, origin)
+        return opened
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -147,7 +145,7 @@ class Journal:
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
-        with self._connection.begin():
+        with _readable(self.directory), self._connection.begin():
             yield from read_facts(self._connection)
 
     def recorded(self) -> list[RolloutFact]:
@@ -210,6 +208,24 @@ class Journal:
                 driver.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self._connection.close()
         self._engine.dispose()
+
+
+@contextmanager
+def _readable(directory: Path) -> Iterator[None]:
+    """Turn an error of a damaged database into a `JournalError`; a full or failing disk is no fault of the file."""
+    try:
+        yield
+    except sa.exc.DatabaseError as error:
+        if _of_the_disk(error):
+            raise
+        raise JournalError(
+            f"{directory / DATABASE}: not a campaign database ({error.orig}); restore it from a copy"
+        ) from None
+    except UNREADABLE as error:
+        raise JournalError(
+            f"{directory / DATABASE}: not a campaign database ({type(error).__name__}: {one_line(str(error))[:200]}); "
+            "restore it from a copy"
+        ) from None
 
 
 def _unlinked(path: Path) -> Path:
