@@ -20,7 +20,7 @@ from functools import lru_cache
 from .errors import TrajectoryError
 
 
-class _Record(IntEnum):
+class _Opcode(IntEnum):
     """The kinds of records, as the specification of MCAP numbers them."""
 
     HEADER, FOOTER, SCHEMA, CHANNEL = 1, 2, 3, 4
@@ -39,12 +39,16 @@ _RECORD = struct.Struct("<BQ")  # opcode, length of the content
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 _DATA_END = struct.Struct("<BQI")
 _FOOTER = struct.Struct("<BQQQI")
-_VISUAL = frozenset({_Record.SCHEMA, _Record.CHANNEL, _Record.CHUNK, _Record.MESSAGE_INDEX})
-_INDEXES = frozenset({_Record.ATTACHMENT_INDEX, _Record.METADATA_INDEX})
-_SUMMARY = frozenset({_Record.SCHEMA, _Record.CHANNEL, _Record.STATISTICS, _Record.CHUNK_INDEX, _Record.SUMMARY_OFFSET})
+_VISUAL = frozenset({_Opcode.SCHEMA, _Opcode.CHANNEL, _Opcode.CHUNK, _Opcode.MESSAGE_INDEX})
+_INDEXES = frozenset({_Opcode.ATTACHMENT_INDEX, _Opcode.METADATA_INDEX})
+_SUMMARY = frozenset({_Opcode.SCHEMA, _Opcode.CHANNEL, _Opcode.STATISTICS, _Opcode.CHUNK_INDEX, _Opcode.SUMMARY_OFFSET})
 
 
-def canonical_evidence(data: bytes, *, visual: bool) -> tuple[dict[str, str], dict[str, bytes]]:
+Evidence = tuple[dict[str, str], dict[str, bytes]]
+"""The metadata, and the attachments by name."""
+
+
+def canonical_evidence(data: bytes, *, visual: bool) -> Evidence:
     """Return the metadata and the attachments of a canonical file whose checksums are right; `visual`: it may be seen.
 
     Raises:
@@ -54,28 +58,28 @@ def canonical_evidence(data: bytes, *, visual: bool) -> tuple[dict[str, str], di
     """
     if not data.startswith(_HEAD):
         raise TrajectoryError("it is not written as perfbound writes it: its head is another one")
-    metadata, after = _metadata(data, len(_HEAD))
+    metadata, after = _read_metadata(data, len(_HEAD))
     place = struct.pack("<QQ", len(_HEAD), after - len(_HEAD))
-    listed = _record(_Record.METADATA_INDEX, place + _text(RECORD))
+    listed = _packed(_Opcode.METADATA_INDEX, place + _packed_text(RECORD))
     attachments: dict[str, bytes] = {}
     indexes = []
     for name, media_type in MEDIA_TYPES.items():
         start = after
         attachments[name], after = _attachment(data, start, name, media_type)
         place = struct.pack("<QQQQQ", start, after - start, 0, 0, len(attachments[name]))
-        indexes.append(_record(_Record.ATTACHMENT_INDEX, place + _text(name) + _text(media_type)))
+        indexes.append(_packed(_Opcode.ATTACHMENT_INDEX, place + _packed_text(name) + _packed_text(media_type)))
     _check_rest(data, after, [*indexes, listed], visual=visual)
     return metadata, attachments
 
 
-def _metadata(data: bytes, start: int) -> tuple[dict[str, str], int]:
+def _read_metadata(data: bytes, start: int) -> tuple[dict[str, str], int]:
     """Return the metadata record that begins at `start`, and its end; the keys are sorted."""
     opcode, length = _RECORD.unpack_from(data, start)
     end, at = start + _RECORD.size + length, start + _RECORD.size
     name, at = _read_text(data, at)
     (size,) = _LENGTH.unpack_from(data, at)
     at += _LENGTH.size
-    if opcode != _Record.METADATA or name != RECORD or at + size != end:
+    if opcode != _Opcode.METADATA or name != RECORD or at + size != end:
         raise TrajectoryError("its metadata are not written as perfbound writes them")
     found: list[tuple[str, str]] = []
     while at < end:
@@ -91,12 +95,12 @@ def _metadata(data: bytes, start: int) -> tuple[dict[str, str], int]:
 
 def _attachment(data: bytes, start: int, name: str, media_type: str) -> tuple[bytes, int]:
     """Return the attachment that begins at `start`, and the end of its record."""
-    head = bytes(16) + _text(name) + _text(media_type)  # no times
+    head = bytes(16) + _packed_text(name) + _packed_text(media_type)  # no times
     at = start + _RECORD.size
     (size,) = _SIZE.unpack_from(data, at + len(head))
     content = at + len(head) + _SIZE.size
     end = content + size + _LENGTH.size
-    expected = _RECORD.pack(_Record.ATTACHMENT, end - at) + head
+    expected = _RECORD.pack(_Opcode.ATTACHMENT, end - at) + head
     if data[start : start + len(expected)] != expected or end > len(data):
         raise TrajectoryError(f"its attachments are not {' and '.join(MEDIA_TYPES)}, as perfbound writes them")
     found = data[content : content + size]
@@ -114,10 +118,10 @@ def _check_rest(data: bytes, start: int, indexes: list[bytes], *, visual: bool) 
         return
     if not visual:
         raise TrajectoryError("it has more than the evidence, and no visual part was requested")
-    if any(opcode not in _VISUAL for opcode, _ in _records(data, start, end)):
+    if any(opcode not in _VISUAL for opcode, _ in _framed(data, start, end)):
         raise TrajectoryError("its visual part has records of another kind")
     found = []
-    for opcode, record in _records(data, summary, footer):
+    for opcode, record in _framed(data, summary, footer):
         if opcode in _INDEXES:
             found.append(record)
         elif opcode not in _SUMMARY:
@@ -126,7 +130,7 @@ def _check_rest(data: bytes, start: int, indexes: list[bytes], *, visual: bool) 
         raise TrajectoryError("its summary lists other evidence")
 
 
-def _records(data: bytes, start: int, end: int) -> Iterator[tuple[int, bytes]]:
+def _framed(data: bytes, start: int, end: int) -> Iterator[tuple[int, bytes]]:
     """Yield the opcode of each record, and the bytes of those that list evidence."""
     while start != end:
         opcode, length = _RECORD.unpack_from(data, start)
@@ -141,30 +145,30 @@ def _records(data: bytes, start: int, end: int) -> Iterator[tuple[int, bytes]]:
 def _plain_end(summary: int, indexes: tuple[bytes, ...]) -> bytes:
     """Return everything after the data of a file without a visual part."""
     # messages, schemas, channels, attachments, metadata, chunks, first and last time, messages by channel
-    statistics = _record(_Record.STATISTICS, struct.pack("<QHIIIIQQI", 0, 0, 0, len(MEDIA_TYPES), 1, 0, 0, 0, 0))
+    statistics = _packed(_Opcode.STATISTICS, struct.pack("<QHIIIIQQI", 0, 0, 0, len(MEDIA_TYPES), 1, 0, 0, 0, 0))
     *attachments, metadata = indexes
     groups = {
-        _Record.SCHEMA: b"",
-        _Record.CHANNEL: b"",
-        _Record.STATISTICS: statistics,
-        _Record.CHUNK_INDEX: b"",
-        _Record.ATTACHMENT_INDEX: b"".join(attachments),
-        _Record.METADATA_INDEX: metadata,
+        _Opcode.SCHEMA: b"",
+        _Opcode.CHANNEL: b"",
+        _Opcode.STATISTICS: statistics,
+        _Opcode.CHUNK_INDEX: b"",
+        _Opcode.ATTACHMENT_INDEX: b"".join(attachments),
+        _Opcode.METADATA_INDEX: metadata,
     }
     start, offsets = summary, b""
     for opcode, group in groups.items():
-        offsets += _record(_Record.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, len(group)))
+        offsets += _packed(_Opcode.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, len(group)))
         start += len(group)
     content = b"".join(groups.values()) + offsets
-    content += _FOOTER.pack(_Record.FOOTER, 20, summary, start, 0)[:-4]
+    content += _FOOTER.pack(_Opcode.FOOTER, 20, summary, start, 0)[:-4]
     return content + struct.pack("<I", zlib.crc32(content)) + MAGIC
 
 
-def _record(opcode: int, content: bytes) -> bytes:
+def _packed(opcode: int, content: bytes) -> bytes:
     return _RECORD.pack(opcode, len(content)) + content
 
 
-def _text(text: str) -> bytes:
+def _packed_text(text: str) -> bytes:
     data = text.encode()
     return struct.pack("<I", len(data)) + data
 
@@ -177,4 +181,4 @@ def _read_text(data: bytes, at: int) -> tuple[str, int]:
     return data[at + _LENGTH.size : after].decode(), after
 
 
-_HEAD = MAGIC + _record(_Record.HEADER, _text("") + _text(LIBRARY))
+_HEAD = MAGIC + _packed(_Opcode.HEADER, _packed_text("") + _packed_text(LIBRARY))

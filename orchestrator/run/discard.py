@@ -11,7 +11,7 @@ from ...schemas.trajectory import Trajectory, decode
 from ..campaign.border import objective_fault
 from ..campaign.ledger import Ledger
 from ..certificate import files
-from ..store import discard as store
+from ..store.discard import write_discard
 from ..store.files import contents
 from ..store.journal import Journal
 from ..store.lock import campaign_lock
@@ -43,7 +43,7 @@ def discard_rollout(directory: Path, name: str, reason: str) -> DiscardFact:
             ledger.replay()
             fact = _recorded(ledger, journal, name)
             _refuse_valid(ledger, directory, fact)
-        return store.discard(directory, fact, reason)
+        return write_discard(directory, fact, reason)
 
 
 def _recorded(ledger: Ledger, journal: Journal, name: str) -> RolloutFact:

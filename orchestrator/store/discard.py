@@ -22,7 +22,7 @@ _RULES_1 = " DEFAULT 1"
 """Campaigns of version 1 name no rules, and follow rules 1."""
 
 
-def discard(directory: Path, fact: RolloutFact, reason: str) -> DiscardFact:
+def write_discard(directory: Path, fact: RolloutFact, reason: str) -> DiscardFact:
     """Discard a recorded rollout of an open test; the run directory is locked, and the caller has found the reason.
 
     Raises:

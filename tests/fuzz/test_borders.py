@@ -162,10 +162,12 @@ def opened(directory: Path) -> None:
         replayed,
     )
     for reader in readers:
+        refused = ""
         try:
             reader(directory)
         except PerfboundError as error:
-            assert "\n" not in str(error)
+            refused = str(error)
+        assert "\n" not in refused
 
 
 def replayed(directory: Path) -> None:
@@ -225,10 +227,12 @@ def test_campaign_files(name: str) -> None:
     spec = load_system("test-function").spec
 
     def attempt(luck: random.Random) -> None:
+        refused = "campaign.toml"
         try:
             check(parse_campaign(mutated(luck, whole), "campaign.toml"), spec, "campaign.toml")
         except PerfboundError as error:
-            assert str(error).startswith("campaign.toml")
+            refused = str(error)
+        assert refused.startswith("campaign.toml")
 
     each(COUNT, attempt)
 
@@ -236,14 +240,15 @@ def test_campaign_files(name: str) -> None:
 def test_formulas() -> None:
     columns = ("t", "phi", "omega")
     samples = np.column_stack([np.arange(50) / 10, np.ones(50), np.zeros(50)])
-    whole = b"always[0,2] (abs(phi) <= 1.5 implies eventually[0.5,1] (omega^2 / (phi + 1) < 3 and not phi > 2)) until phi >= 0"
+    whole = (
+        b"always[0,2] (abs(phi) <= 1.5 implies eventually[0.5,1] (omega^2 / (phi + 1) < 3 and phi < 2)) until phi > 0"
+    )
 
     def attempt(luck: random.Random) -> None:
         given = mutated(luck, whole).decode(errors="replace")
         try:
             tree = parse_formula(given, columns)
-        except FormulaError as error:
-            assert "\n" not in str(error)
+        except FormulaError:
             return
         with suppress(ValueError):
             assert np.isfinite(robustness(tree, columns, samples))
