@@ -19,6 +19,10 @@ Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | No
 """(problem, test, the method's proposal, the rival at a given start) -> the proposal to take."""
 
 
+UNOBSERVABLE = "; drop the rollout that is at fault with `perfbound discard`, then resume"
+"""The remedy for a test of which an older perfbound recorded what allows no observation."""
+
+
 class Decider(Protocol):
     """The decisions about one series of tests, called in the order of its facts.
 
@@ -74,7 +78,7 @@ class ProblemDecisions:
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Turn the trajectories of a test into the value of the objective."""
         problem = self._plan.name
-        with naming(f"problem {problem}, test {test}"):
+        with naming(f"problem {problem}, test {test}", UNOBSERVABLE):
             found = self._observer.observe(self._plan, trajectories)
         return ObservationFact(problem, test, found, series.next_link(test, found))
 
@@ -108,9 +112,9 @@ def robustness(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -
 
 
 @contextmanager
-def naming(name: str) -> Iterator[None]:
-    """Turn a ValueError of the mathematics into a `PerfboundError` that names the place."""
+def naming(name: str, remedy: str = "") -> Iterator[None]:
+    """Turn an error of the mathematics into a `PerfboundError` that names the place."""
     try:
         yield
-    except ValueError as error:
-        raise PerfboundError(f"{name}: {error}") from None
+    except (ValueError, OverflowError) as error:
+        raise PerfboundError(f"{name}: {error}{remedy}") from None

@@ -18,7 +18,7 @@ from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests
 from ..mathematics.gp.lattice import Lattice
 from . import state
 from .account import Account
-from .decisions import naming
+from .decisions import UNOBSERVABLE, naming
 from .observation import Observer, Others, Trajectories
 from .plan import ProblemPlan
 from .recorded import Recorded
@@ -92,7 +92,7 @@ class SpotCheck:
         missing = [(variant, 0) for variant in self.variants if (variant, 0) not in trajectories]
         first = {key: self._recorded.trajectory(RolloutId(SPOT_CHECK, start, *key)) for key in missing}
         found: Trajectories = {**first, **trajectories}
-        with naming(f"{SPOT_CHECK}, test {test}"):
+        with naming(f"{SPOT_CHECK}, test {test}", UNOBSERVABLE):
             values = tuple(
                 self._value(plan, found, replicate) for replicate in range(self._replicates) for plan in self._plans
             )
