@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from .schemas.certificate import Certificate
+from .schemas.certificate import MAX_CERTIFICATE, Certificate
+from .schemas.outside import read_outside
+from .schemas.rollout import MAX_FILE_BYTES
 from .schemas.trajectory import Trajectory, decode
 
 __all__ = ["Certificate", "Trajectory", "read_certificate", "read_trajectory"]
@@ -16,7 +18,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         OSError: it cannot be read.
 
     """
-    return decode(Path(path).read_bytes())
+    return decode(read_outside(Path(path), MAX_FILE_BYTES))
 
 
 def read_certificate(path: str | Path) -> Certificate:
@@ -27,4 +29,4 @@ def read_certificate(path: str | Path) -> Certificate:
         OSError: it cannot be read.
 
     """
-    return Certificate.model_validate_json(Path(path).read_bytes())
+    return Certificate.model_validate_json(read_outside(Path(path), MAX_CERTIFICATE))

@@ -19,6 +19,16 @@ def temporary(path: Path, tag: str = "") -> Path:
     return path.with_name(f"{path.name}{tag}{TEMPORARY}")
 
 
+def fresh(path: Path) -> IO[bytes]:
+    """Open a new file for writing; what is there is removed first, and a symbolic link in its place is not followed."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+    try:
+        return open(os.open(path, flags, 0o666), "wb")
+    except FileExistsError:
+        path.unlink()
+        return open(os.open(path, flags, 0o666), "wb")
+
+
 def sync(path: Path) -> None:
     """Wait until a file or folder is on the disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
@@ -52,7 +62,8 @@ def write_whole(path: Path, data: bytes) -> None:
     make_folder(path.parent)
     partial = temporary(path)
     try:
-        partial.write_bytes(data)
+        with fresh(partial) as file:
+            file.write(data)
         sync(partial)
         move(partial, path)
     finally:
@@ -72,7 +83,7 @@ def replacing(paths: Sequence[Path]) -> Iterator[list[IO[bytes]]]:
     partials = [temporary(path, f".{os.getpid()}") for path in paths]
     files: list[IO[bytes]] = []
     try:
-        files.extend(partial.open("wb") for partial in partials)
+        files.extend(fresh(partial) for partial in partials)
         yield files
         for file in files:
             file.flush()

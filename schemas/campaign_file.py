@@ -17,6 +17,7 @@ from .base import Model
 from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised
 from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
+from .outside import read_outside
 from .problems import OBJECTIVES
 from .space import ProgramLimits, Range, Scenarios, SystemChoice
 
@@ -52,6 +53,8 @@ Beside = Callable[[str], bytes]
 """Reads a file beside the campaign file; raises OSError."""
 MAX_CAMPAIGN_FILE = 1024 * 1024
 """Bytes of a campaign file."""
+MAX_SCENARIOS = 64 * 2**20
+"""Bytes of a file of starts."""
 
 
 def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
@@ -70,7 +73,7 @@ def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
         raise CampaignError(f"{path}: {error.strerror}; choose a campaign file, e.g. one of deploy/campaigns") from None
     if len(data) > MAX_CAMPAIGN_FILE:
         raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; choose a campaign file")
-    return parse_campaign(data, str(path), lambda name: (path.parent / name).read_bytes(), **overrides)
+    return parse_campaign(data, str(path), lambda name: read_outside(path.parent / name, MAX_SCENARIOS), **overrides)
 
 
 def parse_campaign(data: bytes, source: str, beside: Beside | None = None, **overrides: Any) -> CampaignConfig:
@@ -213,7 +216,7 @@ def _allowed(location: Location) -> str:
         names = names[:2]  # an entry of `columns` or of a list
     if names in _WORDS:
         return _WORDS[names]
-    if names[0] == "system" and names[1] not in SystemChoice.model_fields:
+    if names[0] == "system" and len(names) > 1 and names[1] not in SystemChoice.model_fields:
         return "text or a number, as the system has it: see `perfbound systems`"
     field = _model_at(location[:-1]).model_fields.get(names[-1])
     if field is not None and get_origin(field.annotation) is Literal:

@@ -10,6 +10,8 @@ from .campaign import Rule
 from .problems import ProblemName, Quantity, Sense
 from .values import StoppedBy
 
+MAX_CERTIFICATE = 2**24
+"""Bytes."""
 STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certificate:v1"
 

@@ -79,6 +79,19 @@ class RolloutFact:
 
 
 @dataclass(frozen=True, slots=True)
+class DiscardFact:
+    """A recorded rollout that allows no observation of its test, and is to be simulated again; its file is kept."""
+
+    rollout: RolloutId
+    seed: int
+    sha256: str
+    size: int
+    path: str
+    """Of the kept file."""
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class ObservationFact:
     """The observation of a test; `chain` is the head of the problem's hash chain after it."""
 
@@ -103,7 +116,7 @@ class BoundFact:
         return self.bound.verdict or ("budget" if self.budget else None)
 
 
-Fact = ProposalFact | RolloutFact | ObservationFact | BoundFact
+Fact = ProposalFact | RolloutFact | DiscardFact | ObservationFact | BoundFact
 
 
 def first_link(header: Header, problem: str) -> str:
@@ -111,14 +124,22 @@ def first_link(header: Header, problem: str) -> str:
     return digest({"config": header.config_sha256, "system": header.system_sha256, "problem": problem})
 
 
-def next_link(link: str, fact: ProposalFact, rollouts: Sequence[RolloutFact], observation: Observation) -> str:
+def next_link(
+    link: str,
+    fact: ProposalFact,
+    rollouts: Sequence[RolloutFact],
+    observation: Observation,
+    discards: Sequence[DiscardFact] = (),
+) -> str:
     """Return the head of a problem's hash chain after one more observed test."""
     chosen = fact.proposal
-    value = {
+    value: dict[str, object] = {
         "test": [fact.test, chosen.node, chosen.x, chosen.mu, chosen.sigma, chosen.beta, chosen.F],
         # By id: the order of arrival depends on the speed of the workers, and the chain must not.
         "rollouts": sorted([str(each.rollout), each.seed, each.sha256] for each in rollouts),
         "y": observation.y,
         "each": list(observation.each),
     }
+    if discards:  # no key without them, so that the chains of older campaigns stay as they are
+        value["discards"] = sorted([str(each.rollout), each.seed, each.sha256, each.reason] for each in discards)
     return hashlib.sha256((link + canonical_json(value)).encode()).hexdigest()

@@ -9,6 +9,7 @@ from typing import Any
 from .base import Model
 from .errors import LinkError
 from .messages import MAX_RESULT
+from .outside import exposed
 
 LEASE_MS = 2000
 """Silence after which a peer loses its liveliness token."""
@@ -113,6 +114,8 @@ def _common(tls: Tls | None, names: tuple[str, str]) -> dict[str, Any]:
         for path in (tls.ca, tls.certificate, tls.key):
             if not Path(path).is_file():
                 raise LinkError(f"{path}: no such file; the TLS options name PEM files")
+        if exposed(Path(tls.key).stat()):
+            raise LinkError(f"{tls.key}: others can read this private key; run `chmod 600` on it")
         link["tls"] = {
             "root_ca_certificate": tls.ca,
             names[0]: tls.certificate,

@@ -20,7 +20,7 @@ import re
 import struct
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -37,21 +37,30 @@ from numpy.typing import NDArray
 
 from . import plots
 from .base import canonical_json
+from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, Evidence, canonical_evidence
 from .errors import TrajectoryError, UnusableTrajectoryError
 from .rollout import MAX_FILE_BYTES
 from .visual import Floats, Transform, Visual, channels
 
-__all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read_mcap"]
+__all__ = [
+    "File",
+    "Floats",
+    "Trajectory",
+    "TrajectoryError",
+    "Transform",
+    "Visual",
+    "decode",
+    "encode",
+    "read_canonical",
+    "read_mcap",
+]
 
-LIBRARY = "perfbound"
 FRAME_RATE = 30  # 1/s
 CHUNK_BYTES = 65536
 PLOT_LEVEL = -1  # of zstd: two thirds of the time of its default, and here 7 % smaller
 MAX_RECORDS = 10_000
 MAX_NPY_HEADER = 128
-EVIDENCE, REQUEST, RECORD = "trajectory.npy", "request.json", "rollout"
 
-_MAGIC = b"\x89MCAP0\r\n"
 _DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
 
@@ -152,8 +161,8 @@ def encode(
     writer.start(profile="", library=LIBRARY)
     record = {**metadata, "columns": json.dumps(trajectory.columns)}
     writer.add_metadata(RECORD, dict(sorted(record.items())))
-    writer.add_attachment(0, 0, REQUEST, "application/json", canonical_json(dict(request)).encode())
-    writer.add_attachment(0, 0, EVIDENCE, "application/x-npy", _npy(trajectory.samples))
+    writer.add_attachment(0, 0, REQUEST, MEDIA_TYPES[REQUEST], canonical_json(dict(request)).encode())
+    writer.add_attachment(0, 0, EVIDENCE, MEDIA_TYPES[EVIDENCE], _npy(trajectory.samples))
     if visual is not None and not plotted:
         _write_visual(writer, trajectory, visual, units)
     writer.finish()  # type: ignore[no-untyped-call]
@@ -170,6 +179,16 @@ def decode(data: bytes) -> Trajectory:
     return read_mcap(data).trajectory
 
 
+def read_canonical(data: bytes, *, visual: bool) -> File:
+    """Return the evidence in the one file that `encode` writes for it; with `visual` it may have a visual part.
+
+    Raises:
+        TrajectoryError: as `read_mcap`, or the file is written otherwise.
+
+    """
+    return _file_of(data, lambda whole: canonical_evidence(whole, visual=visual), canonical=True)
+
+
 def read_mcap(data: bytes) -> File:
     """Return the evidence in a trajectory's file, without its visual part.
 
@@ -180,18 +199,22 @@ def read_mcap(data: bytes) -> File:
         TrajectoryError: the file is damaged, cut, too large or incomplete.
 
     """
+    return _file_of(data, _evidence_records)
+
+
+def _file_of(data: bytes, evidence: Callable[[bytes], Evidence], *, canonical: bool = False) -> File:
     try:
         _check_checksums(data)
-        record, attachments = _evidence_records(data)
+        record, attachments = evidence(data)
         columns = json.loads(record["columns"])
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
             raise TrajectoryError("the columns are not a list of names")
+        if canonical and record["columns"] != json.dumps(columns):
+            raise TrajectoryError("the list of columns is not written as perfbound writes it")
         request = json.loads(attachments[REQUEST])
         if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
             raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
         return File(_usable(tuple(columns), _from_npy(attachments[EVIDENCE])), request, record)
-    except TrajectoryError:
-        raise
     except (McapError, ValueError, KeyError, struct.error, OverflowError, RecursionError, MemoryError) as error:
         raise TrajectoryError(f"not a trajectory file: {type(error).__name__}: {error}") from error
 
@@ -255,20 +278,20 @@ def _check_checksums(data: bytes) -> None:
 
     The reader of mcap leaves out a checksum that is zero, those of attachments and that of the summary.
     """
-    if not len(_MAGIC) + _DATA_END.size + _FOOTER.size + len(_MAGIC) <= len(data) <= MAX_FILE_BYTES:
+    if not len(MAGIC) + _DATA_END.size + _FOOTER.size + len(MAGIC) <= len(data) <= MAX_FILE_BYTES:
         raise TrajectoryError(f"a file of {len(data)} bytes is empty, cut or above {MAX_FILE_BYTES}")
-    view, footer = memoryview(data), len(data) - len(_MAGIC) - _FOOTER.size
+    view, footer = memoryview(data), len(data) - len(MAGIC) - _FOOTER.size
     opcode, _, summary, _, summary_crc = _FOOTER.unpack_from(data, footer)
-    if opcode != Opcode.FOOTER or not data.startswith(_MAGIC) or not data.endswith(_MAGIC):
+    if opcode != Opcode.FOOTER or not data.startswith(MAGIC) or not data.endswith(MAGIC):
         raise TrajectoryError("not an MCAP file, or it was cut")
-    if not _DATA_END.size <= summary <= footer or zlib.crc32(view[summary : -len(_MAGIC) - 4]) != summary_crc:
+    if not _DATA_END.size <= summary <= footer or zlib.crc32(view[summary : -len(MAGIC) - 4]) != summary_crc:
         raise TrajectoryError("the checksum of the summary is wrong")
     end = summary - _DATA_END.size
     if view[end:summary] != _DATA_END.pack(Opcode.DATA_END, 4, zlib.crc32(view[:end])):
         raise TrajectoryError("the checksum of the data is wrong")
 
 
-def _evidence_records(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
+def _evidence_records(data: bytes) -> Evidence:
     """Return the metadata record and both attachments, which precede the chunks of the visual part."""
     # Not `validate_crcs`: every byte has been checked, and this reader would add up its checksum read by read.
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=len(data))
@@ -300,12 +323,9 @@ def _write_visual(writer: Writer, trajectory: Trajectory, visual: Visual, units:
         writer.add_message(channel, time, data, time)
 
 
-# The columns as plots
-
-
 def _plotted(file: bytes, trajectory: Trajectory, units: Mapping[str, str]) -> bytes:
     """Return a file of evidence alone with a channel for each column: one chunk, and a summary that has it."""
-    footer = len(file) - len(_MAGIC) - _FOOTER.size
+    footer = len(file) - len(MAGIC) - _FOOTER.size
     summary = _FOOTER.unpack_from(file, footer)[2]
     evidence, indexes = file[: summary - _DATA_END.size], file[summary:footer]
     names = plots.shown(trajectory.columns)
@@ -350,7 +370,7 @@ def _plotted(file: bytes, trajectory: Trajectory, units: Mapping[str, str]) -> b
     data = b"".join([evidence, chunk, *found.indexes])
     data += _DATA_END.pack(Opcode.DATA_END, 4, zlib.crc32(data))
     end = channels + _records(statistics, index) + indexes + _FOOTER.pack(Opcode.FOOTER, 20, len(data), 0, 0)[:-4]
-    return data + end + zlib.crc32(end).to_bytes(4, "little") + _MAGIC
+    return data + end + zlib.crc32(end).to_bytes(4, "little") + MAGIC
 
 
 def _zstd() -> zstandard.ZstdCompressor:

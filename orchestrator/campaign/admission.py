@@ -1,4 +1,4 @@
-"""The admission of a result: every check before a rollout becomes a fact."""
+"""The checks of a result against its request: bytes, columns, times; `border` adds those of the objective."""
 
 import hashlib
 
@@ -7,7 +7,7 @@ import numpy as np
 from ...schemas.base import canonical_json
 from ...schemas.errors import EvidenceError, RequestError, TrajectoryError, UnusableTrajectoryError
 from ...schemas.rollout import RolloutRequest
-from ...schemas.trajectory import Trajectory, read_mcap
+from ...schemas.trajectory import Trajectory, read_canonical
 
 ROUND_OFF = 1e-9
 """Of a time, in seconds."""
@@ -30,7 +30,7 @@ def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha
     if hashlib.sha256(payload).hexdigest() != sha256:
         raise EvidenceError("the result does not have the sha256 that its sender announces")
     try:
-        file = read_mcap(payload)
+        file = read_canonical(payload, visual=request.visual)
     except UnusableTrajectoryError:
         raise
     except TrajectoryError as fault:

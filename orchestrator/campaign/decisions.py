@@ -11,12 +11,16 @@ from ...schemas.trajectory import Trajectory
 from ...schemas.values import Proposal
 from .account import Account
 from .methods import Methods
-from .observation import Observer, Trajectories
+from .observation import Observer, Others, Trajectories
 from .seeds import first_node, rollout_seed
 from .series import Series
 
 Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | None]], Proposal]
 """(problem, test, the method's proposal, the rival at a given start) -> the proposal to take."""
+
+
+UNOBSERVABLE = "; drop the rollout that is at fault with `perfbound discard`, then resume"
+"""The remedy for a test of which an older perfbound recorded what allows no observation."""
 
 
 class Decider(Protocol):
@@ -31,6 +35,10 @@ class Decider(Protocol):
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Turn the trajectories of a test into its observation."""
+        ...
+
+    def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
+        """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
         ...
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
@@ -70,9 +78,13 @@ class ProblemDecisions:
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Turn the trajectories of a test into the value of the objective."""
         problem = self._plan.name
-        with naming(f"problem {problem}, test {test}"):
+        with naming(f"problem {problem}, test {test}", UNOBSERVABLE):
             found = self._observer.observe(self._plan, trajectories)
         return ObservationFact(problem, test, found, series.next_link(test, found))
+
+    def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:  # noqa: ARG002
+        """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
+        self._observer.check(self._plan, rollout[2:], trajectory, others)
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Give an observation to the method, once, and return the bound after it."""
@@ -100,9 +112,9 @@ def robustness(observer: Observer, rollout: RolloutId, trajectory: Trajectory) -
 
 
 @contextmanager
-def naming(name: str) -> Iterator[None]:
-    """Turn a ValueError of the mathematics into a `PerfboundError` that names the place."""
+def naming(name: str, remedy: str = "") -> Iterator[None]:
+    """Turn an error of the mathematics into a `PerfboundError` that names the place."""
     try:
         yield
-    except ValueError as error:
-        raise PerfboundError(f"{name}: {error}") from None
+    except (ValueError, OverflowError) as error:
+        raise PerfboundError(f"{name}: {error}{remedy}") from None

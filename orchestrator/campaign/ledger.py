@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import IllegalEvent, JournalError
-from ...schemas.facts import BoundFact, Fact, ObservationFact, ProposalFact, RolloutFact, first_link
+from ...schemas.errors import IllegalEvent, JournalError, one_line
+from ...schemas.facts import BoundFact, DiscardFact, Fact, ObservationFact, ProposalFact, RolloutFact, first_link
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory import Trajectory
@@ -54,24 +54,32 @@ class Ledger:
         self.state = state.initial(
             tuple(state.Plan(name, each.window, each.budget, each.rollouts) for name, each in self.plans.items())
         )
-        self._observer = Observer(header.config, header.spec)
-        self._deciders: dict[str, Decider] = {
-            name: ProblemDecisions(account, header, self.methods, self._observer, follow)
+        self.observer = Observer(header.config, header.spec)
+        self.deciders: dict[str, Decider] = {
+            name: ProblemDecisions(account, header, self.methods, self.observer, follow)
             for name, account in self.accounts.items()
         }
         self._directory, self._store = directory, store
         self.recorded = Recorded(directory, store)
-        self.closing = ClosingChecks(header, self.accounts, self._observer, self.recorded)
+        self.closing = ClosingChecks(header, self.accounts, self.observer, self.recorded)
         self._files: FileStore = files or evidence.Batch()
         self._template = header.template
         self._restoration = Restoration(directory)
-        self._trajectories: dict[RolloutId, Trajectory] = {}
         self._requests: dict[RolloutId, RolloutRequest] = {}
 
     @property
     def done(self) -> bool:
         """Whether every problem has stopped, and all evidence is there."""
         return self.state.done and not self._restoration
+
+    @property
+    def discards(self) -> list[DiscardFact]:
+        """The discarded rollouts of the observed tests, in the order of the series, tests and rollouts."""
+        found = [
+            [fact for fact in series.discards if fact.rollout.test < len(series.observations)]
+            for series in self.series.values()
+        ]
+        return [fact for each in found for fact in sorted(each, key=lambda fact: (*fact.rollout[1:], fact.sha256))]
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -93,14 +101,19 @@ class Ledger:
             # Both are written in one transaction, so no crash leaves one of them.
             if any(series.due for series in self.series.values()):
                 raise IllegalEvent("an observation without its bound")
-        except (IllegalEvent, KeyError) as error:
+        # Not IllegalEvent alone: the facts are what a disk has left of them.
+        except (ValueError, LookupError, ArithmeticError, TypeError, AttributeError, AssertionError) as error:
             raise JournalError(
-                f"{self._directory}: the facts contradict each other ({error}); restore the database from a copy"
+                f"{self._directory}: the facts contradict each other ({one_line(str(error))[:300]}); "
+                "restore the database from a copy"
             ) from None
 
-    def check_files(self, recorded: RecordedRollouts) -> int:
-        """Find files that a crash of the machine damaged, after a replay; return how many are simulated again."""
-        self._restoration = Restoration(self._directory, recorded)
+    def check_files(self, recorded: RecordedRollouts, *, whole: bool = False) -> int:
+        """Find files that are missing or damaged; return how many are simulated again.
+
+        After a replay those that a crash of the machine may have damaged; `whole` before the certificate, each one.
+        """
+        self._restoration = Restoration(self._directory, recorded, whole=whole)
         return len(self._restoration)
 
     def outstanding(self) -> Work:
@@ -116,7 +129,7 @@ class Ledger:
             fact = self.series[rollout.problem].proposals.get(rollout.test)
             # A damaged file may belong to a closed test, of which the series keeps sums alone.
             start = fact.proposal.x if fact else self._restoration.start(rollout)
-            found = self._template.request(rollout, start, self._deciders[rollout.problem].seed(rollout))
+            found = self._template.request(rollout, start, self.deciders[rollout.problem].seed(rollout))
             self._requests[rollout] = found
         return found
 
@@ -138,10 +151,10 @@ class Ledger:
             # No fact: it has been recorded. The campaign continues when the last damaged file is back.
             self._restoration.restore(rollout, payload, sha256, self._files)
             return Work() if self._restoration else self.outstanding()
-        value = robustness(self._observer, rollout, trajectory)
+        value = robustness(self.observer, rollout, trajectory)
         path = evidence.relative_path(rollout)
-        self._files.write(self._directory / path, payload)
-        self._trajectories[rollout] = trajectory
+        self._files.write(evidence.inside(self._directory, path), payload)
+        self.recorded.keep(rollout, trajectory)
         return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, value)))
 
     def _advance(self, actions: Iterable[state.Action]) -> Work:
@@ -150,7 +163,7 @@ class Ledger:
         while pending:
             match pending.popleft():
                 case state.Propose(problem, test):
-                    pending.extend(self._write(self._deciders[problem].proposal(self.series[problem], test)))
+                    pending.extend(self._write(self.deciders[problem].proposal(self.series[problem], test)))
                 case state.Observe(problem, test):
                     pending.extend(self._observe(problem, test))
                 case state.Simulate(rollouts):
@@ -167,15 +180,10 @@ class Ledger:
         series = self.series[name]
         # By id: the order of arrival depends on the workers, and an observation must not.
         facts = sorted(series.rollouts[test], key=lambda fact: fact.rollout)
-        trajectories = {fact.rollout[2:]: self._trajectory(fact) for fact in facts}
-        self._write(self._deciders[name].observation(series, test, trajectories))
+        trajectories = {fact.rollout[2:]: self.recorded.take(fact) for fact in facts}
+        self._write(self.deciders[name].observation(series, test, trajectories))
         assert series.due is not None
         return self._write(series.due)
-
-    def _trajectory(self, fact: RolloutFact) -> Trajectory:
-        # After a restart the rollouts of a test may be recorded and the test not yet observed: they are read again.
-        kept = self._trajectories.pop(fact.rollout, None)
-        return kept or self.recorded.read(fact)
 
     def _write(self, fact: Fact) -> tuple[state.Action, ...]:
         self._store.add(fact)
@@ -190,11 +198,14 @@ class Ledger:
             case RolloutFact(rollout):
                 self.series[rollout.problem].rollouts.setdefault(rollout.test, []).append(fact)
                 event = state.Recorded(rollout)
+            case DiscardFact(rollout):
+                self.series[rollout.problem].discards.append(fact)
+                return ()  # its rollout is missing, so that the machine wants it
             case ObservationFact(problem):
                 series = self.series[problem]
                 series.observe(fact)
                 # In a replay as well: the method takes its data here, and a recorded bound is compared with this one.
-                series.due = self._deciders[problem].bound(series, fact)
+                series.due = self.deciders[problem].bound(series, fact)
                 return ()
             case BoundFact(problem, test):
                 self.series[problem].bound(fact)
@@ -209,6 +220,6 @@ class Ledger:
         if found is None:
             return (state.Certify(),)
         check, series = found
-        self.series[check.name], self._deciders[check.name] = series, check
+        self.series[check.name], self.deciders[check.name] = series, check
         self.state, actions = state.extended(self.state, check.plan)
         return actions

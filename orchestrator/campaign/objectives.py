@@ -20,6 +20,24 @@ from .plan import ProblemPlan
 
 Floats = NDArray[np.float64]
 
+LARGEST = 1e100
+"""Of a rollout's value, in either direction: no square, sum or difference of such values overflows in a float."""
+
+
+def measured(value: float, name: str) -> float:
+    """Return what a rollout contributes to an observation, if everything that follows can be computed from it.
+
+    Raises:
+        ValueError: it is not finite, or beyond `LARGEST`.
+
+    >>> measured(0.5, "the gap")
+    0.5
+
+    """
+    if abs(_finite(value, name)) > LARGEST:
+        raise ValueError(f"{name} is {value:.3g}, beyond {LARGEST:g}")
+    return value
+
 
 def clipped_robustness(formula: Formula, columns: Sequence[str], samples: Floats, clip: tuple[float, float]) -> float:
     """Return the robustness of `samples` (T, n), clipped to [low, high]; every claim is about this number.
@@ -48,7 +66,8 @@ def signal_sup(column: int, a: Floats, b: Floats) -> float:
 
     """
     check_grids(a, b)
-    return _finite(float(np.max(np.abs(a[:, column] - b[:, column]))), "the gap")
+    with np.errstate(over="ignore"):  # a result that is not finite raises just below
+        return _finite(float(np.max(np.abs(a[:, column] - b[:, column]))), "the gap")
 
 
 def column_maximum(column: int, samples: Floats) -> float:

@@ -1,6 +1,6 @@
 """The observation of a test: the value y of the maximised objective J and its parts, from the trajectories."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from weakref import WeakKeyDictionary
 
 from ...schemas.campaign import CampaignConfig
@@ -17,6 +17,8 @@ from .plan import UNBOUNDED, ProblemPlan
 
 Trajectories = Mapping[tuple[str, int], Trajectory]
 """(variant, replicate) -> trajectory of one test."""
+Others = Callable[[tuple[str, int]], Iterable[Trajectory]]
+"""(variant, replicate) -> the trajectories of the same test that are there for it."""
 
 
 class Observer:
@@ -34,6 +36,7 @@ class Observer:
         self._clip = config.clip or (None if columns_alone else UNBOUNDED)
         self._parsed = None if config.specification is None else parse_formula(config.specification, self._columns)
         self._scored: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
+        self._compared: WeakKeyDictionary[Trajectory, WeakKeyDictionary[Trajectory, float]] = WeakKeyDictionary()
 
     @property
     def _formula(self) -> Formula:
@@ -55,6 +58,28 @@ class Observer:
             found = objectives.clipped_robustness(self._parsed, trajectory.columns, trajectory.samples, self._clip)
             self._scored[trajectory] = found
         return found
+
+    def check(self, plan: ProblemPlan, key: tuple[str, int], trajectory: Trajectory, others: Others) -> None:
+        """Compute what one rollout contributes to an observation, alone and with the other one of its pairs.
+
+        Nothing of it is computed again when the test is observed.
+
+        Raises:
+            ValueError: it cannot be computed, or is too large for what follows.
+
+        """
+        match plan.objective.measured:
+            case "robustness":
+                pass  # the robustness of every rollout is computed and recorded, whatever its problem
+            case "gap":
+                for pair in plan.pairs(*key):
+                    (other,) = (each for each in pair if each != key)
+                    for found in others(other):
+                        nominal, true = (found, trajectory) if key[0] == "true" else (trajectory, found)
+                        objectives.measured(self._gap(plan, nominal, true), "the gap")
+            case "column":
+                column = self._column(plan.problem.column)
+                objectives.measured(objectives.column_maximum(column, trajectory.samples), "the maximum")
 
     def observe(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         """Return the observation of a test, in the unit of the objective; J = -rho for a minimum.
@@ -97,6 +122,12 @@ class Observer:
         return _mean(gaps)
 
     def _gap(self, plan: ProblemPlan, nominal: Trajectory, true: Trajectory) -> float:
+        compared = self._compared.setdefault(true, WeakKeyDictionary())  # of the one problem with a gap
+        if nominal not in compared:  # needed when the second one is recorded, and when the test is observed
+            compared[nominal] = self._computed_gap(plan, nominal, true)
+        return compared[nominal]
+
+    def _computed_gap(self, plan: ProblemPlan, nominal: Trajectory, true: Trajectory) -> float:
         gap, (low, high) = plan.gap, plan.clip
         if gap.kind == "robustness":
             first, second = self._scores({("nominal", 0): nominal, ("true", 0): true})

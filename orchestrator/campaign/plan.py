@@ -86,6 +86,11 @@ class ProblemPlan:
         """Return the rollout that serves a replicate of a variant."""
         return variant, 0 if variant in self.shared else replicate
 
+    def pairs(self, variant: str, replicate: int) -> list[tuple[tuple[str, int], tuple[str, int]]]:
+        """Return the (nominal, true) rollouts of a gap that one rollout of a test is part of."""
+        served = range(self.replicates) if variant in self.shared else (replicate,)
+        return [(self.replicate("nominal", each), self.replicate("true", each)) for each in served]
+
 
 Plans = Mapping[str, ProblemPlan]
 """The plan of each problem by name, in the order of the campaign file."""

@@ -7,10 +7,11 @@ from itertools import accumulate
 from ...schemas.base import digest
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.ids import RECHECK, RolloutId
+from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
 from . import state
 from .copies import same_trajectory
-from .observation import Trajectories
+from .observation import Others, Trajectories
 from .recorded import Recorded
 from .seeds import drawn, rollout_seed
 from .series import Series
@@ -62,6 +63,9 @@ class Recheck:
         agrees = float(same_trajectory(self._recorded.trajectory(self.rollouts[test]), again))
         found = Observation(agrees, (agrees,))
         return ObservationFact(RECHECK, test, found, series.next_link(test, found))
+
+    def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
+        """Do nothing: any two trajectories can be compared."""
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:  # noqa: ARG002  (nothing is bounded)
         """Return the end of the series after its last test."""

@@ -12,7 +12,7 @@ from .ports import FileStore, RecordedRollouts
 class Restoration:
     """The recorded rollouts whose files are missing or damaged, until each is simulated again."""
 
-    def __init__(self, directory: Path, recorded: RecordedRollouts | None = None) -> None:
+    def __init__(self, directory: Path, recorded: RecordedRollouts | None = None, *, whole: bool = False) -> None:
         """Check every recorded file and remove those without a fact; without `recorded`, nothing is damaged."""
         self._directory = directory
         self._damaged: dict[RolloutId, RolloutFact] = {}
@@ -22,7 +22,8 @@ class Restoration:
         facts = recorded.recorded()
         # A crash between a file and its commit leaves a file that no fact names: its rollout is simulated again.
         evidence.sweep(directory, {fact.path for fact in facts})
-        paths = set(evidence.damaged(directory, ((fact.path, fact.size, fact.sha256) for fact in facts)))
+        listed = ((fact.path, fact.size, fact.sha256) for fact in facts)
+        paths = set(evidence.damaged(directory, listed, digests=None if whole else evidence.NEWEST))
         self._damaged = {fact.rollout: fact for fact in facts if fact.path in paths}
         tests = {rollout[:2] for rollout in self._damaged}
         self._starts = {test: recorded.proposal(*test).proposal.x for test in tests}
@@ -57,5 +58,5 @@ class Restoration:
                 f"the recorded {fact.sha256[:12]}..., so this machine computes different floating-point results; "
                 "restore the file from a copy"
             )
-        files.write(self._directory / fact.path, payload)
+        files.write(evidence.inside(self._directory, fact.path), payload)
         del self._damaged[rollout]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
-from ...schemas.facts import BoundFact, ObservationFact, ProposalFact, RolloutFact, next_link
+from ...schemas.facts import BoundFact, DiscardFact, ObservationFact, ProposalFact, RolloutFact, next_link
 from ...schemas.values import Bound, Observation, ProblemProgress, Proposal
 
 ROUND_OFF = 1e-9
@@ -28,6 +28,8 @@ class Series:
     """The head of a second chain, over the rollouts alone: unlike `link` it is the same on every CPU."""
     proposals: dict[int, ProposalFact] = field(default_factory=dict)
     rollouts: dict[int, list[RolloutFact]] = field(default_factory=dict)
+    discards: list[DiscardFact] = field(default_factory=list)
+    """Of all tests: they are few."""
     observations: MutableSequence[float] = field(default_factory=lambda: array("d"))
     each: list[tuple[float, ...]] = field(default_factory=list)
     nodes: list[int] = field(default_factory=list)
@@ -51,7 +53,8 @@ class Series:
 
     def next_link(self, test: int, observation: Observation) -> str:
         """Return the head of the hash chain after the observation of an open test."""
-        return next_link(self.link, self.proposals[test], self.rollouts.get(test, ()), observation)
+        discards = [fact for fact in self.discards if fact.rollout.test == test]
+        return next_link(self.link, self.proposals[test], self.rollouts.get(test, ()), observation, discards)
 
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test: move it from the open ones into the sums; return its rollouts."""

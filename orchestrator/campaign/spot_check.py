@@ -10,6 +10,7 @@ from ...schemas.campaign import RigorousProblem
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import SPOT_CHECK, RolloutId
 from ...schemas.problems import ProblemName
+from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.risk import linearised_range
 from ..mathematics.bounds.rounding import round_up
@@ -17,8 +18,8 @@ from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests
 from ..mathematics.gp.lattice import Lattice
 from . import state
 from .account import Account
-from .decisions import naming
-from .observation import Observer, Trajectories
+from .decisions import UNOBSERVABLE, naming
+from .observation import Observer, Others, Trajectories
 from .plan import ProblemPlan
 from .recorded import Recorded
 from .seeds import rollout_seed, uniform
@@ -91,12 +92,27 @@ class SpotCheck:
         missing = [(variant, 0) for variant in self.variants if (variant, 0) not in trajectories]
         first = {key: self._recorded.trajectory(RolloutId(SPOT_CHECK, start, *key)) for key in missing}
         found: Trajectories = {**first, **trajectories}
-        with naming(f"{SPOT_CHECK}, test {test}"):
+        with naming(f"{SPOT_CHECK}, test {test}", UNOBSERVABLE):
             values = tuple(
                 self._value(plan, found, replicate) for replicate in range(self._replicates) for plan in self._plans
             )
         observed = Observation(values[0], values)
         return ObservationFact(SPOT_CHECK, test, observed, series.next_link(test, observed))
+
+    def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
+        """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
+        start = series.proposals[rollout.test].proposal.node
+        noisy = set(self._header.spec.noisy)
+
+        def used(key: tuple[str, int]) -> Iterable[Trajectory]:
+            # A follow-up has no rollout of a variant without noise: that of the first test at its start serves.
+            first = RolloutId(SPOT_CHECK, start, *key)
+            return [self._recorded.trajectory(first)] if key[0] not in noisy and rollout.test != start else others(key)
+
+        for plan in self._plans:
+            if rollout.variant in plan.variants:
+                paired = replace(plan, replicates=self._replicates, shared=frozenset(plan.variants) - noisy)
+                self._observer.check(paired, rollout[2:], trajectory, used)
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Take an observation; the check ends with its budget, or when no start is suspicious."""

@@ -20,6 +20,8 @@ from .claims import PAIR
 from .sentences import assumption
 
 ROUNDING = 1e-9
+DISCARDED = "discarded_"
+"""Of the ids of discarded rollouts, before their number."""
 TRUSTED = (
     "only_campaign",
     "fixed_beforehand",
@@ -55,12 +57,17 @@ def assumptions(
         # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
         if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account))
-    rollouts = {"rollouts": sum(sum(account.counts.values()) for account in accounts.values())}
+    rollouts: dict[str, int | float | str] = {
+        "rollouts": sum(sum(account.counts.values()) for account in accounts.values())
+    }
     if ledger.header.rules == 1:
         found.append(assumption("finite_rollouts", "derived", rollouts, form="finite_rollouts_1"))
     else:
         found.append(assumption("finite_rollouts", "derived", rollouts))
         found.append(_reproducible(recheck, measured=measured, irreproducible=irreproducible))
+    for number, fact in enumerate(ledger.discards, start=1):
+        values = {"rollout": str(fact.rollout), "sha256": fact.sha256, "reason": fact.reason}
+        found.append(assumption(f"{DISCARDED}{number}", "derived", values, form="discarded"))
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):

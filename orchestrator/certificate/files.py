@@ -3,14 +3,16 @@
 from pathlib import Path
 
 from ...schemas import atomic
-from ...schemas.certificate import Certificate
+from ...schemas.certificate import MAX_CERTIFICATE, Certificate
 from ...schemas.errors import EvidenceError
 from ..store import files
+
+__all__ = ["CERTIFICATE", "ENVELOPE", "MANIFEST", "MAX_CERTIFICATE", "MAX_MANIFEST", "read", "write"]
 
 CERTIFICATE = "certificate.json"
 ENVELOPE = "certificate.dsse.json"
 """The certificate with its signatures."""
-MAX_CERTIFICATE, MAX_MANIFEST = 2**24, 2**28
+MAX_MANIFEST = 2**28
 """Bytes; a rollout takes 130 of a manifest."""
 MANIFEST = "manifest.sha256"
 """`sha256sum --check manifest.sha256` in the run directory checks every trajectory file."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from ...schemas import certificate as document
 from ...schemas.base import digest
-from ...schemas.facts import Header
+from ...schemas.facts import DiscardFact, Header
 from ..campaign.ledger import Ledger
 from .assumptions import assumptions
 from .claims import Results, claims, of_listed_starts
@@ -23,17 +23,19 @@ class Manifest:
     rollouts: int
 
 
-def manifest(entries: Iterable[tuple[str, str]]) -> Manifest:
-    """Return the manifest of (sha256, path) pairs, in the format of sha256sum."""
+def manifest(entries: Iterable[tuple[str, str]], discards: Iterable[DiscardFact] = ()) -> Manifest:
+    """Return the manifest of (sha256, path) pairs, then of discarded rollouts, in the format of sha256sum."""
     lines = [f"{sha256}  {path}\n" for sha256, path in entries]
-    return Manifest("".join(lines), len(lines))
+    kept = [f"{fact.sha256}  {fact.path}\n" for fact in discards]
+    return Manifest("".join([*lines, *kept]), len(lines))
 
 
 def issue(ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False) -> document.Certificate:
     """Return the certificate of a campaign whose problems have all stopped.
 
-    With `irreproducible` the system failed in an attempt at a rollout that was recorded later.
+    With `irreproducible` the system failed in an attempt at a rollout that was recorded later; so does a discarded one.
     """
+    irreproducible = irreproducible or bool(ledger.discards)
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
     results: Results = {name: result(account, header.rules) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)

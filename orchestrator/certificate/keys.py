@@ -1,7 +1,6 @@
 """Ed25519 keys in PEM files: a private one for the signer (PKCS#8), a public one for every recipient."""
 
 import os
-import stat
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from cryptography.hazmat.primitives.serialization import (
 from ...schemas import atomic
 from ...schemas.base import digest
 from ...schemas.errors import SignatureError
+from ...schemas.outside import exposed, read_with_status
 
 MAX_FILE = 64 * 1024
 """Bytes of a key's file."""
@@ -123,22 +123,17 @@ def _another_kind(path: Path) -> SignatureError:
 
 def _read(path: Path) -> tuple[bytes, os.stat_result]:
     try:
-        # O_NONBLOCK: a pipe in place of the file would block for good.
-        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
-            status = os.fstat(file.fileno())
-            data = file.read(MAX_FILE + 1) if stat.S_ISREG(status.st_mode) else b""
+        data, status = read_with_status(path, MAX_FILE)
     except OSError as error:
         raise SignatureError(f"{path}: {error.strerror}; make a key with `perfbound keygen NAME`") from None
-    if not 0 < len(data) <= MAX_FILE:
-        raise SignatureError(f"{path}: not a file of 1 to {MAX_FILE} bytes; make a key with `perfbound keygen NAME`")
+    if not data:
+        raise SignatureError(f"{path}: empty; make a key with `perfbound keygen NAME`")
     return data, status
 
 
 def _check_private(path: Path, status: os.stat_result) -> None:
     """Refuse a file that others can read, as ssh does: one's own by any other user, another owner's by all users."""
-    # A file of another owner is readable here through its group, which is on purpose; to all it never is.
-    forbidden = 0o077 if status.st_uid == os.geteuid() else 0o007
-    if status.st_mode & forbidden:
+    if exposed(status):
         raise SignatureError(
             f"{path}: others can read this file (mode {status.st_mode & 0o777:04o}); run `chmod 600` on it, "
             "and make a new key if this one may have been read"

@@ -200,6 +200,10 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "unseen (confidence .95).",
         "assumed": "no rollout was simulated once more, so nothing shows whether a rollout follows from its seed.",
     },
+    "discarded": {
+        "derived": "rollout {rollout} was recorded, discarded because the objective of its test cannot be computed "
+        "from it, and simulated again with the same seed; its file (sha256 {sha256}) is kept. Reason given: {reason}",
+    },
     "failures_vary": {
         "refuted": "the system failed in a rollout that ran through when it was repeated with the same seed: failures "
         "depend on more than the seed, so the recorded rollouts may be selected by their outcome.",

@@ -22,6 +22,7 @@ from pydantic import ValidationError
 from ...schemas import atomic
 from ...schemas.envelope import MAX_SIGNATURES, PAYLOAD_TYPE, DsseEnvelope, Signature
 from ...schemas.errors import EvidenceError, SignatureError
+from ..store.files import contents
 from . import files
 from .keys import key_id
 
@@ -91,7 +92,7 @@ def sign_certificate(directory: Path, key: Ed25519PrivateKey) -> Path:
     payload, path = _certificate(directory), directory / files.ENVELOPE
     envelope = sign(payload, key, _others(path, payload))
     # Ed25519 is deterministic: signing again changes no byte, and so not the file.
-    if not path.exists() or path.read_bytes() != envelope:
+    if not path.exists() or contents(path, MAX_ENVELOPE) != envelope:
         atomic.write_whole(path, envelope)
     return path
 
@@ -102,9 +103,9 @@ def _certificate(directory: Path) -> bytes:
     found = files.read(directory)
     if found is None:
         raise EvidenceError(f"{directory}: no {path.name} to sign; finish the campaign with `perfbound resume` first")
-    if hashlib.sha256(manifest.read_bytes()).hexdigest() != found.predicate.evidence.manifest_sha256:
+    if hashlib.sha256(contents(manifest, files.MAX_MANIFEST)).hexdigest() != found.predicate.evidence.manifest_sha256:
         raise EvidenceError(f"{path}: does not match the {manifest.name} beside it; restore both from a copy")
-    return path.read_bytes()
+    return contents(path, files.MAX_CERTIFICATE)
 
 
 def _others(path: Path, payload: bytes) -> tuple[Signature, ...]:
@@ -112,7 +113,7 @@ def _others(path: Path, payload: bytes) -> tuple[Signature, ...]:
     if not path.exists():
         return ()
     try:
-        found = _parse(path.read_bytes())
+        found = _parse(contents(path, MAX_ENVELOPE))
         # Signatures of another certificate would not verify over this one.
         same = found.payloadType == PAYLOAD_TYPE and _decode(found.payload, "payload") == payload
     except SignatureError as error:

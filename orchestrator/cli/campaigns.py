@@ -187,6 +187,24 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
 
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("rollout")
+@click.option("--reason", required=True, metavar="TEXT", help="The reason, for the certificate.")
+def discard(directory: Path, rollout: str, reason: str) -> None:
+    """Discard a recorded ROLLOUT of the campaign in DIRECTORY from which its objective cannot be computed.
+
+    Its file is kept, the certificate names it, and `perfbound resume` simulates it again with the same seed. Every
+    other rollout is evidence, and is refused.
+    """
+    from ..run.discard import discard_rollout  # noqa: PLC0415
+    from ..run.format import resume_command  # noqa: PLC0415
+
+    found = discard_rollout(directory, rollout, reason)
+    click.echo(f"discarded {found.rollout}; its file is kept in {directory / found.path}")
+    click.echo(f"`{resume_command(directory)}` simulates it again")
+
+
+@cli.command()
+@click.argument("directory", type=RUN_DIRECTORY)
 def status(directory: Path) -> None:
     """Show the progress of the campaign in DIRECTORY, while it runs and afterwards."""
     from . import status as view  # noqa: PLC0415

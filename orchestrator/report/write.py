@@ -7,6 +7,7 @@ from pathlib import Path
 from ...schemas import atomic
 from ..run.format import resume_command
 from ..store import export
+from ..store.files import inside
 from . import html
 from .collect import Collector
 from .data import ReportData, Rollout, to_json
@@ -60,6 +61,6 @@ def write_figures(directory: Path, data: ReportData) -> tuple[Path, ...]:
 
     written = []
     for name, picture in figures(data):
-        written.append(directory / FIGURES / name)
+        written.append(inside(directory, f"{FIGURES}/{name}"))
         atomic.write_whole(written[-1], picture)
     return tuple(written)

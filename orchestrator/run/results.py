@@ -7,7 +7,7 @@ from ...schemas.facts import RECORDED, RESTORED
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from ...schemas.trajectory import Trajectory
-from ..campaign.admission import admit
+from ..campaign.border import Admission
 from ..campaign.ledger import Ledger, Work
 from ..fleet import events
 from ..fleet.transport import Result
@@ -19,7 +19,7 @@ class Results:
 
     def __init__(self, ledger: Ledger, journal: Journal) -> None:
         self._ledger, self._journal = ledger, journal
-        self._columns = tuple(column.name for column in ledger.header.spec.columns)
+        self._admission = Admission(ledger)
         self._admitted: dict[Attempt, tuple[Result, Trajectory]] = {}
 
     def take(self, message: Result, *, open_rollouts: Container[RolloutId]) -> events.Delivered:
@@ -35,9 +35,8 @@ class Results:
 
     def _admit(self, attempt: Attempt, message: Result) -> Failure | None:
         """Keep a result until it is decided on; return the failure of the attempt if it is refused."""
-        request = self._ledger.request(attempt.rollout)
         try:
-            trajectory = admit(request, self._columns, message.payload, message.header.sha256)
+            trajectory = self._admission.admit(attempt.rollout, message.payload, message.header.sha256)
         except UnusableTrajectoryError as fault:
             return Failure("system", str(fault))
         except EvidenceError as fault:

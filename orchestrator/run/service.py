@@ -186,6 +186,7 @@ class Service:
 
     def _tick(self, now: float) -> None:
         self._next_tick = now + TICK
+        self._journal.check_place()  # at once, and not after a week of rollouts that nothing keeps
         for news in self._fleet.tend() if self._fleet is not None else ():
             self._print_line(news)
         # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.

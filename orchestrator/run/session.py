@@ -29,6 +29,7 @@ from ..fleet import child
 from ..fleet.processes import Fleet
 from ..fleet.transport import Transport, listen
 from ..store import read
+from ..store.files import read_evidence
 from ..store.journal import INSTALLED, Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
@@ -279,7 +280,7 @@ def _conduct(
 
         ledger = Ledger(directory, journal)
         ledger.replay()
-        damaged = ledger.check_files(journal) if resumed else 0
+        damaged = ledger.check_files(journal, whole=ledger.done) if resumed else 0
         if not ledger.done:
             terminal = stack.enter_context(listener(console))
             if damaged:
@@ -299,14 +300,26 @@ def _conduct(
             systemd.ready(f"workers connect to {transport.endpoint}")
             stack.callback(systemd.stopping)
             service.run()
+            # Whatever happened to the files meanwhile: the certificate names what is there when it is issued.
+            while lost := ledger.check_files(journal, whole=True):
+                terminal.print_line(f"{lost} trajectory files were removed or changed: simulating them again")
+                service.run()
+    journal.check_place()
     certify(directory, ledger)
 
 
 def certify(directory: Path, ledger: "Ledger") -> None:
-    """Write the certificate of a campaign that is done, and its manifest."""
+    """Write the certificate of a campaign that is done, and its manifest.
+
+    Raises:
+        EvidenceError: the kept file of a discarded rollout is missing or damaged.
+
+    """
+    for fact in ledger.discards:
+        read_evidence(directory, fact.path, fact.sha256)
     from ..certificate.issue import issue, manifest  # noqa: PLC0415
 
-    found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
+    found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), ledger.discards)
     irreproducible = read.irreproducible(directory) > 0
     files.write(directory, issue(ledger, found, irreproducible=irreproducible), found.text)
 

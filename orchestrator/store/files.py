@@ -7,12 +7,15 @@ from collections.abc import Iterable, Set
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
-from ...schemas.atomic import TEMPORARY, make_folder, sync, temporary
+from ...schemas.atomic import TEMPORARY, fresh, make_folder, sync, temporary
 from ...schemas.errors import EvidenceError
 from ...schemas.ids import RolloutId
+from ...schemas.outside import read_outside
 from ...schemas.rollout import MAX_FILE_BYTES
 
 FOLDER = "trajectories"
+DISCARDED = "discarded"
+"""The folder of files whose rollouts were discarded."""
 NEWEST = 256
 """Files of which a resume compares the digest, not the size alone."""
 SYNCING = 8
@@ -22,6 +25,28 @@ SYNCING = 8
 def relative_path(rollout: RolloutId) -> str:
     """Return the place of a rollout's file in the run directory, a thousand tests a folder."""
     return f"{FOLDER}/{rollout.problem}/{rollout.test // 1000}/{rollout}.mcap"
+
+
+def discarded_path(rollout: RolloutId, sha256: str) -> str:
+    """Return the place where the file of a discarded rollout is kept."""
+    return f"{DISCARDED}/{rollout}.{sha256[:16]}.mcap"
+
+
+def inside(directory: Path, relative: str) -> Path:
+    """Return a place in the run directory; the directory itself may be a symbolic link, no folder in it.
+
+    Raises:
+        EvidenceError: a folder on the way is a link, through which something else would be changed.
+
+    """
+    place = directory
+    for part in Path(relative).parts[:-1]:
+        place /= part
+        if place.is_symlink():
+            raise EvidenceError(
+                f"{place}: a symbolic link; put the folder itself there (the run directory as a whole may be a link)"
+            )
+    return directory / relative
 
 
 class Batch:
@@ -44,7 +69,8 @@ class Batch:
         """
         make_folder(path.parent)
         self._written[path] = None
-        temporary(path).write_bytes(data)
+        with fresh(temporary(path)) as file:
+            file.write(data)
         self._syncing.append(self._pool.submit(sync, temporary(path)))
 
     def __enter__(self) -> None:
@@ -102,38 +128,47 @@ def contents(path: Path, most: int) -> bytes:
 
     """
     try:
-        # Opened first, examined then: between a stat and an open the file could be exchanged.
-        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
-            regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
-            data = file.read(most + 1) if regular else b""
+        return read_outside(path, most)
     except OSError as error:
         raise EvidenceError(f"{path}: {error.strerror}; restore it from a copy") from None
-    if not regular or len(data) > most:
-        raise EvidenceError(f"{path}: not a file of at most {most} bytes; restore it from a copy")
-    return data
 
 
-def damaged(directory: Path, newest_first: Iterable[tuple[str, int, str]]) -> list[str]:
+def damaged(
+    directory: Path, newest_first: Iterable[tuple[str, int, str]], *, digests: int | None = NEWEST
+) -> list[str]:
     """Return those of the recorded files (path, size, sha256) that are missing or changed.
 
-    Sizes are compared for all, digests for the newest: a power cut damages the files that were written last.
+    Sizes are compared for all, digests for the newest, since a power cut damages the files that were written last; with
+    None for all.
     """
     found = []
     for number, (path, size, sha256) in enumerate(newest_first):
-        file = directory / path
-        good = file.is_file() and file.stat().st_size == size
-        if good and number < NEWEST:
-            good = hashlib.sha256(file.read_bytes()).hexdigest() == sha256
+        try:
+            state = os.stat(directory / path)
+            good = stat.S_ISREG(state.st_mode) and state.st_size == size
+            if good and (digests is None or number < digests):
+                read_evidence(directory, path, sha256)
+        except (OSError, EvidenceError):
+            good = False
         if not good:
             found.append(path)
     return found
 
 
 def sweep(directory: Path, recorded: Set[str]) -> None:
-    """Remove what a crash left: half-written files, and trajectories whose path is not in `recorded`."""
-    for leftover in directory.rglob(f"*{TEMPORARY}"):
-        leftover.unlink(missing_ok=True)
-    # Killed between rename and commit: the rollout is simulated again, perhaps under another attempt.
-    for file in (directory / FOLDER).rglob("*.mcap"):
-        if str(file.relative_to(directory)) not in recorded:
-            file.unlink()
+    """Remove what a crash left: half-written files, and trajectories whose path is not in `recorded`.
+
+    Raises:
+        EvidenceError: a folder of trajectories is a symbolic link, through which other files would be removed.
+
+    """
+    for folder, folders, names in os.walk(directory):  # which follows no link
+        place = Path(folder).relative_to(directory)
+        for name in folders:
+            if (place / name).parts[0] in (FOLDER, DISCARDED):
+                inside(directory, str(place / name / "file"))
+        for name in names:
+            # Killed between rename and commit: the rollout is simulated again, perhaps under another attempt.
+            orphan = place.parts[:1] == (FOLDER,) and name.endswith(".mcap") and str(place / name) not in recorded
+            if orphan or name.endswith(TEMPORARY):
+                os.unlink(Path(folder) / name)

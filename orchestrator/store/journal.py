@@ -14,7 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
 from ...schemas.atomic import move, temporary
-from ...schemas.errors import JournalError
+from ...schemas.errors import JournalError, one_line
 from ...schemas.facts import RECORDED, Fact, Header, ProposalFact, RolloutFact
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
@@ -23,6 +23,7 @@ from .read import read_facts, read_header, read_version
 from .rows import (
     DATABASE,
     SCHEMA_VERSION,
+    UNREADABLE,
     attempt_key,
     existing,
     fact_row,
@@ -59,6 +60,7 @@ class Journal:
         self.directory, self.header = directory, header
         self._engine = engine
         self._connection = engine.connect()
+        self._place = os.stat(directory / DATABASE)
         self._version, self._seq = _position(self._connection, directory)
         self._pending: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
         self.session = _open_session(self._connection, self._version, origin)
@@ -68,7 +70,7 @@ class Journal:
         """Make the database of a new campaign, whole or not at all."""
         # Under another name until it is whole: after kill -9 a database without its header would pass for a campaign.
         partial = temporary(directory / DATABASE)
-        engine = _engine(partial)
+        engine = open_engine(partial)
         with engine.begin() as connection:
             tables.metadata.create_all(connection)
             for trigger in tables.insert_only():
@@ -77,7 +79,7 @@ class Journal:
             connection.execute(tables.campaign.insert().values(seq=1, **header_row(header)))
         engine.dispose()
         move(partial, directory / DATABASE)
-        return cls(directory, _engine(directory / DATABASE), header, origin)
+        return cls(directory, open_engine(directory / DATABASE), header, origin)
 
     @classmethod
     def open(cls, directory: Path, origin: Origin = INSTALLED) -> "Journal":
@@ -87,18 +89,15 @@ class Journal:
             JournalError: there is none, or it is of another schema, or damaged.
 
         """
-        engine = _engine(existing(directory))
+        engine = open_engine(_unlinked(existing(directory)))
         with ExitStack() as refused:
             refused.callback(engine.dispose)
-            try:
+            with _readable(directory):
                 with engine.begin() as connection:
                     header = read_header(connection, directory)
-            except sa.exc.DatabaseError as error:
-                if _of_the_disk(error):
-                    raise  # a full disk is no fault of the file
-                raise JournalError(f"{directory / DATABASE}: not a campaign database ({error.orig})") from None
+                opened = cls(directory, engine, header, origin)
             refused.pop_all()
-        return cls(directory, engine, header, origin)
+        return opened
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -146,7 +145,7 @@ class Journal:
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
-        with self._connection.begin():
+        with _readable(self.directory), self._connection.begin():
             yield from read_facts(self._connection)
 
     def recorded(self) -> list[RolloutFact]:
@@ -182,6 +181,23 @@ class Journal:
         self._flush()
         return self._connection.execute(query).all()
 
+    def check_place(self) -> None:
+        """Refuse to go on without the database: what is written now would be lost with the last open file.
+
+        Raises:
+            JournalError: another file is in its place, or none.
+
+        """
+        path = self.directory / DATABASE
+        try:
+            same = os.path.samestat(os.stat(path), self._place)
+        except OSError:
+            same = False
+        if not same:
+            raise JournalError(
+                f"{path}: removed or replaced while the campaign was running; restore it from a copy, then resume"
+            )
+
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
         # SQLite folds the log when the last connection closes: with a reader at that moment, no connection would.
@@ -194,11 +210,39 @@ class Journal:
         self._engine.dispose()
 
 
+@contextmanager
+def _readable(directory: Path) -> Iterator[None]:
+    """Turn an error of a damaged database into a `JournalError`; a full or failing disk is no fault of the file."""
+    try:
+        yield
+    except sa.exc.DatabaseError as error:
+        if _of_the_disk(error):
+            raise
+        raise JournalError(
+            f"{directory / DATABASE}: not a campaign database ({error.orig}); restore it from a copy"
+        ) from None
+    except UNREADABLE as error:
+        raise JournalError(
+            f"{directory / DATABASE}: not a campaign database ({type(error).__name__}: {one_line(str(error))[:200]}); "
+            "restore it from a copy"
+        ) from None
+
+
+def _unlinked(path: Path) -> Path:
+    """Refuse a database, or a log beside it, that is a symbolic link: SQLite would write what it leads to."""
+    for each in (path, *(path.with_name(f"{path.name}-{log}") for log in ("wal", "shm", "journal"))):
+        if each.is_symlink():
+            raise JournalError(f"{each}: a symbolic link; put the file itself there")
+    return path
+
+
 def _position(connection: Connection, directory: Path) -> tuple[int, int]:
     """Return the schema version of a database and its last sequence number."""
     with connection.begin():
-        last = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in tables.FACTS]
-        return read_version(connection, directory), max(seq or 0 for seq in last)
+        version = read_version(connection, directory)
+        there = tables.facts_of_version(version)
+        last = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() for table in there]
+        return version, max(seq or 0 for seq in last)
 
 
 def _open_session(connection: Connection, version: int, origin: Origin) -> int:
@@ -226,7 +270,8 @@ def _of_the_disk(error: sa.exc.DatabaseError) -> bool:
     return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
 
 
-def _engine(path: Path) -> Engine:
+def open_engine(path: Path) -> Engine:
+    """Return the engine of a database that is written: a commit is on the disk when it returns."""
     engine = sa.create_engine(sa.URL.create("sqlite", database=str(path)))
     sa.event.listen(engine, "connect", _configure)
     sa.event.listen(engine, "begin", _begin_immediate)

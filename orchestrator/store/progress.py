@@ -11,11 +11,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
-from ...schemas.errors import JournalError
+from ...schemas.errors import JournalError, one_line
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.values import ProblemProgress
 from .readonly import is_still, open_readonly
-from .rows import DATABASE, bound_fact, checked_header, checked_version, existing, has_column, header_columns
+from .rows import (
+    DATABASE,
+    UNREADABLE,
+    bound_fact,
+    checked_header,
+    checked_version,
+    existing,
+    has_column,
+    header_columns,
+)
 
 RECENT = 1000
 MINUTE = 60.0
@@ -64,7 +73,12 @@ def read_progress(directory: Path) -> CampaignProgress:
             connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
             return _campaign_progress(connection, directory)
     except sqlite3.DatabaseError as error:
-        raise JournalError(f"{directory / DATABASE}: cannot be read ({error})") from None
+        raise JournalError(f"{directory / DATABASE}: cannot be read ({error}); restore it from a copy") from None
+    except UNREADABLE as error:
+        raise JournalError(
+            f"{directory / DATABASE}: cannot be read ({type(error).__name__}: {one_line(str(error))[:200]}); "
+            "restore it from a copy"
+        ) from None
 
 
 def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:

@@ -10,13 +10,23 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
-from ...schemas.errors import JournalError
+from ...schemas.errors import JournalError, one_line
 from ...schemas.facts import RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
 from ...schemas.ids import CLOSING, RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .readonly import is_still, open_readonly
-from .rows import DATABASE, READERS, checked_header, checked_version, existing, has_column, header_columns
+from .rows import (
+    DATABASE,
+    READERS,
+    UNREADABLE,
+    checked_header,
+    checked_version,
+    existing,
+    has_column,
+    has_table,
+    header_columns,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +59,12 @@ def reading(directory: Path) -> Iterator[Connection]:
             connection.exec_driver_sql("BEGIN")  # one snapshot; the driver would begin before a write only
             yield connection
     except sa.exc.DatabaseError as error:
-        raise JournalError(f"{directory / DATABASE}: cannot be read ({error.orig})") from None
+        raise JournalError(f"{directory / DATABASE}: cannot be read ({error.orig}); restore it from a copy") from None
+    except UNREADABLE as error:
+        raise JournalError(
+            f"{directory / DATABASE}: cannot be read ({type(error).__name__}: {one_line(str(error))[:200]}); "
+            "restore it from a copy"
+        ) from None
 
 
 @lru_cache(maxsize=16)
@@ -101,9 +116,11 @@ def system_reference(directory: Path) -> str:
 
 def read_facts(connection: Connection) -> Iterator[Fact]:
     """Yield all facts after the header in the order in which they were written."""
+    version = connection.execute(sa.select(tables.schema.c.version)).scalar_one()
     rows = [
         (row.seq, make(row))
         for table, make in READERS.items()
+        if has_table(table, version)
         for row in connection.execute(sa.select(tables.metadata.tables[table]))
     ]
     rows.sort(key=lambda pair: pair[0])  # the order of the decisions: a replay takes the same way as the run

@@ -13,6 +13,7 @@ from ...schemas.facts import (
     RECORDED,
     RESTORED,
     BoundFact,
+    DiscardFact,
     Fact,
     Header,
     ObservationFact,
@@ -26,7 +27,7 @@ from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 
 DATABASE = "campaign.db"
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
 READ_VERSIONS = tuple(range(1, SCHEMA_VERSION + 1))
 ADDED_IN = {("campaign", "rules"): 2, ("outcomes", "kind"): 3, ("sessions", "system"): 3, ("sessions", "revision"): 4}
@@ -34,6 +35,10 @@ ADDED_IN = {("campaign", "rules"): 2, ("outcomes", "kind"): 3, ("sessions", "sys
 
 Campaigns without `rules` follow rules 1; the kind of a failure without `kind` is unknown.
 """
+TABLES_ADDED_IN = {"discards": 5}
+"""Table to the schema version that added it; every other table is as old as version 1."""
+UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RecursionError)
+"""What reading a damaged database raises besides errors of SQLite, whose messages may be no UTF-8 either."""
 _HEADER = ("run", "name", "seed", "config", "config_sha256", "system", "software", "rules")
 
 
@@ -73,6 +78,11 @@ def checked_version(directory: Path, version: int | None) -> int:
 def has_column(table: str, column: str, version: int) -> bool:
     """Whether a table has a column in databases of this schema version."""
     return ADDED_IN.get((table, column), 1) <= version
+
+
+def has_table(table: str, version: int) -> bool:
+    """Whether databases of this schema version have a table."""
+    return TABLES_ADDED_IN.get(table, 1) <= version
 
 
 def header_columns(version: int) -> tuple[str, ...]:
@@ -125,6 +135,12 @@ def rollout_fact(row: Any) -> RolloutFact:
     return RolloutFact(rollout, row.seed, row.sha256, row.size, row.path, row.robustness)
 
 
+def discard_fact(row: Any) -> DiscardFact:
+    """Read a row of `discards`."""
+    rollout = RolloutId(row.problem, row.test, row.variant, row.replicate)
+    return DiscardFact(rollout, row.seed, row.sha256, row.size, row.path, row.reason)
+
+
 def observation_fact(row: Any) -> ObservationFact:
     """Read a row of `observations`."""
     found = Observation(row.y, tuple(json.loads(row.each)))
@@ -141,6 +157,7 @@ def bound_fact(row: Any) -> BoundFact:
 READERS: dict[str, Callable[[Any], Fact]] = {
     "tests": proposal_fact,
     "rollouts": rollout_fact,
+    "discards": discard_fact,
     "observations": observation_fact,
     "bounds": bound_fact,
 }
@@ -179,6 +196,8 @@ def fact_row(fact: Fact) -> tuple[str, dict[str, Any]]:
             row = _fields(fact)
             row |= row.pop("rollout")._asdict()
             table = "rollouts"
+        case DiscardFact():
+            raise TypeError("a discard moves a row of `rollouts`: see store.discard")
         case ObservationFact(problem, test, found, chain):
             row = {"problem": problem, "test": test, "y": found.y, "each": canonical_json(list(found.each))}
             row["chain"] = chain

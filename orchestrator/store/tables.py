@@ -1,7 +1,8 @@
 """The tables of the campaign database.
 
-Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollouts`, `observations`, `bounds`. The
-nondeterministic part (workers, hosts and times) is in `attempts`, `outcomes` and `sessions`, outside the hash chain.
+Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollouts`, `discards`, `observations`,
+`bounds`; a discard moves its row from `rollouts` to `discards`. The nondeterministic part (workers, hosts and times) is
+in `attempts`, `outcomes` and `sessions`, outside the hash chain.
 """
 
 from typing import Any
@@ -19,7 +20,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import REAL
 
-from .rows import has_column
+from .rows import has_column, has_table
 
 metadata = MetaData()
 
@@ -70,6 +71,26 @@ rollouts = Table(
     Column("path", Text, nullable=False),  # relative to the run directory
     Column("robustness", REAL),  # clipped; recomputed from the trajectory by `verify`
     UniqueConstraint("problem", "test", "variant", "replicate"),
+    ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
+    sqlite_strict=True,
+)
+
+discards = Table(
+    "discards",
+    metadata,
+    Column("seq", Integer, primary_key=True),
+    Column("problem", Text, nullable=False),
+    Column("test", Integer, nullable=False),
+    Column("variant", Text, nullable=False),
+    Column("replicate", Integer, nullable=False),
+    Column("seed", Integer, nullable=False),
+    Column("sha256", Text, nullable=False),
+    Column("size", Integer, nullable=False),  # bytes
+    Column("path", Text, nullable=False),  # of the kept file, relative to the run directory
+    Column("robustness", REAL),
+    Column("recorded", Integer, nullable=False),  # the sequence number that the row of `rollouts` had
+    Column("reason", Text, nullable=False),
+    UniqueConstraint("problem", "test", "variant", "replicate", "sha256"),
     ForeignKeyConstraint(["problem", "test"], ["tests.problem", "tests.test"]),
     sqlite_strict=True,
 )
@@ -141,7 +162,7 @@ sessions = Table(
     sqlite_strict=True,
 )
 
-FACTS = (campaign, tests, rollouts, observations, bounds)
+FACTS = (campaign, tests, rollouts, discards, observations, bounds)
 
 
 def insert_only() -> list[str]:
@@ -152,6 +173,11 @@ def insert_only() -> list[str]:
         for table in (*FACTS, schema, attempts, outcomes, sessions)
         for verb in ("UPDATE", "DELETE")
     ]
+
+
+def facts_of_version(version: int) -> list[Table]:
+    """Return the tables of facts of a database of this schema version."""
+    return [table for table in FACTS if has_table(table.name, version)]
 
 
 def columns_of_version(table: Table, version: int) -> list[str]:

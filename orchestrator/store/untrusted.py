@@ -6,7 +6,7 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from ...schemas.errors import JournalError
-from ...schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.facts import BoundFact, DiscardFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from . import tables
 from .read import read_header, reading
 from .rows import DATABASE, READ_VERSIONS, READERS
@@ -19,6 +19,7 @@ class UntrustedFacts:
     header: Header
     proposals: tuple[ProposalFact, ...]
     rollouts: tuple[RolloutFact, ...]
+    discards: tuple[DiscardFact, ...]
     observations: tuple[ObservationFact, ...]
     bounds: tuple[BoundFact, ...]
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from ..orchestrator.campaign.border import Admission
 from ..orchestrator.campaign.copies import same_trajectory
 from ..orchestrator.campaign.ledger import Ledger, Work
 from ..orchestrator.campaign.software import software
@@ -78,6 +79,7 @@ class _Rollouts:
 
     def __init__(self, directory: Path, journal: Journal) -> None:
         self.directory, self._journal, self._ledger = directory, journal, Ledger(directory, journal)
+        self._admission = Admission(self._ledger)
         self.spec = journal.header.spec
         self.wanted: dict[RolloutId, None] = {}
         """In the order of the tests."""
@@ -111,6 +113,13 @@ class _Rollouts:
         fact = self._journal.rollout(rollout)
         return fact.sha256 == told.sha256 or same_trajectory(self._ledger.recorded.read(fact), told.trajectory)
 
+    def check(self, rollout: RolloutId, told: Admitted) -> None:
+        """Refuse a trajectory from which the objective cannot be computed."""
+        try:
+            self._admission.check(rollout, told.trajectory)
+        except UnusableTrajectoryError as fault:
+            raise UnusableTrajectoryError(f"{rollout}: {fault}; recorded as a failure of the system") from None
+
     def record(self, rollout: RolloutId, told: Admitted) -> None:
         """Make a trajectory durable, and everything that follows from it."""
         outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
@@ -140,7 +149,12 @@ class _Rollouts:
             self.wanted.pop(rollout, None)
 
     def _certify(self) -> None:
-        if self._ledger.done and files.read(self.directory) is None:
+        if not self._ledger.done or files.read(self.directory) is not None:
+            return
+        self._journal.check_place()
+        if self._ledger.check_files(self._journal, whole=True):
+            self._take(self._ledger.outstanding())  # what was removed meanwhile is wanted again
+        else:
             session.certify(self.directory, self._ledger)
 
 
@@ -197,6 +211,8 @@ class Study:
         first = rollout in rollouts.wanted
         try:
             told = admitted(wanted, rollouts.spec, data, self._step if step is None else step)
+            if first:
+                rollouts.check(rollout, told)
         except UnusableTrajectoryError as fault:
             if first:  # of one that was told already, there is nothing to record
                 rollouts.failed(rollout, str(fault))

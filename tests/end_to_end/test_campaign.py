@@ -340,6 +340,7 @@ def certificates(tmp_path: Path) -> Callable[[str], list[str]]:
         folder.mkdir(exist_ok=True)
         ca.cert_pem.write_to_path(folder / "ca.pem")
         issued.private_key_pem.write_to_path(folder / "key.pem")
+        (folder / "key.pem").chmod(0o600)
         issued.cert_chain_pems[0].write_to_path(folder / "certificate.pem")
         options = (("--tls-ca", "ca"), ("--tls-key", "key"), ("--tls-certificate", "certificate"))
         return [part for option, name in options for part in (option, str(folder / f"{name}.pem"))]

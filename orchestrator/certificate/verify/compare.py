@@ -11,6 +11,7 @@ from typing import Any
 from ....schemas.base import digest
 from ....schemas.facts import (
     BoundFact,
+    DiscardFact,
     Fact,
     Header,
     ObservationFact,
@@ -78,12 +79,14 @@ def tables(header: Header, recomputed: Iterable[Fact], stored: UntrustedFacts) -
     for name, rows in (
         ("tests", stored.proposals),
         ("rollouts", stored.rollouts),
+        ("discards", stored.discards),
         ("observations", stored.observations),
         ("bounds", stored.bounds),
     ):
         # The evidence alone is enough: a database that was cut down contradicts nothing.
         if not rows:
-            gone.append(name)
+            if name != "discards":  # which few campaigns have
+                gone.append(name)
             continue
         compared.append(f"{len(rows)} {name}")
         fault = _table(header, name, derived, rows)
@@ -112,7 +115,7 @@ def _table(header: Header, name: str, derived: Mapping[object, Fact], rows: Sequ
 def _in_flight(header: Header, derived: Mapping[object, Fact], fact: Fact) -> bool:
     """Whether this is a rollout of a test that was proposed, and not observed because its problem had stopped."""
     # It was recorded before the stop, and so depends on the workers; the manifest and the rerun do not have it.
-    if not isinstance(fact, RolloutFact):
+    if not isinstance(fact, RolloutFact | DiscardFact):
         return False
     test = f"{fact.rollout.problem}, test {fact.rollout.test}"
     open_test = (ProposalFact, test) in derived and (ObservationFact, test) not in derived
@@ -124,7 +127,13 @@ def _by_key(facts: Iterable[Fact]) -> dict[object, Fact]:
 
 
 def _label(fact: Fact) -> str:
-    return str(fact.rollout) if isinstance(fact, RolloutFact) else f"{fact.problem}, test {fact.test}"
+    match fact:
+        case RolloutFact(rollout):
+            return str(rollout)
+        case DiscardFact(rollout):
+            return f"{rollout}, {fact.sha256[:16]}..."
+        case _:
+            return f"{fact.problem}, test {fact.test}"
 
 
 def _values(fact: Fact) -> dict[str, Any]:
@@ -136,7 +145,7 @@ def _values(fact: Fact) -> dict[str, Any]:
             return asdict(found)
         case BoundFact(bound=bound):
             return {"upper": bound.upper, "lower": bound.lower, "stopped_by": fact.stopped_by}
-        case RolloutFact():
+        case RolloutFact() | DiscardFact():
             return asdict(fact)
 
 
@@ -147,14 +156,19 @@ def chain_head(header: Header, recomputed: Sequence[Fact], recorded: Sequence[Pr
     proposals = (fact for fact in recomputed if isinstance(fact, ProposalFact))
     chosen = {(fact.problem, fact.test): written.get((fact.problem, fact.test), fact) for fact in proposals}
     rollouts: dict[tuple[str, int], list[RolloutFact]] = {}
+    discards: dict[tuple[str, int], list[DiscardFact]] = {}
     for fact in recomputed:
         if isinstance(fact, RolloutFact):
             rollouts.setdefault((fact.rollout.problem, fact.rollout.test), []).append(fact)
+        if isinstance(fact, DiscardFact):
+            discards.setdefault((fact.rollout.problem, fact.rollout.test), []).append(fact)
     links: dict[str, str] = {problem.name: first_link(header, problem.name) for problem in header.config.problems}
     for fact in recomputed:
         if isinstance(fact, ObservationFact):
             test = (fact.problem, fact.test)
             # A check has its first link when its first test comes.
             link = links.setdefault(fact.problem, first_link(header, fact.problem))
-            links[fact.problem] = next_link(link, chosen[test], rollouts[test], fact.observation)
+            links[fact.problem] = next_link(
+                link, chosen[test], rollouts[test], fact.observation, discards.get(test, ())
+            )
     return digest(list(links.values()))

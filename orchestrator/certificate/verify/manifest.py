@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from .checks import CheckFailed
 
 _ROLLOUT = r"[a-z_]{1,40}\.\d{1,9}\.[a-z]{1,10}\.\d{1,6}"
 _LINE = re.compile(rf"([0-9a-f]{{64}})  (trajectories/[a-z_]+/\d{{1,6}}/({_ROLLOUT})\.mcap)")
+_KEPT = re.compile(rf"([0-9a-f]{{64}})  ({files.DISCARDED}/({_ROLLOUT})\.[0-9a-f]{{16}}\.mcap)")
 SHOWN = 3
 """Damaged files that a failed check names."""
 
@@ -25,8 +26,25 @@ class Entry:
     path: str
 
 
+def split_manifest(text: str) -> tuple[str, list[tuple[RolloutId, Entry]]]:
+    """Return the part of a manifest with the observed rollouts, and the discarded ones, which are its last lines.
+
+    Raises:
+        CheckFailed: a discarded rollout has another path than its digest gives.
+
+    """
+    lines, kept = text.splitlines(keepends=True), list[tuple[RolloutId, Entry]]()
+    while lines and (match := _KEPT.fullmatch(lines[-1].removesuffix("\n"))) is not None:
+        rollout = RolloutId.parse(match[3])
+        if files.discarded_path(rollout, match[1]) != match[2]:
+            raise CheckFailed("manifest", f"line {len(lines)}: {match[2]} is not the path of that file")
+        kept.insert(0, (rollout, Entry(match[1], match[2])))
+        lines.pop()
+    return "".join(lines), kept
+
+
 def parse_manifest(text: str) -> Mapping[RolloutId, Entry]:
-    """Return the files of a manifest, in its order.
+    """Return the files of the observed rollouts of a manifest, in its order.
 
     Raises:
         CheckFailed: a line has another form, or a rollout is listed twice.
@@ -47,7 +65,7 @@ def parse_manifest(text: str) -> Mapping[RolloutId, Entry]:
     return found
 
 
-def check_files(directory: Path, entries: Mapping[RolloutId, Entry], progress: Callable[[int], None]) -> None:
+def check_files(directory: Path, entries: Collection[Entry], progress: Callable[[int], None]) -> None:
     """Compare the digest of every file; `progress` is called with the number of files read.
 
     Raises:
@@ -56,7 +74,7 @@ def check_files(directory: Path, entries: Mapping[RolloutId, Entry], progress: C
     """
     faults: list[str] = []
     # All files, not up to the first fault: their number distinguishes a damaged disk from an edit.
-    for number, entry in enumerate(entries.values(), start=1):
+    for number, entry in enumerate(entries, start=1):
         try:
             files.read_evidence(directory, entry.path, entry.sha256)
         except EvidenceError as error:

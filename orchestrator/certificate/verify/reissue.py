@@ -16,7 +16,7 @@ PROBABILITIES = ("probability", "probabilities")
 
 def reissue(rerun: Rerun, *, irreproducible: bool) -> Certificate:
     """Return the certificate that follows from the evidence, and from whether attempts failed irreproducibly."""
-    return issue(rerun.ledger, manifest(rerun.observed()), irreproducible=irreproducible)
+    return issue(rerun.ledger, manifest(rerun.observed(), rerun.ledger.discards), irreproducible=irreproducible)
 
 
 def compared(header: Header, reissued: Certificate, certificate: Certificate) -> Iterator[tuple[str, str | None, str]]:

@@ -10,14 +10,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ....schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError
-from ....schemas.facts import Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from ....schemas.facts import DiscardFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from ....schemas.ids import RolloutId
-from ....schemas.trajectory import read_mcap
+from ....schemas.trajectory import Trajectory, decode, read_mcap
 from ....schemas.values import Proposal
 from ...campaign.admission import admit
 from ...campaign.ledger import Ledger, Work
 from ...store import files
 from .checks import CheckFailed
+from .discards import check_discard
 from .manifest import Entry
 
 
@@ -72,8 +73,14 @@ class NullFileStore:
 class Rerun:
     """One campaign, decided again; `facts` and `ledger` follow from header and evidence alone."""
 
-    def __init__(self, directory: Path, header: Header, entries: Mapping[RolloutId, Entry]) -> None:
-        self._directory, self._entries = directory, entries
+    def __init__(
+        self,
+        directory: Path,
+        header: Header,
+        entries: Mapping[RolloutId, Entry],
+        discards: Sequence[DiscardFact] = (),
+    ) -> None:
+        self._directory, self._entries, self._discards = directory, entries, list(discards)
         self._first: dict[tuple[str, int], RolloutId] = {}
         # The request in the first file of a test has its start; the file must then fit the whole request.
         for rollout in entries:
@@ -139,7 +146,29 @@ class Rerun:
         except PerfboundError as error:
             raise CheckFailed("observations", str(error)) from None
 
+    def _discard(self, rollout: RolloutId) -> None:
+        """Discard what was discarded of the test of a rollout, before its test is observed."""
+        mine = [fact for fact in self._discards if fact.rollout[:2] == rollout[:2]]
+        self._discards = [fact for fact in self._discards if fact not in mine]
+        series = self.ledger.series[rollout.problem]
+        # In their order: each is compared with what is kept of its test, as when it was discarded.
+        series.discards += [self._checked(fact, mine) for fact in mine]
+        for fact in series.discards[len(series.discards) - len(mine) :]:
+            self._store.add(fact)
+
+    def _checked(self, fact: DiscardFact, mine: Sequence[DiscardFact]) -> DiscardFact:
+        def others(key: tuple[str, int]) -> list[Trajectory]:
+            partner = RolloutId(*fact.rollout[:2], *key)
+            found = [Entry(each.sha256, each.path) for each in mine if each.rollout == partner]
+            found += [self._entries[partner]] if partner in self._entries else []
+            return [decode(self._read(entry)) for entry in found]
+
+        payload = self._read(Entry(fact.sha256, fact.path))
+        return check_discard(self.ledger, fact, self._columns, payload, others)
+
     def _take(self, rollout: RolloutId) -> Sequence[RolloutId]:
+        if self._discards:
+            self._discard(rollout)
         entry = self._entries[rollout]
         payload = self._read(entry)
         # As the service admits a result: the request follows from the decisions so far, not from the file.
@@ -188,6 +217,8 @@ class Rerun:
         if not self.ledger.done:
             gone = next(rollout for rollout in missing if rollout.problem not in self._stopped())
             raise CheckFailed("stop", f"the campaign does not end there: {gone} is due next, and the manifest lacks it")
-        extra = [rollout for rollout in self._entries if rollout not in used]
+        extra = [rollout for rollout in self._entries if rollout not in used] + [
+            each.rollout for each in self._discards
+        ]
         if extra:
             raise CheckFailed("evidence", f"{len(extra)} rollouts belong to no observed test: {extra[0]}")

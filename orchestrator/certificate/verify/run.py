@@ -21,8 +21,9 @@ from .. import files
 from ..issue import manifest, question, subject
 from . import compare
 from .checks import CheckFailed, Checks, plural
+from .discards import discarded
 from .input import VerificationInput, parsed, signed_text
-from .manifest import Entry, check_files, parse_manifest, sha256_of
+from .manifest import Entry, check_files, parse_manifest, sha256_of, split_manifest
 from .reissue import compared, reissue
 from .rerun import Rerun
 from .resimulate import finding, resimulate
@@ -70,12 +71,14 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
     with checks.making("header"):
         header = _header(directory, certificate, checks)
     with checks.making("manifest"):
-        text, entries = _manifest(directory, certificate, checks)
+        text, entries, kept = _manifest(directory, certificate, checks)
+        discards = discarded(certificate, kept)
     # Digests before contents: from here on every file is the one that the certificate names.
-    check_files(directory, entries, lambda done: report("digests", done, len(entries)))
-    checks.passed("files", plural(len(entries), "file"))
+    every = [*entries.values(), *(entry for _, entry in kept)]
+    check_files(directory, every, lambda done: report("digests", done, len(every)))
+    checks.passed("files", plural(len(every), "file"))
     with checks.making("observations"):
-        rerun = Rerun(directory, header, entries)
+        rerun = Rerun(directory, header, entries, discards)
         rerun.play(lambda done: report("campaign", done, len(entries)))
     # The rerun reached its end, so the checks inside it passed.
     _campaign(rerun, text, certificate, checks)
@@ -120,15 +123,18 @@ def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header
     return header
 
 
-def _manifest(directory: Path, certificate: Certificate, checks: Checks) -> tuple[str, Mapping[RolloutId, Entry]]:
+def _manifest(
+    directory: Path, certificate: Certificate, checks: Checks
+) -> tuple[str, Mapping[RolloutId, Entry], list[tuple[RolloutId, Entry]]]:
     data = evidence.contents(directory / files.MANIFEST, files.MAX_MANIFEST)
     found = sha256_of(data)
     if certificate.predicate.evidence.manifest_sha256 != found or certificate.subject != (subject(found),):
         raise CheckFailed("manifest", f"its sha256 is {found[:16]}..., not the one in the certificate")
     text = data.decode()
-    entries = parse_manifest(text)
-    checks.passed("manifest", f"{plural(len(entries), 'file')}, sha256 {found[:16]}...")
-    return text, entries
+    observed, kept = split_manifest(text)
+    entries = parse_manifest(observed)
+    checks.passed("manifest", f"{plural(len(entries) + len(kept), 'file')}, sha256 {found[:16]}...")
+    return text, entries, kept
 
 
 def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks) -> None:
@@ -146,7 +152,7 @@ def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks)
 
 
 def _complete(rerun: Rerun, text: str, certificate: Certificate) -> str | None:
-    expected, counted = manifest(rerun.observed()), certificate.predicate.evidence.rollouts
+    expected, counted = manifest(rerun.observed(), rerun.ledger.discards), certificate.predicate.evidence.rollouts
     if expected.text != text:
         return "the lines of the manifest are not in the order of problems, tests and rollouts"
     rollouts = expected.rollouts

@@ -72,7 +72,7 @@ def test_what_is_open_is_all_that_the_orchestrator_holds(tmp_path: Path) -> None
     stage.play()
     (account,), ledger = stage.ledger.accounts.values(), stage.ledger
     assert len(account.robustness) == 400
-    held = (account.proposals, account.rollouts, ledger._trajectories, ledger._requests)
+    held = (account.proposals, account.rollouts, ledger.recorded._kept, ledger._requests)
     assert [len(each) for each in held] == [0, 0, 0, 0]
     stage.journal.close()
 

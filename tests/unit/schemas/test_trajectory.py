@@ -1,7 +1,10 @@
 import io
 import math
+import struct
 import time
+import zlib
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -359,3 +362,73 @@ def test_what_is_decoded_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_FILE_BYTES", 1000)
     with pytest.raises(TrajectoryError, match="above 1000"):
         decode(encoded(a_trajectory()))
+
+
+# The canonical file
+
+
+PLAIN, PLOTS, SCENE = (
+    encode(trajectory, request={"a": 1}, metadata={"b": "c"}, units=UNITS)
+    for trajectory in (a_trajectory(4), a_trajectory(4).showing(Visual(plots=True)), a_trajectory(4, visual=True))
+)
+
+
+@pytest.mark.parametrize("whole", [PLAIN, PLOTS, SCENE], ids=["plain", "plots", "scene"])
+def test_what_is_encoded_is_canonical(whole: bytes) -> None:
+    assert module.read_canonical(whole, visual=True).request == {"a": 1}
+
+
+@settings(max_examples=30)
+@given(st.integers(1, 300), st.text(max_size=30), st.dictionaries(st.text(max_size=5), st.text(max_size=9), max_size=4))
+def test_every_encoded_file_is_canonical(rows: int, text: str, metadata: dict[str, str]) -> None:
+    request = {"text": text, "rows": rows}
+    whole = encode(a_trajectory(rows), request=request, metadata=metadata, units=UNITS)
+    assert module.read_canonical(whole, visual=False).request == request
+
+
+def test_a_visual_part_that_nobody_requested_is_refused() -> None:
+    for whole in (PLOTS, SCENE):
+        with pytest.raises(TrajectoryError, match="no visual part was requested"):
+            module.read_canonical(whole, visual=False)
+
+
+def sealed(data: bytes, summary: bytes) -> bytes:
+    """Return a file of other data and another summary, with true checksums."""
+    data += struct.pack("<BQI", 0x0F, 4, zlib.crc32(data))
+    end = summary + struct.pack("<BQQQ", 0x02, 20, len(data), 0)
+    return data + end + struct.pack("<I", zlib.crc32(end)) + PLAIN[:8]
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+@pytest.mark.parametrize("whole", [PLAIN, PLOTS, SCENE], ids=["plain", "plots", "scene"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data, summary: (data + record(0x0C, b"\4\0\0\0more\0\0\0\0"), summary),  # metadata behind the evidence
+        lambda data, summary: (data + record(0x80, b"anything"), summary),  # a record that readers skip
+        lambda data, summary: (data, summary + record(0x80, b"anything")),
+        lambda data, summary: (data, summary + record(0x0D, bytes(16) + b"\4\0\0\0more")),
+        lambda data, summary: (data, summary.replace(b"request.json", b"request.jsom")),
+        lambda data, summary: (data.replace(b"perfbound", b"perfbounb"), summary),
+        lambda data, summary: (data.replace(b"x-npy", b"y-npy"), summary),
+        lambda data, summary: (data, b""),
+        lambda data, summary: (data, summary + b"\0" * 5),
+    ],
+)
+def test_another_file_of_the_same_evidence_is_refused(whole: bytes, change: Any) -> None:
+    footer = len(whole) - 8 - 29
+    start = struct.unpack_from("<Q", whole, footer + 9)[0]
+    changed = sealed(*change(whole[: start - 13], whole[start:footer]))
+    with pytest.raises(TrajectoryError):
+        module.read_canonical(changed, visual=True)
+
+
+def test_the_fixtures_are_canonical() -> None:
+    """Files of every version of perfbound so far."""
+    found = sorted((Path(__file__).parents[2] / "fixtures").rglob("*.mcap"))
+    assert len(found) > 100
+    for path in found:
+        module.read_canonical(path.read_bytes(), visual=False)
