@@ -7,7 +7,8 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from .base import Model
 from .errors import MessageError
 from .failure import FailureKind
-from .rollout import MAX_FILE_BYTES, RolloutRequest
+from .ranges import MAX_FILE_BYTES, AttemptNumber, ProcessId, ProtocolNumber, Seconds, StepCount
+from .rollout import RolloutRequest
 
 PROTOCOL = 1
 MAX_MESSAGE = 64 * 1024
@@ -15,8 +16,8 @@ MAX_MESSAGE = 64 * 1024
 MAX_RESULT = MAX_FILE_BYTES
 """Bytes of one trajectory file."""
 
-Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.[0-9]{1,9}\.(nominal|true)\.[0-9]{1,6}$")]
-Attempt = Annotated[int, Field(ge=1, le=1_000_000)]
+Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.(0|[1-9][0-9]{0,8})\.(nominal|true)\.(0|[1-9][0-9]{0,5})$")]
+"""One text for each rollout: no leading zeros, and numbers in the ranges of `TestNumber` and `ReplicateNumber`."""
 Word = Annotated[str, Field(max_length=200)]
 Identities = Annotated[tuple[Word, ...], Field(min_length=1, max_length=20)]
 
@@ -25,7 +26,7 @@ class Assign(Model):
     """Simulate this rollout."""
 
     type: Literal["assign"] = "assign"
-    attempt: Attempt
+    attempt: AttemptNumber
     request: RolloutRequest
 
 
@@ -34,7 +35,7 @@ class Cancel(Model):
 
     type: Literal["cancel"] = "cancel"
     rollout: Rollout
-    attempt: Attempt
+    attempt: AttemptNumber
 
 
 class Ack(Model):
@@ -42,7 +43,7 @@ class Ack(Model):
 
     type: Literal["ack"] = "ack"
     rollout: Rollout
-    attempt: Attempt
+    attempt: AttemptNumber
 
 
 class Refuse(Model):
@@ -58,32 +59,32 @@ Request = Assign | Cancel | Ack | Refuse
 class WorkerState(Model):
     """Heartbeat: every half second, and on change."""
 
-    protocol: int
+    protocol: ProtocolNumber
     version: Word
     worker: Word
     host: Word
-    pid: int
+    pid: ProcessId
     systems: dict[Word, Identities] = Field(
         max_length=200, description="of each system, the identities by which campaigns may know it"
     )
     state: Literal["idle", "busy"]
     rollout: Rollout | None = None
-    attempt: Attempt | None = None
-    progress: int = Field(default=0, ge=0, description="control steps done; a worker that is not hung makes it grow")
+    attempt: AttemptNumber | None = None
+    progress: StepCount = Field(default=0, description="control steps done; a worker that is not hung makes it grow")
 
 
 class ResultHeader(Model):
     """Attachment of a result: the identity of the payload, or the reason why there is none."""
 
     rollout: Rollout
-    attempt: Attempt
+    attempt: AttemptNumber
     worker: Word
     outcome: Literal["done", "failed"]
     sha256: str = Field(default="", pattern=r"^([0-9a-f]{64})?$")
     error: str = Field(default="", max_length=4000)
     kind: FailureKind | None = Field(default=None, description="of a failed attempt; if it is missing, infrastructure")
-    cpu_seconds: float = Field(default=0.0, ge=0)
-    wall_seconds: float = Field(default=0.0, ge=0)
+    cpu_seconds: Seconds = 0.0
+    wall_seconds: Seconds = 0.0
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:

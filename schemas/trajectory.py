@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from . import plots
 from .base import canonical_json
 from .errors import TrajectoryError, UnusableTrajectoryError
-from .rollout import MAX_FILE_BYTES
+from .ranges import MAX_FILE_BYTES
 from .visual import Floats, Transform, Visual, channels
 
 __all__ = ["File", "Floats", "Trajectory", "TrajectoryError", "Transform", "Visual", "decode", "encode", "read_mcap"]

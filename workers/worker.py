@@ -22,6 +22,7 @@ from ..schemas.messages import (
     ResultHeader,
     WorkerState,
 )
+from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
 from .faults import fault_text
@@ -152,7 +153,7 @@ class WorkerProcess:
         return payload
 
     def _advance(self, key: Key, step: int) -> None:
-        self._progress = (key, step)
+        self._progress = (key, within_steps(step))  # a number of the system
         if self._cancelled == key:
             self._interrupted = key
             raise Cancelled

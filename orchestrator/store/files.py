@@ -10,7 +10,7 @@ from pathlib import Path
 from ...schemas.atomic import TEMPORARY, make_folder, sync, temporary
 from ...schemas.errors import EvidenceError
 from ...schemas.ids import RolloutId
-from ...schemas.rollout import MAX_FILE_BYTES
+from ...schemas.ranges import MAX_FILE_BYTES
 
 FOLDER = "trajectories"
 NEWEST = 256
