@@ -1,11 +1,12 @@
 """The messages between the orchestrator and its workers; each one is validated and bounded."""
 
+from functools import partial
 from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
 
 from .base import Model
-from .errors import MessageError
+from .errors import MessageError, one_line, shortened
 from .failure import FailureKind
 from .ranges import MAX_FILE_BYTES, AttemptNumber, ProcessId, ProtocolNumber, Seconds, StepCount
 from .rollout import RolloutRequest
@@ -18,8 +19,13 @@ MAX_RESULT = MAX_FILE_BYTES
 
 Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.(0|[1-9][0-9]{0,8})\.(nominal|true)\.(0|[1-9][0-9]{0,5})$")]
 """One text for each rollout: no leading zeros, and numbers in the ranges of `TestNumber` and `ReplicateNumber`."""
-Word = Annotated[str, Field(max_length=200)]
-Identities = Annotated[tuple[Word, ...], Field(min_length=1, max_length=20)]
+Key = Annotated[str, Field(max_length=200)]
+"""Compared, never shown."""
+Word = Annotated[Key, AfterValidator(one_line)]
+Excerpt = Annotated[str, AfterValidator(shortened)]
+"""Text of any length, of which 300 characters are kept as one line."""
+Advice = Annotated[str, AfterValidator(partial(shortened, longest=2000))]
+Identities = Annotated[tuple[Key, ...], Field(min_length=1, max_length=20)]
 
 
 class Assign(Model):
@@ -50,7 +56,7 @@ class Refuse(Model):
     """Refuse a worker that cannot serve this campaign; it leaves."""
 
     type: Literal["refuse"] = "refuse"
-    reason: str = Field(max_length=2000)
+    reason: Advice
 
 
 Request = Assign | Cancel | Ack | Refuse
@@ -64,7 +70,7 @@ class WorkerState(Model):
     worker: Word
     host: Word
     pid: ProcessId
-    systems: dict[Word, Identities] = Field(
+    systems: dict[Key, Identities] = Field(
         max_length=200, description="of each system, the identities by which campaigns may know it"
     )
     state: Literal["idle", "busy"]
@@ -81,7 +87,7 @@ class ResultHeader(Model):
     worker: Word
     outcome: Literal["done", "failed"]
     sha256: str = Field(default="", pattern=r"^([0-9a-f]{64})?$")
-    error: str = Field(default="", max_length=4000)
+    error: Excerpt = ""
     kind: FailureKind | None = Field(default=None, description="of a failed attempt; if it is missing, infrastructure")
     cpu_seconds: Seconds = 0.0
     wall_seconds: Seconds = 0.0
@@ -132,4 +138,5 @@ def _validated(adapter: TypeAdapter[T], payload: bytes) -> T:
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise MessageError(f"{where}: {first['msg']}" if where else first["msg"]) from None
+        # A key of the message may be part of the place.
+        raise MessageError(shortened(f"{where}: {first['msg']}" if where else first["msg"])) from None

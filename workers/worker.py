@@ -197,8 +197,8 @@ class WorkerProcess:
 
 
 def _text(reason: str) -> str:
-    """Return what a header takes of a reason: a file name in it may be no UTF-8."""
-    return reason.encode(errors="backslashreplace").decode()[:4000]
+    """Return a reason as a header takes it: a file name in it may be no UTF-8."""
+    return reason.encode(errors="backslashreplace").decode()
 
 
 def _attempt_key(assign: Assign) -> Key:

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import zenoh
 
 from ...schemas import keys
-from ...schemas.errors import LinkError, MessageError, PerfboundError
+from ...schemas.errors import LinkError, MessageError, PerfboundError, shortened
 from ...schemas.link import Tls, listen_config
 from ...schemas.messages import (
     MAX_RESULT,
@@ -179,7 +179,7 @@ def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None]
             try:
                 message = read(sample, at)
             except (MessageError, UnicodeDecodeError) as error:
-                message = Garbage(at, keys.worker_of(str(sample.key_expr)), str(error))
+                message = Garbage(at, keys.sender_of(str(sample.key_expr)), shortened(str(error)))
             if message is not None:
                 sink(message)
     except zenoh.ZError:
@@ -187,7 +187,7 @@ def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None]
 
 
 def _token(sample: zenoh.Sample, at: float) -> Inbound:
-    return Token(at, keys.last(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
+    return Token(at, keys.worker_of(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
 
 
 def _heartbeat(sample: zenoh.Sample, at: float) -> Inbound | None:

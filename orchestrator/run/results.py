@@ -57,7 +57,7 @@ class Results:
     def recorders(self, wanted: Iterable[RolloutId]) -> dict[RolloutId, str]:
         """Return the worker that recorded the original of each rollout that repeats one."""
         originals = {each: self._ledger.closing.original(each) for each in wanted}
-        found = {each: self._journal.recorder(original) for each, original in originals.items() if original}
+        found = {each: self._journal.worker_of(original) for each, original in originals.items() if original}
         return {each: worker for each, worker in found.items() if worker is not None}
 
     def clear(self) -> None:

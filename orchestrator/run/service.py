@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped, one_line
-from ...schemas.failure import Failure
+from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.values import ProblemProgress
@@ -24,6 +23,7 @@ from ..fleet.processes import Fleet
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from ..store import read
 from ..store.journal import Journal
+from .lines import Lines
 from .results import Results
 from .roster import Roster, WorkerRecord
 
@@ -93,6 +93,7 @@ class Service:
         self._transport = transport
         self._fleet = fleet
         self._listeners = listeners
+        self._lines = Lines(self._print_line)
         self._roster = Roster(ledger.header.spec)
         self._results = Results(ledger, journal)
         self._outgoing: list[tuple[str, Request]] = []
@@ -101,7 +102,6 @@ class Service:
         self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
-        self._told: set[tuple[RolloutId, Failure]] = set()
         self._started = time.monotonic()
         self._next_tick = self._started
         limits = _limits(ledger.config)
@@ -163,7 +163,7 @@ class Service:
                 self._events.extend(self._roster.token(message))
             case Heartbeat():
                 if (reason := self._roster.refusal(message)) is not None:
-                    self._print_line(f"refused worker {message.worker}: {reason}")
+                    self._lines.refused(message.worker, reason)
                     self._outgoing.append((message.worker, Refuse(reason=reason)))
                 self._events.extend(self._roster.heartbeat(message))
             case Result():
@@ -171,7 +171,7 @@ class Service:
                 if self._roster.admitted(message.worker) is not None:
                     self._events.append(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
-                self._print_line(f"ignored a message of {message.worker}: {message.reason}")
+                self._lines.ignored(message.worker, message.reason)
             case Interrupted():
                 self._interrupted(message.signal)
 
@@ -188,6 +188,7 @@ class Service:
         self._next_tick = now + TICK
         for news in self._fleet.tend() if self._fleet is not None else ():
             self._print_line(news)
+        self._lines.summarise()
         # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.
         self._events.append(events.Tick(now))
         self._settle()
@@ -218,11 +219,10 @@ class Service:
             case events.Acknowledge(worker, attempt):
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Fail(worker, attempt, failure):
-                self._journal.attempt_ended(attempt, worker, failure)
-                # Once: attempts that fail alike are counted in the database, and listed if they end the campaign.
-                if (attempt.rollout, failure) not in self._told:
-                    self._told.add((attempt.rollout, failure))
-                    self._print_line(_failure_line(action))
+                # Else a peer could fill the disk with failures of attempts that it makes up.
+                if self._journal.worker_of(attempt.rollout, attempt.number) == worker:
+                    self._journal.attempt_ended(attempt, worker, failure)
+                    self._lines.failed(action)
             case events.GiveUp(worker):
                 pid = self._roster.local_pid(worker)
                 if self._fleet is not None and pid is not None and self._fleet.kill(pid):
@@ -272,13 +272,6 @@ class Service:
         )
         for listener in self._listeners:
             listener.show(status)
-
-
-def _failure_line(action: events.Fail) -> str:
-    attempt, failure = action.attempt, action.failure
-    # The reason is text of a system under test.
-    reason = one_line(failure.reason)
-    return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"
 
 
 def _poison_text(found: events.Poison, ledger: Ledger) -> str:
