@@ -1,6 +1,5 @@
 """The orchestrator's side of the protocol; the only importer of zenoh in this package."""
 
-import json
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,7 +11,7 @@ import zenoh
 
 from ...schemas import keys
 from ...schemas.errors import LinkError, MessageError, PerfboundError, shortened
-from ...schemas.link import Tls, listen_config
+from ...schemas.link import Tls, listen_config, reachable, with_port
 from ...schemas.messages import (
     MAX_RESULT,
     Request,
@@ -25,6 +24,9 @@ from ...schemas.messages import (
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
+TRIES = 5
+"""Free ports that are tried where the endpoint names none."""
+IN_USE = "Address already in use"
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,16 +141,10 @@ def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> 
         PerfboundError: the endpoint is in use, malformed, or open to others without TLS.
 
     """
-    try:
-        config = zenoh.Config.from_json5(listen_config(endpoint, tls, insecure=insecure))
-        session = zenoh.open(config)
-    except LinkError as error:
-        raise PerfboundError(str(error)) from None
-    except zenoh.ZError as error:
-        raise PerfboundError(_explain(endpoint, str(error))) from None
+    session, chosen = _opened(endpoint, tls, insecure=insecure)
     transport = None
     try:
-        transport = ZenohTransport(session, _chosen(session, endpoint))
+        transport = ZenohTransport(session, reachable(chosen))
         yield transport
     finally:
         session.close()  # type: ignore[no-untyped-call]
@@ -156,20 +152,28 @@ def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> 
             transport.join()
 
 
+def _opened(endpoint: str, tls: Tls | None, *, insecure: bool) -> tuple[zenoh.Session, str]:
+    """Return a session that listens, and its endpoint; port 0 becomes a free one."""
+    tries = TRIES
+    while True:
+        tries -= 1
+        try:
+            listen_config(endpoint, tls, insecure=insecure)
+            chosen = with_port(endpoint)
+            return zenoh.open(zenoh.Config.from_json5(listen_config(chosen, tls, insecure=insecure))), chosen
+        except LinkError as error:
+            raise PerfboundError(str(error)) from None
+        except zenoh.ZError as error:
+            # Between the choice of a free port and its use, another process may have taken it.
+            if not (tries and chosen != endpoint and IN_USE in str(error)):
+                raise PerfboundError(_explain(endpoint, str(error))) from None
+
+
 def _explain(endpoint: str, error: str) -> str:
-    if "Address already in use" in error:
+    if IN_USE in error:
         return f"--listen {endpoint}: this endpoint is in use; choose another port, or 0 for a free one"
     reason = error.split(" at /", maxsplit=1)[0][:300]
     return f"--listen {endpoint}: cannot listen there ({reason}); check the address and the TLS files"
-
-
-def _chosen(session: zenoh.Session, endpoint: str) -> str:
-    for reply in session.get(f"@/{session.zid()}/*"):
-        if reply.ok is not None:
-            locators = json.loads(reply.ok.payload.to_bytes())["locators"]
-            if locators:
-                return str(locators[0])
-    return endpoint
 
 
 def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None], sink: Sink) -> None:
