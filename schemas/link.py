@@ -13,6 +13,8 @@ from .messages import MAX_RESULT
 
 LEASE_MS = 2000
 """Silence after which a peer loses its liveliness token."""
+STUCK_MS = 500
+"""Time for which the orchestrator waits for a peer that does not read, then it closes the link."""
 LOCAL = "tcp/127.0.0.1:0"
 """Loopback, a free port."""
 ENCRYPTED = ("tls", "quic")
@@ -41,9 +43,12 @@ def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
             "use a tls/ endpoint with --tls-ca, --tls-certificate and --tls-key, or add --insecure"
         )
     names = ("listen_certificate", "listen_private_key")
+    common = _common(tls, names)
+    block = {"block": {"wait_before_close": STUCK_MS * 1000}}
+    common["transport"]["link"]["tx"]["queue"] = {"congestion_control": block}
     return json.dumps(
         {
-            **_common(tls, names),
+            **common,
             "mode": "peer",
             "listen": {"endpoints": [endpoint]},
             "adminspace": {"enabled": False},  # it shows every peer the addresses of all others

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -21,6 +21,7 @@ from ...schemas.messages import (
     decode_state,
     encode_message,
 )
+from .sender import Sender, join_all, within_patience
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
@@ -95,6 +96,7 @@ class ZenohTransport:
         self._endpoint = endpoint
         self._run = ""
         self._threads: list[threading.Thread] = []
+        self._sender = Sender(self._put)
 
     @property
     def endpoint(self) -> str:
@@ -119,18 +121,27 @@ class ZenohTransport:
         self._token = liveliness.declare_token(keys.live_orchestrator(run, name))
 
     def send(self, worker: str, message: Request) -> None:
-        """Put a request; with BLOCK, because DROP, the default, loses messages under load."""
-        self._session.put(
-            keys.request_key(self._run, worker),
-            encode_message(message),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            express=True,
-        )
+        """Send a request without waiting for its peer."""
+        self._sender.send(worker, message)
 
-    def join(self) -> None:
-        """Wait for the reader threads; after the session is closed (a reader inside recv() at exit aborts)."""
-        for thread in self._threads:
-            thread.join(timeout=2)
+    def _put(self, worker: str, message: Request) -> None:
+        with suppress(zenoh.ZError):  # the session is closed: the run has ended
+            # With BLOCK, because DROP, the default, loses messages under load.
+            self._session.put(
+                keys.request_key(self._run, worker),
+                encode_message(message),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                express=True,
+            )
+
+    def close(self) -> None:
+        """Send what waits, close the session, and wait for the reader threads (one in recv() at exit aborts).
+
+        A peer that does not read can hold up each of the three, so none is waited for without a limit.
+        """
+        self._sender.finish()
+        within_patience(self._session.close)
+        join_all(self._threads)
 
 
 @contextmanager
@@ -142,14 +153,11 @@ def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> 
 
     """
     session, chosen = _opened(endpoint, tls, insecure=insecure)
-    transport = None
+    transport = ZenohTransport(session, reachable(chosen))
     try:
-        transport = ZenohTransport(session, reachable(chosen))
         yield transport
     finally:
-        session.close()  # type: ignore[no-untyped-call]
-        if transport is not None:
-            transport.join()
+        transport.close()
 
 
 def _opened(endpoint: str, tls: Tls | None, *, insecure: bool) -> tuple[zenoh.Session, str]:
