@@ -49,9 +49,12 @@ CHUNK_BYTES = 65536
 PLOT_LEVEL = -1  # of zstd: two thirds of the time of its default, and here 7 % smaller
 MAX_RECORDS = 10_000
 MAX_NPY_HEADER = 128
+MAX_NAMES = 2**20
+"""Bytes of all that becomes objects of Python: in memory they take thirty times as much."""
 EVIDENCE, REQUEST, RECORD = "trajectory.npy", "request.json", "rollout"
 
 _MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")  # opcode, length
 _DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
 
@@ -182,10 +185,13 @@ def read_mcap(data: bytes) -> File:
     """
     try:
         _check_checksums(data)
+        _check_sizes(data)
         record, attachments = _evidence_records(data)
         columns = json.loads(record["columns"])
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
             raise TrajectoryError("the columns are not a list of names")
+        if len(attachments[REQUEST]) > MAX_NAMES:
+            raise TrajectoryError(f"{REQUEST} has {len(attachments[REQUEST])} bytes, more than {MAX_NAMES}")
         request = json.loads(attachments[REQUEST])
         if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
             raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
@@ -266,6 +272,19 @@ def _check_checksums(data: bytes) -> None:
     end = summary - _DATA_END.size
     if view[end:summary] != _DATA_END.pack(Opcode.DATA_END, 4, zlib.crc32(view[:end])):
         raise TrajectoryError("the checksum of the data is wrong")
+
+
+def _check_sizes(data: bytes) -> None:
+    """Refuse a file of which more than one attachment, the samples, is large: the others are parsed into objects."""
+    at, small, largest = len(_MAGIC), 0, 0
+    for _ in range(MAX_RECORDS + 1):
+        opcode, length = _RECORD.unpack_from(data, at)
+        if opcode in (Opcode.CHUNK, Opcode.DATA_END):
+            break
+        small, at = small + length, at + _RECORD.size + length
+        largest = max(largest, length) if opcode == Opcode.ATTACHMENT else largest
+    if small - largest > MAX_NAMES:
+        raise TrajectoryError(f"{small - largest} bytes beside the samples are more than {MAX_NAMES}")
 
 
 def _evidence_records(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
