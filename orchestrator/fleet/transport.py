@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import zenoh
@@ -21,6 +22,7 @@ from ...schemas.messages import (
     decode_state,
     encode_message,
 )
+from .inbox import Budget
 from .sender import Sender, join_all, within_patience
 
 CHANNEL = 4096
@@ -48,7 +50,7 @@ class Heartbeat:
     state: WorkerState
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class Result:
     """The end of an attempt."""
 
@@ -97,6 +99,7 @@ class ZenohTransport:
         self._run = ""
         self._threads: list[threading.Thread] = []
         self._sender = Sender(self._put)
+        self._budget = Budget()
 
     @property
     def endpoint(self) -> str:
@@ -111,7 +114,7 @@ class ZenohTransport:
         states = session.declare_subscriber(keys.state_key(run, "*"), handler(CHANNEL))
         results = session.declare_subscriber(keys.result_key(run, "*", "*", "*"), handler(CHANNEL))
         tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
-        for subscriber, read in ((states, _heartbeat), (results, _result), (tokens, _token)):
+        for subscriber, read in ((states, _heartbeat), (results, partial(_result, self._budget)), (tokens, _token)):
             thread = threading.Thread(target=_pump, args=(subscriber, read, sink), daemon=True)
             thread.start()
             self._threads.append(thread)
@@ -208,7 +211,7 @@ def _heartbeat(sample: zenoh.Sample, at: float) -> Inbound | None:
     return Heartbeat(at, keys.worker_of(str(sample.key_expr)), decode_state(sample.payload.to_bytes()))
 
 
-def _result(sample: zenoh.Sample, at: float) -> Inbound | None:
+def _result(budget: Budget, sample: zenoh.Sample, at: float) -> Inbound | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
     if sample.attachment is None:
@@ -216,4 +219,8 @@ def _result(sample: zenoh.Sample, at: float) -> Inbound | None:
     header = decode_header(sample.attachment.to_bytes())
     if len(sample.payload) > MAX_RESULT:
         raise MessageError(f"{len(sample.payload)} bytes are more than the {MAX_RESULT} of a trajectory")
-    return Result(at, keys.worker_of(str(sample.key_expr)), header, sample.payload.to_bytes())
+    worker, size = keys.worker_of(str(sample.key_expr)), len(sample.payload)
+    budget.reserve(worker, size)
+    result = Result(at, worker, header, sample.payload.to_bytes())
+    budget.release_with(result, size)
+    return result

@@ -129,7 +129,7 @@ class ChangeReader:
             tuple(fact for _, fact in decisions),
             {row.problem: row.number for row in counts},
             tuple(_rollout(row, self._directory) for row in violations),
-            tuple(_outcome(row) for row in outcomes),
+            tuple(_ended_attempt(row) for row in outcomes),
             {row.worker: row.host for row in hosts},
             sessions,
             None if origin is None or origin.system is None else (origin.system, origin.revision),
@@ -164,7 +164,7 @@ def rollouts_of(directory: Path, problem: str, test: int) -> tuple[RolloutFact, 
     return tuple(_rollout(row, directory) for row in rows)
 
 
-def _outcome(row: Any) -> AttemptOutcome:
+def _ended_attempt(row: Any) -> AttemptOutcome:
     # Before messages had ranges, a worker could claim any number of seconds: a sum of them would not be finite.
     seconds = {name: within_seconds(getattr(row, name)) for name in ("cpu_seconds", "wall_seconds")}
     return AttemptOutcome(**{name: getattr(row, name) for name in _OUTCOME_FIELDS} | seconds)
