@@ -15,7 +15,7 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-all other-pythons mujoco smoke announce lint types imports unit explore faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
+.PHONY: help setup run test test-all other-pythons mujoco smoke announce lint types imports unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -95,6 +95,10 @@ unit: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## Tests, 
 
 explore: $(INSTALLED)-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit
+
+FUZZ ?= 100000
+fuzz: $(INSTALLED)-dev ## Random and mutated bytes at the borders of a run (FUZZ=100000 of each)
+	PERFBOUND_FUZZ=$(FUZZ) $(BIN)/python -m pytest -q tests/unit/fleet/test_fuzz_border.py
 
 MINUTES ?= 10
 SEED ?= 1

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from .schemas.certificate import MAX_CERTIFICATE, Certificate
 from .schemas.outside import read_outside
-from .schemas.rollout import MAX_FILE_BYTES
+from .schemas.ranges import MAX_FILE_BYTES
 from .schemas.trajectory import Trajectory, decode
 
 __all__ = ["Certificate", "Trajectory", "read_certificate", "read_trajectory"]

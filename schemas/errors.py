@@ -85,4 +85,28 @@ def one_line(message: str) -> str:
     >>> one_line("a\\nb\\x1b[2J")
     'a\\\\nb\\\\x1b[2J'
     """
+    if message.isprintable():
+        return message
     return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in message)
+
+
+LONGEST_EXCERPT = 300
+"""Characters that are kept of a text from outside."""
+_GAP = " ... "
+
+
+def shortened(text: str, longest: int = LONGEST_EXCERPT) -> str:
+    """Return a text from outside as one line of at most `longest` characters, without its middle if it is longer.
+
+    >>> shortened("a\\nb"), shortened("x" * 400 + " (cars.py, line 17)")[-25:]
+    ('a\\\\nb', 'xxxxxx (cars.py, line 17)')
+    """
+    # Cut before it is escaped as well: it may have megabytes.
+    return _cut(one_line(_cut(text, longest)), longest)
+
+
+def _cut(text: str, longest: int) -> str:
+    if len(text) <= longest:
+        return text
+    end = longest // 3  # where the place of a fault is named
+    return text[: longest - end - len(_GAP)] + _GAP + text[-end:]

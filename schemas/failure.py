@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from .errors import shortened
+
 FailureKind = Literal["infrastructure", "system"]
 """`system`: the system raised, or its trajectory was not usable. `infrastructure`: all else, such as a lost worker.
 
@@ -13,7 +15,10 @@ is not a function of its seed. Failures of the infrastructure do not depend on t
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why an attempt has no result."""
+    """Why an attempt has no result; the reason may be text of a system, a file or a peer, and an excerpt is kept."""
 
     kind: FailureKind
     reason: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reason", shortened(self.reason))

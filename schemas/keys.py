@@ -12,8 +12,12 @@
 import re
 import secrets
 
+from .errors import MessageError, shortened
+
 ROOT = "perfbound"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+PROCESS = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
+"""A name with its random suffix."""
 ANY_ORCHESTRATOR = f"{ROOT}/*/live/orchestrator/*"
 
 
@@ -65,5 +69,23 @@ def last(key: str) -> str:
 
 
 def worker_of(key: str) -> str:
-    """Return the worker of an `up` key."""
-    return key.split("/")[3]
+    """Return the worker of an `up` key, or of a worker's token.
+
+    Raises:
+        MessageError: it is no name of a worker.
+
+    """
+    name = _sender(key)
+    if not PROCESS.fullmatch(name):
+        raise MessageError("this is no name of a worker")
+    return name
+
+
+def sender_of(key: str) -> str:
+    """Return what stands where the worker of a key should, of any text an excerpt."""
+    return shortened(_sender(key), 100)
+
+
+def _sender(key: str) -> str:
+    parts = key.split("/")
+    return parts[4] if parts[2] == "live" else parts[3]

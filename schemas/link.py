@@ -3,6 +3,7 @@
 import ipaddress
 import json
 import re
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from .outside import exposed
 
 LEASE_MS = 2000
 """Silence after which a peer loses its liveliness token."""
+STUCK_MS = 500
+"""Time for which the orchestrator waits for a peer that does not read, then it closes the link."""
 LOCAL = "tcp/127.0.0.1:0"
 """Loopback, a free port."""
 ENCRYPTED = ("tls", "quic")
@@ -41,12 +44,15 @@ def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
             "use a tls/ endpoint with --tls-ca, --tls-certificate and --tls-key, or add --insecure"
         )
     names = ("listen_certificate", "listen_private_key")
+    common = _common(tls, names)
+    block = {"block": {"wait_before_close": STUCK_MS * 1000}}
+    common["transport"]["link"]["tx"]["queue"] = {"congestion_control": block}
     return json.dumps(
         {
-            **_common(tls, names),
+            **common,
             "mode": "peer",
             "listen": {"endpoints": [endpoint]},
-            "adminspace": {"enabled": True},  # only to read the port that the system chose
+            "adminspace": {"enabled": False},  # it shows every peer the addresses of all others
         }
     )
 
@@ -83,6 +89,48 @@ def split(endpoint: str) -> tuple[str, str]:
             "PORT at most 65535, an IPv6 HOST in brackets"
         )
     return found["protocol"], found["host"].strip("[]")
+
+
+def with_port(endpoint: str) -> str:
+    """Return a checked endpoint with a port that is free now, if it names port 0.
+
+    Raises:
+        LinkError: the host is no address of this machine.
+
+    """
+    protocol, host = split(endpoint)
+    place = endpoint.rpartition(":")[0]
+    if int(endpoint.removeprefix(f"{place}:")) != 0:
+        return endpoint
+    kind = socket.SOCK_DGRAM if protocol == "quic" else socket.SOCK_STREAM
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, 0, type=kind)[0]
+        with socket.socket(family, kind) as chooser:
+            chooser.bind(address)
+            return f"{place}:{chooser.getsockname()[1]}"
+    except OSError as error:
+        raise LinkError(
+            f"--listen {endpoint}: cannot listen there ({error.strerror}); choose an address of this machine"
+        ) from None
+
+
+def reachable(endpoint: str) -> str:
+    """Return an endpoint that workers can connect to: that of all interfaces has the address of this machine."""
+    _, host = split(endpoint)
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return endpoint
+    if not address.is_unspecified:
+        return endpoint
+    family, elsewhere = (socket.AF_INET, "192.0.2.1") if address.version == 4 else (socket.AF_INET6, "2001:db8::1")
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((elsewhere, 9))  # sends nothing: the kernel names the interface that it would take
+            own = str(probe.getsockname()[0])
+        except OSError:  # no network but the loopback
+            own = "127.0.0.1" if address.version == 4 else "::1"
+    return endpoint.replace(host, own, 1)
 
 
 def is_loopback(host: str) -> bool:

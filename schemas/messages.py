@@ -1,13 +1,15 @@
 """The messages between the orchestrator and its workers; each one is validated and bounded."""
 
+from functools import partial
 from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
 
 from .base import Model
-from .errors import MessageError
+from .errors import MessageError, one_line, shortened
 from .failure import FailureKind
-from .rollout import MAX_FILE_BYTES, RolloutRequest
+from .ranges import MAX_FILE_BYTES, AttemptNumber, ProcessId, ProtocolNumber, Seconds, StepCount
+from .rollout import RolloutRequest
 
 PROTOCOL = 1
 MAX_MESSAGE = 64 * 1024
@@ -15,17 +17,22 @@ MAX_MESSAGE = 64 * 1024
 MAX_RESULT = MAX_FILE_BYTES
 """Bytes of one trajectory file."""
 
-Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.[0-9]{1,9}\.(nominal|true)\.[0-9]{1,6}$")]
-Attempt = Annotated[int, Field(ge=1, le=1_000_000)]
-Word = Annotated[str, Field(max_length=200)]
-Identities = Annotated[tuple[Word, ...], Field(min_length=1, max_length=20)]
+Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.(0|[1-9][0-9]{0,8})\.(nominal|true)\.(0|[1-9][0-9]{0,5})$")]
+"""One text for each rollout: no leading zeros, and numbers in the ranges of `TestNumber` and `ReplicateNumber`."""
+Key = Annotated[str, Field(max_length=200)]
+"""Compared, never shown."""
+Word = Annotated[Key, AfterValidator(one_line)]
+Excerpt = Annotated[str, AfterValidator(shortened)]
+"""Text of any length, of which 300 characters are kept as one line."""
+Advice = Annotated[str, AfterValidator(partial(shortened, longest=2000))]
+Identities = Annotated[tuple[Key, ...], Field(min_length=1, max_length=20)]
 
 
 class Assign(Model):
     """Simulate this rollout."""
 
     type: Literal["assign"] = "assign"
-    attempt: Attempt
+    attempt: AttemptNumber
     request: RolloutRequest
 
 
@@ -34,7 +41,7 @@ class Cancel(Model):
 
     type: Literal["cancel"] = "cancel"
     rollout: Rollout
-    attempt: Attempt
+    attempt: AttemptNumber
 
 
 class Ack(Model):
@@ -42,14 +49,14 @@ class Ack(Model):
 
     type: Literal["ack"] = "ack"
     rollout: Rollout
-    attempt: Attempt
+    attempt: AttemptNumber
 
 
 class Refuse(Model):
     """Refuse a worker that cannot serve this campaign; it leaves."""
 
     type: Literal["refuse"] = "refuse"
-    reason: str = Field(max_length=2000)
+    reason: Advice
 
 
 Request = Assign | Cancel | Ack | Refuse
@@ -58,32 +65,32 @@ Request = Assign | Cancel | Ack | Refuse
 class WorkerState(Model):
     """Heartbeat: every half second, and on change."""
 
-    protocol: int
+    protocol: ProtocolNumber
     version: Word
     worker: Word
     host: Word
-    pid: int
-    systems: dict[Word, Identities] = Field(
+    pid: ProcessId
+    systems: dict[Key, Identities] = Field(
         max_length=200, description="of each system, the identities by which campaigns may know it"
     )
     state: Literal["idle", "busy"]
     rollout: Rollout | None = None
-    attempt: Attempt | None = None
-    progress: int = Field(default=0, ge=0, description="control steps done; a worker that is not hung makes it grow")
+    attempt: AttemptNumber | None = None
+    progress: StepCount = Field(default=0, description="control steps done; a worker that is not hung makes it grow")
 
 
 class ResultHeader(Model):
     """Attachment of a result: the identity of the payload, or the reason why there is none."""
 
     rollout: Rollout
-    attempt: Attempt
+    attempt: AttemptNumber
     worker: Word
     outcome: Literal["done", "failed"]
     sha256: str = Field(default="", pattern=r"^([0-9a-f]{64})?$")
-    error: str = Field(default="", max_length=4000)
+    error: Excerpt = ""
     kind: FailureKind | None = Field(default=None, description="of a failed attempt; if it is missing, infrastructure")
-    cpu_seconds: float = Field(default=0.0, ge=0)
-    wall_seconds: float = Field(default=0.0, ge=0)
+    cpu_seconds: Seconds = 0.0
+    wall_seconds: Seconds = 0.0
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
@@ -131,4 +138,5 @@ def _validated(adapter: TypeAdapter[T], payload: bytes) -> T:
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise MessageError(f"{where}: {first['msg']}" if where else first["msg"]) from None
+        # A key of the message may be part of the place.
+        raise MessageError(shortened(f"{where}: {first['msg']}" if where else first["msg"])) from None

@@ -8,12 +8,8 @@ from pydantic import Field
 
 from .base import Model
 from .ids import RolloutId
-from .system import SEED_BITS, OptionValue, SystemSpec, Variant
-
-MAX_FILE_BYTES = 64 * 2**20
-"""Of a trajectory's file; a 15 s rollout of nine columns takes 0.2 MB."""
-MAX_SEED = 2**SEED_BITS
-"""Seeds are below this; those of a system that takes shorter ones, below 2^`seed_bits`."""
+from .ranges import Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
+from .system import OptionValue, SystemSpec, Variant
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -29,15 +25,15 @@ class RolloutRequest(Model):
     campaign: Name
     config_sha256: Sha256
     problem: str = Field(pattern=r"^[a-z_]{1,40}$")
-    test: int = Field(ge=0, lt=10**9)
+    test: TestNumber
     variant: Variant
-    replicate: int = Field(ge=0, lt=10**6)
-    seed: int = Field(ge=0, lt=MAX_SEED)
+    replicate: ReplicateNumber
+    seed: Seed
     system: Name
     spec_sha256: Sha256
     options: dict[str, OptionValue] = Field(default_factory=dict)
-    x: tuple[float, ...] = Field(min_length=1, max_length=1000)
-    horizon: float = Field(ge=0)
+    x: tuple[Magnitude, ...] = Field(min_length=1, max_length=1000)
+    horizon: Seconds
     visual: bool = False
 
     @property

@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from .base import Model
-from .system import SEED_BITS, OptionValue, Variant
+from .ranges import SEED_BITS
+from .system import OptionValue, Variant
 
 MAX_SCENARIOS = 1000
 SampleFormat = Literal["csv", "f64", "npy"]

@@ -5,6 +5,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from .base import Model, digest
+from .ranges import SEED_BITS, Magnitude, Seconds, SeedBits
 from .rules import KNOWN, RULES
 
 ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated")
@@ -14,9 +15,7 @@ DECIDES_NO_ROLLOUT = {"default_horizon"}
 ASSUMED_HORIZON = 10.0
 """Seconds, where neither the user nor the system names a horizon."""
 Variant = Literal["nominal", "true"]
-OptionValue = str | float
-SEED_BITS = 53
-"""Of the largest seed, so that every JSON reader keeps it exactly."""
+OptionValue = str | Magnitude
 
 
 class Parameter(Model):
@@ -27,8 +26,8 @@ class Parameter(Model):
 
     name: str = Field(default="", pattern=r"^([a-z][a-z0-9_]*)?$")
     unit: str = ""
-    low: float
-    high: float
+    low: Magnitude
+    high: Magnitude
 
     def __init__(self, *limits: float, **fields: Any) -> None:
         if limits:
@@ -49,8 +48,8 @@ class Option(Model):
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     default: OptionValue
     choices: tuple[str, ...] = ()
-    low: float | None = None
-    high: float | None = None
+    low: Magnitude | None = None
+    high: Magnitude | None = None
     unit: str = ""
     doc: str = ""
 
@@ -80,14 +79,14 @@ class SystemSpec(Model):
     options: tuple[Option, ...] = ()
     variants: tuple[Variant, ...] = ("nominal", "true")
     noisy: tuple[Variant, ...] = ("true",)
-    max_horizon: float = Field(gt=0, description="longest rollout in seconds")
+    max_horizon: Seconds = Field(gt=0, description="longest rollout in seconds")
     versions: dict[str, str] = Field(default_factory=dict)
     timed: bool = Field(default=False, description="a rollout takes a horizon above 0 s")
     code: dict[str, str] = Field(default_factory=dict, description="sha256 of every source file")
-    default_horizon: float | None = Field(
-        default=None, ge=0, description="horizon in s where the user names none; 0 for rollouts of one sample"
+    default_horizon: Seconds | None = Field(
+        default=None, description="horizon in s where the user names none; 0 for rollouts of one sample"
     )
-    seed_bits: int = Field(default=SEED_BITS, ge=31, le=SEED_BITS, description="seeds are below 2^seed_bits")
+    seed_bits: SeedBits = Field(default=SEED_BITS, description="seeds are below 2^seed_bits")
     repeated: Literal["anywhere", "session", "nowhere"] = Field(
         default="anywhere",
         description="where a rollout can be made again: where the system is, in the interactive session that "

@@ -250,7 +250,7 @@ def _trajectory_file(request: str) -> bytes:
 def print_visual(path: Path) -> None:
     """Print the visual part of a trajectory as JSON: the scene and the moving frames, or null."""
     from ..schemas.outside import read_outside  # noqa: PLC0415
-    from ..schemas.rollout import MAX_FILE_BYTES  # noqa: PLC0415
+    from ..schemas.ranges import MAX_FILE_BYTES  # noqa: PLC0415
     from .visual_json import visual_json  # noqa: PLC0415
 
     try:

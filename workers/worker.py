@@ -22,6 +22,7 @@ from ..schemas.messages import (
     ResultHeader,
     WorkerState,
 )
+from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
 from .faults import fault_text
@@ -152,7 +153,7 @@ class WorkerProcess:
         return payload
 
     def _advance(self, key: Key, step: int) -> None:
-        self._progress = (key, step)
+        self._progress = (key, within_steps(step))  # a number of the system
         if self._cancelled == key:
             self._interrupted = key
             raise Cancelled
@@ -196,8 +197,8 @@ class WorkerProcess:
 
 
 def _text(reason: str) -> str:
-    """Return what a header takes of a reason: a file name in it may be no UTF-8."""
-    return reason.encode(errors="backslashreplace").decode()[:4000]
+    """Return a reason as a header takes it: a file name in it may be no UTF-8."""
+    return reason.encode(errors="backslashreplace").decode()
 
 
 def _attempt_key(assign: Assign) -> Key:

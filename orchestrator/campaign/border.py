@@ -14,7 +14,7 @@ class Admission:
 
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
-        self._columns = tuple(column.name for column in ledger.header.spec.columns)
+        self.columns = tuple(column.name for column in ledger.header.spec.columns)
 
     def admit(self, rollout: RolloutId, payload: bytes, sha256: str) -> Trajectory:
         """Return the trajectory of a result for an open or a damaged rollout.
@@ -25,7 +25,7 @@ class Admission:
             PerfboundError: the file of another rollout of its test is missing or damaged.
 
         """
-        trajectory = admit(self._ledger.request(rollout), self._columns, payload, sha256)
+        trajectory = admit(self._ledger.request(rollout), self.columns, payload, sha256)
         self.check(rollout, trajectory)
         return trajectory
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...schemas.facts import Header
 from ...schemas.ids import CLOSING, RolloutId
-from ...schemas.system import SEED_BITS
+from ...schemas.ranges import SEED_BITS
 
 Floats = NDArray[np.float64]
 VARIANTS = ("nominal", "true")

@@ -208,7 +208,7 @@ def _report(state: DispatchState, event: Reported) -> Outcome:
     if event.attempt == worker.attempt:
         return _put(state, event.worker, _advanced(worker, event)), ()
     # Busy since before a restart, with a rollout that is still needed: its result is as good as a new one's.
-    if worker.phase == "new" and event.attempt.rollout in state.waiting:
+    if worker.phase == "new" and _is_adoptable(state, event.attempt):
         return _adopt(state, event), ()
     # Busy with a rollout that is closed or on another worker, or that was cancelled by a message that got lost.
     if event.attempt.rollout not in state.open or worker.phase in ("new", "shunned"):
@@ -233,12 +233,13 @@ def _adopt(state: DispatchState, event: Reported) -> DispatchState:
     assert event.attempt is not None
     rollout = event.attempt.rollout
     worker = Worker("busy", event.attempt, started_at=event.at, progress=event.progress, progress_at=event.at)
-    known = state.open[rollout]
-    # The commit of this attempt may be lost with the crash, so its number may be unknown here.
-    known = replace(known, attempts=max(known.attempts, event.attempt.number))
     state = _put(state, event.worker, worker)
-    waiting = tuple(other for other in state.waiting if other != rollout)
-    return replace(state, open={**state.open, rollout: known}, waiting=waiting)
+    return replace(state, waiting=tuple(other for other in state.waiting if other != rollout))
+
+
+def _is_adoptable(state: DispatchState, attempt: Attempt) -> bool:
+    # One that was never made is a false report, and its number would be passed on to the attempts that follow.
+    return attempt.rollout in state.waiting and attempt.number <= state.open[attempt.rollout].attempts
 
 
 def _deliver(state: DispatchState, event: Delivered) -> Outcome:

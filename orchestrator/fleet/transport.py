@@ -1,18 +1,18 @@
 """The orchestrator's side of the protocol; the only importer of zenoh in this package."""
 
-import json
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import zenoh
 
 from ...schemas import keys
-from ...schemas.errors import LinkError, MessageError, PerfboundError
-from ...schemas.link import Tls, listen_config
+from ...schemas.errors import LinkError, MessageError, PerfboundError, shortened
+from ...schemas.link import Tls, listen_config, reachable, with_port
 from ...schemas.messages import (
     MAX_RESULT,
     Request,
@@ -22,9 +22,14 @@ from ...schemas.messages import (
     decode_state,
     encode_message,
 )
+from .inbox import Budget
+from .sender import Sender, join_all, within_patience
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
+TRIES = 5
+"""Free ports that are tried where the endpoint names none."""
+IN_USE = "Address already in use"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +50,7 @@ class Heartbeat:
     state: WorkerState
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class Result:
     """The end of an attempt."""
 
@@ -93,6 +98,8 @@ class ZenohTransport:
         self._endpoint = endpoint
         self._run = ""
         self._threads: list[threading.Thread] = []
+        self._sender = Sender(self._put)
+        self._budget = Budget()
 
     @property
     def endpoint(self) -> str:
@@ -107,7 +114,7 @@ class ZenohTransport:
         states = session.declare_subscriber(keys.state_key(run, "*"), handler(CHANNEL))
         results = session.declare_subscriber(keys.result_key(run, "*", "*", "*"), handler(CHANNEL))
         tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
-        for subscriber, read in ((states, _heartbeat), (results, _result), (tokens, _token)):
+        for subscriber, read in ((states, _heartbeat), (results, partial(_result, self._budget)), (tokens, _token)):
             thread = threading.Thread(target=_pump, args=(subscriber, read, sink), daemon=True)
             thread.start()
             self._threads.append(thread)
@@ -117,18 +124,27 @@ class ZenohTransport:
         self._token = liveliness.declare_token(keys.live_orchestrator(run, name))
 
     def send(self, worker: str, message: Request) -> None:
-        """Put a request; with BLOCK, because DROP, the default, loses messages under load."""
-        self._session.put(
-            keys.request_key(self._run, worker),
-            encode_message(message),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            express=True,
-        )
+        """Send a request without waiting for its peer."""
+        self._sender.send(worker, message)
 
-    def join(self) -> None:
-        """Wait for the reader threads; after the session is closed (a reader inside recv() at exit aborts)."""
-        for thread in self._threads:
-            thread.join(timeout=2)
+    def _put(self, worker: str, message: Request) -> None:
+        with suppress(zenoh.ZError):  # the session is closed: the run has ended
+            # With BLOCK, because DROP, the default, loses messages under load.
+            self._session.put(
+                keys.request_key(self._run, worker),
+                encode_message(message),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                express=True,
+            )
+
+    def close(self) -> None:
+        """Send what waits, close the session, and wait for the reader threads (one in recv() at exit aborts).
+
+        A peer that does not read can hold up each of the three, so none is waited for without a limit.
+        """
+        self._sender.finish()
+        within_patience(self._session.close)
+        join_all(self._threads)
 
 
 @contextmanager
@@ -139,37 +155,36 @@ def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> 
         PerfboundError: the endpoint is in use, malformed, or open to others without TLS.
 
     """
+    session, chosen = _opened(endpoint, tls, insecure=insecure)
+    transport = ZenohTransport(session, reachable(chosen))
     try:
-        config = zenoh.Config.from_json5(listen_config(endpoint, tls, insecure=insecure))
-        session = zenoh.open(config)
-    except LinkError as error:
-        raise PerfboundError(str(error)) from None
-    except zenoh.ZError as error:
-        raise PerfboundError(_explain(endpoint, str(error))) from None
-    transport = None
-    try:
-        transport = ZenohTransport(session, _chosen(session, endpoint))
         yield transport
     finally:
-        session.close()  # type: ignore[no-untyped-call]
-        if transport is not None:
-            transport.join()
+        transport.close()
+
+
+def _opened(endpoint: str, tls: Tls | None, *, insecure: bool) -> tuple[zenoh.Session, str]:
+    """Return a session that listens, and its endpoint; port 0 becomes a free one."""
+    tries = TRIES
+    while True:
+        tries -= 1
+        try:
+            listen_config(endpoint, tls, insecure=insecure)
+            chosen = with_port(endpoint)
+            return zenoh.open(zenoh.Config.from_json5(listen_config(chosen, tls, insecure=insecure))), chosen
+        except LinkError as error:
+            raise PerfboundError(str(error)) from None
+        except zenoh.ZError as error:
+            # Between the choice of a free port and its use, another process may have taken it.
+            if not (tries and chosen != endpoint and IN_USE in str(error)):
+                raise PerfboundError(_explain(endpoint, str(error))) from None
 
 
 def _explain(endpoint: str, error: str) -> str:
-    if "Address already in use" in error:
+    if IN_USE in error:
         return f"--listen {endpoint}: this endpoint is in use; choose another port, or 0 for a free one"
     reason = error.split(" at /", maxsplit=1)[0][:300]
     return f"--listen {endpoint}: cannot listen there ({reason}); check the address and the TLS files"
-
-
-def _chosen(session: zenoh.Session, endpoint: str) -> str:
-    for reply in session.get(f"@/{session.zid()}/*"):
-        if reply.ok is not None:
-            locators = json.loads(reply.ok.payload.to_bytes())["locators"]
-            if locators:
-                return str(locators[0])
-    return endpoint
 
 
 def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None], sink: Sink) -> None:
@@ -179,7 +194,7 @@ def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None]
             try:
                 message = read(sample, at)
             except (MessageError, UnicodeDecodeError) as error:
-                message = Garbage(at, keys.worker_of(str(sample.key_expr)), str(error))
+                message = Garbage(at, keys.sender_of(str(sample.key_expr)), shortened(str(error)))
             if message is not None:
                 sink(message)
     except zenoh.ZError:
@@ -187,7 +202,7 @@ def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None]
 
 
 def _token(sample: zenoh.Sample, at: float) -> Inbound:
-    return Token(at, keys.last(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
+    return Token(at, keys.worker_of(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
 
 
 def _heartbeat(sample: zenoh.Sample, at: float) -> Inbound | None:
@@ -196,7 +211,7 @@ def _heartbeat(sample: zenoh.Sample, at: float) -> Inbound | None:
     return Heartbeat(at, keys.worker_of(str(sample.key_expr)), decode_state(sample.payload.to_bytes()))
 
 
-def _result(sample: zenoh.Sample, at: float) -> Inbound | None:
+def _result(budget: Budget, sample: zenoh.Sample, at: float) -> Inbound | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
     if sample.attachment is None:
@@ -204,4 +219,8 @@ def _result(sample: zenoh.Sample, at: float) -> Inbound | None:
     header = decode_header(sample.attachment.to_bytes())
     if len(sample.payload) > MAX_RESULT:
         raise MessageError(f"{len(sample.payload)} bytes are more than the {MAX_RESULT} of a trajectory")
-    return Result(at, keys.worker_of(str(sample.key_expr)), header, sample.payload.to_bytes())
+    worker, size = keys.worker_of(str(sample.key_expr)), len(sample.payload)
+    budget.reserve(worker, size)
+    result = Result(at, worker, header, sample.payload.to_bytes())
+    budget.release_with(result, size)
+    return result

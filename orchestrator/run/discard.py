@@ -6,7 +6,7 @@ from pathlib import Path
 from ...schemas.errors import PerfboundError, RequestError, one_line
 from ...schemas.facts import DiscardFact, RolloutFact
 from ...schemas.ids import RolloutId
-from ...schemas.rollout import MAX_FILE_BYTES
+from ...schemas.ranges import MAX_FILE_BYTES
 from ...schemas.trajectory import Trajectory, decode
 from ..campaign.border import objective_fault
 from ..campaign.ledger import Ledger

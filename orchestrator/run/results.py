@@ -1,6 +1,6 @@
 """The results of one turn: admitted against their requests, and recorded once the dispatch machine has decided."""
 
-from collections.abc import Container, Iterable
+from collections.abc import Callable, Container, Iterable
 
 from ...schemas.errors import EvidenceError, UnusableTrajectoryError
 from ...schemas.facts import RECORDED, RESTORED
@@ -12,36 +12,59 @@ from ..campaign.ledger import Ledger, Work
 from ..fleet import events
 from ..fleet.transport import Result
 from ..store.journal import Journal
+from .decoder import LARGE, Decoded, Decoder
 
 
 class Results:
     """Admitted results by attempt; the dispatch machine receives their outcome alone, never their bytes."""
 
-    def __init__(self, ledger: Ledger, journal: Journal) -> None:
+    def __init__(self, ledger: Ledger, journal: Journal, done: Callable[[Decoded], None]) -> None:
         self._ledger, self._journal = ledger, journal
         self._admission = Admission(ledger)
+        self._decoder = Decoder(self._admission.columns, done)
         self._admitted: dict[Attempt, tuple[Result, Trajectory]] = {}
 
-    def take(self, message: Result, *, open_rollouts: Container[RolloutId]) -> events.Delivered:
-        """Take a result of an admitted worker; return the event for the dispatch machine."""
-        attempt = Attempt(RolloutId.parse(message.header.rollout), message.header.attempt)
-        header, failure = message.header, None
+    @property
+    def undecided_since(self) -> float:
+        """Time of receipt of the oldest result that is still decoded; infinite without one."""
+        return self._decoder.oldest
+
+    def take(self, message: Result | Decoded, *, open_rollouts: Container[RolloutId]) -> tuple[events.Delivered, ...]:
+        """Take a result of an admitted worker; return the events for the dispatch machine.
+
+        A large one is decoded beside the loop first: there are none then, and `done` gets the result again.
+        """
+        if isinstance(message, Decoded):
+            self._decoder.finish(message)
+            result, decoded = message.result, message.found
+        else:
+            result, decoded = message, None
+        attempt = Attempt(RolloutId.parse(result.header.rollout), result.header.attempt)
+        header, failure, is_open = result.header, None, attempt.rollout in open_rollouts
+        if decoded is None and is_open and header.outcome == "done" and len(result.payload) > LARGE:
+            self._decoder.submit(result, self._ledger.request(attempt.rollout))
+            return ()
         if header.outcome == "failed":
             failure = Failure(header.kind or "infrastructure", header.error or "the worker gave no reason")
-        elif attempt.rollout in open_rollouts:
-            failure = self._admit(attempt, message)
+        elif is_open:
+            failure = self._admit(attempt, result, decoded)
         # A result that is no longer needed is acknowledged unread, so that the worker drops it.
-        return events.Delivered(message.at, message.worker, attempt, failure)
+        return (events.Delivered(result.at, result.worker, attempt, failure),)
 
-    def _admit(self, attempt: Attempt, message: Result) -> Failure | None:
+    def _admit(self, attempt: Attempt, message: Result, decoded: Trajectory | EvidenceError | None) -> Failure | None:
         """Keep a result until it is decided on; return the failure of the attempt if it is refused."""
         try:
-            trajectory = self._admission.admit(attempt.rollout, message.payload, message.header.sha256)
+            if isinstance(decoded, EvidenceError):
+                raise decoded
+            if decoded is None:
+                decoded = self._admission.admit(attempt.rollout, message.payload, message.header.sha256)
+            else:
+                self._admission.check(attempt.rollout, decoded)
         except UnusableTrajectoryError as fault:
             return Failure("system", str(fault))
         except EvidenceError as fault:
             return Failure("infrastructure", str(fault))
-        self._admitted[attempt] = message, trajectory
+        self._admitted[attempt] = message, decoded
         return None
 
     def record(self, worker: str, attempt: Attempt) -> Work:
@@ -56,7 +79,7 @@ class Results:
     def recorders(self, wanted: Iterable[RolloutId]) -> dict[RolloutId, str]:
         """Return the worker that recorded the original of each rollout that repeats one."""
         originals = {each: self._ledger.closing.original(each) for each in wanted}
-        found = {each: self._journal.recorder(original) for each, original in originals.items() if original}
+        found = {each: self._journal.worker_of(original) for each, original in originals.items() if original}
         return {each: worker for each, worker in found.items() if worker is not None}
 
     def clear(self) -> None:

@@ -28,24 +28,46 @@ class WorkerRecord:
     """Time of the last heartbeat, by the monotonic clock."""
 
 
+LIVING = 10_000
+"""Workers at a time; tokens above that are ignored."""
+DEAD_KEPT = 500
+"""Workers whose token is gone: one that returns after a partition is known, older ones are admitted anew."""
+
+
 class Roster:
-    """The workers of one run, by name."""
+    """The workers of one run, by name: those that live, and the last ones that do not."""
 
     def __init__(self, spec: SystemSpec) -> None:
         self.records: dict[str, WorkerRecord] = {}
+        self._living = 0
+        self._dead: dict[str, None] = {}
+        """In the order in which their tokens disappeared."""
         self._spec, self._spec_sha256 = spec, spec.digest
 
     def token(self, message: Token) -> tuple[events.Event, ...]:
         """Take a token that appeared or disappeared; return the events for the dispatch machine."""
+        if message.worker not in self.records and (not message.alive or self._living >= LIVING):
+            return ()
         record = self.records.setdefault(message.worker, WorkerRecord())
+        self._living += message.alive - record.alive
         record.alive = message.alive
+        self._remember(message.worker, alive=message.alive)
         if record.state is not None:
             # The record outlives the token: after a partition the same process returns, perhaps with its result.
             event = events.WorkerUp if message.alive else events.WorkerDown
             return (event(message.at, message.worker),)
         if not message.alive:
             del self.records[message.worker]  # never admitted, so no attempt can come back from it
+            del self._dead[message.worker]
         return ()
+
+    def _remember(self, worker: str, *, alive: bool) -> None:
+        self._dead.pop(worker, None)
+        if not alive:
+            self._dead[worker] = None
+            while len(self._dead) > DEAD_KEPT:
+                oldest = next(iter(self._dead))
+                del self._dead[oldest], self.records[oldest]
 
     def refusal(self, message: Heartbeat) -> str | None:
         """Return the reason to refuse a worker, at its first heartbeat alone."""

@@ -13,17 +13,19 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped, one_line
-from ...schemas.failure import Failure
+from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..fleet import dispatch, events
+from ..fleet.inbox import Inbox
 from ..fleet.processes import Fleet
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from ..store import read
 from ..store.journal import Journal
+from .decoder import Decoded
+from .lines import Lines
 from .results import Results
 from .roster import Roster, WorkerRecord
 
@@ -87,21 +89,21 @@ class Service:
         resumed: bool,
         drain: bool = False,
     ) -> None:
-        self.inbox: queue.SimpleQueue[Inbound | Interrupted] = queue.SimpleQueue()
+        self.inbox: Inbox[Inbound | Decoded | Interrupted] = Inbox()
         self._ledger = ledger
         self._journal = journal
         self._transport = transport
         self._fleet = fleet
         self._listeners = listeners
+        self._lines = Lines(self._print_line)
         self._roster = Roster(ledger.header.spec)
-        self._results = Results(ledger, journal)
+        self._results = Results(ledger, journal, self.inbox.put)
         self._outgoing: list[tuple[str, Request]] = []
         self._events: deque[events.Event] = deque()
         self._drain = drain
         self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
-        self._told: set[tuple[RolloutId, Failure]] = set()
         self._started = time.monotonic()
         self._next_tick = self._started
         limits = _limits(ledger.config)
@@ -127,20 +129,20 @@ class Service:
             self._turn(*self._receive())
         self._show()  # the last turn ends between two ticks
 
-    def _receive(self) -> tuple[list[Inbound | Interrupted], float]:
+    def _receive(self) -> tuple[list[Inbound | Decoded | Interrupted], float]:
         """Wait for the next message or tick; return messages, and the time up to which they are all that came."""
-        messages: list[Inbound | Interrupted] = []
+        messages: list[Inbound | Decoded | Interrupted] = []
         while len(messages) < TURN:
             now = time.monotonic()
             wait = 0.0 if messages else max(0.0, self._next_tick - now)
             try:
-                messages.append(self.inbox.get(timeout=wait) if wait > 0 else self.inbox.get_nowait())
+                messages.append(self.inbox.get(wait))
             except queue.Empty:
                 return messages, now + wait
         # The inbox may contain more: time is complete only up to the last message taken, and a signal has no time.
         return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
 
-    def _turn(self, messages: list[Inbound | Interrupted], complete: float) -> None:
+    def _turn(self, messages: list[Inbound | Decoded | Interrupted], complete: float) -> None:
         with self._ledger.transaction():
             for message in messages:
                 self._take(message)
@@ -157,21 +159,21 @@ class Service:
         # After the commit: kill -9 before it loses facts that no worker has received, so all of them are made again.
         self._send()
 
-    def _take(self, message: Inbound | Interrupted) -> None:
+    def _take(self, message: Inbound | Decoded | Interrupted) -> None:
         match message:
             case Token():
                 self._events.extend(self._roster.token(message))
             case Heartbeat():
                 if (reason := self._roster.refusal(message)) is not None:
-                    self._print_line(f"refused worker {message.worker}: {reason}")
+                    self._lines.refused(message.worker, reason)
                     self._outgoing.append((message.worker, Refuse(reason=reason)))
                 self._events.extend(self._roster.heartbeat(message))
-            case Result():
-                # One that comes before the worker is admitted is not acknowledged: the worker delivers it again.
-                if self._roster.admitted(message.worker) is not None:
-                    self._events.append(self._results.take(message, open_rollouts=self._state.open))
+            case Result() if self._roster.admitted(message.worker) is None:
+                return  # not acknowledged before the worker is admitted: it delivers the result again
+            case Result() | Decoded():
+                self._events.extend(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
-                self._print_line(f"ignored a message of {message.worker}: {message.reason}")
+                self._lines.ignored(message.worker, message.reason)
             case Interrupted():
                 self._interrupted(message.signal)
 
@@ -189,8 +191,10 @@ class Service:
         self._journal.check_place()  # at once, and not after a week of rollouts that nothing keeps
         for news in self._fleet.tend() if self._fleet is not None else ():
             self._print_line(news)
+        self._lines.summarise()
         # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.
-        self._events.append(events.Tick(now))
+        # Neither is the time in which its result is decoded.
+        self._events.append(events.Tick(min(now, self._results.undecided_since)))
         self._settle()
         self._show()
 
@@ -219,11 +223,10 @@ class Service:
             case events.Acknowledge(worker, attempt):
                 self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
             case events.Fail(worker, attempt, failure):
-                self._journal.attempt_ended(attempt, worker, failure)
-                # Once: attempts that fail alike are counted in the database, and listed if they end the campaign.
-                if (attempt.rollout, failure) not in self._told:
-                    self._told.add((attempt.rollout, failure))
-                    self._print_line(_failure_line(action))
+                # Else a peer could fill the disk with failures of attempts that it makes up.
+                if self._journal.worker_of(attempt.rollout, attempt.number) == worker:
+                    self._journal.attempt_ended(attempt, worker, failure)
+                    self._lines.failed(action)
             case events.GiveUp(worker):
                 pid = self._roster.local_pid(worker)
                 if self._fleet is not None and pid is not None and self._fleet.kill(pid):
@@ -273,13 +276,6 @@ class Service:
         )
         for listener in self._listeners:
             listener.show(status)
-
-
-def _failure_line(action: events.Fail) -> str:
-    attempt, failure = action.attempt, action.failure
-    # The reason is text of a system under test.
-    reason = one_line(failure.reason)
-    return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"
 
 
 def _poison_text(found: events.Poison, ledger: Ledger) -> str:

@@ -10,6 +10,7 @@ from sqlalchemy import Connection
 
 from ...schemas.errors import JournalError
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.ranges import within_seconds
 from . import tables
 from .read import read_header, read_version, reading
 from .rows import DATABASE, READERS, SCHEMA_VERSION
@@ -128,7 +129,7 @@ class ChangeReader:
             tuple(fact for _, fact in decisions),
             {row.problem: row.number for row in counts},
             tuple(_rollout(row, self._directory) for row in violations),
-            tuple(AttemptOutcome(**{name: getattr(row, name) for name in _OUTCOME_FIELDS}) for row in outcomes),
+            tuple(_ended_attempt(row) for row in outcomes),
             {row.worker: row.host for row in hosts},
             sessions,
             None if origin is None or origin.system is None else (origin.system, origin.revision),
@@ -161,6 +162,12 @@ def rollouts_of(directory: Path, problem: str, test: int) -> tuple[RolloutFact, 
     with reading(directory) as connection:
         rows = connection.execute(this.order_by(_rollouts.variant, _rollouts.replicate)).all()
     return tuple(_rollout(row, directory) for row in rows)
+
+
+def _ended_attempt(row: Any) -> AttemptOutcome:
+    # Before messages had ranges, a worker could claim any number of seconds: a sum of them would not be finite.
+    seconds = {name: within_seconds(getattr(row, name)) for name in ("cpu_seconds", "wall_seconds")}
+    return AttemptOutcome(**{name: getattr(row, name) for name in _OUTCOME_FIELDS} | seconds)
 
 
 def _rollout(row: Any, directory: Path) -> RolloutFact:

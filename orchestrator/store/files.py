@@ -11,7 +11,7 @@ from ...schemas.atomic import TEMPORARY, fresh, make_folder, sync, temporary
 from ...schemas.errors import EvidenceError
 from ...schemas.ids import RolloutId
 from ...schemas.outside import read_outside
-from ...schemas.rollout import MAX_FILE_BYTES
+from ...schemas.ranges import MAX_FILE_BYTES
 
 FOLDER = "trajectories"
 DISCARDED = "discarded"

@@ -167,10 +167,11 @@ class Journal:
         (row,) = self._read(sa.select(tables.rollouts).where(*this))
         return rollout_fact(row)
 
-    def recorder(self, rollout: RolloutId) -> str | None:
-        """Return the worker whose result was recorded; inside or outside a transaction."""
-        columns = tables.outcomes.c
-        rows = self._read(sa.select(columns.worker).where(columns.rollout == str(rollout), columns.outcome == RECORDED))
+    def worker_of(self, rollout: RolloutId, attempt: int | None = None) -> str | None:
+        """Return the worker of an attempt, or the one whose result was recorded; inside or outside a transaction."""
+        table = tables.outcomes if attempt is None else tables.attempts
+        which = table.c.outcome == RECORDED if attempt is None else table.c.attempt == attempt
+        rows = self._read(sa.select(table.c.worker).where(table.c.rollout == str(rollout), which))
         return str(rows[0][0]) if rows else None
 
     def _read(self, query: sa.Select[Any]) -> Sequence[sa.Row[Any]]:

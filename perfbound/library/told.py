@@ -13,7 +13,8 @@ import numpy as np
 from ..orchestrator.campaign.admission import admit
 from ..orchestrator.store import files as evidence
 from ..schemas.errors import EvidenceError, SimulationError, UnusableTrajectoryError
-from ..schemas.rollout import MAX_FILE_BYTES, RolloutRequest
+from ..schemas.ranges import MAX_FILE_BYTES
+from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
 from ..schemas.trajectory import Trajectory, Visual
 from ..workers.simulate import run_request_on

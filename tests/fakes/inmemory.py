@@ -172,7 +172,7 @@ class InMemoryTransport:
 
     def arrive(self, key: str, payload: bytes, attachment: bytes | None) -> None:
         """Take what a worker put."""
-        at, worker = time.monotonic(), keys.worker_of(key)
+        at, worker = time.monotonic(), keys.sender_of(key)
         try:
             self._deliver(_read(at, key, payload, attachment))
         except MessageError as error:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from ...schemas.errors import DefinitionError, SimulationError
+from ...schemas.ranges import SEED_BITS
 from ...schemas.space import SystemChoice
-from ...schemas.system import SEED_BITS, Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
 from .life import signs_of_life

@@ -21,9 +21,9 @@ from pydantic import ValidationError
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import DefinitionError, SimulationError
-from ...schemas.rollout import MAX_FILE_BYTES
+from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
 from ...schemas.space import ProgramLimits, SampleFormat, Scenarios, SystemChoice
-from ...schemas.system import SEED_BITS, Column, Option, OptionValue, Parameter, SystemSpec, Variant
+from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
 from .fingerprint import file_sha256

@@ -164,7 +164,8 @@ VARIANTS: dict[str, list[Event]] = {
 @pytest.mark.parametrize("name", WORKER)
 def test_every_cell_of_the_table(phase: str, name: str) -> None:
     reached = set()
-    waiting: list[list[Event]] = [[], [want(R[0])]] if phase == "new" else [[]]  # only what waits can be adopted
+    # Only what waits and was given can be adopted.
+    waiting: list[list[Event]] = [[], [want(R[0], attempts=1)]] if phase == "new" else [[]]
     for event, more in itertools.product(VARIANTS[name], waiting):
         state, _ = after(*BEFORE[phase], *more)
         assert (state.workers["w"].phase if "w" in state.workers else "unknown") == phase
@@ -223,9 +224,12 @@ def test_after_a_restart_busy_workers_are_adopted_and_numbers_go_on() -> None:
     assert actions == [Start("w", first(R[0], 3))]
 
 
-def test_an_adopted_attempt_that_nobody_wrote_down_counts_all_the_same() -> None:
-    _, actions = after(want(R[0]), WorkerUp(0, "w"), busy(R[0], 4), done(R[0], 4, failure=BAD))
-    assert actions[-1] == Start("w", first(R[0], 5))
+def test_an_attempt_that_nobody_made_is_not_adopted_and_pushes_no_number() -> None:
+    for claimed in (4, 999_999, 1_000_000):
+        report: list[Event] = [want(R[0], attempts=3), WorkerUp(0, "w"), busy(R[0], claimed)]
+        state, actions = after(*report)
+        assert (actions, state.workers["w"].phase) == ([Revoke("w", first(R[0], claimed))], "new")
+        assert after(*report, idle(at=1))[1] == [Start("w", first(R[0], 4))]
 
 
 def test_nothing_is_assigned_during_the_hold() -> None:

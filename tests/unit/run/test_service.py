@@ -20,6 +20,7 @@ from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.fleet.transport import Heartbeat, Result, Sink, Token
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.service import RunStatus, Service
+from perfbound.orchestrator.run.throttle import EACH
 from perfbound.orchestrator.store import files as evidence
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
@@ -420,6 +421,37 @@ def test_a_lie_is_a_failed_attempt_and_the_rollout_is_tried_again(
     assert read.irreproducible(tmp_path / "run") == (2 if kind in OF_SYSTEM else 0)
     assert all("\n" not in line and len(line) < 500 for line in log.lines)
     check_evidence(tmp_path / "run", 8)
+
+
+class Flood(Altered):
+    """An uplink that adds, to each heartbeat, failures of attempts that nobody made, with long texts, and garbage."""
+
+    sent = 0
+
+    def report(self, state: WorkerState) -> None:
+        self._inner.report(state)
+        for number in range(20):
+            self.sent += 1
+            claim = ResultHeader(rollout="maximum.0.true.0", attempt=1 + self.sent, worker="x", outcome="failed")
+            error = f"\x1b[2J {self.sent}" + "x" * 20_000
+            forged = claim.model_copy(update={"kind": "system", "error": error})
+            self._inner.deliver(forged, b"")
+            self._inner.deliver(forged.model_copy(update={"rollout": "m" * 20_000, "attempt": number}), b"")
+
+
+def test_a_flood_of_failures_and_garbage_is_neither_recorded_nor_printed(tmp_path: Path, calm: Calm) -> None:
+    log, floods = Log(), list[Flood]()
+
+    def wrap(uplink: InMemoryUplink) -> Flood:
+        floods.append(Flood(uplink))
+        return floods[-1]
+
+    found = campaign(tmp_path / "run", a_config(), workers=1, wraps=[wrap], log=log)
+    assert found == calm(a_config())
+    assert floods[0].sent > 20
+    assert set(outcomes(tmp_path / "run")) == {"recorded"}
+    assert 0 < len(log.lines) <= EACH
+    assert all(len(line) < 500 and line.isprintable() for line in log.lines)
 
 
 # Systems that fail

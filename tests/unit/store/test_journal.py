@@ -30,6 +30,7 @@ from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.ranges import MOST_SECONDS
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import decode
 from perfbound.schemas.values import Bound, Observation, Proposal
@@ -191,6 +192,20 @@ def test_the_highest_attempt_is_known_and_the_first_outcome_stands(journal: Jour
         journal.attempt_ended(Attempt(R0, 1), "w", Failure("infrastructure", "worse"))
     assert read.attempts(tmp_path) == {R0: 3, other: 2}
     assert ended(tmp_path) == [("worker lost for 3 s", "infrastructure")]
+
+
+def test_the_largest_numbers_of_messages_come_back_and_sums_of_older_ones_are_finite(
+    journal: Journal, tmp_path: Path
+) -> None:
+    with journal.transaction():
+        journal.attempt_started(Attempt(R0, 10**6), "w", "h", 2**31 - 1)
+        journal.attempt_ended(Attempt(R0, 10**6), "w", "recorded", MOST_SECONDS, MOST_SECONDS)
+        for number in (1, 2):  # a message had no ranges once
+            journal.attempt_ended(Attempt(R0, number), "w", "recorded", 1.5e308, 1.5e308)
+    assert read.attempts(tmp_path) == {R0: 10**6}
+    outcomes = ChangeReader(tmp_path).read().outcomes
+    assert [each.cpu_seconds for each in outcomes] == [MOST_SECONDS] * 3
+    assert sum(each.cpu_seconds + each.wall_seconds for each in outcomes) == 6 * MOST_SECONDS
 
 
 # Failures and their kinds

@@ -1,0 +1,99 @@
+"""What has been received and not been handled yet: bounded, so that no peer fills the memory.
+
+Nothing here blocks a reader thread, since heartbeats and tokens of other workers may wait behind it: what is above a
+limit is dropped. Results are delivered again until they are acknowledged, and heartbeats follow one another.
+"""
+
+import queue
+import threading
+import weakref
+from collections import Counter
+from typing import Generic, Protocol, TypeVar
+
+from ...schemas.errors import MessageError
+from ...schemas.messages import MAX_RESULT
+
+RESULTS_OF_WORKER = MAX_RESULT
+"""Bytes of the results of one worker that are in memory."""
+RESULTS = 2 * MAX_RESULT
+"""Bytes of the results of all workers."""
+MESSAGES_OF_WORKER = 256
+"""Messages of one worker that wait."""
+MESSAGES = 100_000
+"""Messages of all workers."""
+
+
+class _Sent(Protocol):
+    @property
+    def worker(self) -> str: ...
+
+
+T = TypeVar("T")
+
+
+class Inbox(Generic[T]):
+    """A queue between reader threads and one loop; tokens are never dropped before `MESSAGES` wait."""
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[T] = queue.SimpleQueue()
+        self._waiting: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def put(self, message: T) -> None:
+        """Add a message, or drop it; those of the program itself, without a worker, always find a place."""
+        worker = getattr(message, "worker", None)
+        if worker is not None:
+            with self._lock:
+                if self._waiting[worker] >= MESSAGES_OF_WORKER or self._queue.qsize() >= MESSAGES:
+                    return
+                self._waiting[worker] += 1
+        self._queue.put(message)
+
+    def get(self, timeout: float) -> T:
+        """Return the next message, at once if `timeout` in s is not positive; raises `queue.Empty`."""
+        message = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
+        worker = getattr(message, "worker", None)
+        if worker is not None:
+            with self._lock:
+                self._waiting[worker] -= 1
+                if self._waiting[worker] <= 0:
+                    del self._waiting[worker]
+        return message
+
+
+class Budget:
+    """The bytes of results in memory; any thread may use it."""
+
+    def __init__(self, of_worker: int = RESULTS_OF_WORKER, whole: int = RESULTS) -> None:
+        self._limits = of_worker, whole
+        self._held: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def reserve(self, worker: str, size: int) -> None:
+        """Make room for a result that is about to be read.
+
+        Raises:
+            MessageError: there is none now.
+
+        """
+        of_worker, whole = self._limits
+        with self._lock:
+            if self._held[worker] + size > of_worker or self._held.total() + size > whole:
+                raise MessageError(f"a result of {size} bytes was dropped unread, because too many wait already")
+            self._held[worker] += size
+
+    def release_with(self, result: _Sent, size: int) -> None:
+        """Give the room back when nothing holds the result any more, wherever it is then."""
+        weakref.finalize(result, self._release, result.worker, size)
+
+    @property
+    def held(self) -> int:
+        """Bytes in memory now."""
+        with self._lock:
+            return self._held.total()
+
+    def _release(self, worker: str, size: int) -> None:
+        with self._lock:
+            self._held[worker] -= size
+            if self._held[worker] <= 0:
+                del self._held[worker]

@@ -1,0 +1,58 @@
+"""The sending side of a link, in a thread of its own: a peer that does not read holds up neither loop nor end."""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from ...schemas.messages import Request
+
+WAITING = 10_000
+"""Messages that wait for the link; above that, new ones are dropped, which the protocol repeats."""
+PATIENCE = 0.5
+"""Seconds for each step of the end: the last messages, the link, its threads."""
+
+
+class Sender:
+    """Puts messages in their order; `put` may block for as long as a peer lets it."""
+
+    def __init__(self, put: Callable[[str, Request], None]) -> None:
+        self._put = put
+        self._waiting: queue.SimpleQueue[tuple[str, Request] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name="sender", daemon=True)
+        self._thread.start()
+
+    def send(self, worker: str, message: Request) -> None:
+        """Send without waiting."""
+        if self._waiting.qsize() < WAITING:
+            self._waiting.put((worker, message))
+
+    def finish(self) -> None:
+        """Send what waits, as far as peers read it."""
+        self._waiting.put(None)
+        self._thread.join(PATIENCE)
+
+    def _work(self) -> None:
+        while (message := self._waiting.get()) is not None:
+            self._put(*message)
+
+
+def within_patience(close: Callable[[], object]) -> None:
+    """Call `close` in a thread that is left behind if it takes longer; the end of the process ends it."""
+
+    def attempt() -> None:
+        try:
+            close()
+        except Exception:  # noqa: BLE001  (any: the link is given up, and the campaign is finished)
+            return
+
+    thread = threading.Thread(target=attempt, name="closing", daemon=True)
+    thread.start()
+    thread.join(PATIENCE)
+
+
+def join_all(threads: list[threading.Thread]) -> None:
+    """Wait for threads, together no longer than `PATIENCE`."""
+    deadline = time.monotonic() + PATIENCE
+    for thread in threads:
+        thread.join(max(0.0, deadline - time.monotonic()))

@@ -1,0 +1,169 @@
+"""Random and mutated bytes at the borders of a run: only the documented errors, and bounded texts.
+
+PERFBOUND_FUZZ sets the number of inputs of each border (`make fuzz` takes 100000); the seed is fixed without it.
+"""
+
+import contextlib
+import hashlib
+import os
+import random
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+import zenoh
+
+from perfbound.orchestrator.campaign.admission import admit
+from perfbound.orchestrator.fleet import transport
+from perfbound.orchestrator.fleet.inbox import Budget
+from perfbound.orchestrator.fleet.transport import Garbage, Inbound
+from perfbound.schemas import keys
+from perfbound.schemas.errors import LONGEST_EXCERPT, EvidenceError, MessageError, TrajectoryError
+from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.messages import (
+    PROTOCOL,
+    Ack,
+    Assign,
+    ResultHeader,
+    WorkerState,
+    decode_header,
+    decode_request,
+    decode_state,
+    encode_message,
+)
+from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.trajectory import read_mcap
+from perfbound.workers.simulate import run_request
+from perfbound.workers.systems import load_system
+
+COUNT = int(os.environ.get("PERFBOUND_FUZZ", "1000"))
+RNG = random.Random(None if "PERFBOUND_FUZZ" in os.environ else 7)
+SPEC = load_system("test-function").spec
+REQUEST = RequestTemplate.of(SPEC, {}, horizon=0.0, visual=False).request(
+    RolloutId("maximum", 0, "true", 0), [parameter.low for parameter in SPEC.parameters], 1
+)
+FILE = run_request(REQUEST, lambda _: None)
+COLUMNS = tuple(column.name for column in SPEC.columns)
+NAME = REQUEST.rollout
+STATE = WorkerState(
+    protocol=PROTOCOL, version="1", worker="w", host="h", pid=1, systems={"s": ("d",)}, state="busy", rollout=NAME
+)
+HEADER = ResultHeader(rollout=NAME, attempt=1, worker="w", outcome="failed", error="it raised", kind="system")
+NUMBERS = [b"NaN", b"Infinity", b"1e999", b"-1", b"9" * 400, b"1.5e308", b"9223372036854775808", b"null", b'"1"', b"[]"]
+
+
+def mutated(seed: bytes) -> bytes:
+    """Return bytes like `seed`: flipped, cut, repeated, spliced, with other numbers, or nothing of it at all."""
+    data = bytearray(seed)
+    for _ in range(RNG.randint(1, 4)):
+        at, size = RNG.randrange(len(data) + 1), RNG.randint(0, 40)
+        match RNG.randrange(7):
+            case 0 if data:
+                data[at % len(data)] ^= 1 << RNG.randrange(8)
+            case 1:
+                del data[at:]
+            case 2:
+                data[at:at] = data[at : at + size] * RNG.choice([1, 2, 100])
+            case 3:
+                data[at : at + size] = RNG.randbytes(size)
+            case 4:
+                data[at : at + 8] = RNG.choice([0, 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1]).to_bytes(8, "little")
+            case 5 if any(digits := [i for i, byte in enumerate(data) if 48 <= byte <= 57]):
+                where = RNG.choice(digits)
+                data[where : where + 1] = RNG.choice(NUMBERS)
+            case _:
+                del data[at : at + size]
+    return bytes(data) if RNG.random() < 0.95 else RNG.randbytes(RNG.randint(0, 200))
+
+
+@pytest.mark.parametrize(
+    ("decode", "seed"),
+    [
+        (decode_state, encode_message(STATE)),
+        (decode_header, encode_message(HEADER)),
+        (decode_request, encode_message(Assign(attempt=1, request=REQUEST))),
+        (decode_request, encode_message(Ack(rollout=NAME, attempt=1))),
+    ],
+    ids=["state", "header", "assign", "ack"],
+)
+def test_messages(decode: Callable[[bytes], Any], seed: bytes) -> None:
+    decode(seed)
+    for _ in range(COUNT):
+        found, refused = None, ""
+        try:
+            found = decode(mutated(seed))
+        except MessageError as error:
+            refused = str(error)
+        assert found is None or decode(encode_message(found)) == found
+        assert len(refused) <= LONGEST_EXCERPT
+        assert refused.isprintable()
+
+
+def resealed(data: bytes) -> bytes:
+    """Return a file with true checksums in half of the cases, so that what is behind them is read."""
+    footer = len(data) - 8 - 29
+    if RNG.random() < 0.5 or footer < 0:
+        return data
+    summary = int.from_bytes(data[footer + 9 : footer + 17], "little")
+    if not 13 <= summary <= footer:
+        return data
+    end = summary - 13
+    whole = data[:end] + b"\x0f" + (4).to_bytes(8, "little") + zlib.crc32(data[:end]).to_bytes(4, "little")
+    tail = data[summary : footer + 25]
+    return whole + tail + zlib.crc32(tail).to_bytes(4, "little") + data[footer + 29 :]
+
+
+def test_a_file_with_its_checksums_is_the_file() -> None:
+    assert {resealed(FILE) for _ in range(20)} == {FILE}
+
+
+def test_files() -> None:
+    admit(REQUEST, COLUMNS, FILE, hashlib.sha256(FILE).hexdigest())
+    for _ in range(COUNT):
+        data = resealed(mutated(FILE))
+        with contextlib.suppress(TrajectoryError):
+            read_mcap(data)
+        with contextlib.suppress(EvidenceError):
+            admit(REQUEST, COLUMNS, data, hashlib.sha256(data).hexdigest())
+
+
+@dataclass
+class Sample:
+    """A message of the link, as a reader sees it."""
+
+    key_expr: str
+    payload: zenoh.ZBytes
+    attachment: zenoh.ZBytes | None
+    kind: Any = field(default_factory=lambda: zenoh.SampleKind.PUT)
+
+
+def test_readers_of_the_link() -> None:
+    budget = Budget()
+    readers: dict[str, Callable[[Any, float], Inbound | None]] = {
+        keys.state_key("r", "w"): transport._heartbeat,
+        keys.result_key("r", "w", NAME, 1): lambda sample, at: transport._result(budget, sample, at),
+        keys.live_worker("r", "w"): transport._token,
+    }
+    for key, read in readers.items():
+        received: list[Inbound] = []
+        samples = [_sample(key) for _ in range(COUNT)]
+        transport._pump(samples, read, received.append)
+        assert len(received) == len(samples)
+        for message in received:
+            assert len(message.worker) <= 100
+            assert message.worker.isprintable()
+            assert not isinstance(message, Garbage) or len(message.reason) <= LONGEST_EXCERPT
+    del received, message
+    assert budget.held == 0
+
+
+def _sample(key: str) -> Any:
+    name = RNG.choice(["w", "w", "", "\x1b[2J", "x" * 5000, "ü/ü"])
+    attachment = RNG.choice([None, mutated(encode_message(HEADER)), encode_message(HEADER)])
+    return Sample(
+        key.replace("/w", f"/{name}", 1),
+        zenoh.ZBytes(mutated(encode_message(STATE))),
+        None if attachment is None else zenoh.ZBytes(attachment),
+    )

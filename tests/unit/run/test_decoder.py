@@ -1,0 +1,72 @@
+"""Large results: decoded beside the loop, with the same outcome as small ones."""
+
+import hashlib
+import queue
+from pathlib import Path
+
+import pytest
+
+from perfbound.orchestrator.fleet.transport import Result
+from perfbound.orchestrator.run import results
+from perfbound.orchestrator.run.decoder import Decoded, Decoder
+from perfbound.schemas.errors import EvidenceError
+from perfbound.schemas.messages import ResultHeader
+from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.trajectory import Trajectory
+from perfbound.workers.simulate import run_request
+from perfbound.workers.systems import load_system
+from tests.fakes.inmemory import campaign
+from tests.patience import PATIENCE
+from tests.unit.run.test_service import LIES, SMALL, Altered, Liar, outcomes
+
+SPEC = load_system("test-function").spec
+REQUEST = RolloutRequest(
+    campaign="c",
+    config_sha256="0" * 64,
+    problem="maximum",
+    test=0,
+    variant="true",
+    replicate=0,
+    seed=1,
+    system=SPEC.name,
+    spec_sha256=SPEC.digest,
+    options={option.name: option.default for option in SPEC.options},
+    x=tuple(parameter.low for parameter in SPEC.parameters),
+    horizon=0.0,
+)
+COLUMNS = tuple(column.name for column in SPEC.columns)
+
+
+def a_result(at: float, payload: bytes, sha256: str) -> Result:
+    header = ResultHeader(rollout=REQUEST.rollout, attempt=1, worker="w", outcome="done", sha256=sha256)
+    return Result(at, "w", header, payload)
+
+
+def test_a_result_is_decoded_once_however_often_it_is_delivered() -> None:
+    done: queue.SimpleQueue[Decoded] = queue.SimpleQueue()
+    found = Decoder(COLUMNS, done.put)
+    assert found.oldest == float("inf")
+    payload = run_request(REQUEST, lambda _: None)
+    digest = hashlib.sha256(payload).hexdigest()
+    for at in (3.0, 4.0, 5.0):
+        found.submit(a_result(at, payload, digest), REQUEST)
+    decoded = done.get(timeout=PATIENCE)
+    assert found.oldest == 3.0, "until the loop has taken it"
+    found.finish(decoded)
+    assert (found.oldest, done.empty()) == (float("inf"), True)
+    assert isinstance(decoded.found, Trajectory)
+    found.submit(a_result(6.0, payload, "0" * 64), REQUEST)
+    fault = done.get(timeout=PATIENCE).found
+    assert isinstance(fault, EvidenceError)
+    assert fault.__traceback__ is None
+
+
+def test_the_campaign_is_the_same_when_all_results_are_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calm = campaign(tmp_path / "small", SMALL, workers=2)
+    monkeypatch.setattr(results, "LARGE", 0)
+    assert campaign(tmp_path / "large", SMALL, workers=2) == calm
+    lie, reason = LIES["seed"]
+    liar = Liar(lie)
+    found = campaign(tmp_path / "lie", SMALL, workers=0, wraps=[lambda uplink: Altered(uplink, result=liar)])
+    assert found == calm
+    assert sum(reason in outcome for outcome in outcomes(tmp_path / "lie")) == len(liar.lied_about) == 2

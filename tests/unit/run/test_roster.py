@@ -1,0 +1,63 @@
+"""Names of workers come and go for weeks: those that are kept are bounded."""
+
+import pytest
+
+from perfbound.orchestrator.fleet import events
+from perfbound.orchestrator.fleet.transport import Heartbeat, Token
+from perfbound.orchestrator.run import roster as module
+from perfbound.orchestrator.run.roster import Roster
+from perfbound.schemas import __version__
+from perfbound.schemas.messages import PROTOCOL, WorkerState
+from perfbound.workers.systems import load_system
+
+SPEC = load_system("test-function").spec
+
+
+def state_of(worker: str) -> WorkerState:
+    systems = {SPEC.name: SPEC.identities}
+    return WorkerState(
+        protocol=PROTOCOL, version=__version__, worker=worker, host="h", pid=1, systems=systems, state="idle"
+    )
+
+
+def appear(roster: Roster, worker: str, at: float = 0.0) -> list[events.Event]:
+    """Show the token and the first heartbeat of a worker."""
+    found = [*roster.token(Token(at, worker, alive=True))]
+    heartbeat = Heartbeat(at, worker, state_of(worker))
+    assert roster.refusal(heartbeat) is None
+    return [*found, *roster.heartbeat(heartbeat)]
+
+
+def test_dead_workers_are_forgotten_the_oldest_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "DEAD_KEPT", 3)
+    roster = Roster(SPEC)
+    appear(roster, "alive")
+    for number in range(100):
+        assert appear(roster, f"w{number}")
+        assert roster.token(Token(1.0, f"w{number}", alive=False)) != ()
+    assert set(roster.records) == {"alive", "w97", "w98", "w99"}
+    assert [type(event).__name__ for event in roster.token(Token(2.0, "w98", alive=True))] == ["WorkerUp"]
+    assert roster.token(Token(2.0, "w0", alive=True)) == (), "it reports first"
+    assert roster.admitted("w0") is None
+    assert [type(event).__name__ for event in appear(roster, "w0")][-1] == "Reported"
+    assert set(roster.records) == {"alive", "w0", "w97", "w98", "w99"}
+
+
+def test_tokens_without_heartbeats_leave_nothing() -> None:
+    roster = Roster(SPEC)
+    for number in range(1000):
+        roster.token(Token(0.0, f"w{number}", alive=True))
+        roster.token(Token(0.0, f"w{number}", alive=True))
+        roster.token(Token(0.0, f"w{number}", alive=False))
+        roster.token(Token(0.0, f"w{number}", alive=False))
+    assert (roster.records, roster._dead, roster._living) == ({}, {}, 0)
+
+
+def test_living_workers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LIVING", 5)
+    roster = Roster(SPEC)
+    for number in range(100):
+        roster.token(Token(0.0, f"w{number}", alive=True))
+    assert len(roster.records) == 5
+    roster.token(Token(0.0, "w0", alive=False))
+    assert appear(roster, "late")
