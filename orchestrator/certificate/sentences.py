@@ -201,9 +201,9 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed": "no rollout was simulated once more, so nothing shows whether a rollout follows from its seed.",
     },
     "discarded": {
-        "derived": 'rollout {rollout} was recorded and then discarded (reason given: "{reason}"), because the objective of '
-        "its test cannot be computed from it; it was simulated again with the same seed, and its file (sha256 {sha256}) "
-        "is kept.",
+        "derived": 'rollout {rollout} was recorded and then discarded (reason given: "{reason}"), because the '
+        "objective of its test cannot be computed from it; it was simulated again with the same seed, and its file "
+        "(sha256 {sha256}) is kept.",
     },
     "failures_vary": {
         "refuted": "the system failed in a rollout that ran through when it was repeated with the same seed: failures "

@@ -122,8 +122,8 @@ def test_nothing_is_changed_or_removed(journal: Journal, tmp_path: Path, table: 
         journal.attempt_ended(Attempt(R0, 1), "w", "recorded")
     with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
         connection.execute(  # by `perfbound discard` alone, not by the journal
-            "INSERT INTO discards SELECT 99, problem, test, variant, replicate, seed, sha256, size, path, robustness, seq, "
-            "'reason' FROM rollouts LIMIT 1"
+            "INSERT INTO discards SELECT 99, problem, test, variant, replicate, seed, sha256, size, path, robustness, "
+            "seq, 'reason' FROM rollouts LIMIT 1"
         )
         connection.commit()
         before = connection.execute(f"SELECT * FROM {table.name}").fetchall()
