@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import resource
 import sys
 import threading
 import time
@@ -196,12 +197,19 @@ def spec(reference: str) -> None:
     click.echo(canonical_json(load_system(_add_file(reference)).spec.model_dump(mode="json")))
 
 
+def _be_child() -> None:
+    """End with the parent, and write no memory to the disk: a crash is reported there."""
+    die_with_parent()
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
 @group.command()
 @system_option
 @click.option("--request", required=True, help="RolloutRequest as JSON.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file to write.")
 def simulate(request: str, out: Path) -> None:
     """Run one rollout without an orchestrator and write its trajectory."""
+    _be_child()
     data = _trajectory_file(request)
     try:
         with replacing([out]) as (file,):
@@ -217,6 +225,7 @@ def simulate(request: str, out: Path) -> None:
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the files.")
 def pilot(requests: Path, seconds: float, out: Path) -> None:
     """Run rollouts one after the other in this process; `K.mcap` is the file of the K-th request, from 0."""
+    _be_child()
     end = time.monotonic() + seconds
     for number, request in enumerate(requests.read_text().splitlines()):
         if number and time.monotonic() > end:
@@ -266,15 +275,12 @@ def print_visual(path: Path) -> None:
 @click.option("--answers", type=int, required=True, help="Pipe for the measurements, a line of JSON each.")
 def measure(answers: int) -> None:
     """Run the rollouts on stdin, a JSON list of trials, and measure each of them, for `perfbound check-system`."""
-    import resource  # noqa: PLC0415
-
     from pydantic import TypeAdapter  # noqa: PLC0415
 
     from ..schemas.system_check import Trial  # noqa: PLC0415
     from .check_system import measure_trials  # noqa: PLC0415
 
-    die_with_parent()
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # a crash is a finding here; its memory needs no disk
+    _be_child()
     os.set_inheritable(answers, False)
     trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())
     with os.fdopen(answers, "w") as stream:

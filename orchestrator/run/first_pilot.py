@@ -88,10 +88,10 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
         try:
             check_whole(trajectory, tuple(column.name for column in plan.spec.columns), horizon)
         except TrajectoryError as fault:
-            raise PilotError(f"{_words(request, plan.spec)}: a campaign would refuse this rollout: {fault}") from None
+            raise PilotError(f"{request.words(plan.spec)}: a campaign would refuse this rollout: {fault}") from None
         scores[request.variant].append(score(trajectory))
         if not abs(scores[request.variant][-1]) < LARGEST:
-            raise PilotError(f"{_words(request, plan.spec)}: its values are above {LARGEST:g}")
+            raise PilotError(f"{request.words(plan.spec)}: its values are above {LARGEST:g}")
     whole = min(len(found) // plan.seeds(variant) for variant, found in scores.items())
     if horizon is None or whole < FEWEST_STARTS:
         raise PilotError(f"after {SECONDS:g} s it has the rollouts of {whole} starts, and needs {FEWEST_STARTS}")
@@ -113,18 +113,12 @@ def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple
             ask("pilot", *place, *system_options(plan.reference))
         except PerfboundError as error:
             failed = next((each for each, path in zip(requests, paths, strict=True) if not path.exists()), requests[-1])
-            raise PilotError(f"{_words(failed, plan.spec)}: {error}") from None
+            raise PilotError(f"{failed.words(plan.spec)}: {error}") from None
         for request, path in zip(requests, paths, strict=True):
             if not path.exists():
                 return
             try:
                 trajectory = decode(path.read_bytes())
             except TrajectoryError as fault:
-                raise PilotError(f"{_words(request, plan.spec)}: {fault}") from None
+                raise PilotError(f"{request.words(plan.spec)}: {fault}") from None
             yield request, trajectory
-
-
-def _words(request: RolloutRequest, spec: SystemSpec) -> str:
-    """Return start, variant and seed of a rollout."""
-    start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.parameters, request.x, strict=True))
-    return f"{start}, {request.variant}, seed {request.seed}"

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -92,7 +93,12 @@ def checked_system(
     if not runs[-1].ended:
         runs.append(rolled("opposite order", trials.second()))
     measurements = Measurements(
-        spec, tuple(runs), limit=limit, processors=len(os.sched_getaffinity(0)), own_horizon=own is not None
+        spec,
+        tuple(runs),
+        limit=limit,
+        processors=len(os.sched_getaffinity(0)),
+        own_horizon=own is not None,
+        program=shlex.join((config and config.system.program) or ()),
     )
     return SystemCheck(spec, trials.horizon, judge(measurements))
 

@@ -45,7 +45,7 @@ TEN = {
     "grid": Fault("times", "covers 0.1 to 10 s, not 0 to 10 s", "the first sample be at 0"),
     "global_rng": Fault("random state", "gives another rollout", DRAW, others=("repeatable", *COMPARING)),
     "prints": Fault("output", "rollouts print, 7 bytes each: 'step 0'", "remove the print", "warning"),
-    "hangs": Fault("ends", "gave no answer within 2 s in ", "fix the loop that does not end there", others=("seed",)),
+    "hangs": Fault("ends", "gave no answer within 2 s in ", "fix what does not end there", others=("seed",)),
     "grows": Fault("memory", "it grows by about ", "clear lists and caches", "warning"),
 }
 MORE = {

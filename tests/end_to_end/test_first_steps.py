@@ -164,10 +164,10 @@ def test_a_wish_that_cannot_be_met_is_one_line_and_no_file(
 @pytest.mark.parametrize(
     ("system", "reason"),
     [
-        ("short", "x = 0, nominal, seed 0: a campaign would refuse this rollout: the trajectory covers 0 to 1.9 s"),
-        ("fails", "x = 0, nominal, seed 0: ZeroDivisionError: float division by zero (bad.py, line 14)"),
-        ("crash", "x = 0, nominal, seed 0: `workers pilot` crashed (signal 6)"),
-        ("huge", "x = 0, nominal, seed 0: its values are above 1e+100"),
+        ("short", "x = 0, seed 0: a campaign would refuse this rollout: the trajectory covers 0 to 1.9 s"),
+        ("fails", "x = 0, seed 0: ZeroDivisionError: float division by zero (bad.py, line 14)"),
+        ("crash", "x = 0, seed 0: `workers pilot` crashed (signal 6) in "),
+        ("huge", "x = 0, seed 0: its values are above 1e+100"),
     ],
 )
 def test_a_pilot_that_fails_leaves_guesses_and_says_so(

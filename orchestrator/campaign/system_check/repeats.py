@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from ....schemas.system_check import Measured
 from .findings import SystemFinding, failed, passed, warning
-from .measurements import Measurements, Rolled, start_of
+from .measurements import Measurements, Rolled
 from .trials import GROWTH, RANDOM, START
 
 
@@ -41,7 +41,7 @@ def judge_repeatable(measurements: Measurements) -> SystemFinding | None:
     if not differing:
         processes = len([run for run in measurements.runs if run.measured])
         return passed("repeatable", f"{count} rollouts repeat one another, in {processes} processes")
-    at = start_of(measurements.spec, differing[0][0][0].request)
+    at = f"at {differing[0][0][0].request.words(measurements.spec)}"
     cause, remedy = _cause(measurements, differing)
     return failed("repeatable", f"{len(differing)} of {len(groups)} rollouts {cause}; {at}", remedy)
 

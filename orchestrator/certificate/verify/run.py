@@ -6,14 +6,17 @@ campaign is then decided again from the files alone, and compared with the certi
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ....schemas.certificate import Certificate
 from ....schemas.errors import JournalError
 from ....schemas.facts import Header, ObservationFact, ProposalFact
 from ....schemas.ids import RolloutId
+from ....schemas.rollout import RolloutRequest
 from ...campaign.checks import check
 from ...campaign.software import other_numerics
+from ...fleet.simulate import simulate_to
 from ...store import files as evidence
 from ...store.read import irreproducible
 from ...store.untrusted import UntrustedFacts, read_untrusted, read_untrusted_header
@@ -25,7 +28,7 @@ from .input import VerificationInput, parsed, signed_text
 from .manifest import Entry, check_files, parse_manifest, sha256_of
 from .reissue import compared, reissue
 from .rerun import Rerun
-from .resimulate import finding, resimulate
+from .resimulate import Simulate, finding, resimulate
 
 Report = Callable[[str, int, int], None]
 """Progress callback: stage, completed, total."""
@@ -90,7 +93,8 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
         for name, fault, detail in compared(header, reissued, certificate):
             checks.judge(name, fault, detail)
     with checks.making("resimulation"):
-        _resimulation(directory, entries, again, checks, report)
+        simulate = partial(_simulate, header, again.system)
+        _resimulation(directory, entries, again.rollouts, simulate, checks=checks, report=report)
     return reissued
 
 
@@ -207,14 +211,24 @@ def _software(header: Header, checks: Checks) -> bool:
     return not other
 
 
+def _simulate(header: Header, system: str | None, path: Path, request: RolloutRequest) -> None:
+    simulate_to(path, request, header.spec, system, limit=header.config.deadline)
+
+
 def _resimulation(
-    directory: Path, entries: Mapping[RolloutId, Entry], again: Again, checks: Checks, report: Report
+    directory: Path,
+    entries: Mapping[RolloutId, Entry],
+    rollouts: int,
+    simulate: Simulate,
+    *,
+    checks: Checks,
+    report: Report,
 ) -> None:
     """Simulate rollouts again, if requested."""
-    if not again.rollouts:
+    if not rollouts:
         checks.skipped("resimulation", "request it with --resimulate K; workers_honest stays assumed")
         return
     # An impossible simulation fails the check: a forger could cause it.
-    count = min(again.rollouts, len(entries))
-    found = resimulate(directory, entries, count, lambda done: report("simulation", done, count), again.system)
+    count = min(rollouts, len(entries))
+    found = resimulate(directory, entries, count, lambda done: report("simulation", done, count), simulate)
     checks.passed("resimulation", finding(found, len(entries)))

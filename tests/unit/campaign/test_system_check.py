@@ -390,6 +390,11 @@ def broken(ended: str, *, reached: int, **changes: Any) -> dict[str, SystemFindi
     return {each.check: each for each in judge(replace(evidence(), runs=(changed,)))}
 
 
+TRIALS_HUNG = ChildRun(
+    trials=TRIALS.fresh(), loaded=Measured(), measured=(), ended="gave no answer within 60 s", hung=True
+)
+
+
 def test_a_crash_names_its_rollout_and_what_was_measured_before_counts() -> None:
     found = broken("ended by signal SIGSEGV", reached=1, place="a.c.py, line 1", stderr="bad\x1b[2J")
     start = TRIALS.fresh()[1].request
@@ -405,6 +410,8 @@ def test_a_hang_and_an_end_while_loading() -> None:
     hung = broken("gave no answer within 60 s", reached=0, hung=True)
     assert hung["ends"].detail.startswith("a rollout gave no answer within 60 s: at x = ")
     assert "--timeout" in hung["ends"].remedy
+    program = replace(evidence(), runs=(TRIALS_HUNG,), program="./pendulum --fast")
+    assert judge(program)[0].detail.startswith("a rollout gave no answer within 60 s in ./pendulum --fast: at x = ")
     lost = broken("ended with exit code 1", reached=0, loaded=None, stderr="another build")
     assert lost["ends"].detail == "the process ended with exit code 1 while it loaded the system: another build"
     assert {each.status for name, each in lost.items() if name != "ends"} == {"skipped"}
