@@ -20,7 +20,7 @@ def own_place(frames: Sequence[Frame]) -> str:
     '/home/me/cars.py, line 7'
     """
     found = own_frame(frames)
-    return f"{_short(found[0])}, line {found[1]}" if found else ""
+    return f"{short_path(found[0])}, line {found[1]}" if found else ""
 
 
 def own_frame(frames: Sequence[Frame]) -> Frame | None:
@@ -34,14 +34,14 @@ def own_frame(frames: Sequence[Frame]) -> Frame | None:
     ('/env/lib/python3.11/site-packages/robot/arm.py', 7)
     >>> own_frame([(f"{packages}/click/core.py", 7), (f"{sysconfig.get_path('stdlib')}/selectors.py", 468)])
     """
-    others = [(file, line) for file, line in frames if not file.startswith("<") and not _above(file)]
+    others = [(file, line) for file, line in frames if not file.startswith("<") and not _calls_systems(file)]
     own = [(file, line) for file, line in others if not _of_python_or_package(file)]
     of_packages = [(file, line) for file, line in others if _of_package(file)]
     called = [(file, line) for file, line in of_packages if _same_package(file, of_packages[0][0])]
     return next(reversed(own or called), None)
 
 
-def _above(file: str) -> bool:
+def _calls_systems(file: str) -> bool:
     return of_perfbound(file) or (_of_package(file) and COMMAND_LINE in Path(file).parts)
 
 
@@ -66,5 +66,6 @@ def _of_python_or_package(file: str) -> bool:
     return compiled or _of_package(file) or path.is_relative_to(sysconfig.get_path("stdlib"))
 
 
-def _short(file: str) -> str:
+def short_path(file: str) -> str:
+    """Return a path, or one with more behind it, from the current directory if it is in there."""
     return os.path.relpath(file) if Path(file).is_relative_to(Path.cwd()) else file

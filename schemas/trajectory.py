@@ -75,7 +75,7 @@ class Trajectory:
         samples.flags.writeable = False
         object.__setattr__(self, "samples", samples)
         _check_columns(self.columns)
-        _check_samples(samples, len(self.columns))
+        _check_samples(samples, self.columns)
         self._check_frames()
 
     def _check_frames(self) -> None:
@@ -208,12 +208,18 @@ def _check_columns(columns: tuple[str, ...]) -> None:
         raise ValueError(f"columns must be distinct, 't' first and at least two: {columns}")
 
 
-def _check_samples(samples: Floats, columns: int) -> None:
-    if samples.ndim != 2 or samples.shape[1] != columns or not len(samples):
-        raise ValueError(f"samples have shape {samples.shape} for {columns} columns")
+def _check_samples(samples: Floats, columns: tuple[str, ...]) -> None:
+    if samples.ndim != 2 or samples.shape[1] != len(columns) or not len(samples):
+        raise ValueError(f"samples have shape {samples.shape} for {len(columns)} columns")
     if not np.isfinite(samples).all():
-        row = int(np.argmin(np.isfinite(samples).all(axis=1)))
-        raise ValueError(f"samples are not finite from row {row} on")
+        finite = np.isfinite(samples)
+        row = int(np.argmin(finite.all(axis=1)))
+        column = int(np.argmin(finite[row]))
+        at = f"t = {samples[row, 0]:g} s, " if column else ""
+        raise ValueError(
+            f"samples are not finite: {columns[column]} is {samples[row, column]} at {at}row {row}; fix the arithmetic "
+            "there (a division by 0, an overflow, an unstable step), or keep the system out of this start"
+        )
     if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
         raise ValueError("the time must start at 0 or later and increase")
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_file import load_campaign
+from ...schemas.campaign_file import load_description
 from ...schemas.errors import CampaignError, PerfboundError, one_line
 from ...schemas.system import SystemSpec
 from .family import GRACE, STACK_WRITER, end_family, place_of_stack, without_stack
@@ -50,7 +50,7 @@ def named_campaign(reference: str) -> CampaignConfig | None:
         CampaignError: it cannot be read.
 
     """
-    return load_campaign(Path(reference)) if reference.endswith(CAMPAIGN_FILE) else None
+    return load_description(Path(reference)) if reference.endswith(CAMPAIGN_FILE) else None
 
 
 def in_file(reference: str) -> bool:
@@ -167,7 +167,9 @@ def system_spec(reference: str, where: str) -> SystemSpec:
         try:
             return SystemSpec.model_validate_json(ask("spec", name))
         except PerfboundError as error:
-            raise CampaignError(f"{where}: {error}") from None
+            # The worker names the file, and the key that `where` may end with.
+            text = str(error).removeprefix(f"{name}: ").removeprefix(f"{where.rpartition(': ')[2]}: ")
+            raise CampaignError(f"{where}: {text}") from None
     found = installed_systems()
     if name not in found:
         raise CampaignError(f"{where}: {name!r} is not an installed system; allowed are {', '.join(sorted(found))}")

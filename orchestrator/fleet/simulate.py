@@ -98,6 +98,14 @@ def simulate_to(
             f"{words} gave no result within {limit:g} s, and was ended{fault.place}; fix what does not end there, or "
             "give it more time: perfbound simulate --timeout SECONDS, `deadline` in a campaign file"
         ) from None
+    except PerfboundError as fault:
+        # The worker knows the identity of the system that is asked for, and not what it consists of.
+        here = system_spec(system or spec.name, "SYSTEM")
+        if request.spec_sha256 not in here.identities and (differing := spec.differences(here)):
+            raise PerfboundError(
+                f"{spec.name} is another build than that of the campaign: {'; '.join(differing)}; use that one"
+            ) from None
+        raise fault from None
     except Stopped as stop:
         seconds = time.monotonic() - started
         raise Stopped(stop.signal, f"{words} was ended after {seconds:.1f} s, nothing was written") from None

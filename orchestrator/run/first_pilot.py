@@ -37,6 +37,8 @@ class Pilot:
     """In s, as a campaign has to request it."""
     scores: dict[Variant, Floats]
     """Shape (n, k), k rollouts at each start."""
+    cost: float | None = None
+    """Seconds of a rollout; None after a single one."""
 
     @property
     def size(self) -> str:
@@ -81,8 +83,9 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     """
     requests = plan.requests()
     scores: dict[Variant, list[float]] = {variant: [] for variant in plan.variants}
-    horizon = None
-    for request, trajectory in _finished(plan, requests):
+    horizon, written = None, []
+    for request, trajectory, at in _finished(plan, requests):
+        written.append(at)
         if horizon is None:
             horizon = settled_horizon(plan.horizon, trajectory)
         try:
@@ -98,11 +101,13 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     shaped = {
         variant: np.array(found[: whole * plan.seeds(variant)]).reshape(whole, -1) for variant, found in scores.items()
     }
-    return Pilot(np.array(pilot_starts(plan.spec.parameters)[:whole]), horizon, shaped)
+    # The first rollout loads the simulator.
+    cost = float(np.median(np.diff(written))) if len(written) > 1 else None
+    return Pilot(np.array(pilot_starts(plan.spec.parameters)[:whole]), horizon, shaped, cost)
 
 
-def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple[RolloutRequest, Trajectory]]:
-    """Yield the rollouts that one child simulates in its time, one at a time: they may be large."""
+def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple[RolloutRequest, Trajectory, float]]:
+    """Yield the rollouts that one child simulates in its time, and when; one at a time, since they may be large."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         listed = folder / "requests"
@@ -121,4 +126,4 @@ def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple
                 trajectory = decode(path.read_bytes())
             except TrajectoryError as fault:
                 raise PilotError(f"{request.words(plan.spec)}: {fault}") from None
-            yield request, trajectory
+            yield request, trajectory, path.stat().st_mtime

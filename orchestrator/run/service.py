@@ -17,10 +17,12 @@ from ...schemas.errors import PerfboundError, Stopped, one_line
 from ...schemas.failure import Failure
 from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
+from ...schemas.places import short_path
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..fleet import dispatch, events
 from ..fleet.processes import Fleet
+from ..fleet.simulate import LIMIT
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from ..store import read
 from ..store.journal import Journal
@@ -253,7 +255,7 @@ class Service:
         if self._stop is not None:
             raise Stopped(self._stop)
         if self._poisoned is not None:
-            raise PerfboundError(_poison_text(self._poisoned, self._ledger))
+            raise PerfboundError(_poison_text(self._poisoned, self._ledger, self._journal.origin.system))
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:
@@ -281,8 +283,11 @@ def _failure_line(action: events.Fail) -> str:
     return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"
 
 
-def _poison_text(found: events.Poison, ledger: Ledger) -> str:
-    """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy."""
+def _poison_text(found: events.Poison, ledger: Ledger, reference: str | None) -> str:
+    """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy.
+
+    `reference` is that of a system that is not installed.
+    """
     request, config = ledger.request(found.rollout), ledger.config
     by_reason: dict[str, list[str]] = {}
     for each in found.failures:
@@ -292,9 +297,11 @@ def _poison_text(found: events.Poison, ledger: Ledger) -> str:
     options = [f"--option={name}={value}" for name, value in config.system.options.items()]
     start = ",".join(map(repr, request.x))
     rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed)]
-    system = config.system.python or config.system.name or "CAMPAIGN.toml"
-    horizon = ["--horizon", f"{request.horizon:g}"]
-    command = shlex.join(["perfbound", "simulate", system, *rollout, *horizon, *options, "--out", "failed.mcap"])
+    system = config.system.name if reference is None else short_path(reference)
+    limits = ["--horizon", f"{request.horizon:g}"]
+    if config.deadline != LIMIT:  # a rollout that hangs is to hang no longer than here
+        limits += ["--timeout", f"{config.deadline:g}"]
+    command = shlex.join(["perfbound", "simulate", system, *rollout, *limits, *options, "--out", "failed.mcap"])
     repeat = f"Repeat it: {command}"
     if ledger.header.spec.repeated == "session":  # which no command has
         repeat = f"Repeat it: call {request.system.replace('-', '_')} at {start}, with seed {request.seed}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..orchestrator.campaign.checks import check_new
 from ..schemas import atomic
-from ..schemas.campaign import PROBLEM_MODELS, CampaignConfig
+from ..schemas.campaign import CampaignConfig
 from ..schemas.campaign_file import load_campaign, parse_campaign
 from ..schemas.errors import CampaignError
 from .given import GivenSystem, given_system
@@ -16,10 +16,6 @@ from .toml import toml
 if TYPE_CHECKING:
     from .run import Run
     from .study import Study
-
-OF_PROBLEM = {name for model in PROBLEM_MODELS.values() for name in model.model_fields}
-"""Keys of a problem; those that a campaign has too mean the same in both places."""
-OF_CAMPAIGN = set(CampaignConfig.model_fields)
 
 
 class Campaign:
@@ -131,14 +127,9 @@ def _campaign_table(
     found: GivenSystem, space: Any, options: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the table of the campaign file; keys that are none are refused by its parser."""
-    table = {"name": found.spec.name, "seed": 1, **keys}
+    table = {"name": found.spec.name, **keys}
     if found.spec.repeated == "nowhere":
         table.setdefault("recheck", 0)
-    if "problems" not in keys:
-        listed = not isinstance(space, Mapping) or "scenarios" in space
-        problem = {"name": "robustness", "method": "scenario" if listed else "rigorous"}
-        problem |= {key: table.pop(key) for key in keys if key in OF_PROBLEM - OF_CAMPAIGN}
-        table["problems"] = [problem]
     table["system"] = {**found.choice, **options}
     table["space"] = (
         {key: _range_table(each) for key, each in space.items()} if isinstance(space, Mapping) else {"scenarios": space}

@@ -252,7 +252,7 @@ def test_a_short_rollout_is_shown_and_refused(folder: Processes, tmp_path: Path)
     ("system", "printed", "reason"),
     [
         ("fails", ["before"], "ZeroDivisionError: float division by zero (bad.py, line 14)"),
-        ("crash", ["last words"], "`workers simulate` crashed (signal 6)"),
+        ("crash", ["last words"], "`workers simulate` crashed (signal 6) in systems/bad.py, line 24"),
     ],
 )
 def test_a_failure_has_its_place_behind_what_was_printed(

@@ -82,14 +82,14 @@ def test_what_is_left_out_has_a_default() -> None:
     ("changes", "words"),
     [
         ({"spezification": "value <= 1"}, "Campaign(test-function): spezification: unknown key; did you mean"),
-        ({"alpha": None}, "Campaign(test-function): problems.robustness.alpha: this key is required"),
+        ({"alpha": None}, "Campaign(test-function): alpha: this key is required"),
         ({"space": {"z1": (5, 0), "z2": (0, 5)}}, "space.z1.low: 5 must be less than high = 0"),
         ({"space": {"z1": (0, 5)}}, "space.z2: this parameter of test-function is required"),
         ({"space": {"z1": (0, 9), "z2": (0, 5)}}, "space.z1: [0, 9] leaves [0, 5]"),
         ({"options": {"noise": 1}}, "system.noise: unknown key"),
         ({"specification": "velue <= 1"}, "Campaign(test-function): specification: "),
         ({"specification": object()}, "specification: object is not allowed: give text, number, list or dict"),
-        ({"rkhs_norm": float("nan")}, "problems.robustness.rkhs_norm"),
+        ({"rkhs_norm": float("nan")}, "Campaign(test-function): rkhs_norm: nan is"),
         (
             {**dict.fromkeys([*PROBLEM, "kernel"]), "problems": 3, "composition": "single"},
             "problems: 3 is not allowed: allowed is a list of tables",
