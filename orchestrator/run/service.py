@@ -255,7 +255,13 @@ class Service:
         if self._stop is not None:
             raise Stopped(self._stop)
         if self._poisoned is not None:
-            raise PerfboundError(_poison_text(self._poisoned, self._ledger, self._journal.origin.system))
+            ends = {each.worker: self._end_of(each.worker) for each in self._poisoned.failures}
+            raise PerfboundError(_poison_text(self._poisoned, self._ledger, self._journal.origin.system, ends))
+
+    def _end_of(self, worker: str) -> str:
+        """Return how the process of a local worker has ended; empty for one that has not, or is elsewhere."""
+        pid = self._roster.local_pid(worker)
+        return self._fleet.ended.get(pid, "") if self._fleet is not None and pid is not None else ""
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:
@@ -283,15 +289,16 @@ def _failure_line(action: events.Fail) -> str:
     return f"{attempt.rollout}, attempt {attempt.number} on {action.worker}, {failure.kind} failure: {reason}"
 
 
-def _poison_text(found: events.Poison, ledger: Ledger, reference: str | None) -> str:
+def _poison_text(found: events.Poison, ledger: Ledger, reference: str | None, ends: Mapping[str, str]) -> str:
     """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy.
 
-    `reference` is that of a system that is not installed.
+    `reference` is that of a system that is not installed; `ends` say how workers have ended.
     """
     request, config = ledger.request(found.rollout), ledger.config
     by_reason: dict[str, list[str]] = {}
     for each in found.failures:
-        attempt = f"attempt {each.attempt.number} on {each.worker}"
+        end = f" ({how})" if (how := ends.get(each.worker)) else ""
+        attempt = f"attempt {each.attempt.number} on {each.worker}{end}"
         by_reason.setdefault(each.failure.reason, []).append(attempt)
     history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
     options = [f"--option={name}={value}" for name, value in config.system.options.items()]

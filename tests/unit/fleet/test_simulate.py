@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.fleet.child import HangError, ask
+from perfbound.orchestrator.fleet.child import HangError, ask, system_spec
 from perfbound.orchestrator.fleet.family import place_of_stack
 from perfbound.orchestrator.fleet.simulate import LIMIT, WantedRollout, simulate_to
-from perfbound.schemas.errors import PerfboundError, Stopped
+from perfbound.schemas.errors import CampaignError, PerfboundError, Stopped
 
 HANGS = """import os, subprocess, time
 from pathlib import Path
@@ -161,3 +161,19 @@ def test_of_several_threads_the_one_of_the_rollout_is_named() -> None:
     other = 'Thread 0x1 (most recent call first):\n  File "/me/logger.py", line 1 in log\n\n'
     current = 'Current thread 0x2 (most recent call first):\n  File "/me/cars.py", line 7 in cars\n\nExtension modules'
     assert place_of_stack(f"Fatal Python error: Aborted\n\n{other}{current}") == "/me/cars.py, line 7"
+
+
+def test_the_place_of_a_fault_in_a_campaign_file_is_named_once(folder: Path) -> None:
+    (folder / "waits.toml").write_text(PROGRAM.replace("./waits.sh", "./no-such"))
+    with pytest.raises(CampaignError) as refused:
+        system_spec("waits.toml", "waits.toml: system.program")
+    assert str(refused.value).startswith("waits.toml: system.program: there is no program './no-such'; build it")
+
+
+def test_another_build_is_named_by_what_differs(folder: Path) -> None:
+    spec, request, _ = WantedRollout("waits.toml", "0.5", "nominal", 7, None, ()).request()
+    (folder / "waits.sh").write_text("#!/bin/sh\n")
+    with pytest.raises(
+        PerfboundError, match=r"waits is another build than that of the campaign: ./waits.sh is another"
+    ):
+        simulate_to(folder / "out.mcap", request, spec, "waits.toml")
