@@ -17,7 +17,7 @@ from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
 from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
 from ..schemas.link import Tls
-from .lifeline import die_with_parent
+from .lifeline import adopt_orphans, die_with_parent
 
 RUN_GONE = 5.0
 """Seconds without its orchestrator after which an idle worker may join another campaign."""
@@ -273,7 +273,8 @@ def print_visual(path: Path) -> None:
 @group.command(hidden=True)
 @system_option
 @click.option("--answers", type=int, required=True, help="Pipe for the measurements, a line of JSON each.")
-def measure(answers: int) -> None:
+@click.option("--folder", default=None, help="Of a program, where it is started; default: the present one.")
+def measure(answers: int, folder: str | None) -> None:
     """Run the rollouts on stdin, a JSON list of trials, and measure each of them, for `perfbound check-system`."""
     from pydantic import TypeAdapter  # noqa: PLC0415
 
@@ -281,10 +282,11 @@ def measure(answers: int) -> None:
     from .check_system import measure_trials  # noqa: PLC0415
 
     _be_child()
+    adopt_orphans()
     os.set_inheritable(answers, False)
     trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())
     with os.fdopen(answers, "w") as stream:
-        measure_trials(trials, stream)
+        measure_trials(trials, stream, folder or os.getcwd())
 
 
 def main() -> None:
