@@ -95,6 +95,11 @@ class Trajectory:
         shown._check_frames()
         return shown
 
+    def __repr__(self) -> str:
+        """Return the number of samples, their times, and the columns."""
+        t = self.samples[:, 0]
+        return f"<Trajectory of {len(t)} samples, {t[0]:g} to {t[-1]:g} s: {', '.join(self.columns[1:])}>"
+
     def column(self, name: str) -> Floats:
         """Return one column, shape (T,).
 
@@ -103,7 +108,7 @@ class Trajectory:
 
         """
         if name not in self.columns:
-            raise KeyError(name)
+            raise KeyError(f"no column {name!r}; there are {', '.join(self.columns)}")
         return self.samples[:, self.columns.index(name)]
 
     @property

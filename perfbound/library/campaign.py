@@ -79,9 +79,17 @@ class Campaign:
         """Write the campaign file; `perfbound run` runs it if it is beside the file of its system.
 
         Raises:
+            CampaignError: no other process has the system: it was defined in this session, or is a rig.
             OSError: it cannot be written.
 
         """
+        spec = self._subject.spec
+        if spec.repeated != "anywhere":
+            what = "is a rig" if spec.repeated == "nowhere" else "was defined in this session"
+            raise CampaignError(
+                f"{path}: {spec.name} {what}, so no command can run a campaign file of it; "
+                + ("continue with ask_tell" if spec.repeated == "nowhere" else "put the function into a file")
+            )
         atomic.write_whole(Path(path).absolute(), self._text.encode())
         return Path(path)
 

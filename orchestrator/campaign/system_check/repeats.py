@@ -134,8 +134,8 @@ def _cut_seeds(measurements: Measurements) -> SystemFinding | None:
         if 1 < (different := len(set(digests))) < len(digests):
             return warning(
                 "seed",
-                f"{len(digests)} seeds at one start give only {different} different rollouts: the seed seems to be cut, "
-                "as by `seed % 7`, so that rollouts are not independent",
+                f"{len(digests)} seeds at one start give only {different} different rollouts: the seed seems to be "
+                "cut, as by `seed % 7`, so that rollouts are not independent",
                 "give the whole seed to the generator, and declare seed_bits=32 if it takes no longer one; if its "
                 "noise has so few outcomes, this is no fault",
             )

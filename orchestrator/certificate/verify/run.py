@@ -4,6 +4,8 @@ The signature covers the certificate, the certificate names campaign, system and
 campaign is then decided again from the files alone, and compared with the certificate and with the database.
 """
 
+import html
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -32,6 +34,11 @@ from .resimulate import Simulate, finding, resimulate
 
 Report = Callable[[str, int, int], None]
 """Progress callback: stage, completed, total."""
+NOT_REPEATED = {
+    "session": "{name} was defined in an interactive session, and no process can simulate it again",
+    "nowhere": "the rollouts of {name} were handed in, and nothing can simulate them again",
+}
+"""Why there is nothing to simulate, by `repeated` of the system; the certificate lists it as an assumption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +48,20 @@ class Verification:
     checks: Checks
     certificate: Certificate | None
     reissued: Certificate | None
+
+    def __repr__(self) -> str:
+        """Return the result, and the number of checks of each status."""
+        found = Counter(each.status for each in self.checks.lines())
+        counts = ", ".join(f"{count} {status}" for status, count in found.items())
+        return f"<Verification: {'VERIFIED' if self.checks.good else 'FAILED'}, {counts}>"
+
+    def _repr_html_(self) -> str:
+        """Return the checks as a table; every text is escaped, because the run directory may be untrusted."""
+        rows = "".join(
+            f"<tr><td>{html.escape(each.name)}</td><td>{each.status}</td><td>{html.escape(each.detail)}</td></tr>"
+            for each in self.checks.lines()
+        )
+        return f"<p>{html.escape(repr(self))}</p><table>{rows}</table>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +114,11 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
         for name, fault, detail in compared(header, reissued, certificate):
             checks.judge(name, fault, detail)
     with checks.making("resimulation"):
-        simulate = partial(_simulate, header, again.system)
-        _resimulation(directory, entries, again.rollouts, simulate, checks=checks, report=report)
+        if again.rollouts and header.spec.repeated != "anywhere":
+            checks.skipped("resimulation", NOT_REPEATED[header.spec.repeated].format(name=header.spec.name))
+        else:
+            simulate = partial(_simulate, header, again.system)
+            _resimulation(directory, entries, again.rollouts, simulate, checks=checks, report=report)
     return reissued
 
 

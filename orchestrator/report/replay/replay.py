@@ -35,6 +35,10 @@ def replay_rollout(
 
     """
     found = load_recorded(directory, rollout)
+    if found.header.spec.repeated != "anywhere":
+        raise PerfboundError(
+            f"{found.header.spec.name}: its rollouts cannot be simulated again; the recorded file stays"
+        )
     # As in `verify`: a run directory may be untrusted, and must not name code that runs here.
     if found.header.config.system.kind != "name" and system is None:
         raise PerfboundError(f"{found.header.spec.name} is a system in a file: name it with --system")
