@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from .base import Model
 from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised
-from .campaign_defaults import OF_PROBLEM, completed, is_description, leaves_out_problems, with_stand_ins
+from .campaign_defaults import OF_CAMPAIGN, OF_PROBLEM, completed, is_description, leaves_out_problems, with_stand_ins
 from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
 from .problems import OBJECTIVES
@@ -231,7 +231,9 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
         return f"{key}: this key is required{what}"
     value = fault.get("input")
     shown = "a table" if isinstance(value, dict) else repr(value)[:80]
-    return f"{key}: {shown} is not allowed: allowed is {allowed_text}"
+    below = len(location) == 2 and location[0] == "space" and location[1] in OF_PROBLEM | OF_CAMPAIGN
+    hint = "; a key of the campaign stands above the first [table]" if below else ""
+    return f"{key}: {shown} is not allowed: allowed is {allowed_text}{hint}"
 
 
 def _allowed(location: Location) -> str:

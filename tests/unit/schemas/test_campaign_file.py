@@ -162,6 +162,11 @@ def test_a_fault_of_the_only_problem_is_named_where_it_is(old: str, new: str, re
     assert fault_of(ONE_PROBLEM.replace(old, new)).startswith(reason)
 
 
+def test_a_key_of_the_campaign_below_a_table_is_told_where_it_stands() -> None:
+    text = ONE_PROBLEM.replace("alpha = 0.05\n", "").replace("space.z =", "[space]\nalpha = 0.05\nz =")
+    assert "a key of the campaign stands above the first [table]" in fault_of(text)
+
+
 def test_keys_of_a_problem_at_the_top_are_refused_beside_problems() -> None:
     assert fault_of("alpha = 1.0\n" + WRITTEN_OUT).startswith("alpha: unknown key")
 
