@@ -6,6 +6,7 @@ from pathlib import Path
 from pydantic import BaseModel, TypeAdapter
 
 from .campaign import CampaignConfig
+from .campaign_defaults import file_schema
 from .certificate import Certificate
 from .messages import Ack, Assign, Cancel, Refuse, ResultHeader, WorkerState
 from .reference import page
@@ -30,10 +31,9 @@ MODELS: dict[str, type[BaseModel]] = {
 
 def texts() -> dict[str, str]:
     """Return file name and content of every schema."""
-    return {
-        f"{name}.json": json.dumps(TypeAdapter(model).json_schema(by_alias=True), indent=2, sort_keys=True) + "\n"
-        for name, model in MODELS.items()
-    }
+    schemas = {name: TypeAdapter(model).json_schema(by_alias=True) for name, model in MODELS.items()}
+    schemas["campaign"] = file_schema()
+    return {f"{name}.json": json.dumps(each, indent=2, sort_keys=True) + "\n" for name, each in schemas.items()}
 
 
 if __name__ == "__main__":

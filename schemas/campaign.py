@@ -17,7 +17,11 @@ MAX_NU = 40
 
 DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline"}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
-IDENTIFIES_ALWAYS: Any = {"composition": True, "problems": {"__all__": {"delta": True, "kernel": {"nu": True}}}}
+IDENTIFIES_ALWAYS: Any = {
+    "seed": True,
+    "composition": True,
+    "problems": {"__all__": {"delta": True, "kernel": {"nu": True}}},
+}
 """Keys that are part of the identity also at their default: a file that leaves one out is the same campaign as one that
 writes it, and files from before these keys had a default keep their identity."""
 
@@ -126,7 +130,7 @@ class PaperProblem(_KernelProblem):
 class RigorousProblem(_KernelProblem):
     """An anytime bound from one confidence set."""
 
-    method: Literal["rigorous"] = Field(description="bounds that are valid at any time")
+    method: Literal["rigorous"] = Field(description="bounds that are valid at any time; may be left out on a box")
     noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] = Field(
         description="R: sub-Gaussian scale of the noise of one rollout; `derived`: from the clip (Hoeffding); 0: none"
     )
@@ -163,7 +167,9 @@ class ScenarioProblem(_Problem):
     """Betting bounds on finitely many starts, without a kernel."""
 
     delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the bound")
-    method: Literal["scenario"] = Field(description="finitely many starts, no kernel")
+    method: Literal["scenario"] = Field(
+        description="finitely many starts, no kernel; may be left out on a list of scenarios"
+    )
     linearised: Linearised | None = Field(
         default=None,
         description="`true_risk` only: constants of an expectation that bounds the risk; without them, Bhatia-Davis",
@@ -190,8 +196,10 @@ PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
 class CampaignConfig(Model):
     """A whole campaign file."""
 
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$", description="also names the run directory")
-    seed: int = Field(ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
+    name: str = Field(
+        pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$", description="also names the run directory; without it that of the file"
+    )
+    seed: int = Field(default=1, ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
     window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")
     replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
     resolution: int = Field(default=21, ge=2, description="lattice nodes per parameter")
@@ -253,7 +261,9 @@ class CampaignConfig(Model):
     system: SystemChoice = Field(description="the system under test")
     space: Space = Field(description="D, all starting conditions: a range per parameter, or scenarios")
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
-        min_length=1, description="the optimisation problems"
+        min_length=1,
+        description="the optimisation problems; without it there is one, `robustness`, and its keys are those of the "
+        "top level",
     )
 
     @model_validator(mode="after")

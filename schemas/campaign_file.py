@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from .base import Model
 from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised
+from .campaign_defaults import OF_CAMPAIGN, OF_PROBLEM, completed, is_description, leaves_out_problems, with_stand_ins
 from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
 from .outside import read_outside
@@ -57,6 +58,16 @@ MAX_SCENARIOS = 64 * 2**20
 """Bytes of a file of starts."""
 
 
+def load_description(path: Path) -> CampaignConfig:
+    """Read a campaign file for its system; that of a program needs `[system]` and `[space]` alone.
+
+    Raises:
+        CampaignError: as `load_campaign`.
+
+    """
+    return parse_campaign(*_opened(path), whole=False)
+
+
 def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
     """Read a campaign file.
 
@@ -64,6 +75,12 @@ def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
         CampaignError: it cannot be read, or is not a campaign.
 
     """
+    data, source, beside = _opened(path)
+    return parse_campaign(data, source, beside, whole=True, **overrides)
+
+
+def _opened(path: Path) -> tuple[bytes, str, Beside]:
+    """Return the bytes of a campaign file, its name, and the reader of files beside it."""
     try:
         with path.open("rb") as file:
             data = file.read(MAX_CAMPAIGN_FILE + 1)
@@ -73,13 +90,16 @@ def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
         raise CampaignError(f"{path}: {error.strerror}; choose a campaign file, e.g. one of deploy/campaigns") from None
     if len(data) > MAX_CAMPAIGN_FILE:
         raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; choose a campaign file")
-    return parse_campaign(data, str(path), lambda name: read_outside(path.parent / name, MAX_SCENARIOS), **overrides)
+    return data, str(path), lambda name: read_outside(path.parent / name, MAX_SCENARIOS)
 
 
-def parse_campaign(data: bytes, source: str, beside: Beside | None = None, **overrides: Any) -> CampaignConfig:
+def parse_campaign(
+    data: bytes, source: str, beside: Beside | None = None, *, whole: bool = True, **overrides: Any
+) -> CampaignConfig:
     """Read the bytes of a campaign file; `overrides` replace top-level keys.
 
-    `space.scenarios` may name a CSV file, which `beside` reads; the campaign then contains its numbers.
+    `space.scenarios` may name a CSV file, which `beside` reads; the campaign then contains its numbers. A file without
+    `name` has that of `source`; with `whole` false it may be one of `load_description`.
 
     Raises:
         CampaignError: one line with the file, the key and the allowed values.
@@ -88,7 +108,7 @@ def parse_campaign(data: bytes, source: str, beside: Beside | None = None, **ove
     try:
         table = tomllib.loads(data.decode("utf-8-sig"))
         dates = [f"{key}: {value}" for key, value in _leaves(table, "") if isinstance(value, date | time)]
-        text = json.dumps({**table, **overrides}, default=str)
+        json.dumps(table, default=str)
     except UnicodeDecodeError as error:
         raise CampaignError(f"{source}: not UTF-8 (byte {error.start}); save the file as UTF-8") from None
     except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and lists without end
@@ -99,12 +119,15 @@ def parse_campaign(data: bytes, source: str, beside: Beside | None = None, **ove
         raise CampaignError(f"{source}: {dates[0]} is a date or time, which no key takes; put text in quotes")
     space = table.get("space")
     if isinstance(space, dict) and isinstance(space.get("scenarios"), str):
-        numbers = _scenarios(space["scenarios"], source, beside)
-        text = json.dumps({**table, **overrides, "space": {**space, "scenarios": numbers}})
+        table["space"] = {**space, "scenarios": _scenarios(space["scenarios"], source, beside)}
+    keys = completed({**(table if whole else with_stand_ins(table)), **overrides}, Path(source).stem)
     try:
-        return CampaignConfig.model_validate_json(text)
+        return CampaignConfig.model_validate_json(json.dumps(keys, default=str))
     except ValidationError as error:
-        raise CampaignError(f"{source}: {_first_fault(error, table)}") from None
+        fault = _first_fault(error, keys, leaves_out_problems(table))
+        if not OF_PROBLEM & table.keys() and is_description(table):
+            fault += f"; this file describes a program alone: perfbound init {source} makes a campaign of it"
+        raise CampaignError(f"{source}: {fault}") from None
 
 
 def _scenarios(name: str, source: str, beside: Beside | None) -> list[list[float]]:
@@ -145,20 +168,25 @@ def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
         yield from _leaves(child, f"{key}.{part}" if key else str(part))
 
 
-def _first_fault(error: ValidationError, table: dict[str, Any]) -> str:
-    """Return the first fault in one line: key, value, what is allowed; and how many more there are."""
+def _first_fault(error: ValidationError, table: dict[str, Any], one_problem: bool) -> str:
+    """Return the first fault in one line: key, value, what is allowed; and how many more there are.
+
+    With `one_problem` the keys of the only problem are those of the file.
+    """
     # A misspelt key makes two faults; the first one to report is the unknown key, not the missing one.
     faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
-    text = _describe(faults[0], _key(faults[0]["loc"], table))
+    text = _describe(faults[0], _key(faults[0]["loc"], table, one_problem), one_problem)
     places = {_place(fault["loc"]) for fault in faults}
     # A list is "too short" for pydantic if its entries are wrong: that is no fault of its own.
     more = sum(not any(other != place == other[: len(place)] for other in places) for place in places) - 1
     return text if more == 0 else f"{text} (and {more} more)"
 
 
-def _key(location: Location, table: dict[str, Any]) -> str:
+def _key(location: Location, table: dict[str, Any], one_problem: bool) -> str:
     """Return the dotted key of a fault; a problem goes by its name."""
     parts = [str(part) for part in _place(location)]
+    if parts[:2] == ["problems", "0"] and one_problem:
+        return ".".join(parts[2:])
     if parts and parts[0] == "problems" and len(parts) > 1 and parts[2:] != ["name"]:
         problem = table["problems"][int(parts[1])]
         name = problem.get("name") if isinstance(problem, dict) else None
@@ -183,15 +211,15 @@ def _tagged(location: Location) -> Location:
     return (*place[:2], *method, *place[2:])
 
 
-def _describe(fault: Any, key: str) -> str:
+def _describe(fault: Any, key: str, one_problem: bool) -> str:
     kind, message, location = fault["type"], str(fault["msg"]), _tagged(fault["loc"])
     if kind.startswith("union_tag"):
         choices = f"one of {', '.join(map(repr, PROBLEM_MODELS))}"
         found = fault["input"].get("method") if isinstance(fault["input"], dict) else fault["input"]
         given = f"{found!r} is not allowed: allowed is" if found is not None else "this key is required:"
-        return f"{key}.method: {given} {choices}"
+        return f"{f'{key}.' if key else ''}method: {given} {choices}"
     if kind == "extra_forbidden":
-        allowed = list(_model_at(location[:-1]).model_fields)
+        allowed = [*_model_at(location[:-1]).model_fields, *(OF_PROBLEM if one_problem and len(location) == 1 else ())]
         near = difflib.get_close_matches(str(location[-1]), allowed, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         return f"{key}: unknown key; {hint}allowed are {', '.join(sorted(allowed))}"
@@ -206,7 +234,9 @@ def _describe(fault: Any, key: str) -> str:
         return f"{key}: this key is required{what}"
     value = fault.get("input")
     shown = "a table" if isinstance(value, dict) else repr(value)[:80]
-    return f"{key}: {shown} is not allowed: allowed is {allowed_text}"
+    below = len(location) == 2 and location[0] == "space" and location[1] in OF_PROBLEM | OF_CAMPAIGN
+    hint = "; a key of the campaign stands above the first [table]" if below else ""
+    return f"{key}: {shown} is not allowed: allowed is {allowed_text}{hint}"
 
 
 def _allowed(location: Location) -> str:

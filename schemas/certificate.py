@@ -215,6 +215,16 @@ class Predicate(Model):
         default=None, description="the claims that rest on a kernel, with other constants; since rules 2"
     )
 
+    def __repr__(self) -> str:
+        """Return campaign, first claim, and the number of refuted assumptions, in one line."""
+        claim = self.claims[0]
+        text = f"{claim.quantity} {claim.sense} {claim.bound:.6g} with probability at least {claim.probability:.6g}"
+        more = f", and {len(self.claims) - 1} more" if len(self.claims) > 1 else ""
+        refuted = f"; {len(claim.refuted)} assumptions refuted" if claim.refuted else ""
+        return f"<Certificate of {self.campaign.name}: {text}{more}{refuted}>"
+
+    __str__ = __repr__
+
 
 class Certificate(Model):
     """in-toto Statement v1."""
@@ -223,6 +233,12 @@ class Certificate(Model):
     subject: tuple[Subject, ...]
     predicateType: Literal["urn:perfbound:certificate:v1"] = PREDICATE_TYPE  # noqa: N815  (the name in the in-toto specification)
     predicate: Predicate
+
+    def __repr__(self) -> str:
+        """Return its content in one line."""
+        return repr(self.predicate)
+
+    __str__ = __repr__
 
     def to_json(self) -> str:
         """Return the one text of this certificate, ending with a newline."""

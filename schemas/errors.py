@@ -74,9 +74,11 @@ class Stopped(BaseException):
     Not an Exception: like KeyboardInterrupt, no `except Exception` may catch it.
     """
 
-    def __init__(self, signal: int) -> None:
+    def __init__(self, signal: int, state: str = "nothing was started") -> None:
         super().__init__(f"stopped by signal {signal}")
         self.signal = signal
+        self.state = state
+        """What has happened until then, in words."""
 
 
 def one_line(message: str) -> str:

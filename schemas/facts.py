@@ -42,6 +42,10 @@ class Header:
         """Return the header of a new campaign, with a random run id if none is given."""
         return cls(run or secrets.token_hex(8), config, spec, software, config.digest, spec.digest)
 
+    def __repr__(self) -> str:
+        """Return campaign, system and seed."""
+        return f"<Header of {self.config.name}: system {self.spec.name}, seed {self.config.seed}, run {self.run}>"
+
     @property
     def template(self) -> RequestTemplate:
         """The common part of the requests of all rollouts."""

@@ -9,6 +9,8 @@ Frame = tuple[str, int]
 """File and line."""
 PERFBOUND = Path(__file__).parents[1]
 PACKAGES = frozenset({"site-packages", "dist-packages"})
+COMMAND_LINE = "click"
+"""The package that calls perfbound, and is above it in a whole stack."""
 
 
 def own_place(frames: Sequence[Frame]) -> str:
@@ -18,23 +20,33 @@ def own_place(frames: Sequence[Frame]) -> str:
     '/home/me/cars.py, line 7'
     """
     found = own_frame(frames)
-    return f"{_short(found[0])}, line {found[1]}" if found else ""
+    return f"{short_path(found[0])}, line {found[1]}" if found else ""
 
 
 def own_frame(frames: Sequence[Frame]) -> Frame | None:
     """Return the innermost frame, the last one, in code of the user.
 
-    Frames of perfbound are never named. Those of Python and of installed packages are only where there are no others:
+    Frames of perfbound and of Python are never named. Those of installed packages are only where there are no others:
     of the package that perfbound called, if the system is installed itself, and not of a library below it.
 
     >>> packages = "/env/lib/python3.11/site-packages"
     >>> own_frame([(f"{packages}/robot/arm.py", 7), (f"{packages}/numpy/linalg.py", 9)])
     ('/env/lib/python3.11/site-packages/robot/arm.py', 7)
+    >>> own_frame([(f"{packages}/click/core.py", 7), (f"{sysconfig.get_path('stdlib')}/selectors.py", 468)])
     """
-    others = [(file, line) for file, line in frames if not file.startswith("<") and not of_perfbound(file)]
+    others = [(file, line) for file, line in frames if not file.startswith("<") and not _calls_systems(file)]
     own = [(file, line) for file, line in others if not _of_python_or_package(file)]
-    called = [(file, line) for file, line in others if _same_package(file, others[0][0])]
+    of_packages = [(file, line) for file, line in others if _of_package(file)]
+    called = [(file, line) for file, line in of_packages if _same_package(file, of_packages[0][0])]
     return next(reversed(own or called), None)
+
+
+def _calls_systems(file: str) -> bool:
+    return of_perfbound(file) or (_of_package(file) and COMMAND_LINE in Path(file).parts)
+
+
+def _of_package(file: str) -> bool:
+    return bool(PACKAGES.intersection(Path(file).parts))
 
 
 def _same_package(file: str, other: str) -> bool:
@@ -51,8 +63,9 @@ def _of_python_or_package(file: str) -> bool:
     path = Path(file)
     # A compiled module names its source relative to the folder in which it was built.
     compiled = not path.is_absolute()
-    return compiled or bool(PACKAGES.intersection(path.parts)) or path.is_relative_to(sysconfig.get_path("stdlib"))
+    return compiled or _of_package(file) or path.is_relative_to(sysconfig.get_path("stdlib"))
 
 
-def _short(file: str) -> str:
+def short_path(file: str) -> str:
+    """Return a path, or one with more behind it, from the current directory if it is in there."""
     return os.path.relpath(file) if Path(file).is_relative_to(Path.cwd()) else file

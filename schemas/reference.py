@@ -65,6 +65,13 @@ ALLOWED = {
     (SystemChoice, "environment"): "list of texts",
 }
 """Values that the type of a key does not show: the file's reader or a validator decides them."""
+DEFAULTS = {
+    (CampaignConfig, "name"): "that of the file",
+    (CampaignConfig, "problems"): "one, `robustness`",
+    (RigorousProblem, "method"): "on a box",
+    (ScenarioProblem, "method"): "on scenarios",
+}
+"""Defaults that follow from the rest of the file."""
 OMITTED = {(ScenarioProblem, name) for name in ("column", "resolution", "gap")}
 """Keys that a method inherits and refuses or ignores."""
 SECTIONS = {
@@ -99,12 +106,19 @@ def _problem_row(name: str, objective: Objective) -> str:
 def _key_table(model: type[BaseModel]) -> str:
     schema = TypeAdapter(model).json_schema()
     shown = ((name, part) for name, part in schema["properties"].items() if (model, name) not in OMITTED)
-    rows = [_row(name, part, name in schema.get("required", ()), ALLOWED.get((model, name))) for name, part in shown]
+    required = schema.get("required", ())
+    rows = [
+        _row(name, part, DEFAULTS.get((model, name)) or _default(part, name in required), ALLOWED.get((model, name)))
+        for name, part in shown
+    ]
     return "| key | allowed | default | meaning |\n|---|---|---|---|\n" + "".join(rows)
 
 
-def _row(name: str, part: dict[str, Any], required: bool, stated: str | None) -> str:
-    default = "required" if required else "-" if part.get("default") is None else f"`{json.dumps(part['default'])}`"
+def _default(part: dict[str, Any], required: bool) -> str:
+    return "required" if required else "-" if part.get("default") is None else f"`{json.dumps(part['default'])}`"
+
+
+def _row(name: str, part: dict[str, Any], default: str, stated: str | None) -> str:
     allowed = stated or " or ".join(dict.fromkeys(_allowed_values(part)))
     return f"| `{name}` | {allowed} | {default} | {part.get('description', '')} |\n"
 

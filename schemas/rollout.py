@@ -41,6 +41,12 @@ class RolloutRequest(Model):
         """Name of the rollout, unique in its campaign."""
         return str(RolloutId(self.problem, self.test, self.variant, self.replicate))
 
+    def words(self, spec: SystemSpec) -> str:
+        """Return start, variant and seed, as messages name a rollout."""
+        start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.parameters, self.x, strict=True))
+        variant = f", variant {self.variant}" if len(spec.variants) > 1 else ""
+        return f"{start}{variant}, seed {self.seed}"
+
     @property
     def metadata(self) -> dict[str, str]:
         """The metadata record of the trajectory's file."""

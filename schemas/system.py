@@ -120,9 +120,43 @@ class SystemSpec(Model):
         specs = (self, *(self.model_copy(update=without) for without in less))
         return tuple({spec.digest_by(rules): None for rules in sorted(KNOWN, reverse=True) for spec in specs})
 
+    def differences(self, here: "SystemSpec") -> list[str]:
+        """Return in what the same system is another one here: files, versions, then other keys, with both values.
+
+        >>> one = SystemSpec(name="a", doc="", parameters=(Parameter(0, 1, name="x"),),
+        ...                  columns=(Column(name="t", unit="s"), Column(name="y", unit="m")), max_horizon=1,
+        ...                  versions={"numpy": "1.26"}, code={"a.py": "0" * 64, "b.py": "1" * 64})
+        >>> one.differences(one.model_copy(update={"versions": {"numpy": "2.0"}, "code": {"a.py": "0" * 64}}))
+        ['b.py is missing here', 'numpy 1.26 (here 2.0)']
+        """
+        code = [
+            f"{name} is {'another one' if name in self.code else 'new'} here"
+            if name in here.code
+            else f"{name} is missing here"
+            for name in sorted(self.code.keys() | here.code.keys())
+            if self.code.get(name) != here.code.get(name)
+        ]
+        versions = [
+            f"{name} {self.versions.get(name, 'none')} (here {here.versions.get(name, 'none')})"
+            for name in sorted(self.versions.keys() | here.versions.keys())
+            if self.versions.get(name) != here.versions.get(name)
+        ]
+        seen = {"code", "versions", *DECIDES_NO_ROLLOUT}
+        others = [
+            f"{key} {_short(getattr(self, key))} (here {_short(getattr(here, key))})"
+            for key in type(self).model_fields
+            if key not in seen and getattr(self, key) != getattr(here, key)
+        ]
+        return code + versions + others
+
     def digest_by(self, rules: int) -> str:
         """Return the identity of this system in the campaigns of some rules."""
         if rules == 1:
             return digest(self.model_dump(mode="json", exclude=set(ADDED)))
         # Since rules 2 a key that a later version adds changes nothing while it is not set. A changed default does.
         return digest(self.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NO_ROLLOUT))
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

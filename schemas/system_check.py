@@ -54,6 +54,7 @@ class Measured(Model):
     reseeded: tuple[str, ...] = Field(default=(), description="global random states that the rollout changed")
     threads: tuple[str, ...] = Field(default=(), description="names of the threads that are there since the start")
     tasks: int = Field(default=0, description="threads of the process, those of libraries included")
+    processes: tuple[str, ...] = Field(default=(), description="names of processes that run on after the rollout")
     files: tuple[str, ...] = Field(default=(), description="new entries of the working and of the temporary directory")
 
 

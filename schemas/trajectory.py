@@ -87,7 +87,7 @@ class Trajectory:
         samples.flags.writeable = False
         object.__setattr__(self, "samples", samples)
         _check_columns(self.columns)
-        _check_samples(samples, len(self.columns))
+        _check_samples(samples, self.columns)
         self._check_frames()
 
     def _check_frames(self) -> None:
@@ -107,6 +107,11 @@ class Trajectory:
         shown._check_frames()
         return shown
 
+    def __repr__(self) -> str:
+        """Return the number of samples, their times, and the columns."""
+        t = self.samples[:, 0]
+        return f"<Trajectory of {len(t)} samples, {t[0]:g} to {t[-1]:g} s: {', '.join(self.columns[1:])}>"
+
     def column(self, name: str) -> Floats:
         """Return one column, shape (T,).
 
@@ -115,7 +120,7 @@ class Trajectory:
 
         """
         if name not in self.columns:
-            raise KeyError(name)
+            raise KeyError(f"no column {name!r}; there are {', '.join(self.columns)}")
         return self.samples[:, self.columns.index(name)]
 
     @property
@@ -237,12 +242,18 @@ def _check_columns(columns: tuple[str, ...]) -> None:
         raise ValueError(f"columns must be distinct, 't' first and at least two: {columns}")
 
 
-def _check_samples(samples: Floats, columns: int) -> None:
-    if samples.ndim != 2 or samples.shape[1] != columns or not len(samples):
-        raise ValueError(f"samples have shape {samples.shape} for {columns} columns")
+def _check_samples(samples: Floats, columns: tuple[str, ...]) -> None:
+    if samples.ndim != 2 or samples.shape[1] != len(columns) or not len(samples):
+        raise ValueError(f"samples have shape {samples.shape} for {len(columns)} columns")
     if not np.isfinite(samples).all():
-        row = int(np.argmin(np.isfinite(samples).all(axis=1)))
-        raise ValueError(f"samples are not finite from row {row} on")
+        finite = np.isfinite(samples)
+        row = int(np.argmin(finite.all(axis=1)))
+        column = int(np.argmin(finite[row]))
+        at = f"t = {samples[row, 0]:g} s, " if column else ""
+        raise ValueError(
+            f"samples are not finite: {columns[column]} is {samples[row, column]} at {at}row {row}; fix the arithmetic "
+            "there (a division by 0, an overflow, an unstable step), or keep the system out of this start"
+        )
     if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
         raise ValueError("the time must start at 0 or later and increase")
 

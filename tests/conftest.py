@@ -9,30 +9,12 @@ from collections.abc import Generator
 import pytest
 from hypothesis import HealthCheck, settings
 
-from perfbound.schemas.errors import UnknownSystemError
-from perfbound.workers.systems.segway import bullet
+from tests.missing import MISSING, for_want_of_pybullet
 
 TIMELESS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("repeatable", TIMELESS, derandomize=True)
 settings.register_profile("explore", TIMELESS, max_examples=2000)
 settings.load_profile("explore" if os.environ.get("PERFBOUND_EXPLORE") else "repeatable")
-
-
-def without_pybullet() -> str:
-    """Return the reason why the Segway cannot be simulated here; nothing if it can."""
-    try:
-        bullet.providers()
-    except UnknownSystemError as error:
-        return str(error)
-    return ""
-
-
-MISSING = without_pybullet()
-
-
-def for_want_of_pybullet(reason: str) -> bool:
-    """Whether a test failed because PyBullet is not installed."""
-    return bool(MISSING) and MISSING.partition(";")[0] in reason
 
 
 @pytest.hookimpl(wrapper=True)

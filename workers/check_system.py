@@ -29,6 +29,8 @@ from .simulate import requested_system, run_request_on
 
 STDOUT = 1
 LIBC = ctypes.CDLL(None)
+ENDED = ("Z", "X")
+"""States of a process that nobody has waited for."""
 MOST, REASON = 50, 500
 """Most names in a list, and characters of an error, that are kept."""
 ROUND_OFF = 1e-9
@@ -39,10 +41,12 @@ STATES: dict[str, Callable[[], object]] = {
 }
 
 
-def measure_trials(trials: Sequence[Trial], answers: TextIO) -> None:
-    """Run `trials` in their order, and write a line of JSON after loading and after each of them."""
+def measure_trials(trials: Sequence[Trial], answers: TextIO, folder: str) -> None:
+    """Run `trials` in their order, and write a line of JSON after loading and after each of them.
+
+    New files are looked for in `folder`, where the system writes those without a path.
+    """
     gc.freeze()  # what is loaded now need not be searched for garbage after every rollout
-    folder = os.getcwd()  # a rollout may change it
     surroundings = _Surroundings.now(folder)
     started = threading.enumerate()
     _answer(answers, Measured(printed=_printed(), memory=_memory(), peak=_peak(), tasks=_tasks()))
@@ -58,6 +62,7 @@ def measure_trials(trials: Sequence[Trial], answers: TextIO) -> None:
             "reseeded": tuple(name for name in STATES if after.random[name] != before.random[name]),
             "files": tuple(sorted(after.files - surroundings.files)[:MOST]),
             "threads": tuple(each.name for each in threading.enumerate() if each not in started)[:MOST],
+            "processes": _processes(),
             "tasks": _tasks(),
             "memory": _memory(),
             "peak": _peak(),
@@ -170,6 +175,22 @@ def _family() -> list[str]:
             for task in os.listdir(f"/proc/{pid}/task"):
                 family += Path(f"/proc/{pid}/task/{task}/children").read_text().split()
     return family
+
+
+def _processes() -> tuple[str, ...]:
+    """Return the names of the processes that a rollout has left; a program itself may wait for the next one."""
+    running = sys.modules.get(f"{__package__}.systems.running")
+    own = {str(pid) for pid in running.pids()} if running is not None else set()
+    names = [_name_of(pid) for pid in _family() if pid != "self" and pid not in own]
+    return tuple(name for name in names if name)[:MOST]
+
+
+def _name_of(pid: str) -> str:
+    """Return the name of a process; empty if it has ended."""
+    with suppress(OSError):
+        name, _, rest = Path(f"/proc/{pid}/stat").read_text().partition("(")[2].rpartition(")")
+        return "" if rest.split()[0] in ENDED else name
+    return ""
 
 
 def _tasks() -> int:

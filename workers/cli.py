@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import resource
 import sys
 import threading
 import time
@@ -16,7 +17,7 @@ from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
 from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
 from ..schemas.link import Tls
-from .lifeline import die_with_parent
+from .lifeline import adopt_orphans, die_with_parent
 
 RUN_GONE = 5.0
 """Seconds without its orchestrator after which an idle worker may join another campaign."""
@@ -196,12 +197,19 @@ def spec(reference: str) -> None:
     click.echo(canonical_json(load_system(_add_file(reference)).spec.model_dump(mode="json")))
 
 
+def _be_child() -> None:
+    """End with the parent, and write no memory to the disk: a crash is reported there."""
+    die_with_parent()
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
 @group.command()
 @system_option
 @click.option("--request", required=True, help="RolloutRequest as JSON.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="MCAP file to write.")
 def simulate(request: str, out: Path) -> None:
     """Run one rollout without an orchestrator and write its trajectory."""
+    _be_child()
     data = _trajectory_file(request)
     try:
         with replacing([out]) as (file,):
@@ -217,6 +225,7 @@ def simulate(request: str, out: Path) -> None:
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the files.")
 def pilot(requests: Path, seconds: float, out: Path) -> None:
     """Run rollouts one after the other in this process; `K.mcap` is the file of the K-th request, from 0."""
+    _be_child()
     end = time.monotonic() + seconds
     for number, request in enumerate(requests.read_text().splitlines()):
         if number and time.monotonic() > end:
@@ -266,21 +275,20 @@ def print_visual(path: Path) -> None:
 @group.command(hidden=True)
 @system_option
 @click.option("--answers", type=int, required=True, help="Pipe for the measurements, a line of JSON each.")
-def measure(answers: int) -> None:
+@click.option("--folder", default=None, help="Of a program, where it is started; default: the present one.")
+def measure(answers: int, folder: str | None) -> None:
     """Run the rollouts on stdin, a JSON list of trials, and measure each of them, for `perfbound check-system`."""
-    import resource  # noqa: PLC0415
-
     from pydantic import TypeAdapter  # noqa: PLC0415
 
     from ..schemas.system_check import Trial  # noqa: PLC0415
     from .check_system import measure_trials  # noqa: PLC0415
 
-    die_with_parent()
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # a crash is a finding here; its memory needs no disk
+    _be_child()
+    adopt_orphans()
     os.set_inheritable(answers, False)
     trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())
     with os.fdopen(answers, "w") as stream:
-        measure_trials(trials, stream)
+        measure_trials(trials, stream, folder or os.getcwd())
 
 
 def main() -> None:

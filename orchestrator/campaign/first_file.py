@@ -10,7 +10,8 @@ from ...schemas.problems import ProblemName
 from ...schemas.space import SystemChoice
 from ...schemas.system import Option, SystemSpec
 from ...schemas.toml_text import toml_key, toml_quoted, toml_value
-from .pilot import NU, Constants
+from .first_size import EXACT, NOISY, FirstSize
+from .pilot import Constants
 
 WIDTH = 100
 """Characters of a comment line."""
@@ -55,7 +56,11 @@ class FirstCampaign:
     """Length scale of each parameter."""
     resolution: int | None
     """None for the default."""
-    replicates: dict[ProblemName, int]
+    size: FirstSize
+    noisy: frozenset[ProblemName]
+    """Problems whose rollouts depend on the seed."""
+    cost: float | None = None
+    """Seconds of a rollout, if known."""
 
     def text(self) -> str:
         """Return the file."""
@@ -97,7 +102,24 @@ class FirstCampaign:
             yield "# Starts per parameter among which tests are chosen: fewer than usual, for so many parameters."
             yield f"resolution = {self.resolution}"
         yield "# Tests of a problem at most; the bound is valid whenever they end."
-        yield f"max_tests = {100 if set(self.replicates.values()) == {1} else 60}"
+        yield f"max_tests = {self.size.max_tests}"
+        yield from self._checks()
+
+    def _checks(self) -> Iterator[str]:
+        """Yield the sizes of the closing checks, where the defaults would take long."""
+        size, full = self.size, NOISY if self.noisy else EXACT
+        if size == full:
+            return
+        replicates = f"replicates = {full.replicates}, " if self.noisy else ""
+        yield from _comment(
+            f"A rollout takes about {self.cost:.2g} s, and this file has a size for a first result. One that counts "
+            f"has max_tests = {full.max_tests}, {replicates}and without the "
+            "following keys its checks at the end are larger, too."
+        )
+        yield f"spot_check = {size.spot_check}"
+        if self.noisy:
+            yield f"spot_check_followups = {size.spot_check}"
+        yield f"recheck = {size.recheck}"
 
     def _system(self) -> Iterator[str]:
         yield ""
@@ -121,16 +143,13 @@ class FirstCampaign:
             yield from _comment(about)
             yield "[[problems]]"
             yield f'name = "{name}"'
-            yield 'method = "rigorous"'
-            yield "# The claim may fail with this probability, given its assumptions."
-            yield "delta = 0.05"
             yield from _constant_lines(constants, objective)
-            if self.replicates[name] > 1:
+            if name in self.noisy and self.size.replicates > 1:
                 yield "# Rollouts of a test, with different seeds."
-                yield f"replicates = {self.replicates[name]}"
+                yield f"replicates = {self.size.replicates}"
             lengths = ", ".join(f"{each} = {length!r}" for each, length in self.lengths.items())
             yield "# Distances in each parameter over which the robustness changes its course: assumptions."
-            yield f"kernel = {{ nu = {NU!r}, length_scale = {{ {lengths} }} }}"
+            yield f"kernel = {{ length_scale = {{ {lengths} }} }}"
 
 
 def _constant_lines(found: Constants, objective: str) -> Iterator[str]:

@@ -41,16 +41,8 @@ def warnings(plans: "Plans") -> list[str]:
 
 
 def out_of_reach(plan: "ProblemPlan") -> str | None:
-    """Return a sentence if the budget of a `rigorous` problem cannot reach alpha, however the tests are placed.
-
-    n observations of one and the same z leave upper - lower >= 2 R sqrt(2 ln(1/delta)/n) in [FR]; elsewhere it is more.
-    """
-    problem, tests = plan.problem, plan.budget
-    if not isinstance(problem, RigorousProblem) or plan.noise == 0:
-        return None
-    least = 2 * plan.noise * math.sqrt(2 * math.log(1 / problem.delta) / tests)
-    # Without any test |J - m0| <= B + tau: upper and lower are never further apart than this.
-    least = min(least, 2 * (problem.rkhs_norm + problem.misspecification))
+    """Return a sentence if the budget of a `rigorous` problem cannot reach alpha, however the tests are placed."""
+    problem, tests, least = plan.problem, plan.budget, least_distance(plan)
     if least <= problem.alpha:
         return None
     return (
@@ -58,6 +50,19 @@ def out_of_reach(plan: "ProblemPlan") -> str | None:
         f"at one point, upper and lower bound stay about {least:.3g} apart. The budget ends the problem then; raise "
         "max_tests or alpha, or continue with the wider bound"
     )
+
+
+def least_distance(plan: "ProblemPlan") -> float:
+    """Return the least distance of upper and lower bound that a budget can reach, in the unit of the objective.
+
+    n observations of one and the same z leave upper - lower >= 2 R sqrt(2 ln(1/delta)/n) in [FR]; elsewhere it is more.
+    """
+    problem = plan.problem
+    if not isinstance(problem, RigorousProblem) or plan.noise == 0:
+        return 0.0
+    least = 2 * plan.noise * math.sqrt(2 * math.log(1 / problem.delta) / plan.budget)
+    # Without any test |J - m0| <= B + tau: upper and lower are never further apart than this.
+    return min(least, 2 * (problem.rkhs_norm + problem.misspecification))
 
 
 def _start(config: CampaignConfig, problem: Problem) -> float:

@@ -141,12 +141,12 @@ def proposed(
     gram = kernel(np.linalg.norm(points[:, None, :] - points[None, :, :], axis=2))
     weights = np.linalg.solve(gram + noise**2 * np.eye(len(gram)), deviations)
     norm = math.sqrt(max(float(weights @ gram @ weights), 0.0))
-    scale = _rounded_up(NOISE_FACTOR * sd)
+    scale = rounded_up(NOISE_FACTOR * sd)
     return Constants(
         prior_mean=centre,
-        rkhs_norm=_rounded_up(NORM_FACTOR * max(norm, furthest)),
+        rkhs_norm=rounded_up(NORM_FACTOR * max(norm, furthest)),
         noise_scale=0.0 if not noisy else scale if 0 < scale < half_range else "derived",
-        alpha=_rounded_up(furthest / PARTS),
+        alpha=rounded_up(furthest / PARTS),
     )
 
 
@@ -182,5 +182,6 @@ def rounded(value: float, scale: float, rounding: str = ROUND_HALF_EVEN) -> floa
     return float(Decimal(repr(value)).quantize(Decimal(1).scaleb(math.floor(math.log10(places)) - 1), rounding)) + 0.0
 
 
-def _rounded_up(value: float) -> float:
+def rounded_up(value: float) -> float:
+    """Return the next larger number of two digits; 0 stays 0."""
     return rounded(value, value, ROUND_CEILING) if value else 0.0

@@ -33,7 +33,7 @@ def main() -> None:
     try:
         _main()
     except Stopped as request:
-        end("stopped; nothing was started", 128 + request.signal)
+        end(f"stopped; {request.state}", 128 + request.signal)
 
 
 def _main() -> None:

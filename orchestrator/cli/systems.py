@@ -18,6 +18,12 @@ if TYPE_CHECKING:
 @click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=0, show_default=True)
 @click.option("--horizon", type=click.FloatRange(0, 86_400), default=None, help="Seconds; default: the system's own.")
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the system; may be repeated.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(0, 86_400, min_open=True),
+    default=None,
+    help="Seconds that it may take; default: `deadline` of the campaign file, else 600.",
+)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="MCAP file to write.")
 @click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), default=None, help="PNG file to write.")
 def simulate(
@@ -28,19 +34,21 @@ def simulate(
     seed: int,
     horizon: float | None,
     options: tuple[str, ...],
+    timeout: float | None,
     out: Path | None,
     plot: Path | None,
 ) -> None:
-    """Run one rollout of SYSTEM, an installed one or FILE.py:NAME, without workers, and write or draw its trajectory.
+    """Run one rollout of SYSTEM without workers, and write or draw its trajectory.
 
-    What the system prints goes to stderr. The exit code is 1 for a rollout that fails or that a campaign would refuse.
+    SYSTEM is an installed one, FILE.py:NAME or a campaign file. What the system prints goes to stderr. The exit code is
+    1 for a rollout that fails or that a campaign would refuse.
     """
     from ..fleet.simulate import WantedRollout  # noqa: PLC0415
     from ..report.single import simulate_once  # noqa: PLC0415
 
     if out is None and plot is None:
         raise click.UsageError("give --out FILE.mcap, --plot FILE.png, or both")
-    wanted = WantedRollout(system, start, variant, seed, horizon, options)
+    wanted = WantedRollout(system, start, variant, seed, horizon, options, timeout)
     for line in simulate_once(wanted, out=out, plot=plot, on_line=lambda text: click.echo(text, err=True)):
         click.echo(line)
 

@@ -7,12 +7,25 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.campaign_file import load_campaign
+from ...schemas.campaign_file import load_description
 from ...schemas.errors import CampaignError, PerfboundError, one_line
 from ...schemas.system import SystemSpec
+from .family import GRACE, STACK_WRITER, end_family, place_of_stack, without_stack
 
-CHILD_TIMEOUT = 120
+CHILD_TIMEOUT = 120.0
 """Seconds that a child may take to answer."""
+FAULT = "perfbound-worker: "
+"""Begin of the line in which a child gives its fault, with exit code 1; every other line is one of the system."""
+
+
+class HangError(PerfboundError):
+    """The child gave no answer in its time."""
+
+    def __init__(self, command: str, limit: float, place: str) -> None:
+        self.place = f" in {place}" if place else ""
+        super().__init__(
+            f"`workers {command}` gave no answer within {limit:g} s, and was ended{self.place}; fix what does not end"
+        )
 
 
 CAMPAIGN_FILE = ".toml"
@@ -37,7 +50,7 @@ def named_campaign(reference: str) -> CampaignConfig | None:
         CampaignError: it cannot be read.
 
     """
-    return load_campaign(Path(reference)) if reference.endswith(CAMPAIGN_FILE) else None
+    return load_description(Path(reference)) if reference.endswith(CAMPAIGN_FILE) else None
 
 
 def in_file(reference: str) -> bool:
@@ -56,34 +69,60 @@ def system_options(reference: str | None) -> list[str]:
     return ["--system", found] if in_file(found) else []
 
 
-def ask(command: str, *arguments: str, on_line: Callable[[str], None] | None = None) -> str:
+def ask(
+    command: str, *arguments: str, limit: float = CHILD_TIMEOUT, on_line: Callable[[str], None] | None = None
+) -> str:
     """Return the output of a command of a `workers` child; `on_line` gets what the system printed, line by line.
 
+    After `limit` seconds, and when this process is stopped, the child and everything that it started is ended.
+
     Raises:
+        HangError: it gives no answer in time.
         PerfboundError: the child fails; the text is its last line.
 
     """
     # -P: a module of the current directory must not replace an installed one.
-    line = [sys.executable, "-P", "-m", "perfbound.workers", command, *arguments]
-    try:
-        child = subprocess.run(
-            line, capture_output=True, text=True, errors="replace", timeout=CHILD_TIMEOUT, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise PerfboundError(f"`workers {command}` did not answer within {CHILD_TIMEOUT} s") from None
-    lines = [text.removeprefix("perfbound-worker: ") for text in child.stderr.splitlines() if text.strip()]
-    # The last line of a child that a signal ended is one of the system, and not its reason.
-    reason = lines.pop() if child.returncode > 0 and lines else f"`workers {command}` {_ended(child.returncode)}"
+    line = [sys.executable, "-P", *STACK_WRITER, "-m", "perfbound.workers", command, *arguments]
+    child = subprocess.Popen(
+        line,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+    )
+    with child:
+        try:
+            output, errors = child.communicate(timeout=limit)
+        except subprocess.TimeoutExpired:
+            end_family(child, stack=True)
+            raise HangError(command, limit, place_of_stack(_rest_of_errors(child))) from None
+        except BaseException:
+            end_family(child)
+            raise
+    lines = [text for text in without_stack(errors).splitlines() if text.strip()]
+    known = child.returncode == 1 and lines and lines[-1].startswith(FAULT)
+    reason = lines.pop().removeprefix(FAULT) if known else f"`workers {command}` {_ended(child.returncode)}"
+    if child.returncode and not known and (place := place_of_stack(errors)):
+        reason += f" in {place}"
     if on_line is not None:
         for printed in lines:
-            on_line(one_line(printed))
+            on_line(one_line(printed.removeprefix(FAULT)))
     if child.returncode:
         raise PerfboundError(reason)
-    return child.stdout
+    return output
+
+
+def _rest_of_errors(child: "subprocess.Popen[str]") -> str:
+    """Return the stderr of a child that was ended; a process that has left its family may keep the pipe open."""
+    try:
+        return child.communicate(timeout=GRACE)[1]
+    except subprocess.TimeoutExpired:
+        return ""
 
 
 def _ended(code: int) -> str:
-    return f"crashed (signal {-code})" if code < 0 else f"ended with code {code}"
+    return f"crashed (signal {-code})" if code < 0 else f"ended with exit code {code}"
 
 
 def system_specs() -> dict[str, SystemSpec]:
@@ -128,7 +167,9 @@ def system_spec(reference: str, where: str) -> SystemSpec:
         try:
             return SystemSpec.model_validate_json(ask("spec", name))
         except PerfboundError as error:
-            raise CampaignError(f"{where}: {error}") from None
+            # The worker names the file, and the key that `where` may end with.
+            text = str(error).removeprefix(f"{name}: ").removeprefix(f"{where.rpartition(': ')[2]}: ")
+            raise CampaignError(f"{where}: {text}") from None
     found = installed_systems()
     if name not in found:
         raise CampaignError(f"{where}: {name!r} is not an installed system; allowed are {', '.join(sorted(found))}")

@@ -1,7 +1,6 @@
 """The child processes of `check-system`: rollouts in one process, with a limit of time for each of them."""
 
 import os
-import re
 import selectors
 import signal
 import subprocess
@@ -14,18 +13,14 @@ from typing import IO
 
 from pydantic import TypeAdapter, ValidationError
 
-from ...schemas.places import own_place
 from ...schemas.system_check import ChildRun, Measured, Trial
 from .child import CHILD_TIMEOUT
+from .family import GRACE, STACK_WRITER, end_family, place_of_stack, without_stack
 
 POLL = 0.1
 """Seconds between two looks whether a silent child has ended."""
-GRACE = 5.0
-"""Seconds in which a child that hangs may write where it hangs, and in which one that is done may end."""
 TAIL, HEAD = 64 * 1024, 200
 """Bytes of stderr that are searched, and characters of stdout that are kept."""
-FRAME = re.compile(r'^  File "(.+)", line (\d+) in', re.MULTILINE)
-"""A line of Python's fault handler; the innermost frame comes first."""
 
 
 def measure_in_child(
@@ -46,7 +41,7 @@ def measure_in_child(
         asked.seek(0)
         reading, writing = os.pipe()
         # -P: a module of the current directory must not replace an installed one.
-        line = [sys.executable, "-P", "-X", "faulthandler", "-m", "perfbound.workers", "measure"]
+        line = [sys.executable, "-P", *STACK_WRITER, "-m", "perfbound.workers", "measure"]
         process = subprocess.Popen(
             [*line, "--answers", str(writing), *options],
             stdin=asked,
@@ -73,7 +68,7 @@ def measure_in_child(
             measured=tuple(measured),
             ended="" if whole else _how(code, hung=hung, limit=_answer_limit(limit, loaded=loaded is not None)),
             hung=hung,
-            place="" if whole else own_place([(file, int(number)) for file, number in reversed(FRAME.findall(tail))]),
+            place="" if whole else place_of_stack(tail),
             stderr="" if whole else _last_line(tail),
             printed=_head(printed),
         )
@@ -133,13 +128,10 @@ def _exit_code(process: subprocess.Popen[bytes]) -> int | None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the child and everything in its session; one that runs still writes where it is."""
-    if process.poll() is None:
-        process.send_signal(signal.SIGABRT)  # Python's fault handler writes the stack, then the process ends
-        _exit_code(process)
+    """End the child, everything that it started and everything in its session; one that runs writes where it is."""
+    end_family(process, stack=True)
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
 
 
 def _how(code: int | None, *, hung: bool, limit: float) -> str:
@@ -159,7 +151,7 @@ def _tail(file: IO[bytes]) -> str:
 
 
 def _last_line(text: str) -> str:
-    lines = [line.strip() for line in text.partition("Fatal Python error")[0].splitlines() if line.strip()]
+    lines = [line.strip() for line in without_stack(text).splitlines() if line.strip()]
     return lines[-1].removeprefix("perfbound-worker: ") if lines else ""
 
 

@@ -58,6 +58,8 @@ class Fleet:
         self._next = 0
         self._fast_deaths = 0
         self._children: list[_Child] = []
+        self.ended: dict[int, str] = {}
+        """How the workers of these process ids have ended by themselves."""
         # Only this process holds the writing end, so that kill -9 of it ends the pipe of every worker.
         self._lifeline, self._our_end = os.pipe()
 
@@ -81,6 +83,8 @@ class Fleet:
             if not child.killed:  # by us, which says nothing on whether a worker can run
                 self._fast_deaths = self._fast_deaths + 1 if fast else 0
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            if not child.killed:
+                self.ended[child.process.pid] = how
             if self._fast_deaths >= FAST_DEATHS:
                 raise PerfboundError(
                     f"{FAST_DEATHS} local workers in a row ended within {FAST:g} s (last: {how}); "

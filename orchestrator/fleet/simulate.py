@@ -1,16 +1,21 @@
 """The commands `simulate` and `systems`: arguments parsed, a child of `workers` run, its answer as lines of text."""
 
 import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...schemas.errors import PerfboundError
+from ...schemas.campaign import CampaignConfig
+from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory
-from .child import ask, installed_systems, named_campaign, system_options, system_spec
+from .child import HangError, ask, installed_systems, named_campaign, system_options, system_spec
+
+LIMIT: float = CampaignConfig.model_fields["deadline"].default
+"""Seconds that a rollout may take where no campaign says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +32,11 @@ class WantedRollout:
     """In s; None for the one of the campaign file, or that the system assumes."""
     options: Sequence[str]
     """KEY=VALUE each."""
+    limit: float | None = None
+    """Seconds that it may take; None for the `deadline` of the campaign file, or of a campaign without that key."""
 
-    def request(self) -> tuple[SystemSpec, RolloutRequest]:
-        """Return the system and the request to it.
+    def request(self) -> tuple[SystemSpec, RolloutRequest, float]:
+        """Return the system, the request to it, and the seconds that it may take.
 
         Raises:
             CampaignError: the system is not installed.
@@ -45,7 +52,9 @@ class WantedRollout:
         options = ({} if config is None else config.system.options) | chosen_options(spec, self.options)
         template = RequestTemplate.of(spec, options, horizon=horizon, visual=True)
         start = _numbers(spec, self.start)
-        return spec, template.request(RolloutId("simulate", 0, self.variant, 0), start, self.seed)
+        deadline = LIMIT if config is None else config.deadline
+        limit = deadline if self.limit is None else self.limit
+        return spec, template.request(RolloutId("simulate", 0, self.variant, 0), start, self.seed), limit
 
 
 def chosen_horizon(spec: SystemSpec, horizon: float | None) -> float:
@@ -63,16 +72,43 @@ def chosen_horizon(spec: SystemSpec, horizon: float | None) -> float:
 
 
 def simulate_to(
-    path: Path, request: RolloutRequest, system: str, *, on_line: Callable[[str], None] | None = None
+    path: Path,
+    request: RolloutRequest,
+    spec: SystemSpec,
+    system: str | None,
+    *,
+    limit: float = LIMIT,
+    on_line: Callable[[str], None] | None = None,
 ) -> None:
-    """Run one rollout in a child, and write its file; `on_line` gets what the system prints.
+    """Run one rollout in a child for at most `limit` seconds, and write its file.
+
+    `system` is its reference, None for an installed one; `on_line` gets what the system prints.
 
     Raises:
-        PerfboundError: the rollout fails.
+        PerfboundError: the rollout fails, or does not end.
+        Stopped: with what was ended.
 
     """
-    line = ("simulate", "--request", request.model_dump_json(), "--out", str(path), *system_options(system))
-    ask(*line, on_line=on_line)
+    words, started = f"the rollout of {spec.name} at {request.words(spec)}", time.monotonic()
+    arguments = ("--request", request.model_dump_json(), "--out", str(path), *system_options(system))
+    try:
+        ask("simulate", *arguments, limit=limit, on_line=on_line)
+    except HangError as fault:
+        raise PerfboundError(
+            f"{words} gave no result within {limit:g} s, and was ended{fault.place}; fix what does not end there, or "
+            "give it more time: perfbound simulate --timeout SECONDS, `deadline` in a campaign file"
+        ) from None
+    except PerfboundError as fault:
+        # The worker knows the identity of the system that is asked for, and not what it consists of.
+        here = system_spec(system or spec.name, "SYSTEM")
+        if request.spec_sha256 not in here.identities and (differing := spec.differences(here)):
+            raise PerfboundError(
+                f"{spec.name} is another build than that of the campaign: {'; '.join(differing)}; use that one"
+            ) from None
+        raise fault from None
+    except Stopped as stop:
+        seconds = time.monotonic() - started
+        raise Stopped(stop.signal, f"{words} was ended after {seconds:.1f} s, nothing was written") from None
 
 
 def column_lines(spec: SystemSpec, trajectory: Trajectory) -> Iterator[str]:

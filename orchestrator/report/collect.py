@@ -46,6 +46,7 @@ class Collector:
         """The start of each test of a closing check."""
         self._workers = WorkerStatistics()
         self._violations: list[RolloutFact] = []
+        self._system: str | None = None
         self._code: str | None = None
         self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
 
@@ -92,6 +93,7 @@ class Collector:
         if not self._problems:
             found = plans(header.config, header.spec).items()
             self._problems = {name: ProblemCollector(header, plan) for name, plan in found}
+        self._system = changes.origin[0] if changes.origin else None
         self._code = ", ".join(filter(None, changes.origin or ())) or None
         self._add(changes)
         return header
@@ -148,7 +150,11 @@ class Collector:
                 for test in each.worst_tests(WORST_STARTS)
             ),
             counterexamples=tuple(
-                rollouts.described(self.directory, fact, self._start(fact.rollout))
+                rollouts.described(
+                    fact,
+                    self._start(fact.rollout),
+                    rollouts.replay_command(self.directory, header, fact, self._system),
+                )
                 for fact in self._violations[:MOST_COUNTEREXAMPLES]
             ),
             violations=len(self._violations),
@@ -178,7 +184,9 @@ class Collector:
         if not facts:
             raise PerfboundError(f"{self.directory}: test {test} of {problem} has no rollout yet; retry later")
         assert self._header is not None, "read before"
-        found = rollouts.of_test(self.directory, self._header, collector.problem, facts, collector.starts[test])
+        found = rollouts.of_test(
+            self.directory, self._header, collector.problem, facts, collector.starts[test], system=self._system
+        )
         # An observed test gets no more rollouts; a file that could not be read may be restored, so it is read again.
         if found.error is None and test < len(collector.observed):
             self._cache[key] = found

@@ -9,10 +9,10 @@ from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory, decode
 from ..fleet.child import system_specs
+from ..fleet.simulate import simulate_to
 from ..store.read import read_header, reading
 from . import curves
 from .data import ReportData, Rollout, RolloutsOfTest
-from .replay.replay import simulate_file
 
 MOST = 8
 """Tests that get a nominal curve; a child process simulates each."""
@@ -58,7 +58,9 @@ def _simulated(header: Header, rollout: Rollout) -> Trajectory:
     nominal = RolloutId(rollout.problem, rollout.test, "nominal", 0)
     request = replace(header.template, visual=False).request(nominal, rollout.x, rollout.seed)
     with tempfile.TemporaryDirectory() as folder:
-        return decode(simulate_file(request, Path(folder) / "nominal.mcap"))
+        path = Path(folder) / "nominal.mcap"
+        simulate_to(path, request, header.spec, None, limit=header.config.deadline)
+        return decode(path.read_bytes())
 
 
 def _joined(header: Header, scene: RolloutsOfTest, trajectory: Trajectory) -> RolloutsOfTest:

@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 from ...schemas.campaign import Problem
 from ...schemas.errors import EvidenceError, PerfboundError, TrajectoryError
 from ...schemas.facts import Header, RolloutFact
+from ...schemas.places import short_path
 from ...schemas.trajectory import File, read_mcap
 from ..store import files
 from . import curves
@@ -19,9 +20,18 @@ MOST_ROLLOUTS = 24
 
 
 def of_test(
-    directory: Path, header: Header, problem: Problem, facts: Sequence[RolloutFact], x: tuple[float, ...]
+    directory: Path,
+    header: Header,
+    problem: Problem,
+    facts: Sequence[RolloutFact],
+    x: tuple[float, ...],
+    *,
+    system: str | None = None,
 ) -> RolloutsOfTest:
-    """Return the rollouts of one test, whose start is `x`; `error` names the files that cannot be read."""
+    """Return the rollouts of one test, whose start is `x`; `error` names the files that cannot be read.
+
+    `system` is the reference of a system that is not installed.
+    """
     columns = curves.relevant_columns(header, problem)
     limits = curves.limits(header, columns)
     traces, errors = list[Curve](), list[str]()
@@ -38,13 +48,27 @@ def of_test(
         test=facts[0].rollout.test,
         traces=tuple(traces),
         limits=tuple(limit for _, limit in limits),
-        rollouts=tuple(described(directory, fact, x) for fact in _worst_first(facts)[:MOST_ROLLOUTS]),
+        rollouts=tuple(
+            described(fact, x, replay_command(directory, header, fact, system))
+            for fact in _worst_first(facts)[:MOST_ROLLOUTS]
+        ),
         limit_columns=tuple(column for column, _ in limits),
         error="; ".join(errors) or None,
     )
 
 
-def described(directory: Path, fact: RolloutFact, x: tuple[float, ...]) -> Rollout:
+def replay_command(directory: Path, header: Header, fact: RolloutFact, system: str | None) -> str:
+    """Return the command that simulates a rollout again; empty where no command can.
+
+    A system that is not installed is named for the person who runs it: `replay` itself takes none from a run directory.
+    """
+    if header.spec.repeated != "anywhere":
+        return ""
+    named = ["--system", short_path(system)] if system is not None else []
+    return shlex.join(["perfbound", "replay", str(directory), str(fact.rollout), *named])
+
+
+def described(fact: RolloutFact, x: tuple[float, ...], command: str) -> Rollout:
     """Return the data of a recorded rollout, whose start is `x`."""
     return Rollout(
         id=str(fact.rollout),
@@ -53,7 +77,7 @@ def described(directory: Path, fact: RolloutFact, x: tuple[float, ...]) -> Rollo
         x=x,
         robustness=fact.robustness,
         path=fact.path if _is_inside(fact.path) else "",
-        command=shlex.join(["perfbound", "replay", str(directory), str(fact.rollout)]),
+        command=command,
     )
 
 

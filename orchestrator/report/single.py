@@ -22,10 +22,10 @@ def simulate_once(
         PerfboundError: the rollout fails, or a campaign would refuse it; in the latter case the files are written.
 
     """
-    spec, request = wanted.request()
+    spec, request, limit = wanted.request()
     with tempfile.TemporaryDirectory() as folder:
         path = out or Path(folder) / "rollout.mcap"
-        simulate_to(path, request, wanted.system, on_line=on_line)
+        simulate_to(path, request, spec, wanted.system, limit=limit, on_line=on_line)
         trajectory = decode(path.read_bytes())
     yield from column_lines(spec, trajectory)
     if wanted.horizon is None:

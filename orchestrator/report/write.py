@@ -29,7 +29,8 @@ def relocatable(data: ReportData) -> ReportData:
     """Return the data with commands for a shell in the run directory, since a report may be moved with it."""
 
     def moved(rollout: Rollout) -> Rollout:
-        return replace(rollout, command=shlex.join(["perfbound", "replay", ".", rollout.id]))
+        words = shlex.split(rollout.command)
+        return replace(rollout, command=shlex.join([*words[:2], ".", *words[3:]]) if words else "")
 
     scenes = tuple(replace(scene, rollouts=tuple(map(moved, scene.rollouts))) for scene in data.scenes)
     counterexamples = tuple(map(moved, data.counterexamples))

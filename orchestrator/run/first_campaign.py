@@ -16,9 +16,11 @@ from ...schemas.problems import OBJECTIVES, ProblemName, rolled_out
 from ...schemas.space import SystemChoice
 from ...schemas.system import SystemSpec, Variant
 from ...schemas.trajectory import Floats
-from ..campaign import pilot
+from ..campaign import pilot, plan
 from ..campaign.checks import check_new
 from ..campaign.first_file import FirstCampaign, FirstValues
+from ..campaign.first_size import first_size
+from ..campaign.forecast import least_distance
 from ..fleet.child import in_file, named_campaign, resolved, system_spec
 from ..fleet.simulate import chosen_horizon
 from .first_pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
@@ -33,8 +35,8 @@ NOT_YET = {
     "where": "the starts that are safe cannot be asked for yet; choose worst, whose report maps its bounds",
 }
 DEFAULT_RESOLUTION: int = CampaignConfig.model_fields["resolution"].default
-REPLICATES = 8
-"""Rollouts of a test, where they depend on the seed."""
+REACH = 2.0
+"""`alpha` is at least so many times what the tests could reach if all were at one start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +67,20 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     if wish.question in NOT_YET:
         raise PerfboundError(f"--question {wish.question}: {NOT_YET[wish.question]}")
     spec = system_spec(wish.reference, "SYSTEM")
-    out = wish.out or Path(f"{spec.name}.toml")
+    known = named_campaign(wish.reference)
+    if wish.specification is None and known is not None and known.specification:
+        wish = replace(wish, specification=known.specification)
+    folder = Path(wish.reference).parent if known else Path()
+    out = wish.out or folder / f"{spec.name}.toml"
     _check_unwritten(out)
     variants, choice = _variants(spec, wish.question), _system_choice(wish.reference, out)
     horizon = chosen_horizon(spec, wish.horizon)
     score = pilot.score(wish.specification, spec)
     yield f"{spec.name}: a pilot of a few rollouts, for about {SECONDS:g} s at most, proposes the constants"
+    cost = None
     try:
         found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon), score)
-        basis, news = _proposal(wish, spec, found), f"the constants are proposed from {found.size}"
+        basis, news, cost = _proposal(wish, spec, found), f"the constants are proposed from {found.size}", found.cost
     except PilotError as error:
         basis = _guess(wish, spec, horizon, str(error))
         news = f"the constants are guesses, because the pilot failed: {error}"
@@ -82,7 +89,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
             f"--question {wish.question}: rollouts of {spec.name} are one sample, and this question needs longer ones; "
             "choose --question worst"
         )
-    text = _first_campaign(wish, spec, choice, basis).text()
+    text = _reachable(_first_campaign(wish, spec, choice, basis, cost)).text()
     check_new(parse_campaign(text.encode(), str(out)), spec, str(out))
     try:
         atomic.write_new({out.absolute(): (text.encode(), 0o666)})
@@ -185,9 +192,22 @@ def _guess(wish: Wish, spec: SystemSpec, horizon: float, fault: str) -> FirstVal
     )
 
 
-def _first_campaign(wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: FirstValues) -> FirstCampaign:
+def _reachable(campaign: FirstCampaign) -> FirstCampaign:
+    """Return the campaign with an `alpha` for each problem that its tests can reach."""
+    plans = plan.plans(parse_campaign(campaign.text().encode(), ""), campaign.spec)
+    constants = {
+        name: replace(each, alpha=max(each.alpha, pilot.rounded_up(REACH * least_distance(plans[name]))))
+        for name, each in campaign.basis.constants.items()
+    }
+    return replace(campaign, basis=replace(campaign.basis, constants=constants))
+
+
+def _first_campaign(
+    wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: FirstValues, cost: float | None
+) -> FirstCampaign:
     names = QUESTIONS[wish.question]
     resolution = pilot.nodes_per_parameter(len(spec.parameters), DEFAULT_RESOLUTION)
+    noisy = frozenset(name for name in names if _noisy(name, spec))
     needs_clip = any(_noisy(name, spec) or not OBJECTIVES[name].static for name in names)
     return FirstCampaign(
         spec=spec,
@@ -196,7 +216,9 @@ def _first_campaign(wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: F
         basis=basis if needs_clip else replace(basis, clip=None),
         lengths=pilot.length_scales(spec.parameters),
         resolution=None if resolution == DEFAULT_RESOLUTION else resolution,
-        replicates={name: REPLICATES if _noisy(name, spec) else 1 for name in names},
+        size=first_size(cost, noisy=bool(noisy), variants=sum(len(rolled_out(name, spec)) for name in noisy or names)),
+        noisy=noisy,
+        cost=cost,
     )
 
 

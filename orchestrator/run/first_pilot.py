@@ -37,6 +37,8 @@ class Pilot:
     """In s, as a campaign has to request it."""
     scores: dict[Variant, Floats]
     """Shape (n, k), k rollouts at each start."""
+    cost: float | None = None
+    """Seconds of a rollout; None after a single one."""
 
     @property
     def size(self) -> str:
@@ -81,28 +83,31 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     """
     requests = plan.requests()
     scores: dict[Variant, list[float]] = {variant: [] for variant in plan.variants}
-    horizon = None
-    for request, trajectory in _finished(plan, requests):
+    horizon, written = None, []
+    for request, trajectory, at in _finished(plan, requests):
+        written.append(at)
         if horizon is None:
             horizon = settled_horizon(plan.horizon, trajectory)
         try:
             check_whole(trajectory, tuple(column.name for column in plan.spec.columns), horizon)
         except TrajectoryError as fault:
-            raise PilotError(f"{_words(request, plan.spec)}: a campaign would refuse this rollout: {fault}") from None
+            raise PilotError(f"{request.words(plan.spec)}: a campaign would refuse this rollout: {fault}") from None
         scores[request.variant].append(score(trajectory))
         if not abs(scores[request.variant][-1]) < LARGEST:
-            raise PilotError(f"{_words(request, plan.spec)}: its values are above {LARGEST:g}")
+            raise PilotError(f"{request.words(plan.spec)}: its values are above {LARGEST:g}")
     whole = min(len(found) // plan.seeds(variant) for variant, found in scores.items())
     if horizon is None or whole < FEWEST_STARTS:
         raise PilotError(f"after {SECONDS:g} s it has the rollouts of {whole} starts, and needs {FEWEST_STARTS}")
     shaped = {
         variant: np.array(found[: whole * plan.seeds(variant)]).reshape(whole, -1) for variant, found in scores.items()
     }
-    return Pilot(np.array(pilot_starts(plan.spec.parameters)[:whole]), horizon, shaped)
+    # The first rollout loads the simulator.
+    cost = float(np.median(np.diff(written))) if len(written) > 1 else None
+    return Pilot(np.array(pilot_starts(plan.spec.parameters)[:whole]), horizon, shaped, cost)
 
 
-def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple[RolloutRequest, Trajectory]]:
-    """Yield the rollouts that one child simulates in its time, one at a time: they may be large."""
+def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple[RolloutRequest, Trajectory, float]]:
+    """Yield the rollouts that one child simulates in its time, and when; one at a time, since they may be large."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         listed = folder / "requests"
@@ -113,18 +118,12 @@ def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple
             ask("pilot", *place, *system_options(plan.reference))
         except PerfboundError as error:
             failed = next((each for each, path in zip(requests, paths, strict=True) if not path.exists()), requests[-1])
-            raise PilotError(f"{_words(failed, plan.spec)}: {error}") from None
+            raise PilotError(f"{failed.words(plan.spec)}: {error}") from None
         for request, path in zip(requests, paths, strict=True):
             if not path.exists():
                 return
             try:
                 trajectory = decode(path.read_bytes())
             except TrajectoryError as fault:
-                raise PilotError(f"{_words(request, plan.spec)}: {fault}") from None
-            yield request, trajectory
-
-
-def _words(request: RolloutRequest, spec: SystemSpec) -> str:
-    """Return start, variant and seed of a rollout."""
-    start = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.parameters, request.x, strict=True))
-    return f"{start}, {request.variant}, seed {request.seed}"
+                raise PilotError(f"{request.words(plan.spec)}: {fault}") from None
+            yield request, trajectory, path.stat().st_mtime

@@ -16,11 +16,13 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
+from ...schemas.places import short_path
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..fleet import dispatch, events
 from ..fleet.inbox import Inbox
 from ..fleet.processes import Fleet
+from ..fleet.simulate import LIMIT
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from ..store import read
 from ..store.journal import Journal
@@ -257,7 +259,13 @@ class Service:
         if self._stop is not None:
             raise Stopped(self._stop)
         if self._poisoned is not None:
-            raise PerfboundError(_poison_text(self._poisoned, self._ledger))
+            ends = {each.worker: self._end_of(each.worker) for each in self._poisoned.failures}
+            raise PerfboundError(_poison_text(self._poisoned, self._ledger, self._journal.origin.system, ends))
+
+    def _end_of(self, worker: str) -> str:
+        """Return how the process of a local worker has ended; empty for one that has not, or is elsewhere."""
+        pid = self._roster.local_pid(worker)
+        return self._fleet.ended.get(pid, "") if self._fleet is not None and pid is not None else ""
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:
@@ -278,20 +286,26 @@ class Service:
             listener.show(status)
 
 
-def _poison_text(found: events.Poison, ledger: Ledger) -> str:
-    """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy."""
+def _poison_text(found: events.Poison, ledger: Ledger, reference: str | None, ends: Mapping[str, str]) -> str:
+    """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy.
+
+    `reference` is that of a system that is not installed; `ends` say how workers have ended.
+    """
     request, config = ledger.request(found.rollout), ledger.config
     by_reason: dict[str, list[str]] = {}
     for each in found.failures:
-        attempt = f"attempt {each.attempt.number} on {each.worker}"
+        end = f" ({how})" if (how := ends.get(each.worker)) else ""
+        attempt = f"attempt {each.attempt.number} on {each.worker}{end}"
         by_reason.setdefault(each.failure.reason, []).append(attempt)
     history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
     options = [f"--option={name}={value}" for name, value in config.system.options.items()]
     start = ",".join(map(repr, request.x))
     rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed)]
-    system = config.system.python or config.system.name or "CAMPAIGN.toml"
-    horizon = ["--horizon", f"{request.horizon:g}"]
-    command = shlex.join(["perfbound", "simulate", system, *rollout, *horizon, *options, "--out", "failed.mcap"])
+    system = config.system.name if reference is None else short_path(reference)
+    limits = ["--horizon", f"{request.horizon:g}"]
+    if config.deadline != LIMIT:  # a rollout that hangs is to hang no longer than here
+        limits += ["--timeout", f"{config.deadline:g}"]
+    command = shlex.join(["perfbound", "simulate", system, *rollout, *limits, *options, "--out", "failed.mcap"])
     repeat = f"Repeat it: {command}"
     if ledger.header.spec.repeated == "session":  # which no command has
         repeat = f"Repeat it: call {request.system.replace('-', '_')} at {start}, with seed {request.seed}"

@@ -243,7 +243,8 @@ def _check_code(header: Header, reference: str, options: RunOptions, console: Co
         return
     changed = sorted({name for name, _ in found.code.items() ^ campaign.code.items()})
     if changed or header.system_sha256 not in found.identities:
-        what = f"{', '.join(changed)}: not the code" if changed else f"{reference}: not the specification"
+        others = "; ".join(campaign.differences(found))
+        what = f"{', '.join(changed)}: not the code" if changed else f"{reference}: {others}: not the system"
         remedy = "with the version of then" if installed else "with the files of then (--system, if they are elsewhere)"
         raise JournalError(f"{what} with which this campaign was started; resume it {remedy}, or start a new campaign")
 

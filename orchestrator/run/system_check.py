@@ -2,9 +2,11 @@
 
 import json
 import os
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -79,20 +81,30 @@ def checked_system(
         seed=seed,
         space=None if config is None else config.space,
     )
-    rolled = partial(_in_child, arguments=system_options(reference), limit=limit, report=report)
+    program = config is not None and config.system.program is not None
+    folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()
+    rolled = partial(_in_child, arguments=(*system_options(reference), *folder), limit=limit, report=report)
     fresh = rolled("start", trials.fresh())
     own = own_horizon(spec, fresh) if given is None else None
     if own is not None:
         trials = trials.of_own_horizon(own)
         fresh = rolled("start", trials.fresh())
     runs = [fresh]
-    if not fresh.ended:
+    if not fresh.ended and all(found.error for found in fresh.measured):
+        runs.append(rolled("rollouts", trials.few()))
+    usable = any(not found.error for run in runs for found in run.measured)
+    if usable and not runs[-1].ended:
         seconds = min((found.seconds for found in fresh.measured), default=0.0)
         runs.append(rolled("rollouts", trials.first(seconds)))
-    if not runs[-1].ended:
+    if usable and not runs[-1].ended:
         runs.append(rolled("opposite order", trials.second()))
     measurements = Measurements(
-        spec, tuple(runs), limit=limit, processors=len(os.sched_getaffinity(0)), own_horizon=own is not None
+        spec,
+        tuple(runs),
+        limit=limit,
+        processors=len(os.sched_getaffinity(0)),
+        own_horizon=own is not None,
+        program=shlex.join((config and config.system.program) or ()),
     )
     return SystemCheck(spec, trials.horizon, judge(measurements))
 

@@ -9,7 +9,8 @@
 | `failures`        | an attempt that failed, and whether it failed in the system                    |
 
 Rows are in the order of the facts. Numbers are in the unit of their objective: for sense min they are robustness,
-where the database has J = -robustness. So `lower` is a bound from below and `upper` one from above, in both senses.
+where the database has J = -robustness, also in the spot check. So `lower` is a bound from below and `upper` one from
+above, in both senses.
 """
 
 import json
@@ -23,7 +24,7 @@ from sqlalchemy import Connection
 
 from ...schemas.campaign import CampaignConfig, Problem
 from ...schemas.facts import RECORDED, RESTORED, Header
-from ...schemas.ids import CLOSING, RECHECK
+from ...schemas.ids import RECHECK, SPOT_CHECK
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from . import tables
@@ -218,12 +219,17 @@ def _observations_table(header: Header) -> ExportTable:
 
 
 def _objectives(header: Header) -> dict[str, tuple[str, str]]:
-    """Return sense and unit of every problem's objective; a closing check has neither."""
-    closing = dict.fromkeys(CLOSING, ("", ""))
-    return closing | {
+    """Return sense and unit of every problem's objective.
+
+    A spot check tests the objectives of the problems: with one of them, or several of one sense, it has theirs. Else
+    its observations are J, and a recheck has no objective.
+    """
+    found = {
         problem.name: (OBJECTIVES[problem.name].sense, unit(problem, header.config, header.spec))
         for problem in header.config.problems
     }
+    same = set(found.values())
+    return {SPOT_CHECK: next(iter(same)) if len(same) == 1 else ("", ""), RECHECK: ("", "")} | found
 
 
 def _starts(header: Header) -> tuple[ExportColumn, ...]:

@@ -57,7 +57,7 @@ class Journal:
     """An open campaign database, used by one thread, under `campaign_lock`."""
 
     def __init__(self, directory: Path, engine: Engine, header: Header, origin: Origin) -> None:
-        self.directory, self.header = directory, header
+        self.directory, self.header, self.origin = directory, header, origin
         self._engine = engine
         self._connection = engine.connect()
         self._place = os.stat(directory / DATABASE)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..orchestrator.campaign.checks import check_new
 from ..schemas import atomic
-from ..schemas.campaign import PROBLEM_MODELS, CampaignConfig
+from ..schemas.campaign import CampaignConfig
 from ..schemas.campaign_file import load_campaign, parse_campaign
 from ..schemas.errors import CampaignError
 from .given import GivenSystem, given_system
@@ -16,10 +16,6 @@ from .toml import toml
 if TYPE_CHECKING:
     from .run import Run
     from .study import Study
-
-OF_PROBLEM = {name for model in PROBLEM_MODELS.values() for name in model.model_fields}
-"""Keys of a problem; those that a campaign has too mean the same in both places."""
-OF_CAMPAIGN = set(CampaignConfig.model_fields)
 
 
 class Campaign:
@@ -83,9 +79,17 @@ class Campaign:
         """Write the campaign file; `perfbound run` runs it if it is beside the file of its system.
 
         Raises:
+            CampaignError: no other process has the system: it was defined in this session, or is a rig.
             OSError: it cannot be written.
 
         """
+        spec = self._subject.spec
+        if spec.repeated != "anywhere":
+            what = "is a rig" if spec.repeated == "nowhere" else "was defined in this session"
+            raise CampaignError(
+                f"{path}: {spec.name} {what}, so no command can run a campaign file of it; "
+                + ("continue with ask_tell" if spec.repeated == "nowhere" else "put the function into a file")
+            )
         atomic.write_whole(Path(path).absolute(), self._text.encode())
         return Path(path)
 
@@ -131,14 +135,9 @@ def _campaign_table(
     found: GivenSystem, space: Any, options: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the table of the campaign file; keys that are none are refused by its parser."""
-    table = {"name": found.spec.name, "seed": 1, **keys}
+    table = {"name": found.spec.name, **keys}
     if found.spec.repeated == "nowhere":
         table.setdefault("recheck", 0)
-    if "problems" not in keys:
-        listed = not isinstance(space, Mapping) or "scenarios" in space
-        problem = {"name": "robustness", "method": "scenario" if listed else "rigorous"}
-        problem |= {key: table.pop(key) for key in keys if key in OF_PROBLEM - OF_CAMPAIGN}
-        table["problems"] = [problem]
     table["system"] = {**found.choice, **options}
     table["space"] = (
         {key: _range_table(each) for key, each in space.items()} if isinstance(space, Mapping) else {"scenarios": space}

@@ -45,7 +45,8 @@ def given_system(system: object, where: str) -> GivenSystem:
     if (file := loading()) is not None:
         # Without this every child that loads the file would begin a campaign, whose children load it again.
         raise DefinitionError(
-            f"{file}: it begins a campaign when it is loaded; put that under `if __name__ == '__main__':`"
+            f"{file}{_line_in(file)}: workers load this file for its system, and that must not call pb.Campaign; put "
+            "this call and what follows under `if __name__ == '__main__':`, or into another file"
         )
     if isinstance(system, Rig):
         return _known_by_name(system.spec, system.step)
@@ -58,6 +59,12 @@ def given_system(system: object, where: str) -> GivenSystem:
             'the name of an installed one, or "FILE.py:NAME"'
         )
     return _given(system, cast(SystemUnderTest, found), where)
+
+
+def _line_in(file: Path) -> str:
+    """Return the line of a file that is running, as text."""
+    lines = [each.lineno for each in inspect.stack(0) if Path(each.filename) == file]
+    return f", line {lines[-1]}" if lines else ""
 
 
 def _referenced(text: str, where: str) -> GivenSystem:

@@ -79,7 +79,13 @@ class Run:
     def tests(self) -> Table:
         """A row for each test of a problem: its start, its observation, and the bounds after it."""
         found = self.table("tests")
-        return found.only(~np.isin(found["problem"].astype(str), CLOSING))  # `table("tests")` has their tests as well
+        return found.only(~np.isin(found["problem"].astype(str), CLOSING))
+
+    @property
+    def closing_checks(self) -> Table:
+        """A row for each test of the closing checks, whose `problem` is `spot_check` or `recheck`, as in `tests`."""
+        found = self.table("tests")
+        return found.only(np.isin(found["problem"].astype(str), CLOSING))
 
     @property
     def rollouts(self) -> Table:
@@ -144,7 +150,9 @@ class Run:
         """
         from ..orchestrator.certificate.verify.run import verify_certificate  # noqa: PLC0415
 
-        reference = None if system is None else given_system(system, "verify").reference
+        found = None if system is None else given_system(system, "verify")
+        # A function of a session has no reference, and its rollouts are not simulated again.
+        reference = found.reference if found is not None and found.here is None else None
         with reproducible():
             return verify_certificate(
                 self.directory,

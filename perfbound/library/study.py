@@ -118,7 +118,7 @@ class _Rollouts:
         try:
             self._admission.check(rollout, told.trajectory)
         except UnusableTrajectoryError as fault:
-            raise UnusableTrajectoryError(f"{rollout}: {fault}; recorded as a failure of the system") from None
+            raise UnusableTrajectoryError(f"{rollout}: {fault}") from None
 
     def record(self, rollout: RolloutId, told: Admitted) -> None:
         """Make a trajectory durable, and everything that follows from it."""
@@ -194,38 +194,49 @@ class Study:
         file that `perfbound` has made for this request. Without a column `t`, `step` is the time between two samples.
         The same data told again change nothing.
 
-        Data that do not fit are refused, and change nothing. A trajectory that is not finite, or ends before the
-        horizon, is a failure of the system: it is refused as well, and recorded, and if a later trial of the request
-        succeeds, the certificate says so.
+        Data that do not fit, are not finite, or end before the horizon, are refused, and change nothing: they may be a
+        slip. A trial that failed is recorded by `failed`.
 
         Raises:
             PerfboundError: one line with the request and the reason; the request stays open. Or other data were told
                 before.
 
         """
-        rollouts, name = self._rollouts, request if isinstance(request, str) else request.id
-        rollout = rollouts.known(name)
-        wanted = rollouts.request(rollout)
-        if isinstance(request, TrialRequest) and request.request != wanted:
-            raise RequestError(f"{name}: this request is one of another campaign; ask again")
-        first = rollout in rollouts.wanted
-        try:
-            told = admitted(wanted, rollouts.spec, data, self._step if step is None else step)
-            if first:
-                rollouts.check(rollout, told)
-        except UnusableTrajectoryError as fault:
-            if first:  # of one that was told already, there is nothing to record
-                rollouts.failed(rollout, str(fault))
-            raise
-        if not first:
+        rollouts, rollout = self._rollouts, self._known(request)
+        told = admitted(rollouts.request(rollout), rollouts.spec, data, self._step if step is None else step)
+        if rollout not in rollouts.wanted:
             if not rollouts.same(rollout, told):
-                raise RequestError(f"{name}: another trajectory was told before, and a record never changes")
+                raise RequestError(f"{rollout}: another trajectory was told before, and a record never changes")
             return
+        rollouts.check(rollout, told)
         try:
             rollouts.record(rollout, told)
         except BaseException:
             self.close()  # the ledger may be ahead of its journal, which alone counts: only a replay continues
             raise
+
+    def failed(self, request: TrialRequest | str, reason: str) -> None:
+        """Record that the trial of a request failed in the system, as a rollout that ends with an exception.
+
+        The request stays open. If a later trial of it succeeds, the certificate lists `reproducible_rollouts` as
+        refuted: a trial that is repeated until it succeeds is selected by its outcome.
+
+        Raises:
+            PerfboundError: the request has its trajectory already, or is none.
+
+        """
+        rollout = self._known(request)
+        if rollout not in self._rollouts.wanted:
+            raise RequestError(f"{rollout}: it has its trajectory already, and a record never changes")
+        self._rollouts.failed(rollout, reason)
+
+    def _known(self, request: TrialRequest | str) -> RolloutId:
+        """Return the rollout of a request of this study."""
+        name = request if isinstance(request, str) else request.id
+        rollout = self._rollouts.known(name)
+        if isinstance(request, TrialRequest) and request.request != self._rollouts.request(rollout):
+            raise RequestError(f"{name}: this request is one of another campaign; ask again")
+        return rollout
 
     def close(self) -> None:
         """Release the run directory; everything that was told is durable."""

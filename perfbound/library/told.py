@@ -51,7 +51,10 @@ def admitted(request: RolloutRequest, spec: SystemSpec, data: object, step: floa
         sha256 = hashlib.sha256(payload).hexdigest()
         return Admitted(payload, sha256, admit(request, columns, payload, sha256))
     except UnusableTrajectoryError as fault:
-        raise UnusableTrajectoryError(f"{request.rollout}: {fault}; recorded as a failure of the system") from None
+        raise UnusableTrajectoryError(
+            f"{request.rollout}: {fault}; the request stays open; if the trial itself failed, record that: "
+            "study.failed(request, REASON)"
+        ) from None
     except (EvidenceError, SimulationError) as fault:
         raise EvidenceError(f"{request.rollout}: {fault}; the request stays open") from None
 

@@ -8,6 +8,8 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     stl,
     throughput,
 )
+from tests.missing import MISSING, for_want_of_pybullet  # noqa: E402
 
 OUT = Path("build/bench.json")
 PEERS = Path(".venv-bench/bin/python")
@@ -64,12 +67,27 @@ def main() -> int:
     parts = [part for part in PARTS if part in (arguments.parts or PARTS)]
     before = report.surroundings()
     peers = {} if arguments.no_peers or not ASKED.intersection(parts) else child("peers")
-    rows = [row for part in parts for row in measure(part, peers, alone=arguments.no_peers)]
+    rows = [
+        row
+        for part in parts
+        for row in unless_missing(part, partial(measure, part, peers, alone=arguments.no_peers), MISSING)
+    ]
     after = {"load_after": os.getloadavg()[0], "peers": peers.get("versions", {})}
     sys.stdout.write(report.table(rows))
     report.write(OUT, report.document(rows, before | after))
     sys.stderr.write(f"load {before['load']:.2f} before, {after['load_after']:.2f} after; written to {OUT}\n")
     return 0
+
+
+def unless_missing(part: str, measured: Callable[[], list[report.Row]], missing: str) -> list[report.Row]:
+    """Return the rows of a part; none, and a line, for one that needs PyBullet where there is none."""
+    try:
+        return measured()
+    except Exception as error:
+        if not for_want_of_pybullet(str(error), missing):
+            raise
+        sys.stderr.write(f"skipped  {part}: {missing}\n")
+        return []
 
 
 def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row]:

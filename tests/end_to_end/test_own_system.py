@@ -167,8 +167,8 @@ def test_a_function_that_fails_ends_with_its_command_and_remedy(
     assert len(told) == 1, told
     assert "If the code of the system is wrong, fix it and start a new campaign" in line
     command = line.split("Repeat it: ")[1].split(". If")[0].split()
-    assert command[:3] == ["perfbound", "simulate", "cars.py:cars"]
-    again = started.run("perfbound", "simulate", f"{code}:cars", *command[3:-1], tmp_path / "one.mcap")
+    assert command[2].endswith("cars.py:cars")
+    again = started.run(*command[:-1], tmp_path / "one.mcap")
     assert "too close" in again.last_line
 
 

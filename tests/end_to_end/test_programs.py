@@ -145,12 +145,12 @@ def test_references_of_all_kinds(started: Processes, folder: Path, tmp_path: Pat
         (('["./pendulum"]', '"./pendulum"'), "system.program: './pendulum' is not allowed: allowed is a list of texts"),
         (('columns = { angle = "rad", rate = "rad/s" }\n', ""), "system.columns: required by a program"),
         (
-            ('samples = "f64"', 'samples = "xls"'),
+            ("step = 0.01", 'samples = "xls"'),
             "system.samples: 'xls' is not allowed: allowed is 'csv', 'f64'",
         ),
-        (('samples = "f64"', "limits = { ram = 4 }"), "system.limits.ram: unknown key; allowed are cpu, memory"),
+        (("step = 0.01", "limits = { ram = 4 }"), "system.limits.ram: unknown key; allowed are cpu, memory"),
         (('program = ["./pendulum"]', 'name = "segway"'), "system.columns: this key is for a program alone"),
-        (("always (angle", "always (angel"), "angel"),
+        (("abs(angle)", "abs(angel)"), "angel"),
     ],
 )
 def test_a_program_that_cannot_be_used_is_one_line(
@@ -216,3 +216,25 @@ def test_a_campaign_file_of_a_program_leads_to_another_one(started: Processes, f
     second.write_text(CHECKS + second.read_text().replace("max_tests = 60", "max_tests = 4"))
     ended = started.run("perfbound", "run", second, "--out", tmp_path / "run")
     assert ended.code == 0, ended.err
+
+
+def test_a_program_without_a_campaign_is_described_checked_and_gets_one(
+    started: Processes, folder: Path, tmp_path: Path
+) -> None:
+    """The first steps of somebody with a program and nothing else: what it is, and its ranges."""
+    text = (folder / "pendulum.toml").read_text()
+    (folder / "program.toml").write_text(text[text.index("[system]") :])
+    assert started.run("perfbound", "systems", folder / "program.toml").out.startswith("pendulum: the program ./pend")
+    refused = started.run("perfbound", "run", folder / "program.toml", "--out", tmp_path / "run")
+    assert "program.toml: alpha: this key is required" in refused.fault
+    assert "perfbound init" in refused.fault
+    out = folder / "made.toml"
+    wish = ("--specification", "always (abs(angle) <= 0.5)", "--horizon", "3", "--out", out)
+    written = started.run("perfbound", "init", folder / "program.toml", *wish)
+    assert (written.code, written.err) == (0, ""), written.err
+    made = load_campaign(out)
+    assert (made.name, made.horizon, made.specification) == ("pendulum", 3.0, "always (abs(angle) <= 0.5)")
+    out.write_text(CHECKS + out.read_text().replace("max_tests = 60", "max_tests = 4"))
+    ended = started.run("perfbound", "run", out, "--out", tmp_path / "run")
+    assert ended.code == 0, ended.err
+    assert "cannot be expected to reach alpha" not in ended.err or "4 tests" in ended.err

@@ -18,6 +18,7 @@ from tests.faults.catalogue import FAULTS, Fault, draw, folder_of, randomness
 from tests.faults.runs import Run, perform
 from tests.faults.subjects import NAMES, Subject, prepare
 from tests.faults.table import rows, text
+from tests.missing import MISSING
 
 BUILD = Path(__file__).parents[2] / "build"
 
@@ -32,7 +33,10 @@ def main(*, minutes: float, seed: int, only: str | None, number: int | None, par
     """Do faults to small campaigns; exit with 1 if one result was lost, doubled or changed, or anything is left."""
     base = BUILD / "faults"
     shutil.rmtree(base, ignore_errors=True)
-    subjects = {name: prepare(name, base / "calm" / name) for name in NAMES}
+    names = [name for name in NAMES if not (name == "segway" and MISSING)]
+    if len(names) < len(NAMES):
+        click.echo(f"skipped  segway: {MISSING}", err=True)
+    subjects = {name: prepare(name, base / "calm" / name) for name in names}
     numbers = itertools.count() if number is None else iter([number])
     schedule = _schedule(numbers, seed, only, _over(minutes))
     done = _perform_all(schedule, seed, subjects, base, parallel)

@@ -7,7 +7,7 @@ import traceback
 from pathlib import Path
 from types import ModuleType
 
-from ...schemas.campaign_file import load_campaign
+from ...schemas.campaign_file import load_description
 from ...schemas.errors import DefinitionError
 from ...schemas.places import PACKAGES
 from .base import SystemUnderTest, WithSpec
@@ -29,7 +29,7 @@ def load_reference(reference: str) -> SystemUnderTest:
     if not reference.endswith(".toml"):
         return load_file(reference)
     path = Path(reference)
-    config = load_campaign(path)
+    config = load_description(path)
     if config.system.program is not None:
         return load_program(path, config)
     if config.system.python is None:

@@ -56,6 +56,11 @@ def end_all() -> None:
         each.kill()
 
 
+def pids() -> list[int]:
+    """Return the process ids of the programs of this process."""
+    return [each.pid for each in _ALL]
+
+
 def _terminated(number: int, _frame: FrameType | None) -> None:
     end_all()
     os._exit(128 + number)
@@ -87,6 +92,11 @@ class RunningProgram:
             assert pipe is not None, "both are pipes"
             os.set_blocking(pipe.fileno(), False)
             self._selector.register(pipe.fileno(), selectors.EVENT_READ, pipe is self._child.stderr)
+
+    @property
+    def pid(self) -> int:
+        """Process id of the program, and of its process group."""
+        return self._child.pid
 
     def ask(self, line: bytes, waiting: Callable[[], None]) -> bytes:
         """Send a line and return the answer without its end; `waiting` is called ten times a second and may raise.

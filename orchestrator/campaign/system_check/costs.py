@@ -59,7 +59,7 @@ def judge_output(measurements: Measurements) -> SystemFinding | None:
 
 
 def judge_leftovers(measurements: Measurements) -> SystemFinding | None:
-    """Judge the files and threads that stay after a rollout."""
+    """Judge the files, threads and processes that stay after a rollout."""
     if not measurements.rolled:
         return None
     files = sorted({name for run in measurements.runs for name in _new_files(run)})
@@ -67,6 +67,13 @@ def judge_leftovers(measurements: Measurements) -> SystemFinding | None:
     growing = [
         run for run in measurements.runs if run.measured and run.measured[-1].tasks >= _half(run).tasks + GROWING
     ]
+    processes = sorted({name for run in measurements.runs for found in run.measured for name in found.processes})
+    if processes:
+        return warning(
+            "leftovers",
+            f"processes run on after a rollout: {_few(processes)}",
+            "end every process, and wait for it, before the rollout returns: what runs on takes time from others",
+        )
     if files:
         return warning(
             "leftovers",

@@ -17,10 +17,30 @@ SYSTEM_CHECKS = {
     "horizon": "a longer horizon gives a longer trajectory with the same beginning",
     "memory": "the memory of the process does not grow with its rollouts",
     "output": "no rollout prints to stdout",
-    "leftovers": "no rollout leaves threads or files behind",
+    "leftovers": "no rollout leaves threads, processes or files behind",
     "speed": "time of a rollout, size of its file",
 }
 """Every check in the order of the table, and what it tests."""
+
+
+OF_PROGRAM = {
+    "ends": 'let every rollout end, with {"error": "TEXT"} where it cannot be simulated; if it takes longer, choose '
+    "--timeout",
+    "errors": "fix the program: its last lines on stderr are in the reason; if it is not defined there, narrow the "
+    "ranges of [space]",
+    "columns": "write the numbers of `columns` alone, in their order, and in the form that `samples` names",
+    "finite": "fix the arithmetic at this start (a division by 0, an overflow, an unstable step), or narrow the ranges "
+    "of [space] to where the system is defined",
+    "times": "let the first sample be at 0 and the last one at `horizon`, in the steps that `step` names; after an "
+    "early end hold the last state",
+    "repeatable": "set every variable anew at the beginning of a rollout, and draw random numbers from `seed` alone: "
+    "no clock, no pid, no order of threads. A program that ends after each rollout keeps nothing",
+    "seed": "draw all random numbers from the whole `seed` (seed_bits = 32 in [system] makes it fit), and let noisy in "
+    "[system] say which variants depend on it",
+    "memory": "free what a rollout allocates, or let the program end after each rollout",
+    "leftovers": "write no files but the one at `path`, or remove them, and end every process before the answer",
+}
+"""Remedies for a program, whose file is no place for those of Python."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from ....schemas.errors import one_line
 from . import costs, repeats, trajectories
-from .findings import SystemFinding
+from .findings import OF_PROGRAM, SystemFinding
 from .measurements import Measurements
 
 _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
@@ -34,6 +34,8 @@ def judge(measurements: Measurements) -> tuple[SystemFinding, ...]:
         finding = check(measurements) or SystemFinding(name, "skipped", "no rollout was measured for it")
         if name in _COMPARING and found["repeatable"].status == "failed":
             finding = SystemFinding(name, "skipped", "equal rollouts differ already")
+        if measurements.program and finding.remedy:
+            finding = replace(finding, remedy=OF_PROGRAM.get(name, finding.remedy))
         # One line: what a system raises or prints is untrusted text.
         found[name] = replace(finding, detail=one_line(finding.detail))
     return tuple(found.values())

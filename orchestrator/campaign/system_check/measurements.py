@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from ....schemas.rollout import RolloutRequest
 from ....schemas.system import SystemSpec
 from ....schemas.system_check import ChildRun, Measured, Trial
 
@@ -18,6 +17,8 @@ class Measurements:
     limit: float  # s
     processors: int
     own_horizon: bool = False
+    program: str = ""
+    """Of the campaign file, with its arguments; empty for a system in Python."""
 
     @property
     def horizon(self) -> float:
@@ -46,9 +47,3 @@ class Measurements:
     def rows(self, run: int) -> list[Rolled]:
         """Return the rollouts of one process; none if it was not started."""
         return list(zip(self.runs[run].trials, self.runs[run].measured, strict=False)) if run < len(self.runs) else []
-
-
-def start_of(spec: SystemSpec, request: RolloutRequest) -> str:
-    """Return a rollout in words: its start, variant and seed."""
-    x = ", ".join(f"{each.name} = {value:g}" for each, value in zip(spec.parameters, request.x, strict=True))
-    return f"at {x}" + (f", variant {request.variant}" if len(spec.variants) > 1 else "") + f", seed {request.seed}"

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from ....schemas.system_check import Measured
 from .findings import SystemFinding, failed, passed, warning
-from .measurements import Measurements, Rolled, start_of
-from .trials import GROWTH, RANDOM, START
+from .measurements import Measurements, Rolled
+from .trials import GROWTH, RANDOM, SEED, START
 
 
 def _outcome(found: Measured) -> str:
@@ -36,12 +36,17 @@ def judge_repeatable(measurements: Measurements) -> SystemFinding | None:
     groups = list(_groups(measurements.rolled))
     if not groups or not measurements.good:
         return None
-    differing = [group for group in groups if len({_outcome(found) for _, found in group}) > 1]
+    differing = [group for group in groups if len({_outcome(found) for _, found in group if not found.error}) > 1]
     count = sum(len(group) for group in groups)
+    if not differing and (failing := [each for each in groups if len({_outcome(found) for _, found in each}) > 1]):
+        # Another fault, which `errors` names: it says nothing on state that is kept.
+        at = f"at {failing[0][0][0].request.words(measurements.spec)}"
+        text = f"{len(failing)} of {len(groups)} rollouts fail in one repeat and not in another; {at}"
+        return failed("repeatable", text, "fix the failure first, then check again")
     if not differing:
         processes = len([run for run in measurements.runs if run.measured])
         return passed("repeatable", f"{count} rollouts repeat one another, in {processes} processes")
-    at = start_of(measurements.spec, differing[0][0][0].request)
+    at = f"at {differing[0][0][0].request.words(measurements.spec)}"
     cause, remedy = _cause(measurements, differing)
     return failed("repeatable", f"{len(differing)} of {len(groups)} rollouts {cause}; {at}", remedy)
 
@@ -92,6 +97,8 @@ def _depends_on_global_state(measurements: Measurements) -> bool:
 
 def judge_seed(measurements: Measurements) -> SystemFinding | None:
     """Judge whether the rollouts depend on the seed as the system declares."""
+    if (cut := _cut_seeds(measurements)) is not None:
+        return cut
     pairs: dict[tuple[str, tuple[float, ...]], dict[int, str]] = defaultdict(dict)
     for trial, found in measurements.good:
         if trial.request.problem in {RANDOM, GROWTH}:
@@ -114,6 +121,25 @@ def judge_seed(measurements: Measurements) -> SystemFinding | None:
         agree = f"differ at {differing}" if noisy else f"are the same at {total}"
         texts.append(f"{name} with two seeds {agree} of {total} starts")
     return passed("seed", "; ".join(texts))
+
+
+def _cut_seeds(measurements: Measurements) -> SystemFinding | None:
+    """Return the finding about a system that makes few different rollouts of many seeds."""
+    by_variant: dict[str, list[str]] = defaultdict(list)
+    for trial, found in measurements.good:
+        if trial.request.problem == SEED:
+            by_variant[trial.request.variant].append(found.samples_sha256)
+    for digests in by_variant.values():
+        # All equal: this start has no noise, or the seed is not used, which `judge_seed` tells at several starts.
+        if 1 < (different := len(set(digests))) < len(digests):
+            return warning(
+                "seed",
+                f"{len(digests)} seeds at one start give only {different} different rollouts: the seed seems to be "
+                "cut, as by `seed % 7`, so that rollouts are not independent",
+                "give the whole seed to the generator, and declare seed_bits=32 if it takes no longer one; if its "
+                "noise has so few outcomes, this is no fault",
+            )
+    return None
 
 
 def judge_random_state(measurements: Measurements) -> SystemFinding | None:

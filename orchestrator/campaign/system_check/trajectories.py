@@ -5,7 +5,7 @@ import re
 from ....schemas.system_check import Measured
 from ..admission import uncovered
 from .findings import SystemFinding, failed, passed, warning
-from .measurements import Measurements, start_of
+from .measurements import Measurements
 from .trials import CORNER, START
 
 STEP_SPREAD = 1e-6
@@ -20,10 +20,11 @@ def judge_ends(measurements: Measurements) -> SystemFinding:
     if run.loaded is None:
         text = f"the process {run.ended} while it loaded the system{_at(run.place)}: {run.stderr}"
         return failed("ends", text, "fix what the file does when it is imported")
-    at = start_of(measurements.spec, run.trials[len(run.measured)].request)
+    at = f"at {run.trials[len(run.measured)].request.words(measurements.spec)}"
     if run.hung:
-        text = f"a rollout {run.ended}{_at(run.place)}: {at}"
-        return failed("ends", text, "fix the loop that does not end there; if rollouts take longer, choose --timeout")
+        where = f" in {measurements.program}" if measurements.program else _at(run.place)
+        text = f"a rollout {run.ended}{where}: {at}"
+        return failed("ends", text, "fix what does not end there; if rollouts take longer, choose --timeout")
     text = f"the process {run.ended}{_at(run.place)}: {at}" + (f" ({run.stderr})" if run.stderr else "")
     return failed("ends", text, "fix it: raise an exception instead; the campaign loses the worker, and stops")
 
@@ -73,7 +74,7 @@ def _refusals(measurements: Measurements, kind: str) -> SystemFinding | None:
     request, found = refused[0]
     where = f"{found.place}: " if found.place else ""
     count = f"({len(refused)} of {len(rolled)} rollouts)"
-    text = f"{where}{found.error}; {start_of(measurements.spec, request)} {count}"
+    text = f"{where}{found.error}; at {request.words(measurements.spec)} {count}"
     return failed(kind, text, _REMEDIES["seed" if _is_of_seed(found) else kind])
 
 
@@ -105,13 +106,13 @@ def judge_times(measurements: Measurements) -> SystemFinding | None:
     grids = [(trial.request, found.grid) for trial, found in measurements.good if found.grid is not None]
     for request, grid in grids:
         if fault := uncovered(grid.first, grid.last, grid.greatest_step, measurements.horizon):
-            text = f"{fault}, not 0 to {measurements.horizon:g} s; {start_of(measurements.spec, request)}"
+            text = f"{fault}, not 0 to {measurements.horizon:g} s; at {request.words(measurements.spec)}"
             return failed("times", text, _REMEDY_UNCOVERED)
     for request, grid in grids:
         if grid.greatest_step - grid.least_step > STEP_SPREAD * grid.greatest_step:
             text = f"the steps of one trajectory are {grid.least_step:g} to {grid.greatest_step:g} s"
             remedy = "return samples in equal steps: a violation between two distant samples is not seen"
-            return warning("times", f"{text}; {start_of(measurements.spec, request)}", remedy)
+            return warning("times", f"{text}; at {request.words(measurements.spec)}", remedy)
     kinds = sorted({(grid.samples, float(f"{grid.greatest_step:.6g}")) for _, grid in grids})
     if len(kinds) > 1:
         one, other = (f"{samples} samples in steps of {step:g} s" for samples, step in (kinds[0], kinds[-1]))

@@ -21,7 +21,11 @@ GLOBAL_SEEDS = (1, 1, 2)
 """Of the global random states: equal ones that give unequal rollouts show nothing, unequal ones a dependence."""
 GROWTH_SECONDS, GROWTH_ROLLOUTS = 10.0, 300
 """Limits of the rollouts that follow to measure the growth of memory, and to see noise that rarely acts."""
-START, CORNER, RANDOM, GROWTH = "start", "corner", "random", "growth"
+MANY_SEEDS, FEWEST_SEEDS = 40, 10
+"""Seeds at one start that show whether a system uses the whole seed, and the fewest that are worth a look."""
+FIRST_FEW = 6
+"""Rollouts after which a system whose every rollout fails is tried no further."""
+START, CORNER, RANDOM, GROWTH, SEED = "start", "corner", "random", "growth", "seed"
 """Kinds of rollouts: their `problem`."""
 
 Point = tuple[float, ...]
@@ -88,6 +92,7 @@ class Trials:
             *starts,
             *self._reseeded(),
             *self._shorter(),
+            *self._seeds(seconds),
             *self._growing(seconds),
             *starts,
         )
@@ -95,6 +100,10 @@ class Trials:
     def second(self) -> tuple[Trial, ...]:
         """Return the rollouts of the second process: those of the first, once each, in the opposite order."""
         return tuple(reversed((*self.fresh(), *self._others())))
+
+    def few(self) -> tuple[Trial, ...]:
+        """Return a few rollouts at other starts, for a system whose first ones all fail."""
+        return self._others()[:FIRST_FEW]
 
     @property
     def _beginning(self) -> float:
@@ -125,6 +134,17 @@ class Trials:
             short = {"horizon": self.horizon / 2}
             for trial in self.fresh():
                 yield trial.model_copy(update={"request": trial.request.model_copy(update=short)})
+
+    def _seeds(self, seconds: float) -> Iterator[Trial]:
+        count = min(MANY_SEEDS, int(GROWTH_SECONDS / max(seconds, 1e-6)))
+        if count < FEWEST_SEEDS:
+            return
+        for trial in self.fresh():
+            if trial.request.variant in self.spec.noisy:
+                seeds = np.random.default_rng([self.seed, *SEED.encode()]).integers(2**self.spec.seed_bits, size=count)
+                for number, seed in enumerate(map(int, seeds)):
+                    changes = {"problem": SEED, "replicate": number, "seed": seed}
+                    yield Trial(request=trial.request.model_copy(update=changes))
 
     def _growing(self, seconds: float) -> Iterator[Trial]:
         count = min(GROWTH_ROLLOUTS, int(GROWTH_SECONDS / max(seconds, 1e-6)))

@@ -13,8 +13,8 @@ import numpy as np
 
 from ....schemas.base import canonical_json
 from ....schemas.ids import RolloutId
+from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory, read_mcap
-from ...fleet.child import ask, system_options
 from ...mathematics.bounds.share import unseen_share
 from ...store import files
 from .checks import CheckFailed
@@ -23,6 +23,9 @@ from .manifest import Entry
 AT_A_TIME = 2
 TOLERANCE = 1e-9
 """The largest difference that another type of machine may cause, in the unit of the column."""
+
+Simulate = Callable[[Path, RolloutRequest], None]
+"""Writes the file of a rollout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +43,9 @@ def resimulate(
     entries: Mapping[RolloutId, Entry],
     count: int,
     progress: Callable[[int], None],
-    system: str | None = None,
+    simulate: Simulate,
 ) -> tuple[Resimulation, ...]:
-    """Simulate `count` rollouts again, chosen at random after the evidence is fixed.
+    """Simulate `count` rollouts again by `simulate`, chosen at random after the evidence is fixed.
 
     Raises:
         CheckFailed: one gives another trajectory.
@@ -54,7 +57,7 @@ def resimulate(
     chosen = chooser.sample(sorted(entries), min(count, len(entries)))
     found: list[Resimulation] = []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(AT_A_TIME) as pool:
-        tasks = ((directory, rollout, entries[rollout], Path(folder), system) for rollout in chosen)
+        tasks = ((directory, rollout, entries[rollout], Path(folder), simulate) for rollout in chosen)
         for again in pool.map(lambda task: _simulate_again(*task), tasks):
             found.append(again)
             progress(len(found))
@@ -62,13 +65,13 @@ def resimulate(
 
 
 def _simulate_again(
-    directory: Path, rollout: RolloutId, entry: Entry, folder: Path, system: str | None
+    directory: Path, rollout: RolloutId, entry: Entry, folder: Path, simulate: Simulate
 ) -> Resimulation:
     before = files.read_evidence(directory, entry.path, entry.sha256)
     recorded = read_mcap(before)
     out = folder / f"{rollout}.mcap"
-    request = canonical_json(recorded.request)
-    ask("simulate", "--request", request, "--out", str(out), *system_options(system))
+    request = RolloutRequest.model_validate_json(canonical_json(recorded.request))
+    simulate(out, request)
     after = out.read_bytes()
     out.unlink()
     if after == before:

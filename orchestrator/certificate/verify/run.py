@@ -4,16 +4,21 @@ The signature covers the certificate, the certificate names campaign, system and
 campaign is then decided again from the files alone, and compared with the certificate and with the database.
 """
 
+import html
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ....schemas.certificate import Certificate
 from ....schemas.errors import JournalError
 from ....schemas.facts import Header, ObservationFact, ProposalFact
 from ....schemas.ids import RolloutId
+from ....schemas.rollout import RolloutRequest
 from ...campaign.checks import check
 from ...campaign.software import other_numerics
+from ...fleet.simulate import simulate_to
 from ...store import files as evidence
 from ...store.read import irreproducible
 from ...store.untrusted import UntrustedFacts, read_untrusted, read_untrusted_header
@@ -26,10 +31,15 @@ from .input import VerificationInput, parsed, signed_text
 from .manifest import Entry, check_files, parse_manifest, sha256_of, split_manifest
 from .reissue import compared, reissue
 from .rerun import Rerun
-from .resimulate import finding, resimulate
+from .resimulate import Simulate, finding, resimulate
 
 Report = Callable[[str, int, int], None]
 """Progress callback: stage, completed, total."""
+NOT_REPEATED = {
+    "session": "{name} was defined in an interactive session, and no process can simulate it again",
+    "nowhere": "the rollouts of {name} were handed in, and nothing can simulate them again",
+}
+"""Why there is nothing to simulate, by `repeated` of the system; the certificate lists it as an assumption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +49,20 @@ class Verification:
     checks: Checks
     certificate: Certificate | None
     reissued: Certificate | None
+
+    def __repr__(self) -> str:
+        """Return the result, and the number of checks of each status."""
+        found = Counter(each.status for each in self.checks.lines())
+        counts = ", ".join(f"{count} {status}" for status, count in found.items())
+        return f"<Verification: {'VERIFIED' if self.checks.good else 'FAILED'}, {counts}>"
+
+    def _repr_html_(self) -> str:
+        """Return the checks as a table; every text is escaped, because the run directory may be untrusted."""
+        rows = "".join(
+            f"<tr><td>{html.escape(each.name)}</td><td>{each.status}</td><td>{html.escape(each.detail)}</td></tr>"
+            for each in self.checks.lines()
+        )
+        return f"<p>{html.escape(repr(self))}</p><table>{rows}</table>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +117,11 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
         for name, fault, detail in compared(header, reissued, certificate):
             checks.judge(name, fault, detail)
     with checks.making("resimulation"):
-        _resimulation(directory, entries, again, checks, report)
+        if again.rollouts and header.spec.repeated != "anywhere":
+            checks.skipped("resimulation", NOT_REPEATED[header.spec.repeated].format(name=header.spec.name))
+        else:
+            simulate = partial(_simulate, header, again.system)
+            _resimulation(directory, entries, again.rollouts, simulate, checks=checks, report=report)
     return reissued
 
 
@@ -213,14 +241,24 @@ def _software(header: Header, checks: Checks) -> bool:
     return not other
 
 
+def _simulate(header: Header, system: str | None, path: Path, request: RolloutRequest) -> None:
+    simulate_to(path, request, header.spec, system, limit=header.config.deadline)
+
+
 def _resimulation(
-    directory: Path, entries: Mapping[RolloutId, Entry], again: Again, checks: Checks, report: Report
+    directory: Path,
+    entries: Mapping[RolloutId, Entry],
+    rollouts: int,
+    simulate: Simulate,
+    *,
+    checks: Checks,
+    report: Report,
 ) -> None:
     """Simulate rollouts again, if requested."""
-    if not again.rollouts:
+    if not rollouts:
         checks.skipped("resimulation", "request it with --resimulate K; workers_honest stays assumed")
         return
     # An impossible simulation fails the check: a forger could cause it.
-    count = min(again.rollouts, len(entries))
-    found = resimulate(directory, entries, count, lambda done: report("simulation", done, count), again.system)
+    count = min(rollouts, len(entries))
+    found = resimulate(directory, entries, count, lambda done: report("simulation", done, count), simulate)
     checks.passed("resimulation", finding(found, len(entries)))

@@ -130,6 +130,7 @@ function fileLink(path) {
 
 /** A command with a button that copies it. */
 function commandLine(command) {
+  if (!command) return "";
   return el("div.command", el("code", visible(command)), el("button.copy", { "data-copy": command }, "Copy"));
 }
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from ....schemas import atomic
 from ....schemas.errors import PerfboundError, TrajectoryError
-from ....schemas.rollout import RolloutRequest
 from ....schemas.trajectory import Trajectory, decode
 from ...fleet.child import ask, system_options
+from ...fleet.simulate import simulate_to
 from .. import curves
 from .comparison import Deviation, compare, lines
 from .load import RecordedRollout, load_recorded
@@ -35,13 +35,17 @@ def replay_rollout(
 
     """
     found = load_recorded(directory, rollout)
+    if found.header.spec.repeated != "anywhere":
+        raise PerfboundError(
+            f"{found.header.spec.name}: its rollouts cannot be simulated again; the recorded file stays"
+        )
     # As in `verify`: a run directory may be untrusted, and must not name code that runs here.
     if found.header.config.system.kind != "name" and system is None:
         raise PerfboundError(f"{found.header.spec.name} is a system in a file: name it with --system")
     yield _title_line(found)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.mcap"
-        data = simulate_file(found.request.model_copy(update={"visual": True}), path, system)
+        data = _resimulated(found, path, system, visual=True)
         try:
             again = decode(data)
         except TrajectoryError as error:
@@ -64,14 +68,10 @@ def replay_rollout(
         raise PerfboundError(f"{found.fact.rollout}: {fault}")
 
 
-def simulate_file(request: RolloutRequest, path: Path, system: str | None = None) -> bytes:
-    """Simulate a rollout in a child and return its file, which is also at `path`.
-
-    Raises:
-        PerfboundError: the child fails.
-
-    """
-    ask("simulate", "--request", request.model_dump_json(), "--out", str(path), *system_options(system))
+def _resimulated(found: RecordedRollout, path: Path, system: str | None, *, visual: bool) -> bytes:
+    """Simulate a rollout again and return its file, which is also at `path`."""
+    request = found.request.model_copy(update={"visual": visual})
+    simulate_to(path, request, found.header.spec, system, limit=found.header.config.deadline)
     return path.read_bytes()
 
 
@@ -88,7 +88,7 @@ def _title_line(found: RecordedRollout) -> str:
 def _digest_fault(found: RecordedRollout, data: bytes, folder: Path, system: str | None) -> str:
     """Return the fault of a file that replaces a damaged one; empty if it is the same file."""
     if not found.request.visual:  # the recorded file had no visual part, so it has other bytes than `data`
-        data = simulate_file(found.request, folder / "exact.mcap", system)
+        data = _resimulated(found, folder / "exact.mcap", system, visual=False)
     digest = hashlib.sha256(data).hexdigest()
     if digest == found.fact.sha256:
         return ""

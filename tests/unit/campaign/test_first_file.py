@@ -1,12 +1,18 @@
 """The text of a first campaign file: a campaign that fits its system, whatever words the system contains."""
 
 import tomllib
+from dataclasses import replace
 
 import pytest
 
 from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.campaign.first_file import FirstCampaign, FirstValues
-from perfbound.orchestrator.campaign.pilot import Constants
+from perfbound.orchestrator.campaign.first_size import EXACT, NOISY, FirstSize, first_size
+from perfbound.orchestrator.campaign.forecast import warnings
+from perfbound.orchestrator.campaign.pilot import NU, Constants
+from perfbound.orchestrator.campaign.plan import plans
+from perfbound.orchestrator.run.first_campaign import _reachable
+from perfbound.schemas.campaign import RigorousProblem
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.problems import ProblemName
 from perfbound.schemas.space import SystemChoice
@@ -38,7 +44,8 @@ def campaign(*, horizon: float = 8.0, **constants: Constants) -> FirstCampaign:
         basis=FirstValues(f"The constants are {EVIL}", horizon, specification, "Put yours here.", (-1.0, 2.5), found),
         lengths={"x0": 0.05, "v": 3.5},
         resolution=11,
-        replicates={name: 8 if each.noise_scale else 1 for name, each in found.items()},
+        size=NOISY,
+        noisy=frozenset(name for name, each in found.items() if each.noise_scale),
     )
 
 
@@ -87,3 +94,43 @@ def test_one_sample_has_no_horizon() -> None:
     text = campaign(horizon=0.0, robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text()
     assert "horizon =" not in text
     check(parse_campaign(text.encode(), "c.toml"), SPEC, "c.toml")
+
+
+def test_the_kernel_of_the_pilot_is_that_of_the_file() -> None:
+    config = parse_campaign(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text().encode(), "c.toml")
+    (problem,) = config.problems
+    assert isinstance(problem, RigorousProblem)
+    assert problem.kernel.nu == NU
+
+
+@pytest.mark.parametrize("cost", [0.001, 0.1, 0.7, 5.0])
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("variants", [1, 2])
+def test_a_first_campaign_is_of_a_size_for_a_minute(cost: float, noisy: bool, variants: int) -> None:
+    found, full = first_size(cost, noisy=noisy, variants=variants), NOISY if noisy else EXACT
+    assert found.max_tests <= full.max_tests
+    assert found.replicates <= full.replicates
+    if found != first_size(1e9, noisy=noisy, variants=variants):  # the smallest that there is
+        assert found.rollouts(variants) * cost / 2 <= 61
+
+
+def test_a_small_campaign_names_what_a_large_one_has() -> None:
+    small = replace(
+        campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)),
+        size=FirstSize(30, 4, spot_check=115, recheck=5),
+        cost=0.5,
+    )
+    config = parse_campaign(small.text().encode(), "c.toml")
+    assert (config.max_tests, config.replicates_of(config.problems[0])) == (30, 4)
+    assert (config.spot_check, config.spot_check_followups, config.recheck) == (115, 115, 5)
+    assert "# A rollout takes about 0.5 s, and this file has a size for a first result." in small.text()
+
+
+@pytest.mark.parametrize("noise", [0.34, "derived"])
+def test_alpha_is_one_that_the_tests_can_reach(noise: float | str) -> None:
+    proposed = campaign(robustness=Constants(-2.0, 17.0, noise, 0.01))
+    assert warnings(plans(parse_campaign(proposed.text().encode(), "c.toml"), SPEC))
+    found = parse_campaign(_reachable(proposed).text().encode(), "c.toml")
+    assert warnings(plans(found, SPEC)) == []
+    within_reach = campaign(robustness=Constants(-2.0, 17.0, noise, 16.0))
+    assert _reachable(within_reach) == within_reach

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.campaign.system_check.costs import GROWTH_MARGIN
-from perfbound.orchestrator.campaign.system_check.findings import SYSTEM_CHECKS, SystemFinding
+from perfbound.orchestrator.campaign.system_check.findings import OF_PROGRAM, SYSTEM_CHECKS, SystemFinding
 from perfbound.orchestrator.campaign.system_check.judge import judge
 from perfbound.orchestrator.campaign.system_check.measurements import Measurements
 from perfbound.orchestrator.campaign.system_check.trials import (
     CORNERS,
     GROWTH,
+    MANY_SEEDS,
+    SEED,
+    START,
     Trials,
     corners,
     own_horizon,
@@ -97,7 +100,7 @@ def test_both_processes_begin_with_the_fresh_rollouts_and_the_second_runs_all_in
     compared = [
         each.request.model_dump_json()
         for each in first
-        if each.reseed is None and each.request.horizon == 10 and each.request.problem != GROWTH
+        if each.reseed is None and each.request.horizon == 10 and each.request.problem not in {GROWTH, SEED}
     ]
     assert [each.request.model_dump_json() for each in reversed(second)] == list(dict.fromkeys(compared))
 
@@ -105,7 +108,8 @@ def test_both_processes_begin_with_the_fresh_rollouts_and_the_second_runs_all_in
 def test_a_slow_system_gets_no_rollouts_for_the_growth_of_memory() -> None:
     kinds = [each.request.problem for each in TRIALS.first(60.0)]
     assert GROWTH not in kinds
-    assert len(TRIALS.first(0.0)) == len(kinds) + 300
+    assert SEED not in kinds
+    assert len(TRIALS.first(0.0)) == len(kinds) + 300 + MANY_SEEDS
 
 
 def test_seeds_are_those_of_campaigns_and_follow_from_the_seed_of_the_check() -> None:
@@ -266,7 +270,7 @@ def test_nothing_rests_on_rollouts_of_another_horizon() -> None:
         ),
         (
             lambda process, place, trial: {**changed(""), "error": "no"} if (process, place) == (1, 3) else {},
-            "keeps state",
+            "fail in one repeat and not in another",
         ),
     ],
 )
@@ -390,6 +394,11 @@ def broken(ended: str, *, reached: int, **changes: Any) -> dict[str, SystemFindi
     return {each.check: each for each in judge(replace(evidence(), runs=(changed,)))}
 
 
+TRIALS_HUNG = ChildRun(
+    trials=TRIALS.fresh(), loaded=Measured(), measured=(), ended="gave no answer within 60 s", hung=True
+)
+
+
 def test_a_crash_names_its_rollout_and_what_was_measured_before_counts() -> None:
     found = broken("ended by signal SIGSEGV", reached=1, place="a.c.py, line 1", stderr="bad\x1b[2J")
     start = TRIALS.fresh()[1].request
@@ -405,6 +414,48 @@ def test_a_hang_and_an_end_while_loading() -> None:
     hung = broken("gave no answer within 60 s", reached=0, hung=True)
     assert hung["ends"].detail.startswith("a rollout gave no answer within 60 s: at x = ")
     assert "--timeout" in hung["ends"].remedy
+    program = replace(evidence(), runs=(TRIALS_HUNG,), program="./pendulum --fast")
+    assert judge(program)[0].detail.startswith("a rollout gave no answer within 60 s in ./pendulum --fast: at x = ")
     lost = broken("ended with exit code 1", reached=0, loaded=None, stderr="another build")
     assert lost["ends"].detail == "the process ended with exit code 1 while it loaded the system: another build"
     assert {each.status for name, each in lost.items() if name != "ends"} == {"skipped"}
+
+
+# Seeds that are cut, failures that do not repeat, leftover processes, programs
+
+
+@pytest.mark.parametrize(("most", "status"), [(7, "warning"), (1, "passed"), (10**9, "passed")])
+def test_a_seed_that_is_cut_is_seen_and_a_start_without_noise_is_no_cut(most: int, status: str) -> None:
+    def rule(process: int, place: int, trial: Trial) -> dict[str, Any]:
+        cut = trial.request.seed % most
+        return changed(f"{cut}") if trial.request.problem == SEED else {}
+
+    found = findings(rule)["seed"]
+    assert found.status == status, found
+    if status == "warning":
+        assert f"{MANY_SEEDS} seeds at one start give only 7 different rollouts" in found.detail
+        assert "seed_bits=32" in found.remedy
+
+
+def test_a_failure_that_does_not_repeat_is_no_state() -> None:
+    def rule(process: int, place: int, trial: Trial) -> dict[str, Any]:
+        late = process == 1 and place > 10 and trial.request.problem == START
+        return {"error": "OSError: no licence", "raised": True} if late else {}
+
+    found = findings(rule)
+    assert found["errors"].status == "failed"
+    assert "fail in one repeat and not in another" in found["repeatable"].detail
+    assert found["repeatable"].remedy == "fix the failure first, then check again"
+
+
+def test_processes_that_run_on_are_leftovers() -> None:
+    found = findings(lambda process, place, trial: {"processes": ("sleep",)})["leftovers"]
+    assert (found.status, found.detail) == ("warning", "processes run on after a rollout: sleep")
+
+
+def test_remedies_for_a_program_speak_of_programs() -> None:
+    bad = evidence(lambda process, place, trial: {"error": "numbers are not finite"})
+    (finite,) = [each for each in judge(replace(bad, program="./pendulum")) if each.check == "finite"]
+    assert "narrow the ranges of [space]" in finite.remedy
+    assert not any("np.random" in each or "decorator" in each for each in OF_PROGRAM.values())
+    assert set(OF_PROGRAM) <= set(SYSTEM_CHECKS)

@@ -20,12 +20,13 @@ from rich.console import Console
 
 from perfbound.orchestrator.certificate import files, keys, sign
 from perfbound.orchestrator.certificate.issue import issue, manifest
-from perfbound.orchestrator.certificate.verify import compare, resimulate
+from perfbound.orchestrator.certificate.verify import compare
 from perfbound.orchestrator.certificate.verify import table as show
 from perfbound.orchestrator.certificate.verify.checks import CHECKS, Checks
 from perfbound.orchestrator.certificate.verify.manifest import parse_manifest
 from perfbound.orchestrator.certificate.verify.rerun import Rerun
 from perfbound.orchestrator.certificate.verify.run import Verification, verify_certificate
+from perfbound.orchestrator.fleet import simulate
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.files import relative_path
 from perfbound.orchestrator.store.read import observed, read_header, reading
@@ -551,10 +552,10 @@ def test_a_trajectory_that_was_cut(campaign: Path, kept: slice) -> None:
 
 
 def test_a_resimulation_that_cannot_be_done_is_no_pass(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(*_: str) -> str:
+    def missing(*_: str, **__: object) -> str:
         raise PerfboundError("the system is not installed")
 
-    monkeypatch.setattr(resimulate, "ask", missing)
+    monkeypatch.setattr(simulate, "ask", missing)
     found = verify_certificate(campaign, key=None, again=2, report=lambda *_: None).checks
     assert found.found["resimulation"].status == "failed"
 
@@ -615,13 +616,13 @@ def test_a_consistent_lie_is_caught_by_simulating_again(campaign: Path, monkeypa
     files.write(campaign, issue(ledger, found), found.text)
     assert check(campaign).good, "the forgery is complete"
 
-    def simulated(_command: str, _flag: str, request: str, _out: str, out: str) -> str:
+    def simulated(_command: str, _flag: str, request: str, _out: str, out: str, **_: object) -> str:
         wanted = json.loads(request)
         name = f"{wanted['problem']}.{wanted['test']}.{wanted['variant']}.{wanted['replicate']}.mcap"
         Path(out).write_bytes(files_then[name])
         return ""
 
-    monkeypatch.setattr(resimulate, "ask", simulated)
+    monkeypatch.setattr(simulate, "ask", simulated)
     found_again = verify_certificate(campaign, key=None, again=len(entries), report=lambda *_: None).checks
     assert found_again.found["resimulation"].status == "failed"
     assert target.stem in found_again.found["resimulation"].detail

@@ -39,6 +39,14 @@ def test_workers_that_are_replaced_on_purpose_are_no_sign_that_none_can_run(flee
         assert fleet.kill(pid)
         assert ended(fleet) == f"local worker {pid} replaced; started {fleet.pids[0]}"
     assert not fleet.kill(1), "none of ours"
+    assert fleet.ended == {}
+
+
+def test_how_a_worker_has_ended_by_itself_is_kept(fleet: Fleet) -> None:
+    (pid,) = fleet.pids
+    fleet._children[0].process.kill()
+    ended(fleet)
+    assert fleet.ended == {pid: "signal 9"}
 
 
 def test_workers_that_end_at_once_by_themselves_end_the_run(fleet: Fleet) -> None:

@@ -16,6 +16,7 @@ from perfbound.library.given import given_system
 from perfbound.library.toml import toml
 from perfbound.schemas.campaign_file import load_campaign, parse_campaign
 from perfbound.schemas.errors import CampaignError, DefinitionError, PerfboundError
+from perfbound.schemas.trajectory import Trajectory
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.campaigns import FOLDER
 from tests.patience import PATIENCE
@@ -82,14 +83,14 @@ def test_what_is_left_out_has_a_default() -> None:
     ("changes", "words"),
     [
         ({"spezification": "value <= 1"}, "Campaign(test-function): spezification: unknown key; did you mean"),
-        ({"alpha": None}, "Campaign(test-function): problems.robustness.alpha: this key is required"),
+        ({"alpha": None}, "Campaign(test-function): alpha: this key is required"),
         ({"space": {"z1": (5, 0), "z2": (0, 5)}}, "space.z1.low: 5 must be less than high = 0"),
         ({"space": {"z1": (0, 5)}}, "space.z2: this parameter of test-function is required"),
         ({"space": {"z1": (0, 9), "z2": (0, 5)}}, "space.z1: [0, 9] leaves [0, 5]"),
         ({"options": {"noise": 1}}, "system.noise: unknown key"),
         ({"specification": "velue <= 1"}, "Campaign(test-function): specification: "),
         ({"specification": object()}, "specification: object is not allowed: give text, number, list or dict"),
-        ({"rkhs_norm": float("nan")}, "problems.robustness.rkhs_norm"),
+        ({"rkhs_norm": float("nan")}, "Campaign(test-function): rkhs_norm: nan is"),
         (
             {**dict.fromkeys([*PROBLEM, "kernel"]), "problems": 3, "composition": "single"},
             "problems: 3 is not allowed: allowed is a list of tables",
@@ -190,13 +191,15 @@ def test_a_script_without_a_guard_begins_no_campaign_in_its_workers(tmp_path: Pa
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert "put that under `if __name__ == '__main__':`" in ended.stdout, ended.stderr
+    assert "put this call and what follows under `if __name__ == '__main__':`" in ended.stdout, ended.stderr
     assert ended.returncode == 0
 
 
 def test_a_file_that_begins_a_campaign_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("perfbound.library.given.loading", lambda: Path("a.py"))
-    with pytest.raises(DefinitionError, match=r"a\.py: it begins a campaign when it is loaded"):
+    with pytest.raises(
+        DefinitionError, match=r"a\.py: workers load this file for its system, and that must not call pb"
+    ):
         pb.Campaign("test-function", **KEYS)
 
 
@@ -222,3 +225,23 @@ def test_a_robustness_that_has_no_value_is_refused(formula: str, columns: dict[s
     with pytest.raises(PerfboundError) as error:
         pb.robustness(formula, columns)
     assert words in str(error.value)
+
+
+# Representations, and what cannot be saved
+
+
+def test_a_file_that_nothing_could_run_is_not_saved(tmp_path: Path) -> None:
+    rig = pb.Rig("brake", parameters={"z1": pb.Parameter(0, 5)}, columns={"value": "m"}, noisy=False)
+    campaign = pb.Campaign(
+        rig, **{**KEYS, "space": {"z1": (0, 5)}, "noise_scale": 0.0, "kernel": {"length_scale": 1.0}}
+    )
+    with pytest.raises(CampaignError, match="brake is a rig, so no command can run a campaign file of it"):
+        campaign.save(tmp_path / "c.toml")
+    assert not (tmp_path / "c.toml").exists()
+
+
+def test_a_trajectory_is_one_line_and_an_unknown_column_lists_the_known() -> None:
+    found = Trajectory(("t", "angle"), np.array([[0.0, 1.0], [0.5, 2.0]]))
+    assert repr(found) == "<Trajectory of 2 samples, 0 to 0.5 s: angle>"
+    with pytest.raises(KeyError, match="no column 'angel'; there are t, angle"):
+        found.column("angel")

@@ -161,12 +161,24 @@ def test_a_csv_file_that_is_none_is_refused(study: Study, tmp_path: Path, text: 
 @pytest.mark.parametrize(
     "columns", [{"t": T, "y": T * np.nan}, {"t": T / 2, "y": T}, {"t": T + 0.5, "y": T}], ids=["nan", "early", "late"]
 )
-def test_a_trial_that_failed_is_recorded_and_the_certificate_says_so(study: Study, columns: dict[str, Any]) -> None:
+def test_data_that_no_trial_has_may_be_a_slip_and_are_not_recorded(study: Study, columns: dict[str, Any]) -> None:
     request = asked(study)
-    with pytest.raises(PerfboundError, match="recorded as a failure of the system"):
+    with pytest.raises(PerfboundError, match=r"the request stays open; if the trial itself failed, .* study.failed"):
         study.tell(request, columns)
+    assert len(study.run.table("failures")) == 0
+    finish(study)
+    assert statuses(study)["reproducible_rollouts"][0] != "refuted"
+
+
+def test_a_trial_that_failed_is_recorded_and_the_certificate_says_so(study: Study) -> None:
+    request = asked(study)
+    study.failed(request, "the brake did not answer")
     (failure,) = study.run.table("failures")
     assert (failure.rollout, failure.kind) == (request.id, "system")
+    assert asked(study) == request
+    study.tell(request, curve(request))
+    with pytest.raises(PerfboundError, match="it has its trajectory already, and a record never changes"):
+        study.failed(request, "too late")
     finish(study)
     assert statuses(study)["reproducible_rollouts"][0] == "refuted"
     assert study.run.verify().checks.good

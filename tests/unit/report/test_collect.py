@@ -5,6 +5,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -26,8 +28,10 @@ from perfbound.orchestrator.store.export_tables import unit
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
-from perfbound.schemas.facts import Header, ObservationFact, ProposalFact
+from perfbound.schemas.facts import Header, ObservationFact, ProposalFact, RolloutFact
+from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.space import Scenarios
+from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.values import Band, Proposal
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
@@ -441,6 +445,19 @@ def test_counterexamples_come_worst_first_with_what_reproduces_them(finished: Pa
         assert rollout.robustness < 0
         assert rollout.command == f"perfbound replay {finished} {rollout.id}"
         assert (finished / rollout.path).is_file()
+
+
+def test_a_system_that_is_not_installed_is_named_to_simulate_again_and_one_of_a_session_has_no_command() -> None:
+    spec = load_system("test-function").spec
+    fact = cast("RolloutFact", SimpleNamespace(rollout=RolloutId("robustness", 0, "nominal", 0)))
+
+    def command(found: SystemSpec, system: str | None) -> str:
+        header = cast("Header", SimpleNamespace(spec=found))
+        return rollouts.replay_command(Path("run"), header, fact, system)
+
+    assert command(spec, None) == "perfbound replay run robustness.0.nominal.0"
+    assert command(spec, "/me/cars.py:cars") == "perfbound replay run robustness.0.nominal.0 --system /me/cars.py:cars"
+    assert command(spec.model_copy(update={"repeated": "session"}), None) == ""
 
 
 def test_a_directory_with_a_blank_is_quoted(tmp_path: Path, no_disk: None) -> None:

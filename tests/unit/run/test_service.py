@@ -366,7 +366,7 @@ LIES: dict[str, tuple[Lie, str]] = {
         "metadata of the trajectory",
     ),
     "time": (lambda _, mine: (rewritten(mine, COLUMNS, time=1.0), True), "covers 1 to 1 s, the campaign requests 0"),
-    "nan": (lambda _, mine: (with_nan(mine), True), "not a usable trajectory: samples are not finite from row 0 on"),
+    "nan": (lambda _, mine: (with_nan(mine), True), "not a usable trajectory: samples are not finite: "),
     "more": (lambda _, mine: (rewritten(mine, COLUMNS, comment=""), True), "another request (other comment)"),
 }
 OF_SYSTEM = {"columns", "order", "time", "nan"}

@@ -73,11 +73,22 @@ kernel = { nu = 2.5, length_scale = 1.0 }
 """
 
 
-@pytest.mark.parametrize("left_out", ["", 'composition = "single"\n', "delta = 0.05\n", "nu = 2.5, "])
+@pytest.mark.parametrize(
+    "left_out",
+    [
+        "",
+        "seed = 1\n",
+        'method = "rigorous"\n',
+        'name = "a"\n',
+        'composition = "single"\n',
+        "delta = 0.05\n",
+        "nu = 2.5, ",
+    ],
+)
 def test_a_default_that_is_left_out_or_written_is_one_campaign(left_out: str) -> None:
     """The digest is that of a perfbound which required these keys: campaigns from then resume."""
     assert left_out in WRITTEN_OUT
-    found = parse_campaign(WRITTEN_OUT.replace(left_out or "\0", "").encode(), "c.toml").digest
+    found = parse_campaign(WRITTEN_OUT.replace(left_out or "\0", "").encode(), "a.toml").digest
     assert found == "b3b69bba932a0d602ac61cd7464b905f9be7f1bb53ed67626fa7437464ac5aac"
 
 
@@ -115,6 +126,57 @@ def test_the_digest_tells_content_from_layout() -> None:
     assert one.digest != parse_campaign(PAPER.encode(), "one.toml", seed=2).digest
 
 
+ONE_PROBLEM = """specification = "value <= 0.6"
+alpha = 0.05
+rkhs_norm = 2.0
+noise_scale = 0.0
+kernel = { length_scale = 1.0 }
+system.name = "any"
+space.z = { low = 0.0, high = 5.0 }
+"""
+
+
+def test_a_file_with_one_problem_has_its_keys_at_the_top() -> None:
+    assert parse_campaign(ONE_PROBLEM.encode(), "a.toml") == parse_campaign(WRITTEN_OUT.encode(), "c.toml")
+
+
+def test_on_a_list_of_starts_the_method_is_scenario() -> None:
+    text = 'alpha = 0.1\nclip = [-1, 1]\nspecification = "v >= 0"\nsystem.name = "a"\nspace.scenarios = [[0], [1.5]]'
+    (problem,) = parse_campaign(text.encode(), "c.toml").problems
+    assert (problem.name, problem.method) == ("robustness", "scenario")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("alpha = 0.05\n", "", "alpha: this key is required: a number > 0"),
+        ("alpha = 0.05", "alfa = 0.05", "alfa: unknown key; did you mean 'alpha'? "),
+        ("rkhs_norm = 2.0", "rkhs_norm = -1", "rkhs_norm: -1 is not allowed: allowed is a number > 0"),
+        ("alpha = 0.05", 'alpha = 0.05\nmethod = "best"', "method: 'best' is not allowed: allowed is one of 'paper'"),
+        ("kernel = { length_scale = 1.0 }", "kernel = { }", "kernel.length_scale: this key is required: a number > 0"),
+        ("alpha = 0.05", "alpha = 0.05\nslack = 1", "slack: 1 must be at most alpha = 0.05"),
+    ],
+)
+def test_a_fault_of_the_only_problem_is_named_where_it_is(old: str, new: str, reason: str) -> None:
+    assert old in ONE_PROBLEM
+    assert fault_of(ONE_PROBLEM.replace(old, new)).startswith(reason)
+
+
+def test_a_key_of_the_campaign_below_a_table_is_told_where_it_stands() -> None:
+    text = ONE_PROBLEM.replace("alpha = 0.05\n", "").replace("space.z =", "[space]\nalpha = 0.05\nz =")
+    assert "a key of the campaign stands above the first [table]" in fault_of(text)
+
+
+def test_keys_of_a_problem_at_the_top_are_refused_beside_problems() -> None:
+    assert fault_of("alpha = 1.0\n" + WRITTEN_OUT).startswith("alpha: unknown key")
+
+
+def test_the_name_is_that_of_the_file() -> None:
+    assert parse_campaign(ONE_PROBLEM.encode(), "runs/My Cars_2.toml").name == "my-cars_2"
+    with pytest.raises(CampaignError, match="name: this key is required: 1 to 64 of a-z"):
+        parse_campaign(ONE_PROBLEM.encode(), "\u00fc.toml")
+
+
 # Errors in a file
 
 
@@ -123,7 +185,7 @@ def test_the_digest_tells_content_from_layout() -> None:
     [
         (changed("horizon = 15.0", "horizon = 0.0"), "horizon: problem 'nominal_robustness' needs a rollout longer"),
         (changed("clip = [-0.05, 0.75]", "clip = [1.0]"), "clip.1: [1.0] is not allowed: allowed is [low, high]"),
-        (changed('name = "segway-paper"\n', ""), "name: this key is required: 1 to 64 of a-z"),
+        (changed('name = "segway-paper"', 'name = "A"'), "name: 'A' is not allowed: allowed is 1 to 64 of a-z"),
         (changed('name = "segway"\n', ""), 'system.name: give one of name = "...", an installed system, python'),
         (changed('gains = "paper"', "gains = [1]"), "system.gains: [1] is not allowed: allowed is text or a number"),
         (
@@ -155,8 +217,8 @@ def test_the_digest_tells_content_from_layout() -> None:
             "problems.nominal_robustness.delta: ",
         ),
         (changed("delta = 0.05", "delta = 1979-05-27"), "problems.0.delta: 1979-05-27 is a date or time"),
-        ("problems = 3", "name: this key is required: 1 to 64 of a-z"),
-        ("composition = 3", "name: this key is required: "),
+        ("problems = 3", "system: this key is required"),
+        ("composition = 3", "composition: 3 is not allowed: allowed is one of "),
     ],
 )
 def test_the_fault_is_named(text: str, reason: str) -> None:

@@ -91,6 +91,12 @@ def test_what_is_no_trajectory_is_refused(columns: tuple[str, ...], samples: Any
         Trajectory(columns, np.asarray(samples))
 
 
+def test_a_number_that_is_not_finite_is_named_with_its_column_and_time() -> None:
+    samples = np.column_stack([np.arange(4) * 0.5, np.zeros(4), [0.0, 1.0, np.nan, np.nan]])
+    with pytest.raises(ValueError, match=r"samples are not finite: rate is nan at t = 1 s, row 2; fix the arithmetic"):
+        Trajectory(("t", "angle", "rate"), samples)
+
+
 def test_frames_are_thirty_a_second() -> None:
     trajectory = a_trajectory(1801)
     assert len(trajectory.frames) == 451

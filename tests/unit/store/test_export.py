@@ -12,6 +12,7 @@ import tracemalloc
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pyarrow.parquet
@@ -21,8 +22,9 @@ from click.testing import CliRunner, Result
 from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export
-from perfbound.orchestrator.store.export_tables import robustness_unit, unit
+from perfbound.orchestrator.store.export_tables import export_table, robustness_unit, unit
 from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.rows import SCHEMA_VERSION
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import (
@@ -588,3 +590,32 @@ def test_a_wrong_call_is_a_usage_error(campaign: Path, arguments: tuple[str, ...
 def test_an_unknown_table_is_named(campaign: Path) -> None:
     with pytest.raises(PerfboundError, match="no table 'trials'; allowed are tests, rollouts, observations"):
         export.stream(campaign, "trials", io.BytesIO())
+
+
+def test_the_spot_check_has_the_sign_of_the_problem_that_it_tests() -> None:
+    """The database has J = -robustness for both; the export turned that of the problem alone."""
+    found = config("segway-scenario")
+    header = Header.new(found, load_system("test-function").spec, {})
+    (problem,) = found.problems
+    columns = [column.name for column in export_table("tests", header, SCHEMA_VERSION).columns]
+    row = SimpleNamespace(
+        test=0,
+        node=0,
+        x="[0.5, 0.5]",
+        y=-0.3,
+        mu=None,
+        sigma=None,
+        beta=None,
+        F=None,
+        lower=None,
+        upper=None,
+        stopped_by=None,
+    )
+    for name in (problem.name, "spot_check"):
+        row.problem = name
+        (exported,) = export_table("tests", header, SCHEMA_VERSION).expand(row)
+        assert exported[columns.index("observation")] == 0.3
+        assert exported[columns.index("sense")] == "min"
+    row.problem = "recheck"
+    (exported,) = export_table("tests", header, SCHEMA_VERSION).expand(row)
+    assert exported[columns.index("observation")] == -0.3, "no objective"

@@ -1,0 +1,93 @@
+"""The keys that a campaign file may leave out because the rest of it decides them, and the schema of such a file.
+
+The campaign itself, in the database and in certificates, has all of them.
+"""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from .campaign import PROBLEM_MODELS, CampaignConfig
+from .problems import MethodName, ProblemName
+from .system import ASSUMED_HORIZON
+
+ONLY_PROBLEM: ProblemName = "robustness"
+"""The problem of a file without `problems`; its keys are then keys of the file."""
+OF_CAMPAIGN = frozenset(CampaignConfig.model_fields)
+OF_PROBLEM = frozenset({name for model in PROBLEM_MODELS.values() for name in model.model_fields} - OF_CAMPAIGN)
+"""Keys of problems alone; those that a campaign has too mean the same in both places."""
+METHODS: dict[bool, MethodName] = {False: "rigorous", True: "scenario"}
+"""The method of a problem that names none, on a box and on a list of starts."""
+
+STAND_INS: dict[str, Any] = {
+    "horizon": ASSUMED_HORIZON,
+    "specification": "",
+    "clip": [-1.0, 1.0],
+    "alpha": 1.0,
+    "rkhs_norm": 1.0,
+    "noise_scale": "derived",
+    "kernel": {"length_scale": 1.0},
+}
+"""Of keys that no description of a system needs."""
+
+
+def with_stand_ins(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table of a file that describes a program, and may have no campaign yet, as that of a campaign.
+
+    It can be simulated and checked; `perfbound init` makes a campaign of it.
+    """
+    if not is_description(table):
+        return dict(table)
+    listed = "scenarios" in table.get("space", {})
+    return {key: each for key, each in STAND_INS.items() if not listed or key in OF_CAMPAIGN | {"alpha"}} | dict(table)
+
+
+def is_description(table: Mapping[str, Any]) -> bool:
+    """Whether a file describes a program and lists no problems; those of a campaign may be at its top."""
+    system = table.get("system")
+    return leaves_out_problems(table) and isinstance(system, Mapping) and "program" in system
+
+
+def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
+    """Return the table of a file with its name, its only problem and its methods; `stem` is the name of the file.
+
+    >>> completed({"alpha": 1.0, "space": {}}, "My Cars")
+    {'name': 'my-cars', 'space': {}, 'problems': [{'name': 'robustness', 'method': 'rigorous', 'alpha': 1.0}]}
+    """
+    name = re.sub("[^a-z0-9_]+", "-", stem.lower()).strip("-_")[:64]
+    found = {"name": name, **table} if name else dict(table)
+    if leaves_out_problems(table):
+        found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
+    space = found.get("space")
+    method = METHODS[isinstance(space, Mapping) and "scenarios" in space]
+    if isinstance(problems := found.get("problems"), list):
+        found["problems"] = [_with_method(each, method) for each in problems]
+    return found
+
+
+def _with_method(problem: Any, method: MethodName) -> Any:
+    if not isinstance(problem, Mapping) or "method" in problem:
+        return problem
+    name = {"name": problem["name"]} if "name" in problem else {}
+    return {**name, "method": method, **problem}
+
+
+def leaves_out_problems(table: Mapping[str, Any]) -> bool:
+    """Whether the keys of the only problem are those of the file."""
+    return "problems" not in table
+
+
+def file_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a campaign file: that of a campaign, without what may be left out."""
+    schema = TypeAdapter(CampaignConfig).json_schema(by_alias=True)
+    schema["required"] = [key for key in schema["required"] if key not in ("name", "problems")]
+    for model in PROBLEM_MODELS.values():
+        problem = schema["$defs"][model.__name__]
+        problem["required"] = [key for key in problem["required"] if key != "method"]
+        for key, value in problem["properties"].items():
+            # The problem's own model decides which of them go together.
+            schema["properties"].setdefault(key, {"description": f"of the only problem: {value.get('description')}"})
+    schema["properties"]["problems"]["items"] = {"anyOf": schema["properties"]["problems"]["items"]["oneOf"]}
+    return schema

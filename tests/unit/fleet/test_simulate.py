@@ -1,0 +1,179 @@
+"""One rollout in a child process: its limit of time, what a hang and a stop leave, and the text of each end."""
+
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from perfbound.orchestrator.fleet.child import HangError, ask, system_spec
+from perfbound.orchestrator.fleet.family import place_of_stack
+from perfbound.orchestrator.fleet.simulate import LIMIT, WantedRollout, simulate_to
+from perfbound.schemas.errors import CampaignError, PerfboundError, Stopped
+
+HANGS = """import os, subprocess, time
+from pathlib import Path
+import perfbound as pb
+
+R = {"x": pb.Parameter(0, 1, unit="m")}
+
+@pb.system(parameters=R, columns={"y": "m"})
+def hangs(x, *, seed):
+    child = subprocess.Popen(["sleep", "1000"], start_new_session=True)
+    Path(__file__).with_name("pid").write_text(str(child.pid))
+    while True:
+        time.sleep(0.01)
+
+@pb.system(parameters=R, columns={"y": "m"})
+def ends(x):
+    print("last words", flush=True)
+    os._exit(3)
+"""
+PROGRAM = """name = "waits"
+seed = 1
+deadline = 2.0
+specification = "y >= 0"
+[system]
+program = ["./waits.sh"]
+columns = { y = "m" }
+[space]
+x = { low = 0.0, high = 1.0 }
+[[problems]]
+name = "robustness"
+method = "rigorous"
+alpha = 1.0
+rkhs_norm = 1.0
+noise_scale = 0.0
+kernel = { length_scale = 1.0 }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "own.py").write_text(HANGS)
+    (tmp_path / "waits.sh").write_text("#!/bin/sh\nsleep 1000 &\necho $! > pid\nwait\n")
+    (tmp_path / "waits.sh").chmod(0o755)
+    (tmp_path / "waits.toml").write_text(PROGRAM)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def hung(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], None]:
+    """Raise something, once, in the wait for a child as soon as its rollout hangs."""
+    communicate = subprocess.Popen.communicate
+
+    def arrange(fault: BaseException) -> None:
+        pending = [fault]
+
+        def waits(child: subprocess.Popen[str], timeout: float | None = None) -> object:
+            if "simulate" not in str(child.args) or not pending:
+                return communicate(child, timeout=timeout)
+            wait_for(lambda: child.poll() is not None or ((folder / "pid").exists() and bool(pid(folder))))
+            raise pending.pop()
+
+        monkeypatch.setattr(subprocess.Popen, "communicate", waits)
+
+    return arrange
+
+
+def pid(folder: Path) -> int:
+    return int((folder / "pid").read_text() or 0)
+
+
+def rolled(reference: str, limit: float | None) -> None:
+    spec, request, seconds = WantedRollout(reference, "0.5", "nominal", 7, None, (), limit).request()
+    simulate_to(Path("out.mcap"), request, spec, reference, limit=seconds)
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended; as a zombie it may wait for its parent."""
+    try:
+        return "\nState:\tZ" in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return True
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    while not condition():
+        time.sleep(0.01)
+
+
+def test_a_rollout_that_hangs_is_ended_with_all_that_it_started_and_one_line_says_where(
+    folder: Path, hung: Callable[[BaseException], None]
+) -> None:
+    hung(subprocess.TimeoutExpired("", 2.0))
+    with pytest.raises(PerfboundError) as refused:
+        rolled("own.py:hangs", 2.0)
+    assert re.fullmatch(
+        r"the rollout of hangs at x = 0.5, seed 7 gave no result within 2 s, and was ended in own.py, line 1[123]; fix "
+        r"what does not end there, or give it more time: perfbound simulate --timeout SECONDS, `deadline` in a "
+        r"campaign file",
+        str(refused.value),
+    )
+    wait_for(lambda: gone(pid(folder)))
+    assert not (folder / "out.mcap").exists()
+
+
+def test_a_program_that_hangs_is_ended_with_what_it_started(
+    folder: Path, hung: Callable[[BaseException], None]
+) -> None:
+    hung(subprocess.TimeoutExpired("", 2.0))
+    with pytest.raises(PerfboundError) as refused:
+        rolled("waits.toml", None)
+    assert "the rollout of waits at x = 0.5, seed 7 gave no result within 2 s, and was ended; fix" in str(refused.value)
+    wait_for(lambda: gone(pid(folder)))
+
+
+def test_without_a_campaign_the_limit_is_the_default_of_one(folder: Path) -> None:
+    assert WantedRollout("own.py:hangs", "0.5", "nominal", 7, None, ()).request()[2] == LIMIT == 600.0
+    assert WantedRollout("waits.toml", "0.5", "nominal", 7, None, ()).request()[2] == 2.0, "its deadline"
+
+
+def test_a_stop_says_what_was_ended(folder: Path, hung: Callable[[BaseException], None]) -> None:
+    hung(Stopped(signal.SIGINT))
+    with pytest.raises(Stopped) as stopped:
+        rolled("own.py:hangs", None)
+    assert stopped.value.state.startswith("the rollout of hangs at x = 0.5, seed 7 was ended after ")
+    assert stopped.value.state.endswith(" s, nothing was written")
+    wait_for(lambda: gone(pid(folder)))
+
+
+def test_the_end_of_a_process_is_named_with_its_code_and_what_it_printed_is_not_its_reason(folder: Path) -> None:
+    spec, request, _ = WantedRollout("own.py:ends", "0.5", "nominal", 7, None, ()).request()
+    printed: list[str] = []
+    with pytest.raises(PerfboundError) as refused:
+        simulate_to(folder / "out.mcap", request, spec, "own.py:ends", on_line=printed.append)
+    assert str(refused.value) == "`workers simulate` ended with exit code 3"
+    assert printed == ["last words"]
+
+
+def test_a_file_that_does_not_end_when_it_is_loaded(folder: Path) -> None:
+    (folder / "endless.py").write_text("import time\ntime.sleep(1000)\n")
+    with pytest.raises(HangError, match=r"`workers spec` gave no answer within 0.1 s, and was ended.*; fix what does"):
+        ask("spec", "endless.py:f", limit=0.1)
+
+
+def test_of_several_threads_the_one_of_the_rollout_is_named() -> None:
+    other = 'Thread 0x1 (most recent call first):\n  File "/me/logger.py", line 1 in log\n\n'
+    current = 'Current thread 0x2 (most recent call first):\n  File "/me/cars.py", line 7 in cars\n\nExtension modules'
+    assert place_of_stack(f"Fatal Python error: Aborted\n\n{other}{current}") == "/me/cars.py, line 7"
+
+
+def test_the_place_of_a_fault_in_a_campaign_file_is_named_once(folder: Path) -> None:
+    (folder / "waits.toml").write_text(PROGRAM.replace("./waits.sh", "./no-such"))
+    with pytest.raises(CampaignError) as refused:
+        system_spec("waits.toml", "waits.toml: system.program")
+    assert str(refused.value).startswith("waits.toml: system.program: there is no program './no-such'; build it")
+
+
+def test_another_build_is_named_by_what_differs(folder: Path) -> None:
+    spec, request, _ = WantedRollout("waits.toml", "0.5", "nominal", 7, None, ()).request()
+    (folder / "waits.sh").write_text("#!/bin/sh\n")
+    with pytest.raises(
+        PerfboundError, match=r"waits is another build than that of the campaign: ./waits.sh is another"
+    ):
+        simulate_to(folder / "out.mcap", request, spec, "waits.toml")

@@ -1,0 +1,52 @@
+"""The last line of a campaign that a rollout ends: its history, and a command that repeats it as it is."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.fleet import events
+from perfbound.orchestrator.run.service import _poison_text
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.failure import Failure
+from perfbound.schemas.ids import Attempt, RolloutId
+from tests.campaigns import config
+
+ROLLOUT = RolloutId("robustness", 3, "nominal", 0)
+REQUEST = SimpleNamespace(x=(0.5, -1.0), variant="nominal", seed=7, horizon=8.0, system="cars")
+
+
+def ledger(**changes: Any) -> Ledger:
+    found: CampaignConfig = config("test-function").model_copy(update=changes)
+    header = SimpleNamespace(spec=SimpleNamespace(repeated="anywhere"))
+    return cast(Ledger, SimpleNamespace(request=lambda _: REQUEST, config=found, header=header))
+
+
+def text(reference: str | None, ends: dict[str, str] | None = None, **changes: Any) -> str:
+    failed = tuple(
+        events.Fail(f"local-{number}", Attempt(ROLLOUT, number), Failure("infrastructure", "worker lost for 5 s"))
+        for number in (1, 2)
+    )
+    return _poison_text(events.Poison(ROLLOUT, failed), ledger(**changes), reference, ends or {})
+
+
+def command(found: str) -> str:
+    return found.split("Repeat it: ")[1].split(". If", maxsplit=1)[0]
+
+
+def test_the_command_names_the_system_as_it_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert command(text(None)).startswith("perfbound simulate test-function --x=0.5,-1.0 --variant nominal --seed 7 ")
+    assert command(text(f"{tmp_path}/own/cars.toml")).startswith("perfbound simulate own/cars.toml --x=")
+    assert command(text("/elsewhere/cars.py:cars")).startswith("perfbound simulate /elsewhere/cars.py:cars --x=")
+
+
+def test_the_repeat_of_a_rollout_that_hangs_ends_like_its_attempts() -> None:
+    assert "--timeout" not in command(text(None))
+    assert "--horizon 8 --timeout 20 " in command(text(None, deadline=20.0))
+
+
+def test_the_exit_code_of_a_worker_is_in_the_line() -> None:
+    found = text(None, {"local-1": "exit code 3"})
+    assert "attempt 1 on local-1 (exit code 3), attempt 2 on local-2: worker lost for 5 s" in found
