@@ -15,7 +15,7 @@ MAX_CANDIDATES = 100_000
 """Nodes of the largest lattice; memory is O(tests x nodes)."""
 MAX_NU = 40
 
-DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline"}
+DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline", "platform", "second_opinion"}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
 IDENTIFIES_ALWAYS: Any = {
     "seed": True,
@@ -233,8 +233,8 @@ class CampaignConfig(Model):
         default=5,
         ge=1,
         le=1000,
-        description="number of failed attempts of one rollout that ends the campaign; if the system fails alike, two "
-        "are enough",
+        description="number of failed attempts of one rollout that ends the campaign; two are enough if the system "
+        "fails alike or the deadline is missed",
     )
     hung_after: float = Field(
         default=10.0,
@@ -243,6 +243,18 @@ class CampaignConfig(Model):
         "`deadline` alone",
     )
     deadline: float = Field(default=600.0, ge=1, description="longest duration of an attempt in s")
+    second_opinion: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="share of the rollouts that two workers simulate, and that count if both agree bit by bit",
+    )
+    platform: str | None = Field(
+        default=None,
+        pattern=r"^[a-z0-9][a-z0-9._?-]{0,150}$",
+        description="class of machines (CPU, C library) of the workers, as the refusal of a worker names it, or `any`, "
+        "with rollouts that may differ in the last bits; by default that of the orchestrator that begins the campaign",
+    )
     spot_check: int = Field(
         default=299,
         ge=0,

@@ -69,6 +69,9 @@ class WorkerState(Model):
     version: Word
     worker: Word
     host: Word
+    platform: Word = Field(
+        default="", description="class of CPU and C library, on which equal requests give equal bytes"
+    )
     pid: ProcessId
     systems: dict[Key, Identities] = Field(
         max_length=200, description="of each system, the identities by which campaigns may know it"

@@ -22,6 +22,7 @@ from ..schemas.messages import (
     ResultHeader,
     WorkerState,
 )
+from ..schemas.platforms import platform_class
 from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
@@ -143,6 +144,8 @@ class WorkerProcess:
             system = requested_system(request)
             kind = "system"
             payload = run_request_on(system, request, lambda step: self._advance(key, step))
+        except ImportError as fault:  # this worker lacks a part of the system: it never ran
+            return Failure("infrastructure", fault_text(fault))
         except PerfboundError as fault:
             return Failure(kind, str(fault) or type(fault).__name__)
         except (Exception, SystemExit) as fault:  # noqa: BLE001  (any: the orchestrator decides on a retry)
@@ -179,6 +182,7 @@ class WorkerProcess:
             version=__version__,
             worker=self.name,
             host=os.uname().nodename,
+            platform=platform_class(),
             pid=os.getpid(),
             systems=self._systems,
             state="busy" if current else "idle",

@@ -26,6 +26,7 @@ from .plan import plans
 from .ports import FactStore, FileStore, RecordedRollouts
 from .recorded import Recorded
 from .restoration import Restoration
+from .second_opinion import is_chosen
 from .series import Series
 
 
@@ -133,6 +134,10 @@ class Ledger:
             self._requests[rollout] = found
         return found
 
+    def compares(self, rollout: RolloutId) -> bool:
+        """Whether this rollout gets a second opinion before it is recorded; a damaged file has its digest."""
+        return is_chosen(self.header, rollout) and not self.restores(rollout)
+
     def restores(self, rollout: RolloutId) -> bool:
         """Whether this rollout has been recorded, and only its file is wanted again."""
         return rollout in self._restoration
@@ -156,6 +161,10 @@ class Ledger:
         self._files.write(evidence.inside(self._directory, path), payload)
         self.recorded.keep(rollout, trajectory)
         return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, value)))
+
+    def request_again(self, fact: RolloutFact, start: tuple[float, ...]) -> RolloutRequest:
+        """Return the request for a recorded rollout, at the start of its test."""
+        return self._template.request(fact.rollout, start, fact.seed)
 
     def _advance(self, actions: Iterable[state.Action]) -> Work:
         """Carry out actions and those that follow from them, until only simulations are left."""

@@ -35,11 +35,17 @@ MEASURED = {"simulator_is_the_system": "measured_system", "workers_honest": "tol
 
 
 def assumptions(
-    ledger: Ledger, spot_check: SpotCheck | None, recheck: Recheck | None, *, irreproducible: bool
+    ledger: Ledger,
+    spot_check: SpotCheck | None,
+    recheck: Recheck | None,
+    *,
+    irreproducible: bool,
+    honest: Assumption | None = None,
 ) -> list[Assumption]:
     """Return every assumption of the campaign, problem by problem, then those of the whole.
 
-    With `irreproducible` the system failed in an attempt at a rollout that was recorded later.
+    With `irreproducible` the system failed in an attempt at a rollout that was recorded later. `honest` takes the place
+    of what is assumed of the workers.
     """
     accounts, repeated = ledger.accounts, ledger.header.spec.repeated
     measured = repeated == "nowhere"
@@ -79,7 +85,8 @@ def assumptions(
     if repeated == "session":
         found.append(assumption("defined_in_session", "assumed"))
     forms = MEASURED if measured else {}
-    return [*found, *(assumption(name, "assumed", form=forms.get(name)) for name in TRUSTED)]
+    trusted = [assumption(name, "assumed", form=forms.get(name)) for name in TRUSTED]
+    return [*found, *(honest if honest and each.id == honest.id else each for each in trusted)]
 
 
 def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:

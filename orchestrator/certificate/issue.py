@@ -1,16 +1,19 @@
 """The issue of the certificate of a finished campaign; nothing in it depends on time, host or number of workers."""
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
 
 from ...schemas import certificate as document
 from ...schemas.base import digest
 from ...schemas.facts import DiscardFact, Header
+from ...schemas.ids import RolloutId
 from ..campaign.ledger import Ledger
 from .assumptions import assumptions
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
+from .opinions import workers_honest
 from .problem_results import result
 from .sensitivity import sensitivity, with_clip, without_rollouts
 
@@ -30,16 +33,20 @@ def manifest(entries: Iterable[tuple[str, str]], discards: Iterable[DiscardFact]
     return Manifest("".join([*lines, *kept]), len(lines))
 
 
-def issue(ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False) -> document.Certificate:
+def issue(
+    ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False, contradicted: Sequence[str] = ()
+) -> document.Certificate:
     """Return the certificate of a campaign whose problems have all stopped.
 
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later; so does a discarded one.
+    `contradicted` are rollouts of outvoted workers that had another result when they were simulated again.
     """
     irreproducible = irreproducible or bool(ledger.discards)
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
     results: Results = {name: result(account, header.rules) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)
-    found = assumptions(ledger, checked, repeated, irreproducible=irreproducible)
+    honest = workers_honest(header, _listed(evidence), contradicted)
+    found = assumptions(ledger, checked, repeated, irreproducible=irreproducible, honest=honest)
     claimed = claims(config, ledger.plans, results, ledger.methods, found)
     varied = None
     if header.rules >= 2:
@@ -73,6 +80,11 @@ def issue(ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False) -
         sensitivity=varied,
     )
     return document.Certificate(subject=(subject(manifest_sha256),), predicate=predicate)
+
+
+def _listed(evidence: Manifest) -> list[RolloutId]:
+    names = [PurePosixPath(line.split()[1]).stem for line in evidence.text.splitlines()]
+    return [RolloutId.parse(name) for name in names if name.count(".") == 3]  # a discarded one has its digest, too
 
 
 def subject(manifest_sha256: str) -> document.Subject:

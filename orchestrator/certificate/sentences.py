@@ -246,6 +246,17 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed to be chosen without knowledge of rollouts with these seeds: a campaign file that was changed after "
         "its results were known needs a new seed.",
     },
+    "second_opinion": {
+        "not refuted": "{chosen} % of the rollouts, drawn from the seed, were simulated twice, by two workers where "
+        "there were two: {compared} were compared and {agreed} agree bit by bit; up to {percent} % of all rollouts "
+        "could be false unseen (confidence .95), if no two workers are false alike.",
+        "assumed": "{chosen} % of the rollouts should have been simulated twice, but the draw chose {compared}: the "
+        "trajectories that the workers send are assumed to come from the simulator.",
+    },
+    "outvoted": {
+        "refuted": "a worker was outvoted by two others, and {count} of the rollouts that it had recorded had another "
+        "trajectory when they were simulated again: {rollouts}.",
+    },
     "workers_honest": {
         "assumed": "the trajectories that the workers send are assumed to come from the simulator; robustness and gaps "
         "are recomputed from them.",

@@ -1,11 +1,13 @@
 """`perfbound status`: the progress of a campaign, from its database alone."""
 
+import math
 import time
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
+from ...schemas.errors import one_line
 from ..certificate import files, text
 from ..run.format import duration, resume_command
 from ..run.table import progress_table, remaining_tests
@@ -47,6 +49,12 @@ def _work(progress: CampaignProgress, *, running: bool) -> list[str]:
     for name, rollouts, last in progress.workers:
         ago = f", the last {duration(max(0.0, now - last))} ago" if running else ""
         lines.append(f"worker {name}: {_number(rollouts, 'rollout')}{ago}")
+    for each in progress.pauses:
+        left = duration(each.until - now) if each.until < math.inf else "all the rest"
+        still = f", {left} to go" if running and each.until > now else ""
+        lines.append(
+            f"{each.kind} {each.name}: set aside {_number(each.count, 'time')}{still}; {one_line(each.reason)}"
+        )
     of_system = f" ({progress.system_failures} failed in the system)" if progress.system_failures else ""
     lines.append(
         f"{progress.rate:.1f} rollouts/s in the last minute of work; {_number(progress.failures, 'attempt')} without a "

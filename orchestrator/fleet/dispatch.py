@@ -23,18 +23,21 @@ deadline or was cancelled. `new` and `shunned` workers get nothing until they re
 `hung_after` s that they do not. `gone` has lost its liveliness token: after `lost_after` s its attempt is lost. Reports
 that are late, repeated or of unknown rollouts change nothing but are acknowledged. `LEGAL` is all of this as data.
 
-The first valid result of a rollout wins, whichever attempt it came from. `retries` tells which workers come next after
-a failure, and when a rollout is poisoned: the campaign fails and reports every attempt. Closed rollouts leave the
-state. A failure of the system is recorded even if the rollout is closed; those that the machine itself finds (lost,
-hung, late) are failures of the infrastructure.
+The first valid result of a rollout wins, whichever attempt it came from, unless it is compared with another one
+(`opinions`). `retries` decides which workers come next after a failure, and when a rollout is poisoned: the campaign
+fails and reports every attempt. `standing` decides which workers and hosts are set aside: their phases change as those
+of all others, but `HandOut` gives them nothing. Closed rollouts leave the state. A failure of the system is recorded
+even if the rollout is closed; those that the machine itself finds (lost, hung, late) are failures of the
+infrastructure.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Literal
 
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
+from .blame import charge, clear, forget, take_back
+from .choice import nearest, pairs
 from .events import (
     Acknowledge,
     Action,
@@ -55,14 +58,13 @@ from .events import (
     WorkerDown,
     WorkerUp,
 )
-from .retries import Open, is_poison
+from .opinions import consider
+from .retries import ELSEWHERE, SAME_WORKER, Open, blames_rollout, is_poison, missed
+from .standing import Place
+from .state import NEVER, DispatchState, Worker, WorkerPhase
 
-WorkerPhase = Literal["new", "idle", "sent", "busy", "shunned", "gone"]
 Phase = WorkerPhase | Literal["unknown"]
-NEVER = float("inf")
 KNOWN: tuple[WorkerPhase, ...] = ("new", "idle", "sent", "busy", "shunned")
-SERVING: tuple[WorkerPhase, ...] = ("idle", "sent", "busy")
-"""Phases of a worker that takes a rollout now or soon: out of `new` and `shunned` a hanging one may never come."""
 
 LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("unknown", "WorkerUp"): ("new",),
@@ -91,46 +93,6 @@ SIDE_EFFECTS: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     (phase, event): ("shunned",) for phase in ("sent", "busy") for event in ("Unwanted", "Delivered")
 }
 """Of any worker whose rollout is withdrawn, or recorded from another worker."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Time limits in seconds, and the failed attempts that poison a rollout."""
-
-    resend_after: float = 1.5
-    lost_after: float = 3.0
-    hung_after: float = 10.0
-    deadline: float = 600.0
-    max_attempts: int = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Worker:
-    """One worker process in the view of the orchestrator."""
-
-    phase: WorkerPhase = "new"
-    attempt: Attempt | None = None
-    resumes_as: WorkerPhase = "idle"
-    """Its phase if its token comes back; of a `gone` worker alone."""
-    gone_at: float = NEVER
-    sent_at: float = NEVER
-    """Of the last assign message."""
-    started_at: float = NEVER
-    progress: int = -1
-    progress_at: float = NEVER
-
-
-@dataclass(frozen=True, slots=True)
-class DispatchState:
-    """Workers, open rollouts in order of arrival, and those of them that wait for a worker."""
-
-    limits: Limits
-    hold_until: float = 0.0
-    """Nothing is assigned before this time: after a restart busy workers report first."""
-    workers: Mapping[str, Worker] = field(default_factory=dict)
-    open: Mapping[RolloutId, Open] = field(default_factory=dict)
-    waiting: tuple[RolloutId, ...] = ()
-    recorded: int = 0
 
 
 Outcome = tuple[DispatchState, tuple[Action, ...]]
@@ -165,8 +127,14 @@ def under_way(state: DispatchState) -> int:
 def _want(state: DispatchState, event: Wanted) -> Outcome:
     # Numbered on from the attempts before a restart: a late result of theirs must not pass for one of a new attempt.
     fresh = ((rollout, attempts) for rollout, attempts in event.rollouts if rollout not in state.open)
-    new = {rollout: Open(attempts, avoid=event.avoid.get(rollout)) for rollout, attempts in fresh}
+    new = {rollout: _opened(event, rollout, attempts) for rollout, attempts in fresh}
     return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
+
+
+def _opened(event: Wanted, rollout: RolloutId, attempts: int) -> Open:
+    earlier = event.failed.get(rollout, ())
+    fails, hosts = tuple(each.fail for each in earlier), tuple(each.host for each in earlier)
+    return Open(attempts, fails, hosts, avoid=event.avoid.get(rollout), compare=rollout in event.compared)
 
 
 def _forget(state: DispatchState, event: Unwanted) -> Outcome:
@@ -183,7 +151,7 @@ def _forget(state: DispatchState, event: Unwanted) -> Outcome:
 def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     worker = state.workers.get(event.worker)
     if worker is None:
-        return _put(state, event.worker, Worker("new", progress_at=event.at))
+        return _put(state, event.worker, Worker("new", host=event.host, progress_at=event.at))
     if worker.phase != "gone":
         return state  # a repeated token
     # A partition, not a death: the rollout has continued, and the time without messages counts against no limit.
@@ -219,7 +187,7 @@ def _report(state: DispatchState, event: Reported) -> Outcome:
 def _report_idle(state: DispatchState, name: str, worker: Worker) -> DispatchState:
     # A `sent` worker may report idle because its assignment is still on the way, a `busy` one because its result is:
     # the first is sent again, for the second the limit of progress runs.
-    return _put(state, name, Worker("idle")) if worker.phase in ("new", "shunned") else state
+    return _put(state, name, Worker("idle", host=worker.host)) if worker.phase in ("new", "shunned") else state
 
 
 def _advanced(worker: Worker, event: Reported) -> Worker:
@@ -232,7 +200,8 @@ def _advanced(worker: Worker, event: Reported) -> Worker:
 def _adopt(state: DispatchState, event: Reported) -> DispatchState:
     assert event.attempt is not None
     rollout = event.attempt.rollout
-    worker = Worker("busy", event.attempt, started_at=event.at, progress=event.progress, progress_at=event.at)
+    host = state.workers[event.worker].host
+    worker = Worker("busy", event.attempt, host, started_at=event.at, progress=event.progress, progress_at=event.at)
     state = _put(state, event.worker, worker)
     return replace(state, waiting=tuple(other for other in state.waiting if other != rollout))
 
@@ -248,15 +217,19 @@ def _deliver(state: DispatchState, event: Delivered) -> Outcome:
     failed, is_open = event.failure, event.attempt.rollout in state.open
     # Late, but evidence all the same: if another attempt was recorded, the system does not repeat with its seed.
     if failed is not None and (is_open or failed.kind == "system"):
-        state, actions = _fail(state, event.worker, event.attempt, failed)
+        state, actions = _fail(state, event.worker, event.attempt, failed, event.at)
         return state, (*actions, acknowledge)
     if not is_open:  # a repeat, late or of no use: without the acknowledgement the worker sends it again
         return state, (acknowledge,)
+    opinion = consider(state, event)
+    state = opinion.state
+    if not opinion.counts:
+        return state, (*opinion.actions, acknowledge)
     # The first valid result counts, whichever attempt it is of: equal requests give equal bytes.
     state, cancels = _cancel_others(state, event.attempt.rollout, event.at)
     state = _close_rollouts(state, frozenset({event.attempt.rollout}))
-    state = replace(state, recorded=state.recorded + 1)
-    return state, (Record(event.worker, event.attempt), acknowledge, *cancels)
+    state, back = clear(replace(state, recorded=state.recorded + 1), event.worker, event.at)
+    return state, (*opinion.actions, Record(event.worker, event.attempt), acknowledge, *cancels, *back)
 
 
 def _release(state: DispatchState, name: str, attempt: Attempt) -> DispatchState:
@@ -265,7 +238,7 @@ def _release(state: DispatchState, name: str, attempt: Attempt) -> DispatchState
         return state  # a result of an attempt before the present one
     if worker.phase == "gone":  # the result was on the way when the token disappeared
         return _put(state, name, replace(worker, attempt=None, resumes_as="idle"))
-    return _put(state, name, Worker("idle"))
+    return _put(state, name, Worker("idle", host=worker.host))
 
 
 def _cancel_others(state: DispatchState, rollout: RolloutId, at: float) -> Outcome:
@@ -282,7 +255,7 @@ def _tick(state: DispatchState, at: float) -> Outcome:
     for name, worker in state.workers.items():
         state, more = _watch(state, name, worker, at)
         actions += more
-    return state, tuple(actions)
+    return forget(state, at), tuple(actions)
 
 
 def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcome:
@@ -290,102 +263,86 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
     if worker.phase == "gone":
         if at - worker.gone_at < limits.lost_after:
             return state, ()
-        state = replace(state, workers={key: value for key, value in state.workers.items() if key != name})
+        lost, failed = Failure("infrastructure", f"worker lost for {limits.lost_after:g} s"), tuple[Action, ...]()
+        if worker.attempt is not None:
+            state = _put(state, name, replace(worker, attempt=None, resumes_as="shunned"))
+            state, failed = _fail(state, name, worker.attempt, lost, at)
         # The whole entry is removed: if the process is alive, its token makes it a `new` worker, and it reports first.
-        lost = Failure("infrastructure", f"worker lost for {limits.lost_after:g} s")
-        return _fail(state, name, worker.attempt, lost) if worker.attempt else (state, ())
+        left = {key: value for key, value in state.workers.items() if key != name}
+        compared = {key: value for key, value in state.comparisons.items() if key != name}
+        return replace(state, workers=left, comparisons=compared), failed
     # It neither reports idle nor disappears. `progress_at` starts anew, so that it is given up again later.
     if worker.phase in ("new", "shunned") and at - worker.progress_at >= limits.hung_after:
         return _put(state, name, replace(worker, progress_at=at)), (GiveUp(name),)
     if worker.attempt is None:
         return state, ()
     if at - worker.progress_at >= limits.hung_after:
-        return _shun(state, name, worker, f"no progress for {limits.hung_after:g} s", at)
+        return _shun(state, name, worker, Failure("infrastructure", f"no progress for {limits.hung_after:g} s"), at)
     # Progress alone is not enough: a rollout may grow slower without end.
     if at - worker.started_at >= limits.deadline:
-        return _shun(state, name, worker, f"not done after {limits.deadline:g} s", at)
+        return _shun(state, name, worker, missed(limits.deadline), at)
     # Delivery is at most once, so the assignment or the heartbeat that confirms it may be lost.
     if worker.phase == "sent" and at - worker.sent_at >= limits.resend_after:
         return _put(state, name, replace(worker, sent_at=at)), (Resend(name, worker.attempt),)
     return state, ()
 
 
-def _shun(state: DispatchState, name: str, worker: Worker, reason: str, at: float) -> Outcome:
+def _shun(state: DispatchState, name: str, worker: Worker, failure: Failure, at: float) -> Outcome:
     assert worker.attempt is not None
     state = _put(state, name, _shunned(worker, at))
-    state, actions = _fail(state, name, worker.attempt, Failure("infrastructure", reason))
-    return state, (Revoke(name, worker.attempt), *actions, GiveUp(name))
+    state, actions = _fail(state, name, worker.attempt, failure, at)
+    others = tuple(action for action in actions if action != GiveUp(name))
+    return state, (Revoke(name, worker.attempt), *others, GiveUp(name))
 
 
-def _fail(state: DispatchState, name: str, attempt: Attempt, failure: Failure) -> Outcome:
-    """Count the failure against the rollout, and queue the rollout again or poison it."""
-    known = state.open.get(attempt.rollout)
-    if known is None or not _is_current(state, attempt.rollout):
-        return state, (Fail(name, attempt, failure),)  # a repeat, or another attempt is under way: no second count
-    failed = Fail(name, attempt, failure)
-    known = replace(known, failures=(*known.failures, failed))
-    alone = not _another_serves(state, known)
-    known = replace(known, poisoned=is_poison(known.failures, state.limits.max_attempts, alone=alone))
-    state = replace(state, open={**state.open, attempt.rollout: known})
-    if known.poisoned:
-        return state, (failed, Poison(attempt.rollout, known.failures))
+def _fail(state: DispatchState, name: str, attempt: Attempt, failure: Failure, at: float) -> Outcome:
+    """Count the failure against the rollout, or against its worker, and queue the rollout again or poison it."""
+    failed, rollout = Fail(name, attempt, failure), attempt.rollout
+    known = state.open.get(rollout)
+    if known is None or not state.is_undecided(rollout):
+        return state, (failed,)  # a repeat, or another attempt is under way: no second count
+    known = replace(known, failures=(*known.failures, failed), hosts=(*known.hosts, state.host(name)))
+    state = replace(state, open={**state.open, rollout: known})
+    state, aside = charge(state, failed, at)
+    limits, rank = state.limits, nearest(state, rollout, at)
+    alone, elsewhere = rank == SAME_WORKER, rank == ELSEWHERE
+    if is_poison(state.open[rollout], limits, proven=state.proven, alone=alone, elsewhere=elsewhere):
+        state = replace(state, open={**state.open, rollout: replace(state.open[rollout], poisoned=True)})
+        return state, (failed, *aside, Poison(rollout, known.failures))
     # In front: the observation of its test, and all that follow in the problem, wait for it.
-    state = replace(state, waiting=(attempt.rollout, *state.waiting))
+    state = replace(state, waiting=(rollout, *state.waiting))
     # Something in this process may be the cause, and no other one can tell.
-    return state, (failed, GiveUp(name)) if alone and failure.kind == "system" else (failed,)
-
-
-def _another_serves(state: DispatchState, known: Open) -> bool:
-    """Whether a worker is there that can try a rollout and has not done so."""
-    return any(worker.phase in SERVING and name not in known.tried for name, worker in state.workers.items())
-
-
-def _is_current(state: DispatchState, rollout: RolloutId) -> bool:
-    """Whether nothing has been decided on the rollout since the attempt that failed now."""
-    held = any(worker.attempt is not None and worker.attempt.rollout == rollout for worker in state.workers.values())
-    return not (state.open[rollout].poisoned or held or rollout in state.waiting)
+    suspect = Place("worker", name) in {each.place for each in aside} or (
+        alone and blames_rollout(failure, limits.deadline)
+    )
+    return state, (failed, *aside, *((GiveUp(name),) if suspect else ()))
 
 
 def _assign(state: DispatchState, at: float) -> Outcome:
     if at < state.hold_until or not state.waiting:
         return state, ()
-    # Sorted: the order of the mapping depends on the order in which the workers came.
-    idle = sorted(name for name, worker in state.workers.items() if worker.phase == "idle")
-    pairs, waiting = _pairs(state, idle)
-    starts = tuple(Start(name, Attempt(rollout, state.open[rollout].attempts + 1)) for name, rollout in pairs)
-    sent = {start.worker: Worker("sent", start.attempt, sent_at=at, started_at=at, progress_at=at) for start in starts}
+    chosen, waiting = pairs(state, at)
+    starts = tuple(Start(name, Attempt(rollout, state.open[rollout].attempts + 1)) for name, rollout in chosen)
+    state, back = take_back(state, [name for name, _ in chosen], at)
+    sent = {
+        start.worker: replace(
+            state.workers[start.worker], phase="sent", attempt=start.attempt, sent_at=at, started_at=at, progress_at=at
+        )
+        for start in starts
+    }
     tried = {
         start.attempt.rollout: replace(state.open[start.attempt.rollout], attempts=start.attempt.number)
         for start in starts
     }
     workers, opened = {**state.workers, **sent}, {**state.open, **tried}
-    return replace(state, workers=workers, open=opened, waiting=waiting), starts
-
-
-def _pairs(state: DispatchState, idle: Sequence[str]) -> tuple[list[tuple[str, RolloutId]], tuple[RolloutId, ...]]:
-    """Return idle workers with a waiting rollout each, and the rollouts that wait on."""
-    free, pairs, left, reached = list(idle), [], [], 0
-    for rollout in state.waiting:
-        if not free:
-            break
-        reached += 1
-        known = state.open[rollout]
-        worker = next((name for name in free if name not in known.tried), None)
-        if worker is None and not (known.waits and _another_serves(state, known)):
-            worker = free[0]
-        if worker is None:
-            left.append(rollout)
-        else:
-            free.remove(worker)
-            pairs.append((worker, rollout))
-    return pairs, (*left, *state.waiting[reached:])
+    return replace(state, workers=workers, open=opened, waiting=waiting), (*back, *starts)
 
 
 def _shunned(worker: Worker, at: float) -> Worker:
     """Return the worker without its assignment, with which it may still be busy."""
     if worker.phase == "gone":  # the token decides first whether the process is lost
         return replace(worker, attempt=None, resumes_as="shunned")
-    return Worker("shunned", progress_at=at)
+    return Worker("shunned", host=worker.host, progress_at=at)
 
 
 def _close_rollouts(state: DispatchState, rollouts: frozenset[RolloutId]) -> DispatchState:

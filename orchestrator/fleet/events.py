@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
+from .standing import Place
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,6 +16,10 @@ class Wanted:
     rollouts: tuple[tuple[RolloutId, int], ...]
     avoid: Mapping[RolloutId, str] = field(default_factory=dict)
     """Workers that shall not simulate a rollout while there is another one: a recheck by another process says more."""
+    compared: frozenset[RolloutId] = frozenset()
+    """Those that get a second opinion."""
+    failed: Mapping[RolloutId, tuple["EarlierFailure", ...]] = field(default_factory=dict)
+    """Failures before a restart that count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +36,7 @@ class WorkerUp:
 
     at: float
     worker: str
+    host: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +65,8 @@ class Delivered:
     worker: str
     attempt: Attempt
     failure: Failure | None
+    digest: str = ""
+    """Of a result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +136,36 @@ class Fail:
 
 
 @dataclass(frozen=True, slots=True)
+class EarlierFailure:
+    """A failed attempt before a restart, and its host."""
+
+    fail: Fail
+    host: str
+
+
+@dataclass(frozen=True, slots=True)
 class GiveUp:
     """A worker hangs, or its process may be what makes a rollout fail: replace it if it is a local one."""
 
     worker: str
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """Record the digest of a result that is compared with others."""
+
+    worker: str
+    attempt: Attempt
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outvoted:
+    """Record that a result differs from that of two others; nothing more of its worker counts."""
+
+    worker: str
+    attempt: Attempt
+    digest: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,4 +176,22 @@ class Poison:
     failures: tuple[Fail, ...]
 
 
-Action = Start | Resend | Revoke | Record | Acknowledge | Fail | GiveUp | Poison
+@dataclass(frozen=True, slots=True)
+class SetAside:
+    """A worker or a host gets nothing for so many seconds."""
+
+    place: Place
+    seconds: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class TakeBack:
+    """A worker or a host that is set aside gets rollouts before its pause ends."""
+
+    place: Place
+
+
+Action = (
+    Start | Resend | Revoke | Record | Acknowledge | Fail | GiveUp | Compared | Outvoted | Poison | SetAside | TakeBack
+)

@@ -1,15 +1,40 @@
 """A rollout without a result: its failed attempts, the workers that come next, and the end of its retries.
 
-An idle worker on which the rollout has not failed comes first. After a failure of the system the rollout also waits for
-a busy one; where there is none, its worker is given up, so that a local one is replaced by a fresh process. A rollout
-is poisoned if the system fails in it with the same reason on two workers, or twice on the only one, or if
-`max_attempts` attempts fail for whatever reasons.
+The retry goes to a worker of another host; where none lives, to another worker; where there is none either, to the
+same. Among those of another host, one whose host has recorded a rollout and that is not failing itself comes first. The
+retry waits for the best of these while that one is busy: a second failure says more the less it shares with the first,
+and bad machines, which are idle most of the time, cannot use up the attempts. If a failure that blames the rollout hits
+the only worker, this one is given up, so that a local one is replaced by a fresh process.
+
+A failure blames its rollout if the system failed, or if the attempt missed its deadline: a system that does not end
+would cost a deadline per attempt. Two of these that are alike, from two workers or from the only one, poison the
+rollout. So do `max_attempts` failures of any kind on hosts that have recorded rollouts; or on any, once no worker of
+another host lives. Failures that set their worker or host aside (`standing`) do not count.
+
+Failures that blame the rollout are kept through a restart, since the system is the same: after a resume one more that
+is alike, of another worker, is poison. Other failures begin anew, since the machines may have been repaired.
 """
 
-from collections.abc import Sequence
+from collections.abc import Container
 from dataclasses import dataclass
 
+from ...schemas.failure import Failure
+from ...schemas.ids import Attempt
 from .events import Fail
+from .limits import Limits
+
+ELSEWHERE, SAME_HOST, SAME_WORKER = range(3)
+"""Ranks of the workers for a retry."""
+
+
+@dataclass(frozen=True, slots=True)
+class Opinion:
+    """A result that is compared."""
+
+    worker: str
+    host: str
+    attempt: Attempt
+    digest: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,24 +43,55 @@ class Open:
 
     attempts: int = 0
     failures: tuple[Fail, ...] = ()
+    hosts: tuple[str, ...] = ()
+    """Of the failures, in their order."""
+    excused: frozenset[Attempt] = frozenset()
+    """Failed attempts that do not count: their workers or hosts were set aside."""
     avoid: str | None = None
+    compare: bool = False
+    """Whether it needs a second opinion."""
+    opinions: tuple[Opinion, ...] = ()
     poisoned: bool = False
 
-    @property
-    def tried(self) -> frozenset[str]:
-        """Workers after which another one says more."""
-        failed = {failure.worker for failure in self.failures}
-        return frozenset(failed if self.avoid is None else failed | {self.avoid})
+    def rank(self, worker: str, host: str) -> int:
+        """Return how much a worker shares with those that failed or shall be avoided: the lowest comes first."""
+        names = {self.avoid, *(each.worker for each in self.failures), *(each.worker for each in self.opinions)}
+        if worker in names:
+            return SAME_WORKER
+        tried = host in self.hosts or any(each.host == host for each in self.opinions)
+        return SAME_HOST if tried else ELSEWHERE
 
     @property
-    def waits(self) -> bool:
-        """Whether it waits until another worker is idle: only a second one shows what the first result means."""
-        return self.avoid is not None or any(each.failure.kind == "system" for each in self.failures)
+    def is_fresh(self) -> bool:
+        """Whether any worker may simulate it as well as any other."""
+        return not (self.failures or self.opinions) and self.avoid is None
 
 
-def is_poison(failures: Sequence[Fail], max_attempts: int, *, alone: bool) -> bool:
-    """Whether the last failure is one too many; `alone`: no other worker can try the rollout."""
-    last = failures[-1].failure
-    same = [each.worker for each in failures if each.failure == last]
-    repeated = last.kind == "system" and len(same) > 1 and (alone or len(set(same)) > 1)
-    return repeated or len(failures) >= max_attempts
+def missed(deadline: float) -> Failure:
+    """Return the failure of an attempt that exceeds its deadline, in s."""
+    return Failure("infrastructure", f"not done after {deadline:g} s")
+
+
+def blames_rollout(failure: Failure, deadline: float) -> bool:
+    """Whether a failure says something about its rollout, and not about its worker alone."""
+    return failure.kind == "system" or failure == missed(deadline)
+
+
+def is_poison(known: Open, limits: Limits, *, proven: Container[str], alone: bool, elsewhere: bool) -> bool:
+    """Whether the last failure is one too many; `proven` are the hosts that have recorded rollouts.
+
+    `alone`: no other worker can try the rollout; `elsewhere`: a worker of a host on which it has not failed can.
+    """
+    counted = [
+        (each, host)
+        for each, host in zip(known.failures, known.hosts, strict=True)
+        if each.attempt not in known.excused
+    ]
+    last = known.failures[-1]
+    if last.attempt in known.excused:
+        return False
+    alike = [each.worker for each, _ in counted if each.failure == last.failure]
+    if blames_rollout(last.failure, limits.deadline) and len(alike) > 1 and (alone or len(set(alike)) > 1):
+        return True
+    reliable = [each for each, host in counted if host in proven or not elsewhere]
+    return len(reliable) >= limits.max_attempts

@@ -155,7 +155,7 @@ def _time_left(config: CampaignConfig, problem: Problem, progress: ProblemProgre
 def worker_line(status: RunStatus, rate: float) -> str:
     """Return the workers and the throughput."""
     busy = sum(1 for phase in status.workers.values() if phase in ("sent", "busy"))
-    trouble = [name for name, phase in status.workers.items() if phase in ("shunned", "gone")]
+    trouble = [name for name, phase in status.workers.items() if phase in ("shunned", "gone", "set aside")]
     text = f"workers {len(status.workers)} ({busy} busy), {rate:.1f} rollouts/s, {duration(status.seconds)} so far"
     return text + (f", in trouble: {', '.join(trouble)}" if trouble else "")
 

@@ -6,20 +6,23 @@ from ...schemas.errors import EvidenceError, UnusableTrajectoryError
 from ...schemas.facts import RECORDED, RESTORED
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
+from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory import Trajectory
+from ..campaign.admission import admit
 from ..campaign.border import Admission
 from ..campaign.ledger import Ledger, Work
 from ..fleet import events
 from ..fleet.transport import Result
 from ..store.journal import Journal
 from .decoder import LARGE, Decoded, Decoder
+from .review import Review
 
 
 class Results:
     """Admitted results by attempt; the dispatch machine receives their outcome alone, never their bytes."""
 
-    def __init__(self, ledger: Ledger, journal: Journal, done: Callable[[Decoded], None]) -> None:
-        self._ledger, self._journal = ledger, journal
+    def __init__(self, ledger: Ledger, journal: Journal, review: Review, done: Callable[[Decoded], None]) -> None:
+        self._ledger, self._journal, self._review = ledger, journal, review
         self._admission = Admission(ledger)
         self._decoder = Decoder(self._admission.columns, done)
         self._admitted: dict[Attempt, tuple[Result, Trajectory]] = {}
@@ -42,24 +45,28 @@ class Results:
         attempt = Attempt(RolloutId.parse(result.header.rollout), result.header.attempt)
         header, failure, is_open = result.header, None, attempt.rollout in open_rollouts
         if decoded is None and is_open and header.outcome == "done" and len(result.payload) > LARGE:
-            self._decoder.submit(result, self._ledger.request(attempt.rollout))
+            self._decoder.submit(result, self.request(attempt.rollout))
             return ()
         if header.outcome == "failed":
             failure = Failure(header.kind or "infrastructure", header.error or "the worker gave no reason")
         elif is_open:
             failure = self._admit(attempt, result, decoded)
         # A result that is no longer needed is acknowledged unread, so that the worker drops it.
-        return (events.Delivered(result.at, result.worker, attempt, failure),)
+        return (events.Delivered(result.at, result.worker, attempt, failure, header.sha256),)
 
     def _admit(self, attempt: Attempt, message: Result, decoded: Trajectory | EvidenceError | None) -> Failure | None:
         """Keep a result until it is decided on; return the failure of the attempt if it is refused."""
+        rollout, sha256 = attempt.rollout, message.header.sha256
         try:
             if isinstance(decoded, EvidenceError):
                 raise decoded
-            if decoded is None:
-                decoded = self._admission.admit(attempt.rollout, message.payload, message.header.sha256)
-            else:
-                self._admission.check(attempt.rollout, decoded)
+            request = self._review.request(rollout)
+            if decoded is None and request is not None:
+                decoded = admit(request, self._admission.columns, message.payload, sha256)
+            elif decoded is None:
+                decoded = self._admission.admit(rollout, message.payload, sha256)
+            elif request is None:
+                self._admission.check(rollout, decoded)
         except UnusableTrajectoryError as fault:
             return Failure("system", str(fault))
         except EvidenceError as fault:
@@ -67,10 +74,17 @@ class Results:
         self._admitted[attempt] = message, decoded
         return None
 
+    def request(self, rollout: RolloutId) -> RolloutRequest:
+        """Return the request for a rollout that is wanted."""
+        return self._review.request(rollout) or self._ledger.request(rollout)
+
     def record(self, worker: str, attempt: Attempt) -> Work:
         """Write an admitted result; return the rollouts that are wanted and unwanted from now on."""
         message, trajectory = self._admitted[attempt]
         header, rollout = message.header, attempt.rollout
+        if self._review.request(rollout) is not None:
+            self._review.take(worker, attempt, header.sha256)
+            return Work()
         outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
         work = self._ledger.record(rollout, message.payload, trajectory, header.sha256)
         self._journal.attempt_ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
@@ -78,7 +92,8 @@ class Results:
 
     def recorders(self, wanted: Iterable[RolloutId]) -> dict[RolloutId, str]:
         """Return the worker that recorded the original of each rollout that repeats one."""
-        originals = {each: self._ledger.closing.original(each) for each in wanted}
+        reviewed = self._review.request
+        originals = {each: each if reviewed(each) else self._ledger.closing.original(each) for each in wanted}
         found = {each: self._journal.worker_of(original) for each, original in originals.items() if original}
         return {each: worker for each, worker in found.items() if worker is not None}
 

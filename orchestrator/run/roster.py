@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from ...schemas import __version__
 from ...schemas.ids import Attempt, RolloutId
 from ...schemas.messages import PROTOCOL, WorkerState
+from ...schemas.platforms import ANY
 from ...schemas.system import SystemSpec
 from ..fleet import events
 from ..fleet.transport import Heartbeat, Token
@@ -37,12 +38,12 @@ DEAD_KEPT = 500
 class Roster:
     """The workers of one run, by name: those that live, and the last ones that do not."""
 
-    def __init__(self, spec: SystemSpec) -> None:
+    def __init__(self, spec: SystemSpec, platform: str) -> None:
         self.records: dict[str, WorkerRecord] = {}
         self._living = 0
         self._dead: dict[str, None] = {}
         """In the order in which their tokens disappeared."""
-        self._spec, self._spec_sha256 = spec, spec.digest
+        self._spec, self._spec_sha256, self._platform = spec, spec.digest, platform
 
     def token(self, message: Token) -> tuple[events.Event, ...]:
         """Take a token that appeared or disappeared; return the events for the dispatch machine."""
@@ -54,8 +55,9 @@ class Roster:
         self._remember(message.worker, alive=message.alive)
         if record.state is not None:
             # The record outlives the token: after a partition the same process returns, perhaps with its result.
-            event = events.WorkerUp if message.alive else events.WorkerDown
-            return (event(message.at, message.worker),)
+            if not message.alive:
+                return (events.WorkerDown(message.at, message.worker),)
+            return (events.WorkerUp(message.at, message.worker, record.state.host),)
         if not message.alive:
             del self.records[message.worker]  # never admitted, so no attempt can come back from it
             del self._dead[message.worker]
@@ -84,7 +86,7 @@ class Roster:
         # The token comes first, also after a partition: without it a heartbeat is a late one of a lost worker.
         if record is None or not record.alive or record.refused:
             return ()
-        up = () if record.state else (events.WorkerUp(message.at, message.worker),)
+        up = () if record.state else (events.WorkerUp(message.at, message.worker, message.state.host),)
         record.last_heartbeat, record.state = message.at, message.state
         state, attempt = message.state, None
         if state.rollout is not None and state.attempt is not None:
@@ -118,5 +120,11 @@ class Roster:
             return (
                 f"the worker's {spec.name!r} differs from the one this campaign was planned for ({planned}); "
                 "use the same files and versions"
+            )
+        if self._platform not in (ANY, state.platform):
+            return (
+                f"the worker's platform is {state.platform or 'unknown'}, the campaign's {self._platform}, and their "
+                "rollouts may differ in the last bits; choose workers of one platform, or name it in the campaign file "
+                "(platform)"
             )
         return None

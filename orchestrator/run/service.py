@@ -10,31 +10,39 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.errors import PerfboundError, Stopped, one_line
 from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
 from ...schemas.places import short_path
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..fleet import dispatch, events
+from ..fleet.choice import out_of_favour
 from ..fleet.inbox import Inbox
+from ..fleet.limits import Limits
+from ..fleet.opinions import FOR_GOOD
 from ..fleet.processes import Fleet
+from ..fleet.retries import blames_rollout, missed
 from ..fleet.simulate import LIMIT
+from ..fleet.state import DispatchState
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from ..store import read
 from ..store.journal import Journal
 from .decoder import Decoded
+from .format import duration
 from .lines import Lines
 from .results import Results
+from .review import Review
 from .roster import Roster, WorkerRecord
 
 TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
 TURN = 64
 """Messages in one transaction at most; about 100 ms of work."""
+NOTHING: Mapping[RolloutId, Any] = {}
 ADOPTION = 2.5
 """Seconds after a restart in which busy workers report and outboxes drain, before anything is assigned."""
 
@@ -56,7 +64,7 @@ class RunStatus:
     closing: Mapping[str, ProblemProgress]
     """The closing checks that have begun, by name."""
     workers: Mapping[str, str]
-    """Name and phase of every worker."""
+    """Name of every worker, and its phase, or "set aside"."""
     known: Mapping[str, WorkerRecord]
     """The last messages of the workers, by name; it changes under the reader."""
     recorded: int
@@ -98,8 +106,9 @@ class Service:
         self._fleet = fleet
         self._listeners = listeners
         self._lines = Lines(self._print_line)
-        self._roster = Roster(ledger.header.spec)
-        self._results = Results(ledger, journal, self.inbox.put)
+        self._roster = Roster(ledger.header.spec, journal.platform)
+        self._review = Review(ledger, journal)
+        self._results = Results(ledger, journal, self._review, self.inbox.put)
         self._outgoing: list[tuple[str, Request]] = []
         self._events: deque[events.Event] = deque()
         self._drain = drain
@@ -111,7 +120,7 @@ class Service:
         limits = _limits(ledger.config)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
-        self._state = dispatch.DispatchState(limits, hold)
+        self._state = DispatchState(limits, hold, second_opinion=ledger.config.second_opinion > 0)
 
     def run(self) -> None:
         """Serve until every problem has stopped.
@@ -124,12 +133,33 @@ class Service:
         """
         attempts = read.attempts(self._journal.directory)
         with self._ledger.transaction():
-            self._demand(self._ledger.outstanding(), attempts)
+            self._demand(self._ledger.outstanding(), attempts, self._failed_before())
             self._settle()
+            self._begin_review()
         self._send()
-        while not self._ledger.done:
+        while not self._done:
             self._turn(*self._receive())
         self._show()  # the last turn ends between two ticks
+
+    @property
+    def _done(self) -> bool:
+        return self._ledger.done and not self._review
+
+    def _begin_review(self) -> None:
+        """Want once more what outvoted workers recorded, when all else is done."""
+        if self._done and (suspects := self._review.begin()):
+            self._print_line(f"{len(suspects)} rollouts of outvoted workers are simulated again")
+            self._demand(Work(wanted=suspects), read.attempts(self._journal.directory))
+            self._settle()
+
+    def _failed_before(self) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:
+        """Return the failures of earlier sessions that blame their rollouts."""
+        found: dict[RolloutId, tuple[events.EarlierFailure, ...]] = {}
+        for each in read.failures(self._journal.directory):
+            if blames_rollout(each.failure, self._state.limits.deadline):
+                failed = events.EarlierFailure(events.Fail(each.worker, each.attempt, each.failure), each.host)
+                found[each.attempt.rollout] = (*found.get(each.attempt.rollout, ()), failed)
+        return found
 
     def _receive(self) -> tuple[list[Inbound | Decoded | Interrupted], float]:
         """Wait for the next message or tick; return messages, and the time up to which they are all that came."""
@@ -153,6 +183,7 @@ class Service:
             # No tick before an earlier message, which may be the heartbeat of a worker that would be given up.
             if complete >= self._next_tick:
                 self._tick(complete)
+            self._begin_review()
             if self._draining is None:
                 self._events.append(events.HandOut(time.monotonic()))
                 self._settle()
@@ -212,7 +243,7 @@ class Service:
         """Carry out an action of the dispatch machine; messages are kept until the commit."""
         match action:
             case events.Record(worker, attempt):
-                self._demand(self._results.record(worker, attempt), {})
+                self._demand(self._results.record(worker, attempt))
             case events.Start(worker, attempt):
                 state = self._roster.admitted(worker)
                 assert state is not None, "the dispatch machine has admitted workers only"
@@ -236,18 +267,46 @@ class Service:
                     self._events.append(events.WorkerDown(time.monotonic(), worker))
             case events.Poison():
                 self._poisoned = action
+            case _:
+                self._note(action)
 
-    def _demand(self, work: Work, attempts: Mapping[RolloutId, int]) -> None:
-        """Want rollouts, or no longer; `attempts` are those made before a restart."""
+    def _note(self, action: events.SetAside | events.TakeBack | events.Compared | events.Outvoted) -> None:
+        """Write what concerns the trust in a worker or host."""
+        match action:
+            case events.SetAside(place, seconds, reason):
+                self._journal.set_aside(place.kind, place.name, seconds, reason)
+                length = duration(seconds) if seconds < FOR_GOOD else "good"
+                pause = f"{place.kind} {place.name} is set aside for {length}"
+                self._print_line(f"{pause}: {one_line(reason)}")
+            case events.Compared(worker, attempt, digest):
+                self._journal.opinion("compared", attempt, worker, digest)
+            case events.Outvoted(worker, attempt, digest):
+                self._journal.opinion("outvoted", attempt, worker, digest)
+            case events.TakeBack(place):
+                self._journal.set_aside(place.kind, place.name, 0.0, "")
+
+    def _demand(
+        self,
+        work: Work,
+        attempts: Mapping[RolloutId, int] = NOTHING,
+        failed: Mapping[RolloutId, tuple[events.EarlierFailure, ...]] = NOTHING,
+    ) -> None:
+        """Want rollouts, or no longer; `attempts` and `failed` are of those before a restart."""
         now = time.monotonic()
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
             wanted = tuple((each, attempts.get(each, 0)) for each in work.wanted)
-            self._events.append(events.Wanted(now, wanted, self._results.recorders(work.wanted)))
+            self._events.append(
+                events.Wanted(now, wanted, self._results.recorders(work.wanted), self._compared(work), failed)
+            )
+
+    def _compared(self, work: Work) -> frozenset[RolloutId]:
+        reviewed = self._review.request
+        return frozenset(each for each in work.wanted if reviewed(each) is None and self._ledger.compares(each))
 
     def _assign(self, worker: str, attempt: Attempt) -> None:
-        request = self._ledger.request(attempt.rollout)
+        request = self._results.request(attempt.rollout)
         self._outgoing.append((worker, Assign(attempt=attempt.number, request=request)))
 
     def _send(self) -> None:
@@ -276,7 +335,7 @@ class Service:
             self._ledger.config,
             {name: account.progress for name, account in self._ledger.accounts.items()},
             {name: each.progress for name, each in self._ledger.series.items() if name in CLOSING},
-            {name: worker.phase for name, worker in self._state.workers.items()},
+            _phases(self._state),
             self._roster.records,
             self._state.recorded,
             len(self._state.waiting),
@@ -284,6 +343,11 @@ class Service:
         )
         for listener in self._listeners:
             listener.show(status)
+
+
+def _phases(state: DispatchState) -> dict[str, str]:
+    aside = out_of_favour(state, time.monotonic())
+    return {name: "set aside" if name in aside else worker.phase for name, worker in state.workers.items()}
 
 
 def _poison_text(found: events.Poison, ledger: Ledger, reference: str | None, ends: Mapping[str, str]) -> str:
@@ -309,6 +373,8 @@ def _poison_text(found: events.Poison, ledger: Ledger, reference: str | None, en
     repeat = f"Repeat it: {command}"
     if ledger.header.spec.repeated == "session":  # which no command has
         repeat = f"Repeat it: call {request.system.replace('-', '_')} at {start}, with seed {request.seed}"
+    if found.failures[-1].failure == missed(config.deadline):
+        repeat = f"It exceeds deadline = {config.deadline:g} s at the start ({start}). {repeat}"
     # Another code is another system, with which the recorded rollouts cannot be mixed.
     remedy = "If the code of the system is wrong, fix it and start a new campaign (--out); else"
     return (
@@ -317,5 +383,5 @@ def _poison_text(found: events.Poison, ledger: Ledger, reference: str | None, en
     )
 
 
-def _limits(file: CampaignConfig) -> dispatch.Limits:
-    return dispatch.Limits(hung_after=file.hung_after, deadline=file.deadline, max_attempts=file.max_attempts)
+def _limits(file: CampaignConfig) -> Limits:
+    return Limits(hung_after=file.hung_after, deadline=file.deadline, max_attempts=file.max_attempts)

@@ -21,6 +21,7 @@ from ...schemas.certificate import Certificate
 from ...schemas.errors import CampaignError, JournalError, PerfboundError
 from ...schemas.facts import Header
 from ...schemas.link import Tls
+from ...schemas.platforms import ANY, platform_class
 from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new
 from ..campaign.software import other_numerics, software
@@ -210,6 +211,20 @@ def _check_software(header: Header) -> None:
         )
 
 
+def check_platform(platform: str, place: Path) -> None:
+    """Refuse local workers of a campaign for machines of another class.
+
+    Raises:
+        JournalError: this machine is of another class.
+
+    """
+    if platform not in (ANY, here := platform_class()):
+        raise JournalError(
+            f"{place}: this campaign is for the platform {platform}, this machine is {here}; run it there, or with "
+            "--workers 0 and workers of that platform"
+        )
+
+
 def check_own(header: Header, spec: SystemSpec) -> None:
     """Refuse another system of this process than the campaign's.
 
@@ -263,6 +278,7 @@ def _conduct(
     with ExitStack() as stack:
         fleet = None
         if options.own or options.workers:
+            check_platform(journal.platform, directory)
             links = [*options.link.worker_options(), *child.system_options(options.system)]
             own = options.own
             fleet = own.fleet() if own else Fleet(options.workers, transport.endpoint, run, links)
@@ -282,7 +298,7 @@ def _conduct(
         ledger = Ledger(directory, journal)
         ledger.replay()
         damaged = ledger.check_files(journal, whole=ledger.done) if resumed else 0
-        if not ledger.done:
+        if not ledger.done or journal.suspects():
             terminal = stack.enter_context(listener(console))
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
@@ -322,7 +338,9 @@ def certify(directory: Path, ledger: "Ledger") -> None:
 
     found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), ledger.discards)
     irreproducible = read.irreproducible(directory) > 0
-    files.write(directory, issue(ledger, found, irreproducible=irreproducible), found.text)
+    differing = read.contradicted(directory)
+    certificate = issue(ledger, found, irreproducible=irreproducible, contradicted=differing)
+    files.write(directory, certificate, found.text)
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from ...schemas.errors import JournalError, one_line
 from ...schemas.facts import RECORDED, Fact, Header, ProposalFact, RolloutFact
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
+from ...schemas.platforms import platform_class
 from . import tables
 from .read import read_facts, read_header, read_version
 from .rows import (
@@ -28,15 +29,18 @@ from .rows import (
     existing,
     fact_row,
     has_column,
+    has_table,
     header_row,
     outcome_fields,
     proposal_fact,
     rollout_fact,
 )
 
-_INSERTS = {table: table.insert() for table in tables.FACTS} | {
-    table: table.insert().prefix_with("OR IGNORE") for table in (tables.attempts, tables.outcomes)
-}
+_INSERTS = (
+    {table: table.insert() for table in tables.FACTS}
+    | {table: table.insert().prefix_with("OR IGNORE") for table in (tables.attempts, tables.outcomes)}
+    | {table: table.insert() for table in (tables.set_aside, tables.opinions)}
+)
 """In the order of their foreign keys. An attempt may be written twice (OR IGNORE), a fact never."""
 
 
@@ -137,6 +141,30 @@ class Journal:
         row = {"worker": worker, "ended": time.time(), "cpu_seconds": cpu, "wall_seconds": wall}
         self._pending[tables.outcomes].append(attempt_key(attempt) | row | outcome_fields(outcome, self._version))
 
+    def set_aside(self, kind: str, name: str, seconds: float, reason: str) -> None:
+        """Write the pause of a worker or host, or 0 s for the end of one; databases before version 5 have no place."""
+        if has_table("set_aside", self._version):
+            row = {"kind": kind, "name": name, "seconds": seconds, "reason": reason}
+            self._pending[tables.set_aside].append({"session": self.session, "at": time.time(), **row})
+
+    def opinion(self, kind: str, attempt: Attempt, worker: str, sha256: str) -> None:
+        """Write the digest of a result that is compared, outvoted or reviewed; not before version 5."""
+        if has_table("opinions", self._version):
+            row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time()}
+            self._pending[tables.opinions].append(attempt_key(attempt) | row)
+
+    def suspects(self) -> list[RolloutId]:
+        """Return the rollouts that an outvoted worker recorded and that no other one has simulated."""
+        if not has_table("opinions", self._version):
+            return []
+        seen, ended = tables.opinions.c, tables.outcomes.c
+        outvoted = sa.select(seen.worker).where(seen.kind == "outvoted")
+        if not self._read(outvoted.limit(1)):
+            return []
+        others = sa.select(seen.rollout).where(seen.kind != "outvoted")
+        query = sa.select(ended.rollout).where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
+        return [RolloutId.parse(row[0]) for row in self._read(query.where(ended.rollout.not_in(others)))]
+
     def _flush(self) -> None:
         """Write the pending rows, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
         for table, insert in _INSERTS.items():
@@ -166,6 +194,18 @@ class Journal:
         this = [columns[name] == value for name, value in rollout._asdict().items()]
         (row,) = self._read(sa.select(tables.rollouts).where(*this))
         return rollout_fact(row)
+
+    @property
+    def platform(self) -> str:
+        """The class of machines of the campaign: that of its file, else of the session that began it."""
+        if self.header.config.platform is not None:
+            return self.header.config.platform
+        if not has_column("sessions", "platform", self._version):
+            return platform_class()
+        sessions = tables.sessions.c
+        named = sa.select(sessions.platform).where(sessions.platform.is_not(None))  # the present session, at least
+        ((found,),) = self._read(named.order_by(sessions.session).limit(1))
+        return str(found)
 
     def worker_of(self, rollout: RolloutId, attempt: int | None = None) -> str | None:
         """Return the worker of an attempt, or the one whose result was recorded; inside or outside a transaction."""
@@ -249,7 +289,7 @@ def _position(connection: Connection, directory: Path) -> tuple[int, int]:
 def _open_session(connection: Connection, version: int, origin: Origin) -> int:
     with connection.begin():
         row: dict[str, Any] = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
-        told = {"system": origin.system, "revision": origin.revision}
+        told = {"system": origin.system, "revision": origin.revision, "platform": platform_class()}
         row |= {name: value for name, value in told.items() if has_column("sessions", name, version)}
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
         assert key is not None

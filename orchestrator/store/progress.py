@@ -23,6 +23,7 @@ from .rows import (
     checked_version,
     existing,
     has_column,
+    has_table,
     header_columns,
 )
 
@@ -40,7 +41,24 @@ _WORKERS = "SELECT worker, count(*), max(ended) FROM outcomes WHERE outcome = ? 
 _FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?)"
 _SYSTEM_FAILURES = "SELECT count(*) FROM outcomes WHERE kind = 'system'"
 _RECENT = "SELECT ended FROM outcomes WHERE outcome = ? ORDER BY rowid DESC LIMIT ?"
+_SET_ASIDE = """
+    SELECT kind, name, sum(seconds > 0), max(at), seconds, session = (SELECT max(session) FROM sessions) FROM set_aside
+    GROUP BY kind, name ORDER BY kind, name
+"""
+_REASON = "SELECT reason FROM set_aside WHERE kind = ? AND name = ? AND seconds > 0 ORDER BY entry DESC LIMIT 1"
 _SESSIONS = "SELECT count(*) FROM sessions"
+
+
+@dataclass(frozen=True, slots=True)
+class Pauses:
+    """The pauses of a worker or host that was set aside."""
+
+    kind: str
+    name: str
+    count: int
+    until: float
+    """Unix time of the end of the last one, if the session that began it goes on."""
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +74,7 @@ class CampaignProgress:
     system_failures: int | None
     """Failures of the system among them; None if the database does not tell."""
     sessions: int
+    pauses: tuple[Pauses, ...]
     rate: float
     """Rollouts per second over the last minute of work, or over its last thousand rollouts."""
 
@@ -96,6 +115,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         int(connection.execute(_FAILURES, [RECORDED, RESTORED]).fetchone()[0]),
         connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
         int(connection.execute(_SESSIONS).fetchone()[0]),
+        _pauses(connection) if has_table("set_aside", version) else (),
         rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])]),
     )
 
@@ -105,6 +125,15 @@ def _problem_progress(last: SimpleNamespace | None, rollouts: int) -> ProblemPro
         return ProblemProgress(0, rollouts, None, None, None)
     fact = bound_fact(last)
     return ProblemProgress(fact.test + 1, rollouts, last.F, fact.bound, fact.stopped_by)
+
+
+def _pauses(connection: sqlite3.Connection) -> tuple[Pauses, ...]:
+    found = []
+    # `seconds` beside max(at) is that of the same row: an extension of SQLite.
+    for kind, name, count, at, seconds, current in connection.execute(_SET_ASIDE).fetchall():
+        (reason,) = connection.execute(_REASON, [kind, name]).fetchone()
+        found.append(Pauses(kind, name, int(count), at + seconds if current else at, reason))
+    return tuple(found)
 
 
 def _named(cursor: sqlite3.Cursor) -> list[SimpleNamespace]:

@@ -12,7 +12,8 @@ from sqlalchemy import Connection, Engine
 
 from ...schemas.errors import JournalError, one_line
 from ...schemas.facts import RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
-from ...schemas.ids import CLOSING, RolloutId
+from ...schemas.failure import Failure
+from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .readonly import is_still, open_readonly
@@ -141,6 +142,42 @@ def attempts(directory: Path) -> dict[RolloutId, int]:
         return {RolloutId.parse(rollout): number for rollout, number in connection.execute(query)}
 
 
+@dataclass(frozen=True, slots=True)
+class EndedAttempt:
+    """An attempt that failed; without a name of its host if its start was lost in a crash."""
+
+    attempt: Attempt
+    worker: str
+    host: str
+    failure: Failure
+
+
+def failures(directory: Path) -> list[EndedAttempt]:
+    """Return the failed attempts of the rollouts without a result, the oldest first.
+
+    Databases of schema versions below 3 do not tell the kinds of failures; the list is empty.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    ended, began = tables.outcomes.c, tables.attempts.c
+    recorded = sa.select(ended.rollout).where(ended.outcome == RECORDED)
+    both = tables.outcomes.outerjoin(
+        tables.attempts, (ended.rollout == began.rollout) & (ended.attempt == began.attempt)
+    )
+    columns = (ended.rollout, ended.attempt, ended.worker, began.host, ended.kind, ended.outcome)
+    query = sa.select(*columns).select_from(both).where(ended.kind.is_not(None), ended.rollout.not_in(recorded))
+    with reading(directory) as connection:
+        if not has_column("outcomes", "kind", read_version(connection, directory)):
+            return []
+        rows = connection.execute(query.order_by(ended.ended)).all()
+    return [
+        EndedAttempt(Attempt(RolloutId.parse(rollout), number), worker, host or "", Failure(kind, reason))
+        for rollout, number, worker, host, kind, reason in rows
+    ]
+
+
 def irreproducible(directory: Path) -> int:
     """Return how many recorded rollouts have an attempt that failed in the system, so that a retry chose their outcome.
 
@@ -158,6 +195,26 @@ def irreproducible(directory: Path) -> int:
         if not has_column("outcomes", "kind", read_version(connection, directory)):
             return 0
         return connection.execute(query).scalar_one()
+
+
+def contradicted(directory: Path) -> list[str]:
+    """Return the rollouts of outvoted workers that had another result when they were simulated again.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    seen, rollouts = tables.opinions.c, tables.rollouts.c
+    with reading(directory) as connection:
+        if not has_table("opinions", read_version(connection, directory)):
+            return []
+        query = sa.select(seen.rollout, seen.sha256).where(seen.kind == "reviewed")
+        reviewed = connection.execute(query).all()
+        if not reviewed:
+            return []
+        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate, rollouts.sha256)
+        recorded = {str(RolloutId(*row[:4])): row[4] for row in connection.execute(sa.select(*columns))}
+    return sorted({rollout for rollout, sha256 in reviewed if recorded[rollout] != sha256})
 
 
 def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:

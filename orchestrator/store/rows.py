@@ -30,12 +30,18 @@ DATABASE = "campaign.db"
 SCHEMA_VERSION = 5
 """Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
 READ_VERSIONS = tuple(range(1, SCHEMA_VERSION + 1))
-ADDED_IN = {("campaign", "rules"): 2, ("outcomes", "kind"): 3, ("sessions", "system"): 3, ("sessions", "revision"): 4}
+ADDED_IN = {
+    ("campaign", "rules"): 2,
+    ("outcomes", "kind"): 3,
+    ("sessions", "system"): 3,
+    ("sessions", "revision"): 4,
+    ("sessions", "platform"): 5,
+}
 """(table, column) to the schema version that added it; every other column is as old as version 1.
 
 Campaigns without `rules` follow rules 1; the kind of a failure without `kind` is unknown.
 """
-TABLES_ADDED_IN = {"discards": 5}
+TABLES_ADDED_IN = {"discards": 5, "set_aside": 5, "opinions": 5}
 """Table to the schema version that added it; every other table is as old as version 1."""
 UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RecursionError)
 """What reading a damaged database raises besides errors of SQLite, whose messages may be no UTF-8 either."""

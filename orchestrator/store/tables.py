@@ -2,7 +2,7 @@
 
 Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollouts`, `discards`, `observations`,
 `bounds`; a discard moves its row from `rollouts` to `discards`. The nondeterministic part (workers, hosts and times) is
-in `attempts`, `outcomes` and `sessions`, outside the hash chain.
+in `attempts`, `outcomes`, `sessions`, `set_aside` and `opinions`, outside the hash chain.
 """
 
 from typing import Any
@@ -159,6 +159,33 @@ sessions = Table(
     Column("started", REAL, nullable=False),  # Unix time, s
     Column("system", Text),  # FILE.py:NAME or campaign file, with its folder, of a system that is not installed
     Column("revision", Text),  # of this folder: the commit, and whether files are changed
+    Column("platform", Text),  # schemas.platforms, of the orchestrator
+    sqlite_strict=True,
+)
+
+set_aside = Table(
+    "set_aside",
+    metadata,
+    Column("entry", Integer, primary_key=True),
+    Column("session", Integer, nullable=False),
+    Column("kind", Text, nullable=False),  # worker or host
+    Column("name", Text, nullable=False),
+    Column("at", REAL, nullable=False),  # Unix time, s
+    Column("seconds", REAL, nullable=False),  # length of the pause; 0 where it ends early
+    Column("reason", Text, nullable=False),
+    sqlite_strict=True,
+)
+
+opinions = Table(
+    "opinions",
+    metadata,
+    Column("entry", Integer, primary_key=True),
+    Column("kind", Text, nullable=False),  # compared, outvoted, or reviewed: simulated again for an outvoted worker
+    Column("rollout", Text, nullable=False),
+    Column("attempt", Integer, nullable=False),
+    Column("worker", Text, nullable=False),
+    Column("sha256", Text, nullable=False),
+    Column("at", REAL, nullable=False),  # Unix time, s
     sqlite_strict=True,
 )
 
@@ -170,7 +197,7 @@ def insert_only() -> list[str]:
     return [
         f"CREATE TRIGGER {table.name}_no_{verb.lower()} BEFORE {verb} ON {table.name} "
         f"BEGIN SELECT RAISE(ABORT, '{table.name} is insert-only'); END"
-        for table in (*FACTS, schema, attempts, outcomes, sessions)
+        for table in (*FACTS, schema, attempts, outcomes, sessions, set_aside, opinions)
         for verb in ("UPDATE", "DELETE")
     ]
 

@@ -22,7 +22,7 @@ from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
-from perfbound.orchestrator.fleet import dispatch
+from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
@@ -306,7 +306,7 @@ def hurry(monkeypatch: pytest.MonkeyPatch, *, tick: float) -> None:
     monkeypatch.setattr(service, "ADOPTION", 0.2)
     monkeypatch.setattr(worker_module, "HEARTBEAT", 0.04)
     monkeypatch.setattr(worker_module, "RESEND", 0.1)
-    monkeypatch.setattr(dispatch, "Limits", partial(dispatch.Limits, resend_after=0.15, lost_after=0.3))
+    monkeypatch.setattr(service, "Limits", partial(Limits, resend_after=0.15, lost_after=0.3))
 
 
 def begin(directory: Path, config: CampaignConfig) -> None:
@@ -347,7 +347,8 @@ def serve(
             port.start(journal.header.run, server.inbox.put)
             server.run()
         found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
-        files.write(directory, issue(ledger, found, irreproducible=read.irreproducible(directory) > 0), found.text)
+        known = {"irreproducible": read.irreproducible(directory) > 0, "contradicted": read.contradicted(directory)}
+        files.write(directory, issue(ledger, found, **known), found.text)  # type: ignore[arg-type]
     return (directory / files.CERTIFICATE).read_text()
 
 

@@ -33,6 +33,7 @@ from perfbound.schemas.messages import (
     decode_state,
     encode_message,
 )
+from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory
@@ -134,6 +135,7 @@ class Puppets:
             version=__version__,
             worker=name,
             host="memory",
+            platform=platform_class(),
             pid=1,
             systems={self._spec.name: self._spec.identities},
             state="busy" if assign else "idle",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from tests.faults import deaths, links, machine, systems
+from tests.faults import deaths, links, machine, nodes, systems
 from tests.faults.scene import Scene
 
 
@@ -71,6 +71,10 @@ FAULTS = {
         Fault(systems.fail_once, PLUGIN),
         Fault(systems.poison, ("brittle",)),
         Fault(systems.hang_and_kill, PLUGIN),
+        Fault(nodes.broken_node, ("slow",)),
+        Fault(nodes.silent_node, ("slow",)),
+        Fault(nodes.slow_node, ("slow",)),
+        Fault(nodes.lying_node, ("compared",)),
         Fault(deaths.mixed),
     )
 }

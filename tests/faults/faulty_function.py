@@ -2,7 +2,8 @@
 
 The plan is the folder that FAULTY_PLAN names. A file `<seed>-<number>-<kind>` in it makes the rollout of that seed
 misbehave once: the rollout moves the file to `taken/` first, so that the next attempt finds the next file or none. A
-file `<seed>-always-<kind>` stays. Results never depend on the plan.
+file `<seed>-always-<kind>` stays. A worker whose FAULTY_NODE names a kind misbehaves so in every rollout. Results never
+depend on any of this.
 """
 
 import ctypes
@@ -26,6 +27,7 @@ from perfbound.workers.systems.base import Progress, SystemUnderTest, checked_op
 STEP = 0.02
 """Seconds between two reports of progress."""
 AGES = 3600
+SLOW = 3.0
 LEAKED: list[bytearray] = []
 
 
@@ -63,13 +65,15 @@ class FaultyFunction(SystemUnderTest):
 
         """
         pace = float(checked_options(self.spec, x, variant=variant, horizon=horizon, options=options)["pace"])
-        kind = _taken(seed)
+        kind = os.environ.get("FAULTY_NODE") or _taken(seed)
         _last(pace / 2, progress)
         if kind in BEFORE:
             BEFORE[kind](progress)
         _last(pace / 2, progress)
         noise = 0.001 * np.random.default_rng(seed).standard_normal()
         found = Trajectory(("t", "value"), np.array([[0.0, math.sin(x[0]) * math.cos(x[1]) / 2 + noise]]))
+        if kind == "lie":
+            return replace(found, samples=found.samples + np.array([0.0, 0.001]))
         return AFTER[kind](found) if kind in AFTER else found
 
 
@@ -134,6 +138,14 @@ def _sleep(_: Progress) -> None:
     time.sleep(AGES)
 
 
+def _lack(_: Progress) -> None:
+    raise ImportError("libsimulator.so: cannot open shared object file")
+
+
+def _delay(progress: Progress) -> None:
+    _last(SLOW, progress)
+
+
 def _dawdle(progress: Progress) -> None:
     _last(AGES, progress)
 
@@ -149,6 +161,8 @@ BEFORE: dict[str, Callable[[Progress], None]] = {
     "leak": _leak,
     "sleep": _sleep,
     "dawdle": _dawdle,
+    "lack": _lack,
+    "slow": _delay,
 }
 
 

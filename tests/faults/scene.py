@@ -86,12 +86,12 @@ class Scene:
     def _orchestrator(self, *arguments: str | Path) -> None:
         self.orchestrator = self.processes.start("perfbound", *arguments, prefix=self.prefix, **self.environment)
 
-    def join(self) -> None:
+    def join(self, name: str = "", **environment: str) -> None:
         """Start one more remote worker."""
         endpoint = self.workers_at or self.listening
-        name = f"remote-{len(self.fleet)}"
+        options = ("--connect", endpoint, "--name", name or f"remote-{len(self.fleet)}")
         worker = self.processes.start(
-            "perfbound-worker", "--connect", endpoint, "--name", name, prefix=self.worker_prefix, **self.environment
+            "perfbound-worker", *options, prefix=self.worker_prefix, **self.environment, **environment
         )
         self.fleet.append(worker)
 
@@ -140,8 +140,8 @@ class Scene:
         middle = 0 < count < self.subject.rollouts and not (self.directory / "certificate.json").exists()
         self.did(f"kill orchestrator at {count} of {self.subject.rollouts}", fault=middle)
 
-    def finish(self) -> None:
-        """Wait for the certificate.
+    def finish(self) -> Ended:
+        """Wait for the certificate; return the end of the orchestrator.
 
         Raises:
             AssertionError: the campaign failed.
@@ -150,6 +150,7 @@ class Scene:
         ended = self.end()
         assert ended.code == 0, f"exit {ended.code}: {ended.err[-2000:]}"
         assert "Traceback" not in ended.err, ended.err[-2000:]
+        return ended
 
     def end(self) -> Ended:
         """Wait for the end of the orchestrator, however it ends."""

@@ -23,6 +23,7 @@ hung_after = {hung_after}
 deadline = {deadline}
 spot_check = 8
 recheck = 4
+second_opinion = {second_opinion}
 
 [system]
 name = "faulty-function"
@@ -75,6 +76,14 @@ class Subject:
 LIMITS = {
     "function": {"tests": 48, "pace": 0.08, "max_attempts": 50, "hung_after": 2.0, "deadline": 6.0},
     "slow": {"tests": 36, "pace": 0.3, "max_attempts": 50, "hung_after": 2.0, "deadline": 30.0},
+    "compared": {
+        "tests": 24,
+        "pace": 0.3,
+        "max_attempts": 50,
+        "hung_after": 2.0,
+        "deadline": 30.0,
+        "second_opinion": 1.0,
+    },
     "brittle": {"tests": 24, "pace": 0.08, "max_attempts": 5, "hung_after": 2.0, "deadline": 4.0},
 }
 """Of the campaigns on the plug-in; patience is short, and nothing is poison unless it shall be."""
@@ -99,7 +108,7 @@ def prepare(name: str, folder: Path) -> Subject:
         write_campaign(campaign, hung_after="3.0", max_attempts="50")
         hung_after = 3.0
     else:
-        campaign.write_text(FUNCTION.format(name=name, **LIMITS[name]))
+        campaign.write_text(FUNCTION.format(name=name, **{"second_opinion": 0.0, **LIMITS[name]}))
         hung_after = LIMITS[name]["hung_after"]
     subject = Subject(campaign, folder / "calm", plugins, hung_after)
     with processes(folder) as started:

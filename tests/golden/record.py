@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from perfbound.schemas.platforms import class_name, cpu
 from perfbound.schemas.trajectory import Trajectory, encode
 from perfbound.workers.systems.base import SystemUnderTest
 from perfbound.workers.systems.segway.bullet import providers
 
 FILE = Path(__file__).with_name("segway.json")
 PLATFORMS = Path(__file__).with_name("platforms")
-CPU_INFO = Path("/proc/cpuinfo")
-INSTRUCTION_SETS = ("fma", "avx2", "avx512f")
 DECIDING_PACKAGES = ("foxglove-schemas-protobuf", "lz4", "mcap", "numpy", "protobuf", "zstandard")
 
 TOLERANCE = 1e-9
@@ -100,7 +99,7 @@ def platform_key() -> dict[str, str]:
     packages = {package: version(package) for package in DECIDING_PACKAGES} | providers()
     python = ".".join(platform.python_version_tuple()[:2])
     libc = " ".join(platform.libc_ver())
-    return {"machine": platform.machine(), "cpu": _cpu(), "libc": libc, "python": python} | packages
+    return {"machine": platform.machine(), "cpu": cpu(), "libc": libc, "python": python} | packages
 
 
 def platform_file(key: dict[str, str]) -> Path:
@@ -109,8 +108,8 @@ def platform_file(key: dict[str, str]) -> Path:
     >>> platform_file({"cpu": "GenuineIntel 6 fma avx2", "libc": "glibc 2.36"}).name
     'genuineintel-6-fma-avx2-glibc-2.36-ec2c5de4.json'
     """
-    words = f"{key['cpu']} {key['libc']}".lower().split()
-    return PLATFORMS / f"{'-'.join(words)}-{_sha256(json.dumps(key, sort_keys=True).encode())[:8]}.json"
+    name = class_name(key["cpu"], key["libc"])
+    return PLATFORMS / f"{name}-{_sha256(json.dumps(key, sort_keys=True).encode())[:8]}.json"
 
 
 def on_record() -> dict[str, dict[str, Any]]:
@@ -143,14 +142,3 @@ def _file(system: SystemUnderTest, trajectory: Trajectory, rollout: Rollout) -> 
 
 def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
-
-
-def _cpu() -> str:
-    """Return vendor, family and instruction sets of the CPU, as far as the system reports them."""
-    if not CPU_INFO.exists():
-        return platform.processor()
-    lines = (line.partition(":") for line in CPU_INFO.read_text().splitlines())
-    fields = {name.strip(): value.strip() for name, _, value in lines}
-    flags = set(fields.get("flags", "").split())
-    present = [name for name in INSTRUCTION_SETS if name in flags]
-    return " ".join([fields.get("vendor_id", "?"), fields.get("cpu family", "?"), *present])

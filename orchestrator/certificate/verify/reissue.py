@@ -14,9 +14,10 @@ from .rerun import Rerun
 PROBABILITIES = ("probability", "probabilities")
 
 
-def reissue(rerun: Rerun, *, irreproducible: bool) -> Certificate:
-    """Return the certificate that follows from the evidence, and from whether attempts failed irreproducibly."""
-    return issue(rerun.ledger, manifest(rerun.observed(), rerun.ledger.discards), irreproducible=irreproducible)
+def reissue(rerun: Rerun, *, irreproducible: bool, contradicted: Sequence[str]) -> Certificate:
+    """Return the certificate that follows from the evidence, and from what no trajectory file shows, as for `issue`."""
+    found = manifest(rerun.observed(), rerun.ledger.discards)
+    return issue(rerun.ledger, found, irreproducible=irreproducible, contradicted=contradicted)
 
 
 def compared(header: Header, reissued: Certificate, certificate: Certificate) -> Iterator[tuple[str, str | None, str]]:

@@ -20,7 +20,7 @@ from ...campaign.checks import check
 from ...campaign.software import other_numerics
 from ...fleet.simulate import simulate_to
 from ...store import files as evidence
-from ...store.read import irreproducible
+from ...store.read import contradicted, irreproducible
 from ...store.untrusted import UntrustedFacts, read_untrusted, read_untrusted_header
 from .. import files
 from ..issue import manifest, question, subject
@@ -113,7 +113,11 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
             _database(rerun, stored, checks)
     _chain(rerun, stored, certificate, checks, same_numerics=same_numerics)
     with checks.making("problems"):
-        reissued = reissue(rerun, irreproducible=_irreproducible(directory, certificate))
+        reissued = reissue(
+            rerun,
+            irreproducible=_irreproducible(directory, certificate),
+            contradicted=_contradicted(directory, certificate),
+        )
         for name, fault, detail in compared(header, reissued, certificate):
             checks.judge(name, fault, detail)
     with checks.making("resimulation"):
@@ -208,6 +212,13 @@ def _irreproducible(directory: Path, certificate: Certificate) -> bool:
     # The database may be cut down, so a certificate that admits more than the database shows is believed.
     admitted = [each for each in certificate.predicate.assumptions if each.id == "reproducible_rollouts"]
     return any(each.status == "refuted" for each in admitted) or irreproducible(directory) > 0
+
+
+def _contradicted(directory: Path, certificate: Certificate) -> list[str]:
+    """Return rollouts of outvoted workers that differ; those that a certificate admits, if the database has none."""
+    admitted = [each for each in certificate.predicate.assumptions if each.id == "workers_honest"]
+    names = [str((each.values or {}).get("rollouts", "")) for each in admitted if each.status == "refuted"]
+    return contradicted(directory) or [name for text in names for name in text.split(", ")]
 
 
 def _chain(

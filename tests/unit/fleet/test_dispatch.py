@@ -16,8 +16,6 @@ from perfbound.orchestrator.fleet.dispatch import (
     KNOWN,
     LEGAL,
     SIDE_EFFECTS,
-    DispatchState,
-    Limits,
 )
 from perfbound.orchestrator.fleet.events import (
     Acknowledge,
@@ -32,13 +30,17 @@ from perfbound.orchestrator.fleet.events import (
     Reported,
     Resend,
     Revoke,
+    SetAside,
     Start,
+    TakeBack,
     Tick,
     Unwanted,
     Wanted,
     WorkerDown,
     WorkerUp,
 )
+from perfbound.orchestrator.fleet.limits import Limits
+from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.fakes.invariants import check_invariants
@@ -356,14 +358,13 @@ def test_another_idle_worker_comes_before_one_on_which_a_rollout_failed(failure:
     assert actions[-1] == Start("b", first(R[0], 2))
 
 
-def test_after_a_failure_of_the_system_a_rollout_waits_for_a_busy_worker() -> None:
+@pytest.mark.parametrize("failure", [BAD, RAISED])
+def test_a_rollout_waits_for_a_busy_worker_on_which_it_has_not_failed(failure: Failure) -> None:
     busy_elsewhere: list[Event] = [*up("a"), *up("b"), want(R[0], R[1]), want(R[2])]
-    state, actions = after(*busy_elsewhere, failed(1, worker="a"))
+    state, actions = after(*busy_elsewhere, failed(1, worker="a", failure=failure))
     assert actions[-1] == Start("a", first(R[2])), "meanwhile the idle one takes another rollout"
     assert state.waiting == (R[0],)
     assert step(state, done(R[1], worker="b"))[1][-1] == Start("b", first(R[0], 2))
-    # Of the infrastructure: waiting would tell nothing.
-    assert after(*busy_elsewhere, failed(1, worker="a", failure=BAD))[1][-1] == Start("a", first(R[0], 2))
 
 
 @pytest.mark.parametrize(
@@ -484,6 +485,8 @@ class Chaos:
     partitions: int
     restarts: int
     failing: float
+    broken: int = 0
+    """Workers that fail in all they do, one after another on two hosts, until they are replaced."""
     until: float = 30.0
 
 
@@ -492,6 +495,8 @@ class Process:
     """A worker process, as `perfbound.workers.worker` behaves."""
 
     name: str
+    host: str
+    broken: bool = False
     alive: bool = True
     linked: bool = True
     hung: bool = False
@@ -523,8 +528,8 @@ class World:
         self.poison: dict[RolloutId, tuple[Fail, ...]] = {}
         self.generation = 0
         self._restart()
-        for _ in range(workers):
-            self._spawn()
+        for number in range(workers):
+            self._spawn(broken=number < min(chaos.broken, workers - 1))
         self._trouble()
         self._every(0.25, lambda: self._take(Tick(self.now)))
 
@@ -602,7 +607,7 @@ class World:
                 return
             if event.worker not in self.known:
                 self.known.add(event.worker)
-                self._step(WorkerUp(self.now, event.worker))
+                self._step(WorkerUp(self.now, event.worker, self.processes[event.worker].host))
         if isinstance(event, Delivered) and event.worker not in self.known:
             return
         self._step(event)
@@ -645,7 +650,10 @@ class World:
                 assert len(alike) == 2 or len(reasons) == self.limits.max_attempts
                 assert len(set(reasons)) == len(reasons), "no failure counts twice"
                 self.poison[rollout] = reasons
-            case Fail():
+            case SetAside(place):
+                left = {name for name, each in self.state.workers.items() if place.name not in (name, each.host)}
+                assert left, "somebody else is there"
+            case Fail() | TakeBack():
                 pass
 
     def _send(self, worker: str, act: Callable[[Process, Attempt], Any], attempt: Attempt) -> None:
@@ -654,10 +662,11 @@ class World:
 
     # The workers
 
-    def _spawn(self) -> None:
-        process = Process(f"w{next(self._names)}")
+    def _spawn(self, *, broken: bool = False) -> None:
+        number = next(self._names)
+        process = Process(f"w{number}", f"h{number % 2}", broken=broken)
         self.processes[process.name] = process
-        self._to_orchestrator(process, lambda: WorkerUp(self.now, process.name), always=True)
+        self._to_orchestrator(process, lambda: WorkerUp(self.now, process.name, process.host), always=True)
         self._every(0.5, lambda: self._beat(process))
         self._every(1.0, lambda: self._deliver(process))
         self._every(0.3, lambda: self._work(process))
@@ -695,11 +704,13 @@ class World:
         process.progress += 1
         if attempt in process.cancelled:
             self._finish(process)
-        elif self.rng.random() < 0.08:  # four seconds a rollout
+        elif process.broken or self.rng.random() < 0.08:  # four seconds a rollout
             failing = self.chaos.failing if self.now < self.chaos.until else 0.0
             failure: Failure | None = None
             if attempt.rollout in self.always_fails:
                 failure = self.rng.choice([BAD, RAISED])
+            elif process.broken:
+                failure = BAD
             elif self.rng.random() < failing:  # never twice with one reason
                 failure = self.rng.choice([BAD, Failure("system", str(attempt))])
             process.outbox[attempt] = failure
@@ -734,7 +745,7 @@ class World:
         def heal() -> None:
             process.linked = True
             if process.alive:
-                self._to_orchestrator(process, lambda: WorkerUp(self.now, process.name), always=True)
+                self._to_orchestrator(process, lambda: WorkerUp(self.now, process.name, process.host), always=True)
 
         self._at(self.now + self.rng.uniform(0.1, 8.0), heal)
 
@@ -751,6 +762,7 @@ chaos = st.builds(
     partitions=st.integers(0, 4),
     restarts=st.integers(0, 3),
     failing=st.sampled_from([0.0, 0.3]),
+    broken=st.integers(0, 3),
 )
 
 
@@ -767,7 +779,7 @@ def test_every_rollout_is_recorded_exactly_once_whatever_happens(found: Chaos, r
 @settings(max_examples=30, deadline=None)
 @given(chaos, st.integers(1, 3))
 def test_a_rollout_that_always_fails_is_poison_and_no_other_is(found: Chaos, workers: int) -> None:
-    calm = replace(found, failing=0.0, deaths=0, hangs=0, partitions=0, loss=0.0, delay=min(found.delay, 0.7))
+    calm = replace(found, failing=0.0, broken=0, deaths=0, hangs=0, partitions=0, loss=0.0, delay=min(found.delay, 0.7))
     bad = frozenset({RolloutId("p", 1, "true", 0)})
     world = World(calm, 5, workers, replace(PATIENT, max_attempts=4, hung_after=20.0), bad)
     world.run(until=400.0)

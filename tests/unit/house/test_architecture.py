@@ -10,6 +10,8 @@ import pytest
 from perfbound.orchestrator.campaign import state as campaign
 from perfbound.orchestrator.campaign.state import Plan
 from perfbound.orchestrator.fleet import dispatch, events
+from perfbound.orchestrator.fleet.limits import Limits
+from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.schemas.errors import IllegalEvent
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
@@ -61,7 +63,7 @@ def an_event(rng: random.Random, at: float) -> events.Event:
 
 def test_the_diagram_of_dispatch_is_what_the_core_does() -> None:
     rng, at, seen = random.Random(0), 0.0, set()
-    state = dispatch.DispatchState(dispatch.Limits(max_attempts=10**9))
+    state = DispatchState(Limits(max_attempts=10**9))
     for _ in range(STEPS):
         at += rng.choice([0.1, 0.5, 5.0])
         event = an_event(rng, at)

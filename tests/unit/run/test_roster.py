@@ -8,6 +8,7 @@ from perfbound.orchestrator.run import roster as module
 from perfbound.orchestrator.run.roster import Roster
 from perfbound.schemas import __version__
 from perfbound.schemas.messages import PROTOCOL, WorkerState
+from perfbound.schemas.platforms import ANY
 from perfbound.workers.systems import load_system
 
 SPEC = load_system("test-function").spec
@@ -30,7 +31,7 @@ def appear(roster: Roster, worker: str, at: float = 0.0) -> list[events.Event]:
 
 def test_dead_workers_are_forgotten_the_oldest_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DEAD_KEPT", 3)
-    roster = Roster(SPEC)
+    roster = Roster(SPEC, ANY)
     appear(roster, "alive")
     for number in range(100):
         assert appear(roster, f"w{number}")
@@ -44,7 +45,7 @@ def test_dead_workers_are_forgotten_the_oldest_first(monkeypatch: pytest.MonkeyP
 
 
 def test_tokens_without_heartbeats_leave_nothing() -> None:
-    roster = Roster(SPEC)
+    roster = Roster(SPEC, ANY)
     for number in range(1000):
         roster.token(Token(0.0, f"w{number}", alive=True))
         roster.token(Token(0.0, f"w{number}", alive=True))
@@ -55,7 +56,7 @@ def test_tokens_without_heartbeats_leave_nothing() -> None:
 
 def test_living_workers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LIVING", 5)
-    roster = Roster(SPEC)
+    roster = Roster(SPEC, ANY)
     for number in range(100):
         roster.token(Token(0.0, f"w{number}", alive=True))
     assert len(roster.records) == 5

@@ -14,8 +14,9 @@ import sqlalchemy as sa
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.fleet import dispatch, events
-from perfbound.orchestrator.fleet.dispatch import Limits
 from perfbound.orchestrator.fleet.events import HandOut, Reported, Start, Wanted, WorkerUp
+from perfbound.orchestrator.fleet.limits import Limits
+from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import ChangeReader
@@ -151,9 +152,9 @@ def test_a_replay_of_a_long_campaign_ends_where_it_was(tmp_path: Path) -> None:
 # The dispatch core
 
 
-def crowd(workers: int, rollouts: int) -> dispatch.DispatchState:
+def crowd(workers: int, rollouts: int) -> DispatchState:
     """Return so many idle workers, and rollouts that wait."""
-    state = dispatch.DispatchState(Limits())
+    state = DispatchState(Limits())
     wanted = tuple((RolloutId("p", number, "true", 0), 0) for number in range(rollouts))
     arrivals: list[events.Event] = [
         *(WorkerUp(0.0, f"w{number}") for number in range(workers)),

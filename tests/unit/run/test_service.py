@@ -30,6 +30,7 @@ from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped, UnknownSystemError
 from perfbound.schemas.messages import MAX_RESULT, PROTOCOL, Assign, Cancel, Request, ResultHeader, WorkerState
+from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers import worker as module
@@ -297,6 +298,8 @@ class Altered:
         ({"version": "0.0.1"}, "install the same version on both"),
         ({"protocol": PROTOCOL + 1}, "install the same version on both"),
         ({"systems": {}}, "has no system 'test-function'"),
+        ({"platform": "other-7-glibc-2.5"}, f"platform is other-7-glibc-2.5, the campaign's {platform_class()}, and"),
+        ({"platform": ""}, "platform is unknown"),
         ({"systems": {"test-function": ("0" * 64,)}}, "differs from the one this campaign was planned for"),
     ],
 )
@@ -609,6 +612,7 @@ class Puppets:
             version=__version__,
             worker=worker,
             host="h",
+            platform=platform_class(),
             pid=1,
             systems={"test-function": load_system("test-function").spec.identities},
             state="busy" if assign else "idle",
@@ -719,6 +723,15 @@ def test_the_progress_of_one_rollout_is_not_told_as_that_of_the_next(monkeypatch
     told = {state.progress for state in uplink.states if state.rollout == "maximum.1.true.0"}
     assert told
     assert max(told) <= 1
+
+
+def test_a_worker_that_lacks_a_module_of_the_system_is_at_fault_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    uplink = Deaf()
+    worker = WorkerProcess("w", uplink)
+    monkeypatch.setattr(module, "run_request_on", failing(raising(ImportError("libsimulator.so: no such file"))))
+    worker.receive(an_assign(0))
+    served(worker, uplink, 1)
+    assert [header.kind for header in uplink.results] == ["infrastructure"]
 
 
 def test_an_assignment_is_taken_once_and_never_an_older_attempt(monkeypatch: pytest.MonkeyPatch) -> None:

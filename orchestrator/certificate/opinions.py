@@ -1,0 +1,39 @@
+"""The assumption that workers are honest, where rollouts got a second opinion."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+from ...schemas.certificate import Assumption
+from ...schemas.facts import Header
+from ...schemas.ids import RolloutId
+from ..campaign.second_opinion import is_chosen
+from ..mathematics.bounds.share import unseen_share
+from .sentences import assumption
+
+UNSEEN = 0.05
+"""Probability that the comparisons miss the share of false rollouts which the certificate names."""
+NAME = "workers_honest"
+MOST_NAMED = 20
+"""Rollouts in the sentence."""
+
+
+def workers_honest(header: Header, evidence: Iterable[RolloutId], contradicted: Sequence[str]) -> Assumption | None:
+    """Return the assumption for the rollouts behind a certificate; None for a campaign without second opinions.
+
+    A chosen rollout is recorded only once two results agree, so all of those in the evidence were compared and agree.
+    """
+    if not header.config.second_opinion:
+        return None
+    if contradicted:
+        named = ", ".join(contradicted[:MOST_NAMED])
+        more = f", and {len(contradicted) - MOST_NAMED} more" if len(contradicted) > MOST_NAMED else ""
+        return assumption(NAME, "refuted", {"count": len(contradicted), "rollouts": named + more}, form="outvoted")
+    compared = sum(is_chosen(header, rollout) for rollout in evidence)
+    share = unseen_share(compared, UNSEEN) if compared else 1.0
+    values = {
+        "chosen": 100 * header.config.second_opinion,
+        "compared": compared,
+        "agreed": compared,
+        "percent": math.ceil(1000 * share) / 10,
+    }
+    return assumption(NAME, "not refuted" if compared else "assumed", values, form="second_opinion")

@@ -1,0 +1,108 @@
+"""Second opinions: a result that is compared counts once another worker has sent the same bytes.
+
+Compared are the rollouts that the campaign chose, and the first three results of every worker while another one is
+there. Of a first result its digest is kept alone; the rollout then waits for a worker that has not simulated it, of
+another host first (`retries`). Where there is none, its only worker is given up, so that a local one is replaced by a
+fresh process, and simulates it again. Two equal digests agree: the rollout is recorded. Two that differ ask a third
+worker; where there is none, the third attempt of the same ones, in a fresh process where it can be, is the last.
+Whoever differs from two that agree is outvoted: set aside for good. Without a majority the rollout is poisoned.
+"""
+
+from dataclasses import dataclass, replace
+
+from ...schemas.failure import Failure
+from ...schemas.ids import Attempt, RolloutId
+from .choice import eligible, nearest
+from .events import Action, Compared, Delivered, Fail, GiveUp, Outvoted, Poison, SetAside
+from .retries import SAME_WORKER, Opinion
+from .standing import Place, Standing
+from .state import DispatchState
+
+FIRST = 3
+"""Results of a worker that are compared always: a wrong build or a broken simulator shows in the first ones."""
+MOST = 3
+"""Results of a rollout of which two have to agree."""
+FOR_GOOD = float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """The state after a result, whether it is to be recorded, and what else follows."""
+
+    state: DispatchState
+    counts: bool
+    actions: tuple[Action, ...] = ()
+
+
+def consider(state: DispatchState, event: Delivered) -> Decision:
+    """Take a valid result of an open rollout."""
+    name, rollout = event.worker, event.attempt.rollout
+    known = state.open[rollout]
+    if is_outvoted(state, name):
+        return Decision(queued_again(state, rollout), counts=False)
+    if not (known.compare or known.opinions or _is_first(state, name, event.at)):
+        return Decision(state, counts=True)
+    if any(each.attempt == event.attempt for each in known.opinions):
+        return Decision(state, counts=False)  # the acknowledgement was lost
+    repeats = any(each.worker == name for each in known.opinions)
+    if repeats and nearest(state, rollout, event.at) != SAME_WORKER:
+        return Decision(queued_again(state, rollout), counts=False)  # an attempt of before, and another worker is there
+    opinion = Opinion(name, state.host(name), event.attempt, event.digest)
+    known = replace(known, opinions=(*known.opinions, opinion))
+    state = replace(state, open={**state.open, rollout: known})
+    compared = Compared(name, event.attempt, event.digest)
+    agreeing = [each.worker for each in known.opinions if each.digest == event.digest]
+    # A worker that repeats itself says nothing against another one.
+    if len(agreeing) > 1 and (len(set(agreeing)) > 1 or {each.worker for each in known.opinions} == {name}):
+        return _agreed(state, rollout, agreeing, compared)
+    if len(known.opinions) >= MOST:
+        return _divided(state, rollout, compared)
+    alone = nearest(state, rollout, event.at) == SAME_WORKER
+    fresh = (GiveUp(name),) if alone else ()
+    return Decision(queued_again(state, rollout), counts=False, actions=(compared, *fresh))
+
+
+def is_outvoted(state: DispatchState, worker: str) -> bool:
+    """Whether a worker has been set aside for good."""
+    return state.standings.get(Place("worker", worker), Standing()).until == FOR_GOOD
+
+
+def queued_again(state: DispatchState, rollout: RolloutId) -> DispatchState:
+    """Let an open rollout wait for a worker, before all others, unless it waits or is simulated already."""
+    if not state.is_undecided(rollout):
+        return state
+    return replace(state, waiting=(rollout, *state.waiting))
+
+
+def _is_first(state: DispatchState, worker: str, at: float) -> bool:
+    if not state.second_opinion or state.comparisons.get(worker, 0) >= FIRST:
+        return False
+    return any(name != worker for name in eligible(state, at))
+
+
+def _agreed(state: DispatchState, rollout: RolloutId, agreeing: list[str], compared: Compared) -> Decision:
+    counts = {name: state.comparisons.get(name, 0) + 1 for name in agreeing if name in state.workers}
+    state = replace(state, comparisons={**state.comparisons, **counts})
+    actions: list[Action] = [compared]
+    for each in state.open[rollout].opinions:
+        if each.worker in agreeing or is_outvoted(state, each.worker):
+            continue
+        place = Place("worker", each.worker)
+        found = state.standings.get(place, Standing())
+        banned = replace(found, last=FOR_GOOD, until=FOR_GOOD)
+        state = replace(state, standings={**state.standings, place: banned})
+        reason = f"its trajectory of {rollout} differs from that of two others ({', '.join(agreeing)})"
+        actions += [Outvoted(each.worker, each.attempt, each.digest), SetAside(place, FOR_GOOD, reason)]
+        actions += [GiveUp(each.worker)] if each.worker in state.workers else []
+    return Decision(state, counts=True, actions=tuple(actions))
+
+
+def _divided(state: DispatchState, rollout: RolloutId, compared: Compared) -> Decision:
+    known = state.open[rollout]
+    state = replace(state, open={**state.open, rollout: replace(known, poisoned=True)})
+    differing = tuple(_difference(each.worker, each.attempt, each.digest) for each in known.opinions)
+    return Decision(state, counts=False, actions=(compared, Poison(rollout, (*known.failures, *differing))))
+
+
+def _difference(worker: str, attempt: Attempt, digest: str) -> Fail:
+    return Fail(worker, attempt, Failure("system", f"a trajectory like no other one, with the sha256 {digest[:12]}..."))

@@ -1,0 +1,62 @@
+"""The state of the dispatch machine: limits, workers, open rollouts, and the standing of workers and hosts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ...schemas.ids import Attempt, RolloutId
+from .limits import Limits
+from .retries import Open
+from .standing import Place, Standing
+
+WorkerPhase = Literal["new", "idle", "sent", "busy", "shunned", "gone"]
+NEVER = float("inf")
+SERVING: tuple[WorkerPhase, ...] = ("idle", "sent", "busy")
+"""Phases of a worker that takes a rollout now or soon: out of `new` and `shunned` a hanging one may never come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Worker:
+    """One worker process in the view of the orchestrator."""
+
+    phase: WorkerPhase = "new"
+    attempt: Attempt | None = None
+    host: str = ""
+    resumes_as: WorkerPhase = "idle"
+    """Its phase if its token comes back; of a `gone` worker alone."""
+    gone_at: float = NEVER
+    sent_at: float = NEVER
+    """Of the last assign message."""
+    started_at: float = NEVER
+    progress: int = -1
+    progress_at: float = NEVER
+
+
+@dataclass(frozen=True, slots=True)
+class DispatchState:
+    """Workers, open rollouts in order of arrival, and those of them that wait for a worker."""
+
+    limits: Limits
+    hold_until: float = 0.0
+    """Nothing is assigned before this time: after a restart busy workers report first."""
+    workers: Mapping[str, Worker] = field(default_factory=dict)
+    open: Mapping[RolloutId, Open] = field(default_factory=dict)
+    waiting: tuple[RolloutId, ...] = ()
+    standings: Mapping[Place, Standing] = field(default_factory=dict)
+    """Of the workers and hosts that failed and have not succeeded since."""
+    proven: frozenset[str] = frozenset()
+    """Hosts that have recorded rollouts."""
+    second_opinion: bool = False
+    """Whether the first results of a worker are compared."""
+    comparisons: Mapping[str, int] = field(default_factory=dict)
+    """Results of a worker that agreed with another one's."""
+    recorded: int = 0
+
+    def is_undecided(self, rollout: RolloutId) -> bool:
+        """Whether nothing has been decided on an open rollout since its last attempt ended."""
+        held = any(each.attempt is not None and each.attempt.rollout == rollout for each in self.workers.values())
+        return not (self.open[rollout].poisoned or held or rollout in self.waiting)
+
+    def host(self, worker: str) -> str:
+        """Return the host of a worker; of one that has been removed, none."""
+        return self.workers.get(worker, Worker()).host

@@ -1,0 +1,59 @@
+"""One of three workers that is of no use, or of little, from the start."""
+
+from tests.end_to_end.processes import Process, query, wait_for
+from tests.faults.scene import Scene
+
+NODE = "FAULTY_NODE"
+"""Variable of a worker that misbehaves in every rollout, with the kind of `faulty_function`."""
+
+
+def broken_node(scene: Scene) -> None:
+    """A worker lacks its simulator, is refused a licence, or dies in every rollout and comes back three times."""
+    kind = scene.chance.choice(("lack", "raise", "exit"))
+    scene.irreproducible = kind == "raise"  # an exception is a failure of the system, wherever it comes from
+    _with_two_good(scene, "broken", kind)
+    for _ in range(3 if kind == "exit" else 0):
+        last = scene.fleet[-1]
+        wait_for(lambda last=last: not last.running or not scene.orchestrator.running)  # type: ignore[misc]
+        if scene.orchestrator.running:
+            scene.join("broken", **{NODE: kind})
+    _finish(scene, "broken", "attempt" if kind == "exit" else "set aside")
+
+
+def silent_node(scene: Scene) -> None:
+    """A worker accepts its rollouts and never answers."""
+    silent = _with_two_good(scene, "silent", "sleep")
+    _finish(scene, "silent", "attempt")
+    silent.popen.kill()  # it does not listen to a signal either
+
+
+def slow_node(scene: Scene) -> None:
+    """A worker takes ten times as long as the others; it is slow, not bad."""
+    _with_two_good(scene, "slow", "slow")
+    scene.finish()
+    outcomes = query(scene.directory, "SELECT outcome FROM outcomes WHERE worker = 'slow'")
+    assert set(outcomes) <= {("recorded",)}, outcomes
+
+
+def lying_node(scene: Scene) -> None:
+    """A worker sends plausible trajectories that are false; every rollout has a second opinion."""
+    _with_two_good(scene, "lying", "lie")
+    _finish(scene, "lying", "set aside for good")
+    assert not query(scene.directory, "SELECT * FROM outcomes WHERE worker = 'lying' AND outcome = 'recorded'")
+
+
+def _with_two_good(scene: Scene, name: str, kind: str) -> Process:
+    scene.remote = True
+    scene.start(workers=0)
+    scene.join(name, **{NODE: kind})
+    bad = scene.fleet[-1]
+    scene.join()
+    scene.join()
+    scene.did(f"{kind} in every rollout of worker {name}")
+    return bad
+
+
+def _finish(scene: Scene, name: str, how: str) -> None:
+    ended = scene.finish()
+    named = [line for line in ended.err.splitlines() if name in line and how in line]
+    assert named, f"no line names {name}: {ended.err[-2000:]}"

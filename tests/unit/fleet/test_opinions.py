@@ -1,0 +1,148 @@
+"""Second opinions: who is asked, who is outvoted, and what counts."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perfbound.orchestrator.fleet import dispatch
+from perfbound.orchestrator.fleet.events import (
+    Acknowledge,
+    Compared,
+    Delivered,
+    GiveUp,
+    HandOut,
+    Poison,
+    Record,
+    Reported,
+    SetAside,
+    Start,
+    Wanted,
+    WorkerUp,
+)
+from perfbound.orchestrator.fleet.limits import Limits
+from perfbound.orchestrator.fleet.state import DispatchState
+from perfbound.schemas.ids import Attempt, RolloutId
+from tests.fakes.fleets import Behaviour, Fleet, Member
+
+R0 = RolloutId("p", 0, "true", 0)
+
+
+def fleet(rollouts: int, compared: tuple[int, ...] | None, **workers: Behaviour) -> Fleet:
+    """Return workers by name; the part of a name before _ is the host."""
+    members = {name: Member(name.split("_")[0], each) for name, each in workers.items()}
+    return Fleet(members, rollouts, second_opinion=compared)
+
+
+def test_without_the_key_nothing_is_compared() -> None:
+    found = fleet(20, None, a="good", b="lies")
+    found.run(100)
+    assert len(found.starts) == 20
+    assert False in found.true.values()
+
+
+def test_a_chosen_rollout_is_simulated_by_two_workers_of_two_hosts() -> None:
+    found = fleet(30, (10, 20), h_1="good", h_2="good", k="good")
+    found.run(300)
+    assert len(found.recorded) == 30
+    for test in (10, 20):
+        hosts = {start.worker.split("_")[0] for _, start in found.starts if start.attempt.rollout.test == test}
+        assert hosts == {"h", "k"}
+
+
+def test_the_first_three_results_of_every_worker_are_compared() -> None:
+    found = fleet(40, (), a="good", b="good", c="good")
+    found.run(300)
+    assert 5 <= len(found.starts) - 40 <= 9
+
+
+def test_a_worker_that_lies_from_the_start_is_outvoted_and_nothing_of_it_is_recorded() -> None:
+    found = fleet(40, (), a="lies", b="good", c="good")
+    found.run(300)
+    assert found.outvoted == ["a"]
+    assert set(found.recorded.values()) == {"b", "c"}
+    assert set(found.true.values()) == {True}
+    ((when, reason),) = [(at, each.reason) for at, each in found.pauses if isinstance(each, SetAside)]
+    assert reason.startswith("its trajectory of p.")
+    assert reason.endswith((" differs from that of two others (b, c)", " differs from that of two others (c, b)"))
+    assert all(at <= when for at, start in found.starts if start.worker == "a"), "set aside for good"
+
+
+def test_a_worker_that_begins_to_lie_is_outvoted_at_the_next_chosen_rollout() -> None:
+    found = fleet(60, (30, 40, 50), a="good", b="good", c="good")
+    found.run(14)
+    found.members["a"].behaviour = "lies"
+    found.run(300)
+    assert found.outvoted == ["a"]
+    assert len(found.recorded) == 60
+
+
+def test_two_that_differ_ask_a_third_and_without_a_majority_the_rollout_is_poison() -> None:
+    found = fleet(5, (0,), a="lies", b="good", c="slow")
+    found.run(100)
+    assert found.true[R0]
+    found = fleet(5, (0,), a="lies", b="good")
+    found.run(60)
+    assert found.poison is not None, "a worker that repeats itself is no majority"
+    found = fleet(5, (0,), a="lies", b="lies", c="lies")
+    found.run(60)
+    assert found.poison is not None
+    assert "a trajectory like no other one" in found.poison.failures[-1].failure.reason
+    assert len(found.poison.failures) == 3
+
+
+def deliver(state: DispatchState, number: int, digest: str, worker: str = "w") -> tuple[DispatchState, list[object]]:
+    state, actions = dispatch.advance(state, Delivered(1.0, worker, Attempt(R0, number), None, digest))
+    state, starts = dispatch.advance(state, HandOut(1.0))
+    return state, [*actions, *starts]
+
+
+@pytest.fixture
+def alone() -> DispatchState:
+    """A state in which the only worker has the rollout that is compared."""
+    state = DispatchState(Limits(), second_opinion=True)
+    wanted = Wanted(0.0, ((R0, 0),), compared=frozenset({R0}))
+    for event in (wanted, WorkerUp(0.0, "w", "h"), Reported(0.0, "w", None, 0), HandOut(0.0)):
+        state, _ = dispatch.advance(state, event)
+    return state
+
+
+def test_the_only_worker_simulates_again_in_a_fresh_process_where_it_can(alone: DispatchState) -> None:
+    state, actions = deliver(alone, 1, "d")
+    assert actions == [
+        Compared("w", Attempt(R0, 1), "d"),
+        GiveUp("w"),
+        Acknowledge("w", Attempt(R0, 1)),
+        Start("w", Attempt(R0, 2)),
+    ]
+    assert Record("w", Attempt(R0, 2)) in deliver(state, 2, "d")[1]
+
+
+def test_a_result_that_comes_twice_is_one_opinion(alone: DispatchState) -> None:
+    state, _ = deliver(alone, 1, "d")
+    again, actions = deliver(state, 1, "d")
+    assert actions == [Acknowledge("w", Attempt(R0, 1))]
+    assert again.open[R0].opinions == state.open[R0].opinions
+
+
+def test_a_worker_that_differs_from_itself_is_poison(alone: DispatchState) -> None:
+    state, _ = deliver(alone, 1, "d")
+    state, _ = deliver(state, 2, "e")
+    assert any(isinstance(action, Poison) for action in deliver(state, 3, "f")[1])
+
+
+behaviours = st.sampled_from(["good", "slow", "broken", "silent", "dies", "absent"])
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 2), behaviours), max_size=4), st.sets(st.integers(0, 11)), st.booleans())
+def test_with_two_good_workers_no_lie_that_is_compared_is_recorded(
+    others: list[tuple[int, Behaviour]], compared: set[int], liar_first: bool
+) -> None:
+    members = {f"w{k}": Member(f"h{host}", each) for k, (host, each) in enumerate(others)}
+    members |= {name: Member(name, "good") for name in ("y", "z")}
+    members = {"a" if liar_first else "zz": Member("h0", "lies"), **members}
+    found = Fleet(members, 12, second_opinion=tuple(compared))
+    found.run(1500)
+    assert found.poison is None
+    assert len(found.recorded) == 12
+    assert set(found.true.values()) == {True}, "it lies from the start, and its first results are compared"

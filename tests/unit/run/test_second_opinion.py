@@ -1,0 +1,158 @@
+"""A campaign with second opinions and workers that lie: what is recorded, reviewed and certified."""
+
+import hashlib
+import json
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perfbound.orchestrator.campaign.second_opinion import is_chosen
+from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.rows import DATABASE
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.errors import Stopped
+from perfbound.schemas.facts import Header
+from perfbound.schemas.ids import RolloutId
+from perfbound.schemas.messages import ResultHeader
+from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
+from perfbound.workers.systems import load_system
+from perfbound.workers.transport import Receiver
+from tests.campaigns import UNCHECKED
+from tests.fakes.inmemory import InMemoryUplink, Log, Network, Wrap, begin, campaign, hurry, run_of, serve, working
+
+PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
+
+
+def a_config(**changes: Any) -> CampaignConfig:
+    base = {"resolution": 11, "max_tests": 12, "replicates": 3, **UNCHECKED}
+    return parse_campaign(PRESET.read_bytes(), "test", **{**base, **changes})
+
+
+def honest(uplink: InMemoryUplink) -> InMemoryUplink:
+    return uplink
+
+
+class Liar:
+    """The uplink of a worker that sends plausible results that are false."""
+
+    def __init__(self, inner: InMemoryUplink, alter: Callable[[bytes], bytes]) -> None:
+        self._inner, self._alter = inner, alter
+        self.orchestrators = inner.orchestrators
+        self.leave = inner.leave
+        self.report = inner.report
+
+    def join(self, run: str, worker: str, receive: Receiver) -> None:
+        """Pass on."""
+        self._inner.join(run, worker, receive)
+
+    def deliver(self, header: ResultHeader, payload: bytes) -> None:
+        """Lie, in the same way each time."""
+        altered = self._alter(payload)
+        self._inner.deliver(header.model_copy(update={"sha256": hashlib.sha256(altered).hexdigest()}), altered)
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything as it is, in a tenth of the time."""
+    hurry(monkeypatch, tick=0.02)
+
+
+def lie(payload: bytes) -> bytes:
+    """Return a plausible file with another value."""
+    file = read_mcap(payload)
+    samples = file.trajectory.samples + np.array([0.0, 0.001])
+    record = {name: text for name, text in file.metadata.items() if name != "columns"}
+    units = dict.fromkeys(file.trajectory.columns, "1")
+    return encode(Trajectory(file.trajectory.columns, samples), request=file.request, metadata=record, units=units)
+
+
+def faults(directory: Path) -> list[str]:
+    """Return the checks of `verify` that fail."""
+    found = verify_certificate(directory, key=None, again=0, report=lambda *_: None).checks.found
+    return [f"{name}: {each.detail}" for name, each in found.items() if each.status == "failed"]
+
+
+def opinions(directory: Path, kind: str) -> list[tuple[str, str]]:
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        return connection.execute("SELECT rollout, worker FROM opinions WHERE kind = ?", [kind]).fetchall()
+
+
+def honesty(certificate: str) -> dict[str, Any]:
+    (found,) = (each for each in json.loads(certificate)["predicate"]["assumptions"] if each["id"] == "workers_honest")
+    return dict(found)
+
+
+def test_the_choice_follows_from_the_seed_and_has_the_share() -> None:
+    spec = load_system("test-function").spec
+    header = Header.new(a_config(second_opinion=0.05), spec, {})
+    rollouts = [RolloutId("maximum", test, "true", 0) for test in range(4000)]
+    chosen = [each for each in rollouts if is_chosen(header, each)]
+    assert 140 < len(chosen) < 260
+    other = Header.new(a_config(second_opinion=0.05, seed=2), spec, {})
+    assert chosen != [each for each in rollouts if is_chosen(other, each)]
+    assert not any(is_chosen(Header.new(a_config(), spec, {}), each) for each in rollouts)
+    assert all(is_chosen(Header.new(a_config(second_opinion=1.0), spec, {}), each) for each in rollouts)
+
+
+def test_the_key_changes_neither_seeds_nor_numbers_and_the_number_of_workers_nothing(tmp_path: Path) -> None:
+    config = a_config(second_opinion=0.3)
+    assert config.digest == a_config().digest
+    one, three = (campaign(tmp_path / str(count), config, workers=count) for count in (1, 3))
+    assert one == three
+    plain = json.loads(campaign(tmp_path / "plain", a_config()))["predicate"]
+    assert {**json.loads(one)["predicate"], "assumptions": 0} == {**plain, "assumptions": 0}
+    found = honesty(one)
+    compared = found["values"]["compared"]
+    assert found["status"] == "not refuted"
+    assert 5 < compared == found["values"]["agreed"] < 20
+    assert "30 % of the rollouts, drawn from the seed, were simulated twice" in found["detail"]
+    assert found["values"]["percent"] == pytest.approx(100 * (1 - 0.05 ** (1 / compared)), abs=0.11)
+    assert faults(tmp_path / "3") == []
+
+
+def test_of_a_worker_that_lies_from_its_first_result_nothing_is_recorded(tmp_path: Path) -> None:
+    config, log, directory = a_config(second_opinion=1.0), Log(), tmp_path / "run"
+    begin(directory, config)
+    liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [liar, honest, honest]):
+        found = serve(directory, network, log)
+    assert found == campaign(tmp_path / "calm", config, workers=2)
+    (line,) = [line for line in log.lines if "set aside for good" in line]
+    assert line.startswith("worker worker-0-")
+    assert {worker for _, worker in opinions(directory, "outvoted")} == {line.split()[1]}
+    assert opinions(directory, "reviewed") == []
+
+
+def test_what_a_worker_recorded_before_it_was_outvoted_is_simulated_again(tmp_path: Path) -> None:
+    config, directory = a_config(second_opinion=0.3), tmp_path / "run"
+    begin(directory, config)
+    # Alone, the liar agrees with itself.
+    liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [liar]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 12)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection, connection:
+        rows = connection.execute("SELECT rollout, worker FROM outcomes WHERE outcome = 'recorded'").fetchall()
+        values = ("outvoted", "maximum.0.true.0", 1, rows[0][1], "0" * 64, 0.0)
+        connection.execute(
+            "INSERT INTO opinions (kind, rollout, attempt, worker, sha256, at) VALUES (?,?,?,?,?,?)", values
+        )
+    log = Log()
+    with Network() as network, working(network, run_of(directory), [honest, honest]):
+        found = serve(directory, network, log, resumed=True)
+    compared = {rollout for rollout, _ in opinions(directory, "compared")}
+    suspects = {rollout for rollout, _ in rows} - compared
+    assert suspects
+    assert f"{len(suspects)} rollouts of outvoted workers are simulated again" in log.lines
+    assert {rollout for rollout, _ in opinions(directory, "reviewed")} == set(read.contradicted(directory)) == suspects
+    told = honesty(found)
+    assert told["status"] == "refuted"
+    assert f"{len(suspects)} of the rollouts that it had recorded had another trajectory" in told["detail"]
+    assert all(rollout in told["detail"] for rollout in suspects)
+    assert faults(directory) == []

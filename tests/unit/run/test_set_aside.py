@@ -1,0 +1,132 @@
+"""A worker that is set aside, from the failed attempts to the line, the database, the status and the live page."""
+
+import io
+import itertools
+import json
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from perfbound.orchestrator.cli.status import print_status
+from perfbound.orchestrator.run.live_page import message
+from perfbound.orchestrator.run.progress import worker_line
+from perfbound.orchestrator.run.service import RunStatus
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.progress import read_progress
+from perfbound.orchestrator.store.rows import DATABASE
+from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.messages import ResultHeader, WorkerState
+from perfbound.schemas.rollout import RolloutRequest
+from perfbound.workers import worker as module
+from perfbound.workers.systems.base import Progress, SystemUnderTest
+from perfbound.workers.transport import Receiver
+from tests.campaigns import UNCHECKED
+from tests.fakes.inmemory import InMemoryUplink, Log, Network, begin, campaign, hurry, run_of, serve, working
+
+PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
+CONFIG = parse_campaign(
+    PRESET.read_bytes(), "test", **{"resolution": 11, "max_tests": 12, "replicates": 3, **UNCHECKED}
+)
+
+
+class BrokenNode:
+    """The uplink of a worker of another host that fails in everything."""
+
+    def __init__(self, inner: InMemoryUplink) -> None:
+        self._inner = inner
+        self.orchestrators = inner.orchestrators
+        self.leave = inner.leave
+
+    def join(self, run: str, worker: str, receive: Receiver) -> None:
+        """Pass on."""
+        self._inner.join(run, worker, receive)
+
+    def report(self, state: WorkerState) -> None:
+        """Report another host."""
+        self._inner.report(state.model_copy(update={"host": "far"}))
+
+    def deliver(self, header: ResultHeader, payload: bytes) -> None:
+        """Fail."""
+        failed = {"outcome": "failed", "sha256": "", "error": "no \x1b[31msimulator", "kind": "infrastructure"}
+        self._inner.deliver(header.model_copy(update=failed), b"")
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything as it is, in a tenth of the time."""
+    hurry(monkeypatch, tick=0.02)
+
+
+def test_a_broken_worker_is_named_set_aside_and_changes_nothing(tmp_path: Path) -> None:
+    log, directory, seen = Log(), tmp_path / "run", list[RunStatus]()
+    begin(directory, CONFIG)
+
+    def look(status: RunStatus) -> bool:
+        seen.append(status)
+        return False
+
+    honest: Callable[[InMemoryUplink], InMemoryUplink] = lambda uplink: uplink  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [BrokenNode, honest, honest]):
+        found = serve(directory, network, log, stop=look)
+    assert found == campaign(tmp_path / "calm", CONFIG)
+    (line,) = [line for line in log.lines if "set aside" in line]
+    assert line.startswith("worker worker-0")
+    assert line.endswith("is set aside for 30 s: 3 rollouts in a row have failed, the last: no \\x1b[31msimulator")
+    name = line.split()[1]
+    (pauses,) = read_progress(directory).pauses
+    assert (pauses.kind, pauses.name, pauses.count) == ("worker", name, 1)
+    assert pauses.reason.endswith("simulator")
+    console = Console(record=True, width=200, file=io.StringIO())
+    print_status(directory, console)
+    assert f"worker {name}: set aside 1 time; 3 rollouts in a row have failed, the last: no" in console.export_text()
+    last = seen[-1]
+    assert last.workers[name] == "set aside"
+    assert f"in trouble: {name}" in worker_line(last, 1.0)
+    assert json.loads(message(last))[name][0] == "set aside"
+
+
+def test_a_system_that_does_not_end_costs_two_deadlines_and_is_reported_with_its_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def endless(_system: SystemUnderTest, _request: RolloutRequest, progress: Progress) -> bytes:
+        for step in itertools.count():
+            progress(step)
+            time.sleep(0.01)
+        raise AssertionError
+
+    monkeypatch.setattr(module, "run_request_on", endless)
+    config = CONFIG.model_copy(update={"deadline": 1.0})
+    with pytest.raises(
+        PerfboundError, match=r"failed 2 times.*: not done after 1 s\. It exceeds deadline = 1 s"
+    ) as end:
+        campaign(tmp_path / "run", config, workers=1)
+    assert "deadline = 1 s at the start (" in str(end.value)
+    assert "attempt 2 on worker-0" in str(end.value)
+
+
+def test_an_older_database_takes_a_pause_without_a_place_for_it(tmp_path: Path) -> None:
+    shutil.copy(Path(__file__).parents[2] / "fixtures" / "schema-2" / DATABASE, tmp_path)
+    journal = Journal.open(tmp_path)
+    with journal.transaction():
+        journal.set_aside("worker", "w", 30.0, "why")
+    journal.close()
+    assert read_progress(tmp_path).pauses == ()
+
+
+def test_the_end_of_a_pause_is_written_too(tmp_path: Path) -> None:
+    begin(tmp_path / "run", CONFIG)
+    journal = Journal.open(tmp_path / "run")
+    with journal.transaction():
+        journal.set_aside("host", "h", 30.0, "why")
+    (before,) = read_progress(tmp_path / "run").pauses
+    with journal.transaction():
+        journal.set_aside("host", "h", 0.0, "")
+    journal.close()
+    (after,) = read_progress(tmp_path / "run").pauses
+    assert (before.count, after.count, after.reason) == (1, 1, "why")
+    assert after.until < before.until
