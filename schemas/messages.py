@@ -9,7 +9,7 @@ from .errors import MessageError
 from .failure import FailureKind
 from .rollout import MAX_FILE_BYTES, RolloutRequest
 
-PROTOCOL = 1
+PROTOCOL = 2
 MAX_MESSAGE = 64 * 1024
 """Bytes of a JSON message."""
 MAX_RESULT = MAX_FILE_BYTES
@@ -18,6 +18,7 @@ MAX_RESULT = MAX_FILE_BYTES
 Rollout = Annotated[str, Field(pattern=r"^[a-z_]{1,40}\.[0-9]{1,9}\.(nominal|true)\.[0-9]{1,6}$")]
 Attempt = Annotated[int, Field(ge=1, le=1_000_000)]
 Word = Annotated[str, Field(max_length=200)]
+Secret = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Identities = Annotated[tuple[Word, ...], Field(min_length=1, max_length=20)]
 
 
@@ -26,6 +27,7 @@ class Assign(Model):
 
     type: Literal["assign"] = "assign"
     attempt: Attempt
+    secret: Secret = Field(description="of this attempt on this worker: with it the result is proved")
     request: RolloutRequest
 
 
@@ -84,6 +86,11 @@ class ResultHeader(Model):
     kind: FailureKind | None = Field(default=None, description="of a failed attempt; if it is missing, infrastructure")
     cpu_seconds: float = Field(default=0.0, ge=0)
     wall_seconds: float = Field(default=0.0, ge=0)
+    proof: str = Field(
+        default="",
+        pattern=r"^([0-9a-f]{64})?$",
+        description="HMAC-SHA256 of the other fields by the assignment's secret",
+    )
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:

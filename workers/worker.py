@@ -23,6 +23,7 @@ from ..schemas.messages import (
     WorkerState,
 )
 from ..schemas.rollout import RolloutRequest
+from ..schemas.seal import result_proof
 from ..schemas.system import SystemSpec
 from .faults import fault_text
 from .simulate import requested_system, run_request_on
@@ -130,6 +131,7 @@ class WorkerProcess:
             cpu_seconds=time.process_time() - cpu,
             wall_seconds=time.monotonic() - wall,
         )
+        header = header.model_copy(update={"proof": result_proof(assign.secret, header)})
         with self._lock:
             self._outbox[key] = _Parcel(header, payload, time.monotonic())
         self._finish(assign)

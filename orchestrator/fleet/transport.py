@@ -1,9 +1,10 @@
 """The orchestrator's side of the protocol; the only importer of zenoh in this package."""
 
 import json
+import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -11,17 +12,10 @@ from typing import Any, Protocol
 import zenoh
 
 from ...schemas import keys
-from ...schemas.errors import LinkError, MessageError, PerfboundError
-from ...schemas.link import Tls, listen_config
-from ...schemas.messages import (
-    MAX_RESULT,
-    Request,
-    ResultHeader,
-    WorkerState,
-    decode_header,
-    decode_state,
-    encode_message,
-)
+from ...schemas.errors import LinkError, MessageError, PerfboundError, SealError
+from ...schemas.link import Tls, listen_config, password_line
+from ...schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState
+from ...schemas.sealed import OrchestratorEnd
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
@@ -88,10 +82,10 @@ class Transport(Protocol):
 class ZenohTransport:
     """A Zenoh session that listens for workers."""
 
-    def __init__(self, session: zenoh.Session, endpoint: str) -> None:
+    def __init__(self, session: zenoh.Session, endpoint: str, secret: bytes | None) -> None:
         self._session = session
         self._endpoint = endpoint
-        self._run = ""
+        self._secret = secret
         self._threads: list[threading.Thread] = []
 
     @property
@@ -101,26 +95,26 @@ class ZenohTransport:
 
     def start(self, run: str, sink: Sink) -> None:
         """Subscribe to the workers of `run`, then announce the orchestrator."""
-        self._run = run
+        self.end = OrchestratorEnd(self._secret, run)
         handler = zenoh.handlers.FifoChannel
         session, liveliness = self._session, self._session.liveliness()
         states = session.declare_subscriber(keys.state_key(run, "*"), handler(CHANNEL))
         results = session.declare_subscriber(keys.result_key(run, "*", "*", "*"), handler(CHANNEL))
         tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
         for subscriber, read in ((states, _heartbeat), (results, _result), (tokens, _token)):
-            thread = threading.Thread(target=_pump, args=(subscriber, read, sink), daemon=True)
+            thread = threading.Thread(target=_pump, args=(subscriber, read, self.end, sink), daemon=True)
             thread.start()
             self._threads.append(thread)
-        # Last: a worker that has found the token may send at once. The time makes ids sort by age, and workers without
-        # --run join the first.
-        name = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}")
-        self._token = liveliness.declare_token(keys.live_orchestrator(run, name))
+        # Last: a worker that has found the token may send at once.
+        self._token = liveliness.declare_token(keys.live_orchestrator(run, self.end.name))
 
     def send(self, worker: str, message: Request) -> None:
         """Put a request; with BLOCK, because DROP, the default, loses messages under load."""
+        packet = self.end.request(worker, message)
         self._session.put(
-            keys.request_key(self._run, worker),
-            encode_message(message),
+            packet.key,
+            packet.payload,
+            attachment=packet.attachment,
             congestion_control=zenoh.CongestionControl.BLOCK,
             express=True,
         )
@@ -132,28 +126,48 @@ class ZenohTransport:
 
 
 @contextmanager
-def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> Iterator[ZenohTransport]:
-    """Open a Zenoh session that workers can connect to.
+def listen(
+    endpoint: str,
+    tls: Tls | None = None,
+    *,
+    insecure: bool = False,
+    secret: bytes | None = None,
+    access: Mapping[str, Any] | None = None,
+) -> Iterator[ZenohTransport]:
+    """Open a Zenoh session that workers can connect to; with `secret`, those that know it.
 
     Raises:
         PerfboundError: the endpoint is in use, malformed, or open to others without TLS.
 
     """
     try:
-        config = zenoh.Config.from_json5(listen_config(endpoint, tls, insecure=insecure))
-        session = zenoh.open(config)
+        with _passwords(secret) as passwords:
+            text = listen_config(endpoint, tls, insecure=insecure, passwords=passwords, access=access)
+            session = zenoh.open(zenoh.Config.from_json5(text))
     except LinkError as error:
         raise PerfboundError(str(error)) from None
     except zenoh.ZError as error:
         raise PerfboundError(_explain(endpoint, str(error))) from None
     transport = None
     try:
-        transport = ZenohTransport(session, _chosen(session, endpoint))
+        transport = ZenohTransport(session, _chosen(session, endpoint), secret)
         yield transport
     finally:
         session.close()  # type: ignore[no-untyped-call]
         if transport is not None:
             transport.join()
+
+
+@contextmanager
+def _passwords(secret: bytes | None) -> Iterator[str | None]:
+    """Make the file that Zenoh reads passwords from when it opens; it has no name, so no disk keeps it."""
+    if secret is None:
+        yield None
+        return
+    with os.fdopen(os.memfd_create("perfbound"), "wb") as file:
+        file.write(password_line(secret).encode())
+        file.flush()
+        yield f"/proc/self/fd/{file.fileno()}"
 
 
 def _explain(endpoint: str, error: str) -> str:
@@ -172,36 +186,49 @@ def _chosen(session: zenoh.Session, endpoint: str) -> str:
     return endpoint
 
 
-def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None], sink: Sink) -> None:
+Read = Callable[[OrchestratorEnd, zenoh.Sample, float], Inbound | None]
+
+
+def _pump(subscriber: Any, read: Read, end: OrchestratorEnd, sink: Sink) -> None:
     try:
         for sample in subscriber:
             at = time.monotonic()
             try:
-                message = read(sample, at)
+                message = read(end, sample, at)
             except (MessageError, UnicodeDecodeError) as error:
-                message = Garbage(at, keys.worker_of(str(sample.key_expr)), str(error))
+                message = garbage(end, at, keys.worker_of(str(sample.key_expr)), error)
             if message is not None:
                 sink(message)
     except zenoh.ZError:
         return  # the session is closed
 
 
-def _token(sample: zenoh.Sample, at: float) -> Inbound:
+def garbage(end: OrchestratorEnd, at: float, worker: str, error: Exception) -> Garbage | None:
+    """Return what is reported of a message that is not accepted; None if that has been reported often enough."""
+    reason = end.rejected(error) if isinstance(error, SealError) else str(error)
+    return Garbage(at, worker, reason) if reason else None
+
+
+def _token(_end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound:
     return Token(at, keys.last(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
 
 
-def _heartbeat(sample: zenoh.Sample, at: float) -> Inbound | None:
+def _heartbeat(end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
-    return Heartbeat(at, keys.worker_of(str(sample.key_expr)), decode_state(sample.payload.to_bytes()))
+    worker = keys.worker_of(str(sample.key_expr))
+    return Heartbeat(at, worker, end.state(worker, sample.payload.to_bytes(), _attachment(sample)))
 
 
-def _result(sample: zenoh.Sample, at: float) -> Inbound | None:
+def _result(end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
-    if sample.attachment is None:
-        raise MessageError("a result without its header")
-    header = decode_header(sample.attachment.to_bytes())
+    worker = keys.worker_of(str(sample.key_expr))
+    header = end.header(worker, _attachment(sample))
     if len(sample.payload) > MAX_RESULT:
         raise MessageError(f"{len(sample.payload)} bytes are more than the {MAX_RESULT} of a trajectory")
-    return Result(at, keys.worker_of(str(sample.key_expr)), header, sample.payload.to_bytes())
+    return Result(at, worker, header, sample.payload.to_bytes())
+
+
+def _attachment(sample: zenoh.Sample) -> bytes | None:
+    return None if sample.attachment is None else sample.attachment.to_bytes()

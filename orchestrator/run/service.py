@@ -24,6 +24,7 @@ from ..fleet.processes import Fleet
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from ..store import read
 from ..store.journal import Journal
+from .assignments import Assignments
 from .results import Results
 from .roster import Roster, WorkerRecord
 
@@ -95,6 +96,7 @@ class Service:
         self._listeners = listeners
         self._roster = Roster(ledger.header.spec)
         self._results = Results(ledger, journal)
+        self._assignments = Assignments(journal.directory, journal.header.run)
         self._outgoing: list[tuple[str, Request]] = []
         self._events: deque[events.Event] = deque()
         self._drain = drain
@@ -102,6 +104,7 @@ class Service:
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
         self._told: set[tuple[RolloutId, Failure]] = set()
+        self._unproved: set[str] = set()
         self._started = time.monotonic()
         self._next_tick = self._started
         limits = _limits(ledger.config)
@@ -169,11 +172,22 @@ class Service:
             case Result():
                 # One that comes before the worker is admitted is not acknowledged: the worker delivers it again.
                 if self._roster.admitted(message.worker) is not None:
-                    self._events.append(self._results.take(message, open_rollouts=self._state.open))
+                    self._take_result(message)
             case Garbage():
                 self._print_line(f"ignored a message of {message.worker}: {message.reason}")
             case Interrupted():
                 self._interrupted(message.signal)
+
+    def _take_result(self, message: Result) -> None:
+        header = message.header
+        if self._assignments.proved(message.worker, header):
+            self._events.append(self._results.take(message, open_rollouts=self._state.open))
+            return
+        # Of another peer, or of an attempt whose key is lost: nothing is recorded, and no worker keeps it for ever.
+        if message.worker not in self._unproved:
+            self._unproved.add(message.worker)
+            self._print_line(f"ignored results in the name of {message.worker}: no assignment proves them")
+        self._outgoing.append((message.worker, Ack(rollout=header.rollout, attempt=header.attempt)))
 
     def _interrupted(self, signal: int) -> None:
         """Stop at once; with `drain`, hand out nothing more and stop when the attempts under way have ended."""
@@ -224,8 +238,7 @@ class Service:
                     self._told.add((attempt.rollout, failure))
                     self._print_line(_failure_line(action))
             case events.GiveUp(worker):
-                pid = self._roster.local_pid(worker)
-                if self._fleet is not None and pid is not None and self._fleet.kill(pid):
+                if self._fleet is not None and self._fleet.kill(worker):
                     # Before its token is gone, so that nothing is assigned to it.
                     self._events.append(events.WorkerDown(time.monotonic(), worker))
             case events.Poison():
@@ -242,7 +255,8 @@ class Service:
 
     def _assign(self, worker: str, attempt: Attempt) -> None:
         request = self._ledger.request(attempt.rollout)
-        self._outgoing.append((worker, Assign(attempt=attempt.number, request=request)))
+        secret = self._assignments.secret(worker, attempt)
+        self._outgoing.append((worker, Assign(attempt=attempt.number, secret=secret, request=request)))
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""

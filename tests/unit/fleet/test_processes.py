@@ -8,6 +8,7 @@ import pytest
 
 from perfbound.orchestrator.fleet import processes
 from perfbound.orchestrator.fleet.processes import FAST_DEATHS, Fleet
+from perfbound.schemas import keys
 from perfbound.schemas.errors import PerfboundError
 
 
@@ -17,7 +18,7 @@ def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
 
     def spawn(found: Fleet) -> None:
         child = subprocess.Popen(["sleep", "1000"])
-        found._children.append(processes._Child(child, time.monotonic()))
+        found._children.append(processes._Child(keys.fresh_id("local"), child, time.monotonic()))
 
     monkeypatch.setattr(Fleet, "_spawn", spawn)
     found = Fleet(1, "tcp/127.0.0.1:1", "run")
@@ -36,9 +37,9 @@ def ended(fleet: Fleet) -> str:
 def test_workers_that_are_replaced_on_purpose_are_no_sign_that_none_can_run(fleet: Fleet) -> None:
     for _ in range(2 * FAST_DEATHS):
         (pid,) = fleet.pids
-        assert fleet.kill(pid)
+        assert fleet.kill(fleet._children[0].worker)
         assert ended(fleet) == f"local worker {pid} replaced; started {fleet.pids[0]}"
-    assert not fleet.kill(1), "none of ours"
+    assert not fleet.kill("local-ffffffff"), "none of ours"
 
 
 def test_workers_that_end_at_once_by_themselves_end_the_run(fleet: Fleet) -> None:
