@@ -21,6 +21,8 @@ from .messages import (
 )
 
 SEAL = seal.COUNTER + seal.TAG
+BY_CERTIFICATE = "-certificate"
+"""Before the seal in the name of an orchestrator with access rules."""
 SHOWN = 5
 """Messages without a valid seal that are reported; whoever sends more shall not fill the log."""
 
@@ -34,12 +36,15 @@ class Packet(NamedTuple):
 
 
 class OrchestratorEnd:
-    """The orchestrator of `run`; `state` and `header` are for one thread each, `request` for any."""
+    """The orchestrator of `run`; `state` and `header` are for one thread each, `request` for any.
 
-    def __init__(self, secret: bytes | None, run: str) -> None:
+    With `by_certificate` its name says that it takes workers by the common names of their certificates.
+    """
+
+    def __init__(self, secret: bytes | None, run: str, *, by_certificate: bool = False) -> None:
         self._secret, self._run = secret or b"", run
         # The time makes names sort by age, and workers without --run join the first.
-        fresh = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}")
+        fresh = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}") + (BY_CERTIFICATE if by_certificate else "")
         self.name = seal.orchestrator_name(self._secret, run, fresh)
         self._requests = seal.Sealer(self._stream("request"))
         self._states = seal.Opener(self._stream("state"))
@@ -78,6 +83,11 @@ class OrchestratorEnd:
 
     def _stream(self, stream: seal.StreamName) -> seal.Stream:
         return seal.Stream(self._secret, self._run, self.name, stream)
+
+
+def takes_by_certificate(orchestrator: str) -> bool:
+    """Whether an orchestrator hears a worker only under the common name of its certificate."""
+    return orchestrator.rpartition("-")[0].endswith(BY_CERTIFICATE)
 
 
 class _Line:

@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import click
 
+from ..schemas import keys
+from ..schemas.access import common_name
 from ..schemas.atomic import replacing
 from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
 from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
 from ..schemas.link import Tls, asks_for_secret
+from ..schemas.sealed import takes_by_certificate
 from ..schemas.secret import VARIABLE, shared_secret
 from .lifeline import die_with_parent
 
@@ -72,7 +75,11 @@ system_option = click.option(
 @group.command()
 @system_option
 @click.option("--connect", "endpoint", required=True, help="Endpoint of the orchestrator, e.g. tcp/127.0.0.1:7447.")
-@click.option("--name", default="worker", show_default=True, help="Name in logs and database; gets a random suffix.")
+@click.option(
+    "--name",
+    default=None,
+    help="Name in logs and database; gets a random suffix.  [default: worker; with TLS the certificate's common name]",
+)
 @click.option("--run", default=None, help="Serve only this run id; otherwise the oldest orchestrator there is.")
 @click.option("--tls-ca", default=None, help="PEM file of the authority that signed both certificates.")
 @click.option("--tls-certificate", default=None, help="PEM file of the certificate of this side.")
@@ -83,7 +90,7 @@ system_option = click.option(
 def serve(
     *,
     endpoint: str,
-    name: str,
+    name: str | None,
     run: str | None,
     tls_ca: str | None,
     tls_certificate: str | None,
@@ -105,7 +112,9 @@ def serve(
         secret = shared_secret(loopback=asks_for_secret(endpoint) and not insecure)
         # The system under test, and the programs that it starts, have no use for it.
         os.environ.pop(VARIABLE, None)
-        _serve(Place(endpoint, tls, secret), name, run, identity)
+        own = common_name(tls.certificate) if tls else ""
+        name = name or (own if keys.NAME.fullmatch(own) else "worker")
+        _serve(Place(endpoint, tls, secret, own), name, run, identity)
     except (LinkError, ValueError) as error:
         fail(str(error))
     except KeyboardInterrupt:
@@ -132,17 +141,23 @@ class Place(NamedTuple):
     endpoint: str
     tls: Tls | None
     secret: bytes | None
+    common_name: str
+    """Of the certificate of this worker, if it has one."""
 
 
 def _serve(place: Place, name: str, run: str | None, identity: str | None) -> None:
-    from ..schemas import keys  # noqa: PLC0415
     from .transport import connect  # noqa: PLC0415
     from .worker import WorkerProcess  # noqa: PLC0415
 
     started = identity or keys.fresh_id(name)
     with connect(place.endpoint, place.tls, _waiting(place.endpoint), place.secret) as uplink:
         while True:
-            chosen = _choose(uplink, run, place.endpoint)
+            orchestrator, chosen = _choose(uplink, run, place)
+            if identity is None and takes_by_certificate(orchestrator) and name != place.common_name:
+                fail(
+                    f"--name {name}: the orchestrator at {place.endpoint} was started with --allow, so the name of a "
+                    f"worker is the common name of its certificate, here {place.common_name!r}; leave --name out"
+                )
             worker = WorkerProcess(started, uplink)
             uplink.join(chosen, worker.name, worker.receive)
             try:
@@ -166,17 +181,18 @@ def _waiting(endpoint: str) -> Callable[[], None]:
     return waiting
 
 
-def _choose(uplink: "ZenohUplink", run: str | None, endpoint: str) -> str:
+def _choose(uplink: "ZenohUplink", run: str | None, place: Place) -> tuple[str, str]:
     from .unanswered import no_orchestrator  # noqa: PLC0415
 
     last = time.monotonic()
     while True:
-        for _, found in uplink.orchestrators():
+        for orchestrator, found in uplink.orchestrators():
             if run in (None, found):
-                return found
+                return orchestrator, found
         if time.monotonic() - last > 10:
             last = time.monotonic()
-            click.echo(f"perfbound-worker: {no_orchestrator(endpoint, run, strangers=uplink.strangers)}", err=True)
+            line = no_orchestrator(place.endpoint, run, strangers=uplink.strangers, common_name=place.common_name)
+            click.echo(f"perfbound-worker: {line}", err=True)
         time.sleep(0.02)
 
 

@@ -26,12 +26,13 @@ def no_link(endpoint: str) -> str:
     return f"something listens at {endpoint}, but refuses this worker: {remedy}"
 
 
-def no_orchestrator(endpoint: str, run: str | None, *, strangers: bool) -> str:
+def no_orchestrator(endpoint: str, run: str | None, *, strangers: bool, common_name: str) -> str:
     """Return the line for a link without an orchestrator of the run, or with one that does not know the secret."""
     if strangers:
         return f"the orchestrator at {endpoint} does not know the secret of this worker: {both_ways()}"
     which = f"run {run}" if run else "any run"
-    return f"connected to {endpoint}, waiting for an orchestrator of {which}"
+    allowed = f"; one that was started with --allow must list {common_name!r}" if common_name else ""
+    return f"connected to {endpoint}, waiting for an orchestrator of {which}{allowed}"
 
 
 def both_ways() -> str:

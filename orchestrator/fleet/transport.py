@@ -82,10 +82,12 @@ class Transport(Protocol):
 class ZenohTransport:
     """A Zenoh session that listens for workers."""
 
-    def __init__(self, session: zenoh.Session, endpoint: str, secret: bytes | None) -> None:
+    def __init__(
+        self, session: zenoh.Session, endpoint: str, secret: bytes | None, *, by_certificate: bool = False
+    ) -> None:
         self._session = session
         self._endpoint = endpoint
-        self._secret = secret
+        self._secret, self._by_certificate = secret, by_certificate
         self._threads: list[threading.Thread] = []
 
     @property
@@ -95,7 +97,7 @@ class ZenohTransport:
 
     def start(self, run: str, sink: Sink) -> None:
         """Subscribe to the workers of `run`, then announce the orchestrator."""
-        self.end = OrchestratorEnd(self._secret, run)
+        self.end = OrchestratorEnd(self._secret, run, by_certificate=self._by_certificate)
         handler = zenoh.handlers.FifoChannel
         session, liveliness = self._session, self._session.liveliness()
         states = session.declare_subscriber(keys.state_key(run, "*"), handler(CHANNEL))
@@ -150,7 +152,7 @@ def listen(
         raise PerfboundError(_explain(endpoint, str(error))) from None
     transport = None
     try:
-        transport = ZenohTransport(session, _chosen(session, endpoint), secret)
+        transport = ZenohTransport(session, _chosen(session, endpoint), secret, by_certificate=access is not None)
         yield transport
     finally:
         session.close()  # type: ignore[no-untyped-call]

@@ -3,6 +3,7 @@
 import subprocess
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,6 +11,7 @@ from perfbound.orchestrator.fleet import processes
 from perfbound.orchestrator.fleet.processes import FAST_DEATHS, Fleet
 from perfbound.schemas import keys
 from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.secret import VARIABLE
 
 
 @pytest.fixture
@@ -49,3 +51,22 @@ def test_workers_that_end_at_once_by_themselves_end_the_run(fleet: Fleet) -> Non
     fleet._children[0].process.kill()
     with pytest.raises(PerfboundError, match="local workers in a row ended within"):
         ended(fleet)
+
+
+def test_the_secret_is_in_no_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other users can read the arguments of a process, but not its environment."""
+    started: list[tuple[list[str], dict[str, str]]] = []
+
+    def popen(line: list[str], *, env: dict[str, str], **_: object) -> subprocess.Popen[bytes]:
+        started.append((line, env))
+        return subprocess.Popen(["sleep", "1000"])
+
+    monkeypatch.setattr(processes, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=None))
+    fleet = Fleet(1, "tcp/127.0.0.1:1", "run", environment={VARIABLE: "a secret of a test"})
+    fleet.start()
+    monkeypatch.undo()
+    fleet.stop()
+    ((line, environment),) = started
+    assert environment[VARIABLE] == "a secret of a test"
+    assert environment["PATH"]
+    assert not [part for part in line if "secret" in part]
