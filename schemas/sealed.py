@@ -4,6 +4,7 @@ A seal travels in the attachment of a message, before the header of a result, so
 reads a heartbeat or a refusal. An end has no network: the transports carry its bytes under its keys.
 """
 
+import threading
 import time
 from typing import NamedTuple
 
@@ -109,6 +110,8 @@ class WorkerEnd:
         self._run, self._worker = "", ""
         self._lines: dict[str, _Line] = {}
         self._line: _Line | None = None
+        # Tokens come on a thread of their own, also while this worker joins another run.
+        self._lock = threading.Lock()
 
     @property
     def strangers(self) -> bool:
@@ -122,22 +125,25 @@ class WorkerEnd:
     def appear(self, key: str) -> None:
         """Take the token of an orchestrator."""
         run, name = keys.run_of(key), keys.last(key)
-        if seal.is_orchestrator(self._secret, run, name):
+        if not seal.is_orchestrator(self._secret, run, name):
+            self._strangers.add(key)
+            return
+        with self._lock:
             self._live[name] = run
             self._attach()
-        else:
-            self._strangers.add(key)
 
     def disappear(self, key: str) -> None:
         """Take the end of a token."""
-        self._live.pop(keys.last(key), None)
         self._strangers.discard(key)
-        self._attach()
+        with self._lock:
+            self._live.pop(keys.last(key), None)
+            self._attach()
 
     def join(self, run: str, worker: str) -> None:
         """Serve `run` under the name `worker`."""
-        self._run, self._worker, self._lines, self._line = run, worker, {}, None
-        self._attach()
+        with self._lock:
+            self._run, self._worker, self._lines, self._line = run, worker, {}, None
+            self._attach()
 
     def state(self, message: WorkerState) -> Packet | None:
         """Return a heartbeat; None while there is no orchestrator."""
@@ -167,7 +173,7 @@ class WorkerEnd:
 
     def _attach(self) -> None:
         """Speak with the orchestrator of the run that appeared last: after a restart the one before may linger."""
-        serving = [name for name, run in self._live.copy().items() if run == self._run]
+        serving = [name for name, run in self._live.items() if run == self._run]
         if serving and self._run:
             known = self._lines.get(serving[-1]) or _Line(self._secret, self._run, serving[-1])
             self._lines[serving[-1]] = self._line = known

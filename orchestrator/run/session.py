@@ -66,7 +66,7 @@ class Link:
         """
         return shared_secret(loopback=asks_for_secret(self.endpoint))
 
-    def access(self) -> dict[str, Any] | None:
+    def access(self, *, local_workers: bool) -> dict[str, Any] | None:
         """Return the access rules for the link.
 
         Raises:
@@ -77,7 +77,13 @@ class Link:
             return None
         if self.tls is None:
             raise LinkError("--allow: needs a tls/ endpoint, --tls-ca, --tls-certificate and --tls-key")
-        return access_rules(self.allow, common_name(self.tls.certificate))
+        own = common_name(self.tls.certificate)
+        if local_workers and not own:
+            raise LinkError(
+                f"{self.tls.certificate}: has no common name, by which local workers could be told apart; with --allow "
+                "choose a certificate with one, or no local workers"
+            )
+        return access_rules(self.allow, own)
 
     def worker_options(self) -> list[str]:
         """Return the options with which local workers connect."""
@@ -213,7 +219,8 @@ def _transport(options: RunOptions) -> AbstractContextManager[Transport]:
     link = options.link
     if options.own:
         return options.own.transport()
-    return listen(link.endpoint, link.tls, insecure=link.insecure, secret=link.secret(), access=link.access())
+    access = link.access(local_workers=options.workers > 0)
+    return listen(link.endpoint, link.tls, insecure=link.insecure, secret=link.secret(), access=access)
 
 
 def _shared(options: RunOptions) -> dict[str, str]:
