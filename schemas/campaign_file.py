@@ -65,7 +65,7 @@ def load_description(path: Path) -> CampaignConfig:
         CampaignError: as `load_campaign`.
 
     """
-    return parse_campaign(*_opened(path), whole=False)
+    return parse_campaign(*_file_and_place(path), whole=False)
 
 
 def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
@@ -75,11 +75,11 @@ def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
         CampaignError: it cannot be read, or is not a campaign.
 
     """
-    data, source, beside = _opened(path)
+    data, source, beside = _file_and_place(path)
     return parse_campaign(data, source, beside, whole=True, **overrides)
 
 
-def _opened(path: Path) -> tuple[bytes, str, Beside]:
+def _file_and_place(path: Path) -> tuple[bytes, str, Beside]:
     """Return the bytes of a campaign file, its name, and the reader of files beside it."""
     try:
         with path.open("rb") as file:

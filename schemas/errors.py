@@ -17,8 +17,16 @@ class LinkError(PerfboundError):
     """The endpoint cannot be used as asked."""
 
 
+class SecretError(LinkError):
+    """The secret of this user cannot be used."""
+
+
 class MessageError(PerfboundError):
     """The message is not acceptable."""
+
+
+class SealError(MessageError):
+    """The message does not show that its sender knows the secret."""
 
 
 class TrajectoryError(PerfboundError):

@@ -4,6 +4,7 @@ import ipaddress
 import json
 import re
 import socket
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from .base import Model
 from .errors import LinkError
 from .messages import MAX_RESULT
 from .outside import exposed
+from .seal import link_password
 
 LEASE_MS = 2000
 """Silence after which a peer loses its liveliness token."""
@@ -19,6 +21,8 @@ STUCK_MS = 500
 LOCAL = "tcp/127.0.0.1:0"
 """Loopback, a free port."""
 ENCRYPTED = ("tls", "quic")
+USER = "perfbound"
+"""The user of a link with a secret, in the words of Zenoh."""
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|tls|quic)/(?P<host>\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z._-]+):(?P<port>[0-9]{1,5})")
 
 
@@ -30,8 +34,18 @@ class Tls(Model):
     key: str
 
 
-def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
+def listen_config(
+    endpoint: str,
+    tls: Tls | None,
+    *,
+    insecure: bool,
+    passwords: str | None = None,
+    access: Mapping[str, Any] | None = None,
+) -> str:
     """Return the Zenoh configuration of the orchestrator.
+
+    `passwords` is a file with `password_line`: who does not know the secret is refused. `access` are the rules of
+    `schemas.access`.
 
     Raises:
         LinkError: the endpoint is malformed, or open to others without TLS, or a TLS file is missing.
@@ -44,12 +58,13 @@ def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
             "use a tls/ endpoint with --tls-ca, --tls-certificate and --tls-key, or add --insecure"
         )
     names = ("listen_certificate", "listen_private_key")
-    common = _common(tls, names)
+    common = _common(tls, names, None if passwords is None else {"dictionary_file": passwords})
     block = {"block": {"wait_before_close": STUCK_MS * 1000}}
     common["transport"]["link"]["tx"]["queue"] = {"congestion_control": block}
     return json.dumps(
         {
             **common,
+            **({} if access is None else {"access_control": access}),
             "mode": "peer",
             "listen": {"endpoints": [endpoint]},
             "adminspace": {"enabled": False},  # it shows every peer the addresses of all others
@@ -57,7 +72,7 @@ def listen_config(endpoint: str, tls: Tls | None, *, insecure: bool) -> str:
     )
 
 
-def connect_config(endpoint: str, tls: Tls | None) -> str:
+def connect_config(endpoint: str, tls: Tls | None, secret: bytes | None = None) -> str:
     """Return the Zenoh configuration of a worker.
 
     Raises:
@@ -68,11 +83,20 @@ def connect_config(endpoint: str, tls: Tls | None) -> str:
     retry = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
     return json.dumps(
         {
-            **_common(tls, ("connect_certificate", "connect_private_key")),
+            **_common(
+                tls,
+                ("connect_certificate", "connect_private_key"),
+                None if secret is None else {"user": USER, "password": link_password(secret)},
+            ),
             "mode": "client",
             "connect": {"endpoints": [endpoint], "timeout_ms": 1000, "exit_on_failure": True, "retry": retry},
         }
     )
+
+
+def password_line(secret: bytes) -> str:
+    """Return the content of Zenoh's file of passwords."""
+    return f"{USER}:{link_password(secret)}\n"
 
 
 def split(endpoint: str) -> tuple[str, str]:
@@ -141,6 +165,12 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
+def asks_for_secret(endpoint: str) -> bool:
+    """Whether other users of this machine could reach `endpoint`, and need no certificate for it."""
+    found = _ENDPOINT.fullmatch(endpoint)
+    return found is not None and found["protocol"] not in ENCRYPTED and is_loopback(found["host"].strip("[]"))
+
+
 def _checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str, str]:
     try:
         protocol, host = split(endpoint)
@@ -153,7 +183,7 @@ def _checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str,
     return protocol, host
 
 
-def _common(tls: Tls | None, names: tuple[str, str]) -> dict[str, Any]:
+def _common(tls: Tls | None, names: tuple[str, str], user: Mapping[str, str] | None) -> dict[str, Any]:
     link: dict[str, Any] = {
         "tx": {"lease": LEASE_MS, "keep_alive": 4},
         "rx": {"max_message_size": MAX_RESULT + 1024 * 1024},
@@ -169,9 +199,11 @@ def _common(tls: Tls | None, names: tuple[str, str]) -> dict[str, Any]:
             names[0]: tls.certificate,
             names[1]: tls.key,
             "enable_mtls": True,
+            "close_link_on_expiration": True,
         }
+    authentication = {} if user is None else {"auth": {"usrpwd": dict(user)}}
     return {
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         # Shared memory is on by default and leaves 35 MB in /dev/shm after every run.
-        "transport": {"shared_memory": {"enabled": False}, "link": link},
+        "transport": {"shared_memory": {"enabled": False}, "link": link, **authentication},
     }

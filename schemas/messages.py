@@ -11,7 +11,7 @@ from .failure import FailureKind
 from .ranges import MAX_FILE_BYTES, AttemptNumber, ProcessId, ProtocolNumber, Seconds, StepCount
 from .rollout import RolloutRequest
 
-PROTOCOL = 1
+PROTOCOL = 2
 MAX_MESSAGE = 64 * 1024
 """Bytes of a JSON message."""
 MAX_RESULT = MAX_FILE_BYTES
@@ -25,6 +25,7 @@ Word = Annotated[Key, AfterValidator(one_line)]
 Excerpt = Annotated[str, AfterValidator(shortened)]
 """Text of any length, of which 300 characters are kept as one line."""
 Advice = Annotated[str, AfterValidator(partial(shortened, longest=2000))]
+Secret = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Identities = Annotated[tuple[Key, ...], Field(min_length=1, max_length=20)]
 
 
@@ -33,6 +34,7 @@ class Assign(Model):
 
     type: Literal["assign"] = "assign"
     attempt: AttemptNumber
+    secret: Secret = Field(description="of this attempt on this worker: with it the result is proved")
     request: RolloutRequest
 
 
@@ -94,6 +96,11 @@ class ResultHeader(Model):
     kind: FailureKind | None = Field(default=None, description="of a failed attempt; if it is missing, infrastructure")
     cpu_seconds: Seconds = 0.0
     wall_seconds: Seconds = 0.0
+    proof: str = Field(
+        default="",
+        pattern=r"^([0-9a-f]{64})?$",
+        description="HMAC-SHA256 of the other fields by the assignment's secret",
+    )
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:

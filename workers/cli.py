@@ -8,16 +8,23 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import click
 
+from ..schemas import keys
+from ..schemas.access import common_name
 from ..schemas.atomic import replacing
 from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
 from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
-from ..schemas.link import Tls
+from ..schemas.link import Tls, asks_for_secret
+from ..schemas.sealed import takes_by_certificate
+from ..schemas.secret import VARIABLE, shared_secret
 from .lifeline import adopt_orphans, die_with_parent
+
+if TYPE_CHECKING:
+    from .transport import ZenohUplink
 
 RUN_GONE = 5.0
 """Seconds without its orchestrator after which an idle worker may join another campaign."""
@@ -69,20 +76,28 @@ system_option = click.option(
 @group.command()
 @system_option
 @click.option("--connect", "endpoint", required=True, help="Endpoint of the orchestrator, e.g. tcp/127.0.0.1:7447.")
-@click.option("--name", default="worker", show_default=True, help="Name in logs and database; gets a random suffix.")
+@click.option(
+    "--name",
+    default=None,
+    help="Name in logs and database; gets a random suffix.  [default: worker; with TLS the certificate's common name]",
+)
 @click.option("--run", default=None, help="Serve only this run id; otherwise the oldest orchestrator there is.")
 @click.option("--tls-ca", default=None, help="PEM file of the authority that signed both certificates.")
 @click.option("--tls-certificate", default=None, help="PEM file of the certificate of this side.")
 @click.option("--tls-key", default=None, help="PEM file of the private key of this side.")
+@click.option("--insecure", is_flag=True, help="Connect without the secret of this user.")
+@click.option("--as", "identity", default=None, hidden=True, help="Whole name of a local worker.")
 @click.option("--lifeline", type=int, default=None, hidden=True, help="Exit at the end of this pipe.")
 def serve(
     *,
     endpoint: str,
-    name: str,
+    name: str | None,
     run: str | None,
     tls_ca: str | None,
     tls_certificate: str | None,
     tls_key: str | None,
+    insecure: bool,
+    identity: str | None,
     lifeline: int | None,
 ) -> None:
     """Simulate rollouts for an orchestrator until stopped."""
@@ -95,7 +110,12 @@ def serve(
             raise click.UsageError("--tls-ca, --tls-certificate and --tls-key belong together")
         tls = Tls(ca=tls_ca, certificate=tls_certificate, key=tls_key)
     try:
-        _serve(endpoint, name, run, tls)
+        secret = shared_secret(loopback=asks_for_secret(endpoint) and not insecure)
+        # The system under test, and the programs that it starts, have no use for it.
+        os.environ.pop(VARIABLE, None)
+        own = common_name(tls.certificate) if tls else ""
+        name = name or (own if keys.NAME.fullmatch(own) else "worker")
+        _serve(LinkOptions(endpoint, tls, secret, own), name, run, identity)
     except (LinkError, ValueError) as error:
         fail(str(error))
     except KeyboardInterrupt:
@@ -116,15 +136,29 @@ def _hold(descriptor: int) -> None:
     os._exit(0)
 
 
-def _serve(endpoint: str, name: str, run: str | None, tls: Tls | None) -> None:
-    from ..schemas import keys  # noqa: PLC0415
+class LinkOptions(NamedTuple):
+    """Where an orchestrator is expected, and what this worker shows there."""
+
+    endpoint: str
+    tls: Tls | None
+    secret: bytes | None
+    common_name: str
+    """Of the certificate of this worker, if it has one."""
+
+
+def _serve(link: LinkOptions, name: str, run: str | None, identity: str | None) -> None:
     from .transport import connect  # noqa: PLC0415
     from .worker import WorkerProcess  # noqa: PLC0415
 
-    started = keys.fresh_id(name)
-    with connect(endpoint, tls, _waiting(endpoint)) as uplink:
+    started = identity or keys.fresh_id(name)
+    with connect(link.endpoint, link.tls, _waiting(link.endpoint), link.secret) as uplink:
         while True:
-            chosen = _choose(uplink.orchestrators, run, endpoint)
+            orchestrator, chosen = _choose(uplink, run, link)
+            if identity is None and takes_by_certificate(orchestrator) and name != link.common_name:
+                fail(
+                    f"--name {name}: the orchestrator at {link.endpoint} was started with --allow, so the name of a "
+                    f"worker is the common name of its certificate, here {link.common_name!r}; leave --name out"
+                )
             worker = WorkerProcess(started, uplink)
             uplink.join(chosen, worker.name, worker.receive)
             try:
@@ -136,30 +170,30 @@ def _serve(endpoint: str, name: str, run: str | None, tls: Tls | None) -> None:
 
 
 def _waiting(endpoint: str) -> Callable[[], None]:
+    from .unanswered import no_link  # noqa: PLC0415
+
     last = [time.monotonic()]
 
     def waiting() -> None:
         if time.monotonic() - last[0] > 5:
+            click.echo(f"perfbound-worker: {no_link(endpoint)}", err=True)
             last[0] = time.monotonic()
-            click.echo(
-                f"perfbound-worker: no answer from {endpoint} yet; check the address, that the orchestrator runs, "
-                "and, with TLS, that both certificates are signed by --tls-ca (RUST_LOG=zenoh=warn prints more)",
-                err=True,
-            )
 
     return waiting
 
 
-def _choose(orchestrators: Callable[[], list[tuple[str, str]]], run: str | None, endpoint: str) -> str:
+def _choose(uplink: "ZenohUplink", run: str | None, link: LinkOptions) -> tuple[str, str]:
+    from .unanswered import no_orchestrator  # noqa: PLC0415
+
     last = time.monotonic()
     while True:
-        for _, found in orchestrators():
+        for orchestrator, found in uplink.orchestrators():
             if run in (None, found):
-                return found
+                return orchestrator, found
         if time.monotonic() - last > 10:
             last = time.monotonic()
-            which = f"run {run}" if run else "any run"
-            click.echo(f"perfbound-worker: connected to {endpoint}, waiting for an orchestrator of {which}", err=True)
+            line = no_orchestrator(link.endpoint, run, strangers=uplink.strangers, common_name=link.common_name)
+            click.echo(f"perfbound-worker: {line}", err=True)
         time.sleep(0.02)
 
 

@@ -11,7 +11,8 @@ import zenoh
 from ..schemas import keys
 from ..schemas.errors import MessageError
 from ..schemas.link import Tls, connect_config
-from ..schemas.messages import Request, ResultHeader, WorkerState, decode_request, encode_message
+from ..schemas.messages import Request, ResultHeader, WorkerState
+from ..schemas.sealed import Packet, WorkerEnd
 
 Receiver = Callable[[Request], None]
 OPEN_PERIOD = 0.3
@@ -21,7 +22,7 @@ class Uplink(Protocol):
     """A network for a worker."""
 
     def orchestrators(self) -> list[tuple[str, str]]:
-        """Return (orchestrator, run) of all that are alive, the oldest first."""
+        """Return (orchestrator, run) of all that are alive and know the secret, the oldest first."""
         ...
 
     def join(self, run: str, worker: str, receive: Receiver) -> None:
@@ -44,26 +45,29 @@ class Uplink(Protocol):
 class ZenohUplink:
     """A Zenoh session with the orchestrator, or with a router between."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, secret: bytes | None) -> None:
         self._session = session
-        self._run = ""
-        self._worker = ""
-        self._live: dict[str, str] = {}
+        self._end = WorkerEnd(secret)
         self._joined: tuple[Any, ...] = ()
         self._threads: list[threading.Thread] = []
         liveliness = session.liveliness()
         tokens = liveliness.declare_subscriber(keys.ANY_ORCHESTRATOR, zenoh.handlers.FifoChannel(1024), history=True)
         self._pump(tokens, self._see)
 
+    @property
+    def strangers(self) -> bool:
+        """Whether an orchestrator is there that does not know the secret."""
+        return self._end.strangers
+
     def orchestrators(self) -> list[tuple[str, str]]:
-        """Return (orchestrator, run) of all that are alive, the oldest first."""
-        return sorted(self._live.copy().items())
+        """Return (orchestrator, run) of all that are alive and know the secret, the oldest first."""
+        return self._end.orchestrators()
 
     def join(self, run: str, worker: str, receive: Receiver) -> None:
         """Subscribe to the requests to `worker`; its token comes last, because assignments follow it."""
-        self._run, self._worker = run, worker
+        self._end.join(run, worker)
         requests = self._session.declare_subscriber(keys.request_key(run, worker), zenoh.handlers.FifoChannel(1024))
-        self._pump(requests, lambda sample: _pass_request(sample, receive))
+        self._pump(requests, lambda sample: self._pass_request(sample, receive))
         token = self._session.liveliness().declare_token(keys.live_worker(run, worker))
         self._joined = (token, requests)
 
@@ -75,23 +79,28 @@ class ZenohUplink:
 
     def report(self, state: WorkerState) -> None:
         """Put a heartbeat."""
-        self._put(keys.state_key(self._run, self._worker), encode_message(state))
+        self._put(self._end.state(state))
 
     def deliver(self, header: ResultHeader, payload: bytes) -> None:
         """Put a result."""
-        key = keys.result_key(self._run, self._worker, header.rollout, header.attempt)
-        self._put(key, payload, attachment=encode_message(header))
+        self._put(self._end.result(header, payload))
 
-    def _put(self, key: str, payload: bytes, attachment: bytes | None = None) -> None:
-        block = zenoh.CongestionControl.BLOCK
-        self._session.put(key, payload, attachment=attachment, congestion_control=block, express=True)
+    def _put(self, packet: Packet | None) -> None:
+        if packet is not None:
+            block = zenoh.CongestionControl.BLOCK
+            key, payload, attachment = packet
+            self._session.put(key, payload, attachment=attachment, congestion_control=block, express=True)
+
+    def _pass_request(self, sample: zenoh.Sample, receive: Receiver) -> None:
+        attachment = None if sample.attachment is None else sample.attachment.to_bytes()
+        try:
+            receive(self._end.request(sample.payload.to_bytes(), attachment))
+        except MessageError:
+            return  # the orchestrator repeats an assignment, a cancel and an acknowledgement
 
     def _see(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
-        if sample.kind == zenoh.SampleKind.PUT:
-            self._live[keys.last(key)] = keys.run_of(key)
-        else:
-            self._live.pop(keys.last(key), None)
+        take = self._end.appear if sample.kind == zenoh.SampleKind.PUT else self._end.disappear
+        take(str(sample.key_expr))
 
     def _pump(self, subscriber: Any, read: Callable[[zenoh.Sample], None]) -> None:
         def pump() -> None:
@@ -112,14 +121,16 @@ class ZenohUplink:
 
 
 @contextmanager
-def connect(endpoint: str, tls: Tls | None, waiting: Callable[[], None]) -> Iterator[ZenohUplink]:
+def connect(
+    endpoint: str, tls: Tls | None, waiting: Callable[[], None], secret: bytes | None = None
+) -> Iterator[ZenohUplink]:
     """Open a session with `endpoint`, trying until it answers; `waiting` is called between tries and may raise.
 
     Raises:
         LinkError: the endpoint is malformed or a TLS file is missing.
 
     """
-    config = connect_config(endpoint, tls)
+    config = connect_config(endpoint, tls, secret)
     while True:
         try:
             # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.
@@ -130,16 +141,9 @@ def connect(endpoint: str, tls: Tls | None, waiting: Callable[[], None]) -> Iter
             time.sleep(OPEN_PERIOD)
     uplink = None
     try:
-        uplink = ZenohUplink(session)
+        uplink = ZenohUplink(session, secret)
         yield uplink
     finally:
         session.close()  # type: ignore[no-untyped-call]
         if uplink is not None:
             uplink.wait_closed()
-
-
-def _pass_request(sample: zenoh.Sample, receive: Receiver) -> None:
-    try:
-        receive(decode_request(sample.payload.to_bytes()))
-    except MessageError:
-        return  # the orchestrator repeats an assignment, a cancel and an acknowledgement

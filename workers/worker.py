@@ -25,6 +25,7 @@ from ..schemas.messages import (
 from ..schemas.platforms import platform_class
 from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
+from ..schemas.seal import result_proof
 from ..schemas.system import SystemSpec
 from .faults import fault_text
 from .simulate import requested_system, run_request_on
@@ -132,6 +133,7 @@ class WorkerProcess:
             cpu_seconds=time.process_time() - cpu,
             wall_seconds=time.monotonic() - wall,
         )
+        header = header.model_copy(update={"proof": result_proof(assign.secret, header)})
         with self._lock:
             self._outbox[key] = _Parcel(header, payload, time.monotonic())
         self._finish(assign)

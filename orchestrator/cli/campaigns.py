@@ -35,6 +35,13 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
             flag_value=Address(),
             default=None,
         ),
+        click.option(
+            "--allow",
+            multiple=True,
+            metavar="NAME",
+            help="With TLS: accept the worker NAME, whose certificate has this common name, and no unnamed one; may be "
+            "repeated.",
+        ),
         click.option("--tls-key", default=None, help="PEM file of the private key of this side."),
         click.option("--tls-certificate", default=None, help="PEM file of the certificate of this side."),
         click.option("--tls-ca", default=None, help="PEM file of the authority that signed both sides' certificates."),
@@ -249,6 +256,7 @@ def _link(
     tls_ca: str | None,
     tls_certificate: str | None,
     tls_key: str | None,
+    allow: tuple[str, ...],
     web: Address | None,
 ) -> "Link":
     from ...schemas.link import LOCAL, Tls  # noqa: PLC0415
@@ -257,7 +265,7 @@ def _link(
     endpoint = endpoint or LOCAL
     files = (tls_ca, tls_certificate, tls_key)
     if not any(files):
-        return Link(endpoint, None, insecure, web)
+        return Link(endpoint, None, insecure, web, allow)
     if tls_ca is None or tls_certificate is None or tls_key is None:
         raise click.UsageError("--tls-ca, --tls-certificate and --tls-key belong together")
-    return Link(endpoint, Tls(ca=tls_ca, certificate=tls_certificate, key=tls_key), insecure, web)
+    return Link(endpoint, Tls(ca=tls_ca, certificate=tls_certificate, key=tls_key), insecure, web, allow)

@@ -4,10 +4,11 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from ...schemas import keys
 from ...schemas.errors import PerfboundError
 
 GRACE = 1.0
@@ -44,22 +45,31 @@ class ChildProcess(Protocol):
 
 @dataclass
 class _Child:
+    worker: str
     process: ChildProcess
     started: float
     killed: bool = False
 
 
 class Fleet:
-    """`size` local workers of one run."""
+    """`size` local workers of one run; `environment` is added to that of this process."""
 
-    def __init__(self, size: int, endpoint: str, run: str, options: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        size: int,
+        endpoint: str,
+        run: str,
+        options: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self._arguments = ["serve", "--connect", endpoint, "--run", run, *options]
+        self._environment = environment or {}
         self._size = size
         self._next = 0
         self._fast_deaths = 0
         self._children: list[_Child] = []
-        self.ended: dict[int, str] = {}
-        """How the workers of these process ids have ended by themselves."""
+        self.ended: dict[str, str] = {}
+        """How the workers of these names have ended by themselves."""
         # Only this process holds the writing end, so that kill -9 of it ends the pipe of every worker.
         self._lifeline, self._our_end = os.pipe()
 
@@ -84,7 +94,7 @@ class Fleet:
                 self._fast_deaths = self._fast_deaths + 1 if fast else 0
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             if not child.killed:
-                self.ended[child.process.pid] = how
+                self.ended[child.worker] = how
             if self._fast_deaths >= FAST_DEATHS:
                 raise PerfboundError(
                     f"{FAST_DEATHS} local workers in a row ended within {FAST:g} s (last: {how}); "
@@ -95,9 +105,12 @@ class Fleet:
             news.append(f"local worker {child.process.pid} {what}; started {self.pids[-1]}")
         return news
 
-    def kill(self, pid: int) -> bool:
-        """Kill a local worker, which `tend` replaces; return whether `pid` is one of them."""
-        found = [child for child in self._children if child.process.pid == pid]
+    def kill(self, worker: str) -> bool:
+        """Kill a local worker, which `tend` replaces; return whether `worker` is one of them.
+
+        Workers are known by the name that they were started with, never by a number or host that a message claims.
+        """
+        found = [child for child in self._children if child.worker == worker]
         for child in found:
             child.killed = True
             child.process.kill()
@@ -125,16 +138,18 @@ class Fleet:
 
     def _spawn(self) -> None:
         self._next += 1
-        self._children.append(_Child(self._started(f"local-{self._next}"), time.monotonic()))
+        worker = keys.fresh_id(f"local-{self._next}")
+        self._children.append(_Child(worker, self._started(worker), time.monotonic()))
 
-    def _started(self, name: str) -> ChildProcess:
-        """Start one worker, which calls itself `name`."""
+    def _started(self, worker: str) -> ChildProcess:
+        """Start one worker under its name."""
         return subprocess.Popen(
             [
                 # -P: a module of the current directory must not replace an installed one.
                 *(sys.executable, "-P", "-m", "perfbound.workers", *self._arguments),
-                *("--name", name, "--lifeline", str(self._lifeline)),
+                *("--as", worker, "--lifeline", str(self._lifeline)),
             ],
+            env={**os.environ, **self._environment},
             pass_fds=[self._lifeline],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

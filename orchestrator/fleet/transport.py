@@ -1,8 +1,9 @@
 """The orchestrator's side of the protocol; the only importer of zenoh in this package."""
 
+import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -11,17 +12,10 @@ from typing import Any, Protocol
 import zenoh
 
 from ...schemas import keys
-from ...schemas.errors import LinkError, MessageError, PerfboundError, shortened
-from ...schemas.link import Tls, listen_config, reachable, with_port
-from ...schemas.messages import (
-    MAX_RESULT,
-    Request,
-    ResultHeader,
-    WorkerState,
-    decode_header,
-    decode_state,
-    encode_message,
-)
+from ...schemas.errors import LinkError, MessageError, PerfboundError, SealError, shortened
+from ...schemas.link import Tls, listen_config, password_line, reachable, with_port
+from ...schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState
+from ...schemas.sealed import OrchestratorEnd
 from .inbox import Budget
 from .sender import Sender, join_all, within_patience
 
@@ -93,10 +87,12 @@ class Transport(Protocol):
 class ZenohTransport:
     """A Zenoh session that listens for workers."""
 
-    def __init__(self, session: zenoh.Session, endpoint: str) -> None:
+    def __init__(
+        self, session: zenoh.Session, endpoint: str, secret: bytes | None, *, by_certificate: bool = False
+    ) -> None:
         self._session = session
         self._endpoint = endpoint
-        self._run = ""
+        self._secret, self._by_certificate = secret, by_certificate
         self._threads: list[threading.Thread] = []
         self._sender = Sender(self._put)
         self._budget = Budget()
@@ -108,20 +104,18 @@ class ZenohTransport:
 
     def start(self, run: str, sink: Sink) -> None:
         """Subscribe to the workers of `run`, then announce the orchestrator."""
-        self._run = run
+        self.end = OrchestratorEnd(self._secret, run, by_certificate=self._by_certificate)
         handler = zenoh.handlers.FifoChannel
         session, liveliness = self._session, self._session.liveliness()
         states = session.declare_subscriber(keys.state_key(run, "*"), handler(CHANNEL))
         results = session.declare_subscriber(keys.result_key(run, "*", "*", "*"), handler(CHANNEL))
         tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
         for subscriber, read in ((states, _heartbeat), (results, partial(_result, self._budget)), (tokens, _token)):
-            thread = threading.Thread(target=_pump, args=(subscriber, read, sink), daemon=True)
+            thread = threading.Thread(target=_pump, args=(subscriber, read, self.end, sink), daemon=True)
             thread.start()
             self._threads.append(thread)
-        # Last: a worker that has found the token may send at once. The time makes ids sort by age, and workers without
-        # --run join the first.
-        name = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}")
-        self._token = liveliness.declare_token(keys.live_orchestrator(run, name))
+        # Last: a worker that has found the token may send at once.
+        self._token = liveliness.declare_token(keys.live_orchestrator(run, self.end.name))
 
     def send(self, worker: str, message: Request) -> None:
         """Send a request without waiting for its peer."""
@@ -130,9 +124,11 @@ class ZenohTransport:
     def _put(self, worker: str, message: Request) -> None:
         with suppress(zenoh.ZError):  # the session is closed: the run has ended
             # With BLOCK, because DROP, the default, loses messages under load.
+            packet = self.end.request(worker, message)
             self._session.put(
-                keys.request_key(self._run, worker),
-                encode_message(message),
+                packet.key,
+                packet.payload,
+                attachment=packet.attachment,
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 express=True,
             )
@@ -148,36 +144,57 @@ class ZenohTransport:
 
 
 @contextmanager
-def listen(endpoint: str, tls: Tls | None = None, *, insecure: bool = False) -> Iterator[ZenohTransport]:
-    """Open a Zenoh session that workers can connect to.
+def listen(
+    endpoint: str,
+    tls: Tls | None = None,
+    *,
+    insecure: bool = False,
+    secret: bytes | None = None,
+    access: Mapping[str, Any] | None = None,
+) -> Iterator[ZenohTransport]:
+    """Open a Zenoh session that workers can connect to; with `secret`, those that know it.
 
     Raises:
         PerfboundError: the endpoint is in use, malformed, or open to others without TLS.
 
     """
-    session, chosen = _opened(endpoint, tls, insecure=insecure)
-    transport = ZenohTransport(session, reachable(chosen))
+    with _passwords(secret) as passwords:
+        configured = partial(listen_config, tls=tls, insecure=insecure, passwords=passwords, access=access)
+        session, chosen = _listening(endpoint, configured)
+    transport = ZenohTransport(session, reachable(chosen), secret, by_certificate=access is not None)
     try:
         yield transport
     finally:
         transport.close()
 
 
-def _opened(endpoint: str, tls: Tls | None, *, insecure: bool) -> tuple[zenoh.Session, str]:
+def _listening(endpoint: str, configured: Callable[[str], str]) -> tuple[zenoh.Session, str]:
     """Return a session that listens, and its endpoint; port 0 becomes a free one."""
     tries = TRIES
     while True:
         tries -= 1
         try:
-            listen_config(endpoint, tls, insecure=insecure)
+            configured(endpoint)
             chosen = with_port(endpoint)
-            return zenoh.open(zenoh.Config.from_json5(listen_config(chosen, tls, insecure=insecure))), chosen
+            return zenoh.open(zenoh.Config.from_json5(configured(chosen))), chosen
         except LinkError as error:
             raise PerfboundError(str(error)) from None
         except zenoh.ZError as error:
             # Between the choice of a free port and its use, another process may have taken it.
             if not (tries and chosen != endpoint and IN_USE in str(error)):
                 raise PerfboundError(_explain(endpoint, str(error))) from None
+
+
+@contextmanager
+def _passwords(secret: bytes | None) -> Iterator[str | None]:
+    """Make the file that Zenoh reads passwords from when it opens; it has no name, so no disk keeps it."""
+    if secret is None:
+        yield None
+        return
+    with os.fdopen(os.memfd_create("perfbound"), "wb") as file:
+        file.write(password_line(secret).encode())
+        file.flush()
+        yield f"/proc/self/fd/{file.fileno()}"
 
 
 def _explain(endpoint: str, error: str) -> str:
@@ -187,40 +204,53 @@ def _explain(endpoint: str, error: str) -> str:
     return f"--listen {endpoint}: cannot listen there ({reason}); check the address and the TLS files"
 
 
-def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None], sink: Sink) -> None:
+Read = Callable[[OrchestratorEnd, zenoh.Sample, float], Inbound | None]
+
+
+def _pump(subscriber: Any, read: Read, end: OrchestratorEnd, sink: Sink) -> None:
     try:
         for sample in subscriber:
             at = time.monotonic()
             try:
-                message = read(sample, at)
+                message = read(end, sample, at)
             except (MessageError, UnicodeDecodeError) as error:
-                message = Garbage(at, keys.sender_of(str(sample.key_expr)), shortened(str(error)))
+                message = garbage(end, at, keys.sender_of(str(sample.key_expr)), error)
             if message is not None:
                 sink(message)
     except zenoh.ZError:
         return  # the session is closed
 
 
-def _token(sample: zenoh.Sample, at: float) -> Inbound:
+def garbage(end: OrchestratorEnd, at: float, worker: str, error: Exception) -> Garbage | None:
+    """Return what is reported of a message that is not accepted; None if that has been reported often enough."""
+    reason = end.rejected(error) if isinstance(error, SealError) else shortened(str(error))
+    return Garbage(at, worker, reason) if reason else None
+
+
+def _token(_end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound:
     return Token(at, keys.worker_of(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
 
 
-def _heartbeat(sample: zenoh.Sample, at: float) -> Inbound | None:
+def _heartbeat(end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
-    return Heartbeat(at, keys.worker_of(str(sample.key_expr)), decode_state(sample.payload.to_bytes()))
+    worker = keys.worker_of(str(sample.key_expr))
+    return Heartbeat(at, worker, end.state(worker, sample.payload.to_bytes(), _attached(sample)))
 
 
-def _result(budget: Budget, sample: zenoh.Sample, at: float) -> Inbound | None:
+def _result(budget: Budget, end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound | None:
     if sample.kind != zenoh.SampleKind.PUT:
         return None
-    if sample.attachment is None:
-        raise MessageError("a result without its header")
-    header = decode_header(sample.attachment.to_bytes())
+    worker = keys.worker_of(str(sample.key_expr))
+    header = end.header(worker, _attached(sample))
     if len(sample.payload) > MAX_RESULT:
         raise MessageError(f"{len(sample.payload)} bytes are more than the {MAX_RESULT} of a trajectory")
-    worker, size = keys.worker_of(str(sample.key_expr)), len(sample.payload)
+    size = len(sample.payload)
     budget.reserve(worker, size)
     result = Result(at, worker, header, sample.payload.to_bytes())
     budget.release_with(result, size)
     return result
+
+
+def _attached(sample: zenoh.Sample) -> bytes | None:
+    return None if sample.attachment is None else sample.attachment.to_bytes()

@@ -5,7 +5,6 @@ worker that fits the campaign is `up` for the dispatch machine from its first he
 once and then ignored.
 """
 
-import os
 from dataclasses import dataclass
 
 from ...schemas import __version__
@@ -97,11 +96,6 @@ class Roster:
         """Return the last heartbeat of an admitted worker; None for every other one."""
         record = self.records.get(worker)
         return record.state if record is not None else None
-
-    def local_pid(self, worker: str) -> int | None:
-        """Return the process id of an admitted worker of this host; on another one it names some other process."""
-        state = self.admitted(worker)
-        return state.pid if state is not None and state.host == os.uname().nodename else None
 
     def _mismatch(self, state: WorkerState) -> str | None:
         spec = self._spec

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped, one_line
 from ...schemas.ids import CLOSING, Attempt, RolloutId
-from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
+from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request, ResultHeader
 from ...schemas.places import short_path
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
@@ -31,6 +31,7 @@ from ..fleet.state import DispatchState
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from ..store import read
 from ..store.journal import Journal
+from .assignments import Assignments
 from .decoder import Decoded
 from .format import duration
 from .lines import Lines
@@ -109,12 +110,14 @@ class Service:
         self._roster = Roster(ledger.header.spec, journal.platform)
         self._review = Review(ledger, journal)
         self._results = Results(ledger, journal, self._review, self.inbox.put)
+        self._assignments = Assignments(journal.directory, journal.header.run)
         self._outgoing: list[tuple[str, Request]] = []
         self._events: deque[events.Event] = deque()
         self._drain = drain
         self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
+        self._unproved: set[str] = set()
         self._started = time.monotonic()
         self._next_tick = self._started
         limits = _limits(ledger.config)
@@ -203,12 +206,21 @@ class Service:
                 self._events.extend(self._roster.heartbeat(message))
             case Result() if self._roster.admitted(message.worker) is None:
                 return  # not acknowledged before the worker is admitted: it delivers the result again
+            case Result() if not self._assignments.proved(message.worker, message.header):
+                self._unproved_result(message.worker, message.header)
             case Result() | Decoded():
                 self._events.extend(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
                 self._lines.ignored(message.worker, message.reason)
             case Interrupted():
                 self._interrupted(message.signal)
+
+    def _unproved_result(self, worker: str, header: ResultHeader) -> None:
+        # Of another peer, or of an attempt whose key is lost: nothing is recorded, and no worker keeps it for ever.
+        if worker not in self._unproved:
+            self._unproved.add(worker)
+            self._print_line(f"ignored results in the name of {worker}: no assignment proves them")
+        self._outgoing.append((worker, Ack(rollout=header.rollout, attempt=header.attempt)))
 
     def _interrupted(self, signal: int) -> None:
         """Stop at once; with `drain`, hand out nothing more and stop when the attempts under way have ended."""
@@ -261,8 +273,7 @@ class Service:
                     self._journal.attempt_ended(attempt, worker, failure)
                     self._lines.failed(action)
             case events.GiveUp(worker):
-                pid = self._roster.local_pid(worker)
-                if self._fleet is not None and pid is not None and self._fleet.kill(pid):
+                if self._fleet is not None and self._fleet.kill(worker):
                     # Before its token is gone, so that nothing is assigned to it.
                     self._events.append(events.WorkerDown(time.monotonic(), worker))
             case events.Poison():
@@ -306,8 +317,8 @@ class Service:
         return frozenset(each for each in work.wanted if reviewed(each) is None and self._ledger.compares(each))
 
     def _assign(self, worker: str, attempt: Attempt) -> None:
-        request = self._results.request(attempt.rollout)
-        self._outgoing.append((worker, Assign(attempt=attempt.number, request=request)))
+        request, secret = self._results.request(attempt.rollout), self._assignments.secret(worker, attempt)
+        self._outgoing.append((worker, Assign(attempt=attempt.number, secret=secret, request=request)))
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""
@@ -318,13 +329,8 @@ class Service:
         if self._stop is not None:
             raise Stopped(self._stop)
         if self._poisoned is not None:
-            ends = {each.worker: self._end_of(each.worker) for each in self._poisoned.failures}
+            ends = self._fleet.ended if self._fleet is not None else {}
             raise PerfboundError(_poison_text(self._poisoned, self._ledger, self._journal.origin.system, ends))
-
-    def _end_of(self, worker: str) -> str:
-        """Return how the process of a local worker has ended; empty for one that has not, or is elsewhere."""
-        pid = self._roster.local_pid(worker)
-        return self._fleet.ended.get(pid, "") if self._fleet is not None and pid is not None else ""
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:

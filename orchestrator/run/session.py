@@ -11,17 +11,19 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.console import Console
 from rich.text import Text
 
+from ...schemas.access import access_rules, common_name
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Certificate
-from ...schemas.errors import CampaignError, JournalError, PerfboundError
+from ...schemas.errors import CampaignError, JournalError, LinkError, PerfboundError
 from ...schemas.facts import Header
-from ...schemas.link import Tls
+from ...schemas.link import Tls, asks_for_secret
 from ...schemas.platforms import ANY, platform_class
+from ...schemas.secret import VARIABLE, shared_secret
 from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new
 from ..campaign.software import other_numerics, software
@@ -34,6 +36,7 @@ from ..store.files import read_evidence
 from ..store.journal import INSTALLED, Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
+from . import assignments
 from .address import Address
 from .directory import check_vacant, claimed
 from .format import resume_command
@@ -53,11 +56,41 @@ class Link:
     tls: Tls | None = None
     insecure: bool = False
     web: Address | None = None
+    allow: tuple[str, ...] = ()
+    """Common names of the certificates of workers; empty: every one of the authority."""
+
+    def secret(self) -> bytes | None:
+        """Return the secret that workers must know.
+
+        Raises:
+            SecretError: it cannot be used, or there is no place for one.
+
+        """
+        return shared_secret(loopback=asks_for_secret(self.endpoint))
+
+    def access(self, *, local_workers: bool) -> dict[str, Any] | None:
+        """Return the access rules for the link.
+
+        Raises:
+            LinkError: there are no certificates, or a name cannot be allowed.
+
+        """
+        if not self.allow:
+            return None
+        if self.tls is None:
+            raise LinkError("--allow: needs a tls/ endpoint, --tls-ca, --tls-certificate and --tls-key")
+        own = common_name(self.tls.certificate)
+        if local_workers and not own:
+            raise LinkError(
+                f"{self.tls.certificate}: has no common name, by which local workers could be told apart; with --allow "
+                "choose a certificate with one, or no local workers"
+            )
+        return access_rules(self.allow, own)
 
     def worker_options(self) -> list[str]:
         """Return the options with which local workers connect."""
         if self.tls is None:
-            return []
+            return ["--insecure"] if self.secret() is None else []
         return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]
 
 
@@ -186,7 +219,16 @@ def _origin(reference: str) -> Origin:
 
 def _transport(options: RunOptions) -> AbstractContextManager[Transport]:
     link = options.link
-    return options.own.transport() if options.own else listen(link.endpoint, link.tls, insecure=link.insecure)
+    if options.own:
+        return options.own.transport()
+    access = link.access(local_workers=options.workers > 0)
+    return listen(link.endpoint, link.tls, insecure=link.insecure, secret=link.secret(), access=access)
+
+
+def _shared(options: RunOptions) -> dict[str, str]:
+    """Return the environment with which local workers know the secret; other processes of this user see no value."""
+    secret = options.link.secret()
+    return {} if secret is None else {VARIABLE: secret.decode()}
 
 
 def check_workers(spec: SystemSpec, own: OwnSystem | None, place: Path) -> None:
@@ -281,7 +323,7 @@ def _conduct(
             check_platform(journal.platform, directory)
             links = [*options.link.worker_options(), *child.system_options(options.system)]
             own = options.own
-            fleet = own.fleet() if own else Fleet(options.workers, transport.endpoint, run, links)
+            fleet = own.fleet() if own else Fleet(options.workers, transport.endpoint, run, links, _shared(options))
             stack.callback(fleet.stop)
             fleet.start()
         else:
@@ -334,6 +376,7 @@ def certify(directory: Path, ledger: "Ledger") -> None:
     """
     for fact in ledger.discards:
         read_evidence(directory, fact.path, fact.sha256)
+    assignments.forget(directory)
     from ..certificate.issue import issue, manifest  # noqa: PLC0415
 
     found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), ledger.discards)

@@ -21,7 +21,6 @@ from typing import Any
 
 from ..orchestrator.fleet.processes import ChildProcess, Fleet
 from ..orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token, Transport
-from ..schemas import keys
 from ..schemas.errors import MessageError
 from ..schemas.messages import (
     MAX_MESSAGE,
@@ -119,18 +118,17 @@ class _ForkedFleet(Fleet):
         super().__init__(1, pipes.endpoint, "")
         self._system, self._pipes = system, pipes
 
-    def _started(self, name: str) -> ChildProcess:
+    def _started(self, worker: str) -> ChildProcess:
         ours, theirs = multiprocessing.Pipe()
-        full_name = keys.fresh_id(name)
         child = multiprocessing.get_context("fork").Process(
-            target=_serve_pipe, args=(full_name, theirs, self._system), daemon=True
+            target=_serve_pipe, args=(worker, theirs, self._system), daemon=True
         )
         with warnings.catch_warnings():
             # Since Python 3.12 of every fork beside threads: a notebook has some, and the child calls none of theirs.
             warnings.simplefilter("ignore", DeprecationWarning)
             child.start()
         theirs.close()
-        self._pipes.join(full_name, ours)
+        self._pipes.join(worker, ours)
         return _ForkedChild(child)
 
 

@@ -6,13 +6,22 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TypeVar, get_args
+from typing import Literal, TypeVar, get_args
 
 import pytest
 import zenoh
 
 from perfbound.orchestrator.fleet import transport as port
-from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport, listen
+from perfbound.orchestrator.fleet.transport import (
+    Garbage,
+    Heartbeat,
+    Inbound,
+    Result,
+    Token,
+    Transport,
+    ZenohTransport,
+    listen,
+)
 from perfbound.schemas import keys
 from perfbound.schemas.failure import FailureKind
 from perfbound.schemas.link import LOCAL, connect_config
@@ -26,7 +35,8 @@ from perfbound.schemas.messages import (
     WorkerState,
     encode_message,
 )
-from perfbound.workers.transport import Uplink, connect
+from perfbound.schemas.sealed import SHOWN, OrchestratorEnd
+from perfbound.workers.transport import Uplink, ZenohUplink, connect
 from tests.fakes import inmemory
 from tests.fakes.inmemory import InMemoryTransport, InMemoryUplink, Network
 from tests.patience import PATIENCE
@@ -49,15 +59,18 @@ def no_waiting() -> None:
     raise AssertionError("the orchestrator listens already")
 
 
+SECRET = b"a secret of the tests"
+
+
 @contextmanager
 def zenoh_rig() -> Iterator[Rig]:
-    with listen(LOCAL) as transport:
-        raw = zenoh.open(zenoh.Config.from_json5(connect_config(transport.endpoint, None)))
+    with listen(LOCAL, secret=SECRET) as transport:
+        raw = zenoh.open(zenoh.Config.from_json5(connect_config(transport.endpoint, None, SECRET)))
         try:
             block = zenoh.CongestionControl.BLOCK
             yield Rig(
                 transport,
-                lambda: connect(transport.endpoint, None, no_waiting),
+                lambda: connect(transport.endpoint, None, no_waiting, SECRET),
                 lambda key, payload, header: raw.put(key, payload, attachment=header, congestion_control=block),
             )
         finally:
@@ -72,7 +85,7 @@ def memory_rig() -> Iterator[Rig]:
         yield joined
         joined.leave()
 
-    with Network() as network:
+    with Network(secret=SECRET) as network:
         transport = InMemoryTransport(network)
         yield Rig(transport, uplink, network.put)
         transport.stop()
@@ -105,6 +118,11 @@ class Heard:
                 return message
 
 
+def end_of(rig: Rig) -> OrchestratorEnd:
+    assert isinstance(rig.transport, ZenohTransport | InMemoryTransport)
+    return rig.transport.end
+
+
 def listening(rig: Rig) -> Heard:
     heard = Heard()
     rig.transport.start(RUN, heard.messages.put)
@@ -118,6 +136,16 @@ def joined(rig: Rig, worker: str, receive: Callable[[Request], None] = lambda _:
         uplink.join(RUN, worker, receive)
         yield uplink
         uplink.leave()
+
+
+def sealed(uplink: Uplink, stream: Literal["state", "result"], payload: bytes, header: bytes | None) -> bytes | None:
+    """Return the attachment that this worker would make for anything."""
+    assert isinstance(uplink, ZenohUplink | InMemoryUplink)
+    line = uplink._end._line
+    assert line is not None
+    if stream == "state":
+        return line.states.seal("w", payload)
+    return None if header is None else line.results.seal("w", header) + header
 
 
 def eventually(condition: Callable[[], bool]) -> None:
@@ -276,7 +304,7 @@ def test_garbage_is_told_and_harms_nothing(
     heard = listening(rig)
     with joined(rig, "w") as uplink:
         heard.next(Token, worker="w")
-        rig.put(key, payload, attachment)
+        rig.put(key, payload, sealed(uplink, "state" if key == STATE else "result", payload, attachment))
         reason = heard.next(Garbage, worker="w").reason
         assert reason
         assert len(reason) < 300
@@ -293,10 +321,77 @@ def test_a_worker_ignores_garbage(rig: Rig, payload: bytes) -> None:
     received: list[Request] = []
     with joined(rig, "w", received.append):
         heard.next(Token, worker="w")
-        rig.put(keys.request_key(RUN, "w"), payload, None)
-        rig.put(keys.request_key(RUN, "w"), encode_message(Ack(rollout="maximum.0.true.0", attempt=3)), None)
+        rig.put(keys.request_key(RUN, "w"), payload, end_of(rig)._requests.seal("w", payload))
+        rig.put(*end_of(rig).request("w", Ack(rollout="maximum.0.true.0", attempt=3)))
         eventually(lambda: received != [])
     assert received == [Ack(rollout="maximum.0.true.0", attempt=3)]
+
+
+ACK = encode_message(Ack(rollout="maximum.0.true.0", attempt=9))
+
+
+def test_a_worker_obeys_its_orchestrator_alone(rig: Rig) -> None:
+    """Neither a peer without the secret, nor what was said to another worker, nor what was said before."""
+    heard = listening(rig)
+    received: list[Request] = []
+    last = Ack(rollout="maximum.0.true.0", attempt=3)
+    with joined(rig, "w", received.append):
+        heard.next(Token, worker="w")
+        key, other = keys.request_key(RUN, "w"), end_of(rig).request("v", Ack(rollout="maximum.0.true.0", attempt=1))
+        said = end_of(rig).request("w", Ack(rollout="maximum.0.true.0", attempt=2))
+        foreign = OrchestratorEnd(b"another secret of a stranger", RUN).request("w", last)
+        earlier = OrchestratorEnd(SECRET, RUN).request("w", last)
+        for payload, attachment in (
+            *((ACK, None), (ACK, b""), (ACK, bytes(40)), (ACK, said.attachment)),
+            *((other.payload, other.attachment), (foreign.payload, foreign.attachment)),
+            *((earlier.payload, earlier.attachment), (said.payload, said.attachment), (said.payload, said.attachment)),
+        ):
+            rig.put(key, payload, attachment)
+        eventually(lambda: received != [])  # what another session puts may come later than what this one sends
+        rig.transport.send("w", last)
+        eventually(lambda: last in received)
+    assert received == [Ack(rollout="maximum.0.true.0", attempt=2), last]
+
+
+def test_a_message_without_the_secret_is_none(rig: Rig) -> None:
+    heard = listening(rig)
+    state = encode_message(a_state("w", progress=9))
+    header = encode_message(a_header("w"))
+    with joined(rig, "w") as uplink:
+        heard.next(Token, worker="w")
+        own = sealed(uplink, "result", b"", header)
+        assert own is not None
+        altered = header.replace(b"maximum.0", b"maximum.1")
+        for attachment in (None, b"", header, bytes(40) + header, own[:40] + altered, own[:39]):
+            rig.put(RESULT, b"x", attachment)
+        for number in range(SHOWN):
+            reason = heard.next(Garbage, worker="w").reason
+            assert reason.endswith("; further ones are not reported") == (number == SHOWN - 1)
+        for attachment in (None, b"", bytes(40), own[:40], sealed(uplink, "state", b"{}", None)):
+            rig.put(STATE, state, attachment)
+        rig.put(RESULT, b"x", own)
+        rig.put(RESULT, b"x", own)
+        assert heard.next(Result, worker="w").payload == b"x"
+        uplink.deliver(a_header("w"), b"y")
+        assert heard.next(Result, worker="w").payload == b"y"
+        uplink.report(a_state("w", progress=7))
+        assert heard.next(Heartbeat, worker="w").state.progress == 7
+
+
+def test_an_orchestrator_without_the_secret_is_a_stranger(rig: Rig) -> None:
+    forged = OrchestratorEnd(b"another secret of a stranger", RUN).name
+    with rig.uplink() as uplink:
+        assert isinstance(uplink, ZenohUplink | InMemoryUplink)
+        end = uplink._end
+        end.appear(keys.live_orchestrator(RUN, forged))
+        assert end.strangers
+        assert uplink.orchestrators() == []
+        listening(rig)
+        eventually(lambda: len(uplink.orchestrators()) == 1)
+        # One that was announced for another run does not count in this one.
+        ((name, _),) = uplink.orchestrators()
+        end.appear(keys.live_orchestrator("f" * 16, name))
+        assert [run for _, run in uplink.orchestrators()] == [RUN]
 
 
 @pytest.mark.parametrize("kind", sorted(RIGS))

@@ -256,6 +256,7 @@ def test_endpoints_that_cannot_be_used(here: Here) -> None:
                 ["tcp/127.0.0.1:0", "--tls-ca", "a", "--tls-key", "b", "--tls-certificate", "c"],
                 "tcp does not encrypt",
             ),
+            (["tcp/127.0.0.1:0", "--allow", "w1"], "--allow: needs a tls/ endpoint"),
             (
                 ["tls/127.0.0.1:0", "--tls-ca", "a", "--tls-key", "b", "--tls-certificate", "c"],
                 "a: no such file; the TLS options name PEM files",

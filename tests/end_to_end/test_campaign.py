@@ -333,10 +333,10 @@ def certificates(tmp_path: Path) -> Callable[[str], list[str]]:
     """Return a maker of TLS options; each name has an authority of its own."""
     authorities: dict[str, trustme.CA] = {}
 
-    def make(authority: str) -> list[str]:
+    def make(authority: str, name: str | None = None) -> list[str]:
         ca = authorities.setdefault(authority, trustme.CA())
-        issued = ca.issue_cert("127.0.0.1")
-        folder = tmp_path / f"tls-{authority}"
+        issued = ca.issue_cert("127.0.0.1", common_name=name)
+        folder = tmp_path / f"tls-{authority}-{name}"
         folder.mkdir(exist_ok=True)
         ca.cert_pem.write_to_path(folder / "ca.pem")
         issued.private_key_pem.write_to_path(folder / "key.pem")
@@ -361,9 +361,10 @@ def test_mutual_tls_keeps_strangers_out(
         started.start("perfbound-worker", "--connect", f"tls/127.0.0.1:{port}", *theirs),
         started.start("perfbound-worker", "--connect", f"tcp/127.0.0.1:{port}"),
     ]
-    wait_for(lambda: all("no answer from" in stranger.err for stranger in strangers))
+    wait_for(lambda: all("refuses this worker" in stranger.err for stranger in strangers))
     assert not query(directory, "SELECT * FROM attempts")
-    assert all("with TLS, that both certificates are signed by --tls-ca" in stranger.err for stranger in strangers)
+    assert "check that both certificates are valid and signed by --tls-ca" in strangers[0].err
+    assert "both as the same user" in strangers[1].err
     ours_worker = started.start("perfbound-worker", "--connect", f"tls/127.0.0.1:{port}", *ours)
     ended = process.wait()
     assert ended.code == 0, ended.err
@@ -372,11 +373,69 @@ def test_mutual_tls_keeps_strangers_out(
 
 
 def test_local_workers_over_mutual_tls(
-    started: Processes, directory: Path, calm: Path, certificates: Callable[[str], list[str]]
+    started: Processes, directory: Path, calm: Path, certificates: Callable[..., list[str]]
 ) -> None:
-    ended = start(started, "--listen", "tls/127.0.0.1:0", *certificates("ours")).wait()
+    """Also where only the workers of a list are taken besides."""
+    ended = start(started, "--listen", "tls/127.0.0.1:0", *certificates("ours", "server"), "--allow", "w1").wait()
     assert ended.code == 0, ended.err
     assert finished(directory, calm)
+
+
+def orchestrate(started: Processes, endpoint: str, *arguments: str, **environment: str) -> Process:
+    """Start an orchestrator without workers of its own, and wait until it listens."""
+    campaign = write_campaign(started.folder / "c.toml")
+    line = ("perfbound", "orchestrate", campaign, "--out", started.folder / "run", "--listen", endpoint)
+    process = started.start(*line, *arguments, **environment)
+    wait_for(lambda: "waiting for workers" in process.err)
+    return process
+
+
+def test_an_allowed_worker_has_the_name_of_its_certificate(
+    started: Processes, directory: Path, calm: Path, certificates: Callable[..., list[str]]
+) -> None:
+    endpoint, own = f"tls/127.0.0.1:{free_port()}", certificates("ours", "w1")
+    process = orchestrate(started, endpoint, *certificates("ours", "server"), "--allow", "w1")
+    named = started.run("perfbound-worker", "--connect", endpoint, *own, "--name", "w2")
+    assert named.code == 1
+    assert named.fault == (
+        f"perfbound-worker: --name w2: the orchestrator at {endpoint} was started with --allow, so the name of a "
+        "worker is the common name of its certificate, here 'w1'; leave --name out"
+    )
+    started.start("perfbound-worker", "--connect", endpoint, *own)
+    ended = process.wait()
+    assert ended.code == 0, ended.err
+    assert finished(directory, calm)
+    ((name,),) = query(directory, "SELECT DISTINCT worker FROM attempts")
+    assert str(name).rpartition("-")[0] == "w1"
+
+
+def test_processes_of_one_user_meet_and_others_are_refused(started: Processes, directory: Path, calm: Path) -> None:
+    """Without a flag; each stranger gets one sentence with both remedies."""
+    ours, theirs = ({"XDG_STATE_HOME": str(started.folder / name)} for name in ("ours", "theirs"))
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    process = orchestrate(started, endpoint, **ours)
+    worker = ("perfbound-worker", "--connect", endpoint)
+    strangers = [
+        started.start(*worker, **theirs),
+        started.start(*worker, **ours, PERFBOUND_SECRET="a secret of another user"),
+        started.start(*worker, "--insecure", **ours),
+        started.start("perfbound-worker", "--connect", f"tcp/127.0.0.1:{free_port()}", **ours),
+    ]
+    wait_for(lambda: all(each.err for each in strangers))
+    place = started.folder / "theirs" / "perfbound" / "secret"
+    assert strangers[0].err.splitlines()[0] == (
+        f"perfbound-worker: something listens at {endpoint}, but refuses this worker: start both as the same user "
+        f"(their secret is in {place}), or set PERFBOUND_SECRET to the same text for both"
+    )
+    assert ["refuses this worker" in each.err for each in strangers] == [True, True, True, False]
+    assert "no answer from" in strangers[3].err
+    secret = (started.folder / "ours" / "perfbound" / "secret").read_text().strip()
+    friends = [started.start(*worker, **ours), started.start(*worker, **theirs, PERFBOUND_SECRET=secret)]
+    ended = process.wait()
+    assert ended.code == 0, ended.err
+    assert finished(directory, calm)
+    found = {pid for (pid,) in query(directory, "SELECT DISTINCT pid FROM attempts")}
+    assert found <= {friend.pid for friend in friends}
 
 
 # Without a campaign

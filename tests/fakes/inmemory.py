@@ -23,8 +23,8 @@ from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.fleet.limits import Limits
-from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Sink, Token
-from perfbound.orchestrator.run import service
+from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, Result, Sink, Token, garbage
+from perfbound.orchestrator.run import assignments, service
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
@@ -34,17 +34,8 @@ from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.errors import MessageError, RefusedError
 from perfbound.schemas.facts import Header
-from perfbound.schemas.messages import (
-    MAX_RESULT,
-    Refuse,
-    Request,
-    ResultHeader,
-    WorkerState,
-    decode_header,
-    decode_request,
-    decode_state,
-    encode_message,
-)
+from perfbound.schemas.messages import MAX_RESULT, Refuse, Request, ResultHeader, WorkerState
+from perfbound.schemas.sealed import OrchestratorEnd, Packet, WorkerEnd
 from perfbound.workers import worker as worker_module
 from perfbound.workers.systems import load_system
 from perfbound.workers.transport import Receiver, Uplink
@@ -66,8 +57,10 @@ class Faults:
 class Network:
     """One thread that carries messages; closed, it carries nothing more."""
 
-    def __init__(self, faults: Faults | None = None) -> None:
+    def __init__(self, faults: Faults | None = None, secret: bytes | None = b"the secret of the tests") -> None:
         self._faults = faults or Faults()
+        self.secret = secret
+        """Of every end that joins it, unless that one has another."""
         self._luck = random.Random(self._faults.seed)
         self._order = itertools.count()
         self._agenda: list[tuple[float, int, Callable[[], None]]] = []
@@ -77,6 +70,10 @@ class Network:
         """By orchestrator."""
         self.uplinks: dict[tuple[str, str], InMemoryUplink] = {}
         """By run and worker."""
+        self.announced: list[str] = []
+        """Tokens of live orchestrators."""
+        self.watching: list[WorkerEnd] = []
+        """Workers that see these tokens."""
         self._thread = threading.Thread(target=self._carry, name="in-memory network")
         self._thread.start()
 
@@ -106,6 +103,12 @@ class Network:
         with self._changed:
             self._schedule(act, 0.0)
 
+    def announce(self, key: str, *, alive: bool) -> None:
+        """Show or withdraw the token of an orchestrator; on the network's thread."""
+        (self.announced.append if alive else self.announced.remove)(key)
+        for each in self.watching:
+            (each.appear if alive else each.disappear)(key)
+
     def _schedule(self, act: Callable[[], None], delay: float) -> None:
         heapq.heappush(self._agenda, (time.monotonic() + delay, next(self._order), act))
         self._changed.notify()
@@ -123,7 +126,7 @@ class Network:
     def _arrive(self, key: str, payload: bytes, attachment: bytes | None) -> None:
         _, run, kind, worker, *_ = key.split("/")
         if kind == "request" and (uplink := self.uplinks.get((run, worker))) is not None:
-            uplink.arrive(payload)
+            uplink.arrive(payload, attachment)
         for receiver in [*self.transports.values()] if kind == "up" else ():
             if receiver.run == run:
                 receiver.arrive(key, payload, attachment)
@@ -135,7 +138,6 @@ class InMemoryTransport:
     def __init__(self, network: Network) -> None:
         self._network = network
         self._sink: Sink | None = None
-        self._name = ""
         self.run = ""
 
     @property
@@ -146,17 +148,18 @@ class InMemoryTransport:
     def start(self, run: str, sink: Sink) -> None:
         """Listen, report the workers that are alive, then become visible to them."""
         self.run, self._sink = run, sink
-        self._name = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}")
+        self.end = OrchestratorEnd(self._network.secret, run)
         self._network.tell(lambda: self._appear(run))
 
     def _appear(self, run: str) -> None:
-        self._network.transports[self._name] = self
+        self._network.transports[self.end.name] = self
+        self._network.announce(keys.live_orchestrator(run, self.end.name), alive=True)
         for worker in [worker for of, worker in self._network.uplinks if of == run]:
             self.hear(worker, alive=True)
 
     def send(self, worker: str, message: Request) -> None:
         """Send a request."""
-        self._network.put(keys.request_key(self.run, worker), encode_message(message))
+        self._network.put(*self.end.request(worker, message))
 
     def stop(self) -> None:
         """Stop listening."""
@@ -164,7 +167,8 @@ class InMemoryTransport:
         self._network.tell(self._disappear)
 
     def _disappear(self) -> None:
-        self._network.transports.pop(self._name, None)
+        self._network.transports.pop(self.end.name, None)
+        self._network.announce(keys.live_orchestrator(self.run, self.end.name), alive=False)
 
     def hear(self, worker: str, *, alive: bool) -> None:
         """Take a worker's token."""
@@ -174,24 +178,23 @@ class InMemoryTransport:
         """Take what a worker put."""
         at, worker = time.monotonic(), keys.sender_of(key)
         try:
-            self._deliver(_read(at, key, payload, attachment))
+            self._deliver(_read(self.end, at, key, payload, attachment))
         except MessageError as error:
-            self._deliver(Garbage(at, worker, str(error)))
+            self._deliver(garbage(self.end, at, worker, error))
 
-    def _deliver(self, message: Inbound) -> None:
-        if (sink := self._sink) is not None:
+    def _deliver(self, message: Inbound | None) -> None:
+        if (sink := self._sink) is not None and message is not None:
             sink(message)
 
 
-def _read(at: float, key: str, payload: bytes, attachment: bytes | None) -> Inbound:
+def _read(end: OrchestratorEnd, at: float, key: str, payload: bytes, attachment: bytes | None) -> Inbound:
     worker = keys.worker_of(key)
     if keys.last(key) == "state":
-        return Heartbeat(at, worker, decode_state(payload))
-    if attachment is None:
-        raise MessageError("a result without its header")
+        return Heartbeat(at, worker, end.state(worker, payload, attachment))
+    header = end.header(worker, attachment)
     if len(payload) > MAX_RESULT:
         raise MessageError(f"{len(payload)} bytes are more than the {MAX_RESULT} of a trajectory")
-    return Result(at, worker, decode_header(attachment), payload)
+    return Result(at, worker, header, payload)
 
 
 class InMemoryUplink:
@@ -199,16 +202,24 @@ class InMemoryUplink:
 
     def __init__(self, network: Network) -> None:
         self._network = network
+        self._end = WorkerEnd(network.secret)
         self._run, self._worker = "", ""
         self._receive: Receiver | None = None
+        network.tell(self._look)
+
+    def _look(self) -> None:
+        self._network.watching.append(self._end)
+        for key in self._network.announced:
+            self._end.appear(key)
 
     def orchestrators(self) -> list[tuple[str, str]]:
-        """Return (orchestrator, run) of all that are alive, the oldest first."""
-        return sorted((name, each.run) for name, each in self._network.transports.copy().items())
+        """Return (orchestrator, run) of all that are alive and know the secret, the oldest first."""
+        return self._end.orchestrators()
 
     def join(self, run: str, worker: str, receive: Receiver) -> None:
         """Listen for requests, then show ourselves."""
         self._run, self._worker, self._receive = run, worker, receive
+        self._end.join(run, worker)
         self._network.tell(self._appear)
 
     def _appear(self) -> None:
@@ -232,18 +243,21 @@ class InMemoryUplink:
 
     def report(self, state: WorkerState) -> None:
         """Send a heartbeat."""
-        self._network.put(keys.state_key(self._run, self._worker), encode_message(state))
+        self._put(self._end.state(state))
 
     def deliver(self, header: ResultHeader, payload: bytes) -> None:
         """Send a result."""
-        key = keys.result_key(self._run, self._worker, header.rollout, header.attempt)
-        self._network.put(key, payload, encode_message(header))
+        self._put(self._end.result(header, payload))
 
-    def arrive(self, payload: bytes) -> None:
+    def _put(self, packet: Packet | None) -> None:
+        if packet is not None:
+            self._network.put(*packet)
+
+    def arrive(self, payload: bytes, attachment: bytes | None) -> None:
         """Take a request."""
         if (receive := self._receive) is not None:
             try:
-                receive(decode_request(payload))
+                receive(self._end.request(payload, attachment))
             except MessageError:
                 return
 
@@ -346,6 +360,7 @@ def serve(
             log._look = lambda seen: server.inbox.put(Interrupted(2)) if stop(seen) else None
             port.start(journal.header.run, server.inbox.put)
             server.run()
+        assignments.forget(directory)
         found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
         known = {"irreproducible": read.irreproducible(directory) > 0, "contradicted": read.contradicted(directory)}
         files.write(directory, issue(ledger, found, **known), found.text)  # type: ignore[arg-type]

@@ -35,6 +35,7 @@ from perfbound.schemas.messages import (
 )
 from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.seal import result_proof
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory
 from perfbound.schemas.trajectory import encode as encode_file
@@ -117,7 +118,7 @@ class Puppets:
             assign = decode_request(payload)
             assert isinstance(assign, Assign)
             header, file = self.answer(worker, assign)
-            attachment = encode_message(header)
+            attachment = encode_message(header.model_copy(update={"proof": result_proof(assign.secret, header)}))
         for number in range(self._beats):
             self.beat(worker, assign, number + 1)
         self.delivered += 1

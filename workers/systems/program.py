@@ -22,6 +22,7 @@ from pydantic import ValidationError
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
+from ...schemas.secret import VARIABLE
 from ...schemas.space import ProgramLimits, SampleFormat, Scenarios, SystemChoice
 from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory, Visual
@@ -135,7 +136,7 @@ class ProgramSystem(SystemUnderTest):
 
     def _start(self) -> None:
         names = [*KEPT, *(self._choice.environment or ())]
-        environment = {name: os.environ[name] for name in names if name in os.environ}
+        environment = {name: os.environ[name] for name in names if name in os.environ and name != VARIABLE}
         self._running = RunningProgram(self._command, self._folder, environment)
         self._asked = 0
 

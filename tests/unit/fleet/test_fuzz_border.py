@@ -10,6 +10,7 @@ import random
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import pytest
@@ -34,6 +35,8 @@ from perfbound.schemas.messages import (
     encode_message,
 )
 from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.seal import Sealer, Stream, StreamName
+from perfbound.schemas.sealed import OrchestratorEnd
 from perfbound.schemas.trajectory import read_mcap
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
@@ -51,6 +54,7 @@ STATE = WorkerState(
     protocol=PROTOCOL, version="1", worker="w", host="h", pid=1, systems={"s": ("d",)}, state="busy", rollout=NAME
 )
 HEADER = ResultHeader(rollout=NAME, attempt=1, worker="w", outcome="failed", error="it raised", kind="system")
+HEADER_BYTES = encode_message(HEADER)
 NUMBERS = [b"NaN", b"Infinity", b"1e999", b"-1", b"9" * 400, b"1.5e308", b"9223372036854775808", b"null", b'"1"', b"[]"]
 
 
@@ -83,7 +87,7 @@ def mutated(seed: bytes) -> bytes:
     [
         (decode_state, encode_message(STATE)),
         (decode_header, encode_message(HEADER)),
-        (decode_request, encode_message(Assign(attempt=1, request=REQUEST))),
+        (decode_request, encode_message(Assign(attempt=1, secret="0" * 64, request=REQUEST))),
         (decode_request, encode_message(Ack(rollout=NAME, attempt=1))),
     ],
     ids=["state", "header", "assign", "ack"],
@@ -140,17 +144,19 @@ class Sample:
 
 
 def test_readers_of_the_link() -> None:
-    budget = Budget()
-    readers: dict[str, Callable[[Any, float], Inbound | None]] = {
-        keys.state_key("r", "w"): transport._heartbeat,
-        keys.result_key("r", "w", NAME, 1): lambda sample, at: transport._result(budget, sample, at),
-        keys.live_worker("r", "w"): transport._token,
+    budget, end = Budget(), OrchestratorEnd(None, "r")
+    readers: dict[str, tuple[StreamName, transport.Read]] = {
+        keys.state_key("r", "w"): ("state", transport._heartbeat),
+        keys.result_key("r", "w", NAME, 1): ("result", partial(transport._result, budget)),
+        keys.live_worker("r", "w"): ("state", transport._token),
     }
-    for key, read in readers.items():
+    for key, (stream, read) in readers.items():
         received: list[Inbound] = []
-        samples = [_sample(key) for _ in range(COUNT)]
-        transport._pump(samples, read, received.append)
-        assert len(received) == len(samples)
+        sealer = Sealer(Stream(b"", "r", end.name, stream))
+        samples = [_sample(key, sealer, stream) for _ in range(COUNT)]
+        transport._pump(samples, read, end, received.append)
+        # Of those without a valid seal some are reported; all others are read.
+        assert len(samples) // 4 < len(received) <= len(samples)
         for message in received:
             assert len(message.worker) <= 100
             assert message.worker.isprintable()
@@ -159,11 +165,14 @@ def test_readers_of_the_link() -> None:
     assert budget.held == 0
 
 
-def _sample(key: str) -> Any:
+def _sample(key: str, sealer: Sealer, stream: StreamName) -> Any:
     name = RNG.choice(["w", "w", "", "\x1b[2J", "x" * 5000, "ü/ü"])
-    attachment = RNG.choice([None, mutated(encode_message(HEADER)), encode_message(HEADER)])
+    payload, header = mutated(encode_message(STATE)), RNG.choice([mutated(encode_message(HEADER)), HEADER_BYTES])
+    text = payload if stream == "state" else header
+    sealed = sealer.seal(name, text) + (b"" if stream == "state" else header)
+    attachment = RNG.choice([None, mutated(sealed), sealed, sealed, sealed])
     return Sample(
         key.replace("/w", f"/{name}", 1),
-        zenoh.ZBytes(mutated(encode_message(STATE))),
+        zenoh.ZBytes(payload),
         None if attachment is None else zenoh.ZBytes(attachment),
     )

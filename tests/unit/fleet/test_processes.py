@@ -3,12 +3,15 @@
 import subprocess
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 
 from perfbound.orchestrator.fleet import processes
 from perfbound.orchestrator.fleet.processes import FAST_DEATHS, Fleet
+from perfbound.schemas import keys
 from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.secret import VARIABLE
 
 
 @pytest.fixture
@@ -17,7 +20,7 @@ def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
 
     def spawn(found: Fleet) -> None:
         child = subprocess.Popen(["sleep", "1000"])
-        found._children.append(processes._Child(child, time.monotonic()))
+        found._children.append(processes._Child(keys.fresh_id("local"), child, time.monotonic()))
 
     monkeypatch.setattr(Fleet, "_spawn", spawn)
     found = Fleet(1, "tcp/127.0.0.1:1", "run")
@@ -36,17 +39,17 @@ def ended(fleet: Fleet) -> str:
 def test_workers_that_are_replaced_on_purpose_are_no_sign_that_none_can_run(fleet: Fleet) -> None:
     for _ in range(2 * FAST_DEATHS):
         (pid,) = fleet.pids
-        assert fleet.kill(pid)
+        assert fleet.kill(fleet._children[0].worker)
         assert ended(fleet) == f"local worker {pid} replaced; started {fleet.pids[0]}"
-    assert not fleet.kill(1), "none of ours"
+    assert not fleet.kill("local-ffffffff"), "none of ours"
     assert fleet.ended == {}
 
 
 def test_how_a_worker_has_ended_by_itself_is_kept(fleet: Fleet) -> None:
-    (pid,) = fleet.pids
+    worker = fleet._children[0].worker
     fleet._children[0].process.kill()
     ended(fleet)
-    assert fleet.ended == {pid: "signal 9"}
+    assert fleet.ended == {worker: "signal 9"}
 
 
 def test_workers_that_end_at_once_by_themselves_end_the_run(fleet: Fleet) -> None:
@@ -56,3 +59,22 @@ def test_workers_that_end_at_once_by_themselves_end_the_run(fleet: Fleet) -> Non
     fleet._children[0].process.kill()
     with pytest.raises(PerfboundError, match="local workers in a row ended within"):
         ended(fleet)
+
+
+def test_the_secret_is_in_no_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other users can read the arguments of a process, but not its environment."""
+    started: list[tuple[list[str], dict[str, str]]] = []
+
+    def popen(line: list[str], *, env: dict[str, str], **_: object) -> subprocess.Popen[bytes]:
+        started.append((line, env))
+        return subprocess.Popen(["sleep", "1000"])
+
+    monkeypatch.setattr(processes, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=None))
+    fleet = Fleet(1, "tcp/127.0.0.1:1", "run", environment={VARIABLE: "a secret of a test"})
+    fleet.start()
+    monkeypatch.undo()
+    fleet.stop()
+    ((line, environment),) = started
+    assert environment[VARIABLE] == "a secret of a test"
+    assert environment["PATH"]
+    assert not [part for part in line if "secret" in part]

@@ -32,6 +32,7 @@ from perfbound.schemas.errors import PerfboundError, SimulationError, Stopped, U
 from perfbound.schemas.messages import MAX_RESULT, PROTOCOL, Assign, Cancel, Request, ResultHeader, WorkerState
 from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.seal import result_proof
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers import worker as module
 from perfbound.workers.simulate import requested_system, run_request, run_request_on
@@ -266,7 +267,7 @@ def test_a_file_that_comes_out_different_is_not_put_back(tmp_path: Path) -> None
 
 
 class Altered:
-    """An uplink that changes the messages of its worker."""
+    """An uplink that changes the messages of its worker, and proves what it has changed."""
 
     def __init__(
         self,
@@ -275,12 +276,18 @@ class Altered:
         result: Callable[[ResultHeader, bytes], tuple[ResultHeader, bytes]] = lambda header, payload: (header, payload),
     ) -> None:
         self._inner, self._state, self._result = inner, state, result
+        self._secrets: dict[tuple[str, int], str] = {}
 
     def orchestrators(self) -> list[tuple[str, str]]:
         return self._inner.orchestrators()
 
     def join(self, run: str, worker: str, receive: Receiver) -> None:
-        self._inner.join(run, worker, receive)
+        def listen(message: Request) -> None:
+            if isinstance(message, Assign):
+                self._secrets[message.request.rollout, message.attempt] = message.secret
+            receive(message)
+
+        self._inner.join(run, worker, listen)
 
     def leave(self) -> None:
         self._inner.leave()
@@ -289,7 +296,9 @@ class Altered:
         self._inner.report(self._state(state))
 
     def deliver(self, header: ResultHeader, payload: bytes) -> None:
-        self._inner.deliver(*self._result(header, payload))
+        secret = self._secrets[header.rollout, header.attempt]
+        header, payload = self._result(header, payload)
+        self._inner.deliver(proved(secret, header), payload)
 
 
 @pytest.mark.parametrize(
@@ -318,6 +327,10 @@ def test_a_worker_that_does_not_fit_is_refused(tmp_path: Path, change: dict[str,
     assert line.startswith("refused worker worker-0-")
     assert line.endswith(refused[0])
     assert outcomes(directory) == []
+
+
+def proved(secret: str, header: ResultHeader) -> ResultHeader:
+    return header.model_copy(update={"proof": result_proof(secret, header)})
 
 
 def with_digest(header: ResultHeader, payload: bytes) -> tuple[ResultHeader, bytes]:
@@ -625,7 +638,8 @@ class Puppets:
     def finish(self, worker: str, assign: Assign) -> None:
         payload = run_request(assign.request, lambda _: None)
         header = ResultHeader(rollout=assign.request.rollout, attempt=assign.attempt, worker=worker, outcome="done")
-        self._sink(Result(self._clock.monotonic(), worker, *with_digest(header, payload)))
+        header, payload = with_digest(header, payload)
+        self._sink(Result(self._clock.monotonic(), worker, proved(assign.secret, header), payload))
 
 
 def test_a_busy_orchestrator_takes_no_worker_for_hung(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -695,7 +709,7 @@ def an_assign(test: int, attempt: int = 1) -> Assign:
         x=(0.0, 0.0),
         horizon=0.0,
     )
-    return Assign(attempt=attempt, request=request)
+    return Assign(attempt=attempt, secret="0" * 64, request=request)
 
 
 def served(worker: WorkerProcess, uplink: Deaf, results: int) -> None:

@@ -17,6 +17,7 @@ import pytest
 
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import DefinitionError, SimulationError
+from perfbound.schemas.secret import VARIABLE
 from perfbound.workers.systems.base import Cancelled
 from perfbound.workers.systems.files import load_reference
 from perfbound.workers.systems.program import PREFIX, ProgramSystem, load_program
@@ -102,9 +103,11 @@ def test_one_line_has_everything_in_a_fixed_order(program: Callable[..., Program
 
 def test_the_environment_is_clean(program: Callable[..., ProgramSystem], monkeypatch: Any, tmp_path: Path) -> None:
     monkeypatch.setenv("SECRET", "s")
+    monkeypatch.setenv(VARIABLE, "not even if it is asked for")
     monkeypatch.setenv("WANTED", "w")
     monkeypatch.setenv("LANG", "C.UTF-8")
-    rolled(program(f'open("env", "w").write("\\n".join(os.environ)); {WRITES}', 'environment = ["WANTED"]'))
+    wanted = f'environment = ["WANTED", "{VARIABLE}"]'
+    rolled(program(f'open("env", "w").write("\\n".join(os.environ)); {WRITES}', wanted))
     assert set((tmp_path / "env").read_text().split()) - {"LC_CTYPE"} == {"PATH", "HOME", "LANG", "WANTED"}
 
 

@@ -1,0 +1,86 @@
+"""Zenoh's access control for a link with certificates: what each common name may send and read; all else is denied.
+
+The names are those of `--allow`. Zenoh takes no rules while it runs, so a new name takes effect at the next start. The
+keys of a worker have its name and a random suffix: `NAME-$*` in Zenoh's key expressions.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from . import keys
+from .errors import LinkError
+
+LOCAL = "local"
+"""The name of local workers, which show the certificate of their orchestrator."""
+
+
+def access_rules(allowed: Sequence[str], own: str) -> dict[str, Any]:
+    """Return Zenoh's configuration: each of `allowed` speaks in its own name alone, `own` in that of local workers.
+
+    Raises:
+        LinkError: a name cannot be one of a worker, or its keys would be among those of another one.
+
+    """
+    names = tuple(dict.fromkeys(allowed))
+    for name in names:
+        _check_name(name, (*names, LOCAL), own)
+    prefixes = ({own: LOCAL} if own else {}) | {name: name for name in names}
+    rules = {name: _rules_of(name, prefix) for name, prefix in prefixes.items()}
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [rule for each in rules.values() for rule in each],
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in rules],
+        "policies": [{"subjects": [name], "rules": [rule["id"] for rule in each]} for name, each in rules.items()],
+    }
+
+
+def common_name(certificate: str) -> str:
+    """Return the common name of a certificate in a PEM file; empty if it has none.
+
+    Raises:
+        LinkError: the file cannot be read, or is no certificate.
+
+    """
+    from cryptography import x509  # noqa: PLC0415  (for links with certificates alone)
+
+    try:
+        subject = x509.load_pem_x509_certificate(Path(certificate).read_bytes()).subject
+    except (OSError, ValueError):
+        raise LinkError(f"{certificate}: not the PEM file of a certificate; fix the TLS options") from None
+    found = subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
+    return str(found[0].value) if found else ""
+
+
+def _check_name(name: str, names: Sequence[str], own: str) -> None:
+    if not keys.NAME.fullmatch(name):
+        raise LinkError(
+            f"--allow {name[:80]!r}: no name of a worker, which has 1 to 64 letters, digits, '-' or '_'; issue a "
+            "certificate with such a common name"
+        )
+    if name in (own, LOCAL):
+        raise LinkError(f"--allow {name}: the name of the orchestrator or of its local workers; choose another name")
+    for other in names:
+        if other.startswith(f"{name}-") or name.startswith(f"{other}-"):
+            raise LinkError(f"--allow {name}: its keys are not apart from those of {other!r}; choose another name")
+
+
+def _rules_of(name: str, prefix: str) -> list[dict[str, Any]]:
+    """Return what a worker may do, as its orchestrator's node sees it: in comes what it sends, out what it reads."""
+    run, worker = "*", f"{prefix}-$*"
+    orchestrators = [keys.live_orchestrator(run, "*")]
+    allowed = [
+        ("ingress", ["put"], [keys.state_key(run, worker), keys.result_key(run, worker, "*", "*")]),
+        ("ingress", ["liveliness_token"], [keys.live_worker(run, worker)]),
+        ("ingress", ["declare_subscriber"], [keys.request_key(run, worker)]),
+        ("ingress", ["declare_liveliness_subscriber", "liveliness_query"], orchestrators),
+        ("egress", ["put"], [keys.request_key(run, worker)]),
+        ("egress", ["liveliness_token"], orchestrators),
+        ("egress", ["declare_subscriber"], [keys.state_key(run, "*"), keys.result_key(run, "*", "*", "*")]),
+        ("egress", ["declare_liveliness_subscriber"], [keys.live_worker(run, "*")]),
+    ]
+    return [
+        {"id": f"{name} {number}", "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": exprs}
+        for number, (flow, messages, exprs) in enumerate(allowed)
+    ]

@@ -1,0 +1,52 @@
+"""The lines of a worker that does not come through to an orchestrator, with the remedies."""
+
+import contextlib
+import socket
+
+from ..schemas.errors import SecretError
+from ..schemas.link import ENCRYPTED, split
+from ..schemas.secret import VARIABLE, secret_file
+
+PROBE = 1.0
+"""Seconds for a TCP connection, which something that listens accepts at once."""
+
+
+def no_link(endpoint: str) -> str:
+    """Return the line for a link that does not open: nothing listens, or what listens refuses this worker."""
+    protocol, _ = split(endpoint)
+    if protocol == "quic" or not _listens(endpoint):
+        certificates = ", and that both certificates are signed by --tls-ca" if protocol == "quic" else ""
+        return f"no answer from {endpoint} yet; check the address, and that the orchestrator runs{certificates}"
+    if protocol in ENCRYPTED:
+        remedy = (
+            f"check that both certificates are valid and signed by --tls-ca, and that {VARIABLE} is the same, or unset"
+        )
+    else:
+        remedy = both_ways()
+    return f"something listens at {endpoint}, but refuses this worker: {remedy}"
+
+
+def no_orchestrator(endpoint: str, run: str | None, *, strangers: bool, common_name: str) -> str:
+    """Return the line for a link without an orchestrator of the run, or with one that does not know the secret."""
+    if strangers:
+        return f"the orchestrator at {endpoint} does not know the secret of this worker: {both_ways()}"
+    which = f"run {run}" if run else "any run"
+    allowed = f"; one that was started with --allow must list {common_name!r}" if common_name else ""
+    return f"connected to {endpoint}, waiting for an orchestrator of {which}{allowed}"
+
+
+def both_ways() -> str:
+    """Return how two processes get the same secret."""
+    with contextlib.suppress(SecretError):
+        place = f" (their secret is in {secret_file()})"
+        return f"start both as the same user{place}, or set {VARIABLE} to the same text for both"
+    return f"set {VARIABLE} to the same text for both"
+
+
+def _listens(endpoint: str) -> bool:
+    host, port = split(endpoint)[1], int(endpoint.rsplit(":", 1)[1])
+    try:
+        socket.create_connection((host, port), timeout=PROBE).close()
+    except OSError:
+        return False
+    return True
