@@ -39,8 +39,7 @@ from . import plots
 from .base import canonical_json
 from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, Evidence, canonical_evidence
 from .errors import TrajectoryError, UnusableTrajectoryError
-from .file_sizes import check_length, check_sizes
-from .ranges import MAX_FILE_BYTES
+from .file_checks import check_checksums, check_length, check_sizes
 from .visual import Floats, Transform, Visual, channels
 
 __all__ = [
@@ -209,7 +208,7 @@ def read_mcap(data: bytes) -> File:
 
 def _file_of(data: bytes, evidence: Callable[[bytes], Evidence], *, canonical: bool = False) -> File:
     try:
-        _check_checksums(data)
+        check_checksums(data)
         check_sizes(data)
         record, attachments = evidence(data)
         columns = json.loads(record["columns"])
@@ -284,24 +283,6 @@ def _npy_header(rows: int, columns: int) -> bytes:
     shape = {"descr": "<f8", "fortran_order": False, "shape": (rows, columns)}
     np.lib.format.write_array_header_1_0(out, shape)
     return out.getvalue()
-
-
-def _check_checksums(data: bytes) -> None:
-    """Refuse a file of which any byte changed.
-
-    The reader of mcap leaves out a checksum that is zero, those of attachments and that of the summary.
-    """
-    if not len(MAGIC) + _DATA_END.size + _FOOTER.size + len(MAGIC) <= len(data) <= MAX_FILE_BYTES:
-        raise TrajectoryError(f"a file of {len(data)} bytes is empty, cut or above {MAX_FILE_BYTES}")
-    view, footer = memoryview(data), len(data) - len(MAGIC) - _FOOTER.size
-    opcode, _, summary, _, summary_crc = _FOOTER.unpack_from(data, footer)
-    if opcode != Opcode.FOOTER or not data.startswith(MAGIC) or not data.endswith(MAGIC):
-        raise TrajectoryError("not an MCAP file, or it was cut")
-    if not _DATA_END.size <= summary <= footer or zlib.crc32(view[summary : -len(MAGIC) - 4]) != summary_crc:
-        raise TrajectoryError("the checksum of the summary is wrong")
-    end = summary - _DATA_END.size
-    if view[end:summary] != _DATA_END.pack(Opcode.DATA_END, 4, zlib.crc32(view[:end])):
-        raise TrajectoryError("the checksum of the data is wrong")
 
 
 def _evidence_records(data: bytes) -> Evidence:

@@ -10,6 +10,7 @@ from perfbound.orchestrator.fleet.transport import Result
 from perfbound.orchestrator.run import results
 from perfbound.orchestrator.run.decoder import Decoded, Decoder
 from perfbound.orchestrator.run.results import Results
+from perfbound.orchestrator.run.review import Review
 from perfbound.schemas.errors import EvidenceError
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.messages import ResultHeader
@@ -71,7 +72,7 @@ def test_a_file_of_ten_times_what_the_system_declares_is_refused_unread(tmp_path
     assert (declared.largest_file, declared.digest) == (1000, SPEC.digest)
     stage = Stage(tmp_path, SMALL, 1)
     object.__setattr__(stage.ledger.header, "spec", declared)
-    ledger_results = Results(stage.ledger, stage.journal, lambda _: None)
+    ledger_results = Results(stage.ledger, stage.journal, Review(stage.ledger, stage.journal), lambda _: None)
     (found,) = ledger_results.take(a_result(1.0, b"x" * 1001, "0" * 64), open_rollouts=())
     assert found.failure == Failure("system", "the trajectory's file has 1001 bytes, more than the 1000 of a result")
     (found,) = ledger_results.take(a_result(1.0, b"x" * 1000, "0" * 64), open_rollouts=())
