@@ -25,6 +25,7 @@ AttemptNumber = Annotated[int, Field(ge=1, le=10**6)]
 Seed = Annotated[int, Field(ge=0, lt=2**SEED_BITS)]
 SeedBits = Annotated[int, Field(ge=31, le=SEED_BITS)]
 StepCount = Annotated[int, Field(ge=0, le=LARGEST_INTEGER)]
+FileBytes = Annotated[int, Field(ge=1, le=MAX_FILE_BYTES)]
 Seconds = Annotated[float, Field(ge=0, le=MOST_SECONDS)]
 Magnitude = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 """A component of a starting condition, its limits, or an option, in a unit of the system's choice."""

@@ -5,13 +5,15 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from .base import Model, digest
-from .ranges import SEED_BITS, Magnitude, Seconds, SeedBits
+from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, SeedBits
 from .rules import KNOWN, RULES
 
-ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated")
+ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated", "trajectory_bytes")
 """Keys of a SystemSpec that no campaign of rules 1 has."""
-DECIDES_NO_ROLLOUT = {"default_horizon"}
-"""Keys that are no part of a system's identity: every request has its own horizon."""
+DECIDES_NO_ROLLOUT = {"default_horizon", "trajectory_bytes"}
+"""Keys that are no part of a system's identity: every request has its own horizon, and no file depends on its limit."""
+SPARE = 10
+"""A trajectory's file may be so many times as large as its system declares."""
 ASSUMED_HORIZON = 10.0
 """Seconds, where neither the user nor the system names a horizon."""
 Variant = Literal["nominal", "true"]
@@ -92,6 +94,9 @@ class SystemSpec(Model):
         description="where a rollout can be made again: where the system is, in the interactive session that "
         "defined it, or nowhere, as on a rig",
     )
+    trajectory_bytes: FileBytes | None = Field(
+        default=None, description="size of a trajectory's file; one of more than ten times as many is refused unread"
+    )
 
     @model_validator(mode="after")
     def _named(self) -> "SystemSpec":
@@ -104,6 +109,11 @@ class SystemSpec(Model):
         """Horizon in s of a command that is given none: the system's own, else `ASSUMED_HORIZON`."""
         own = ASSUMED_HORIZON if self.default_horizon is None else self.default_horizon
         return min(own, self.max_horizon)
+
+    @property
+    def largest_file(self) -> int:
+        """Bytes of the largest file of a trajectory that is accepted."""
+        return min(SPARE * (self.trajectory_bytes or MAX_FILE_BYTES), MAX_FILE_BYTES)
 
     @property
     def digest(self) -> str:

@@ -39,7 +39,7 @@ from . import plots
 from .base import canonical_json
 from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, Evidence, canonical_evidence
 from .errors import TrajectoryError, UnusableTrajectoryError
-from .ranges import MAX_FILE_BYTES
+from .file_checks import check_checksums, check_length, check_sizes
 from .visual import Floats, Transform, Visual, channels
 
 __all__ = [
@@ -58,12 +58,8 @@ __all__ = [
 FRAME_RATE = 30  # 1/s
 CHUNK_BYTES = 65536
 PLOT_LEVEL = -1  # of zstd: two thirds of the time of its default, and here 7 % smaller
-MAX_RECORDS = 10_000
 MAX_NPY_HEADER = 128
-MAX_NAMES = 2**20
-"""Bytes of all that becomes objects of Python: in memory they take thirty times as much."""
 
-_HEAD = struct.Struct("<BQ")  # opcode, length
 _DATA_END = struct.Struct("<BQI")  # opcode, length, crc of everything before
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, crc of the summary
 
@@ -212,16 +208,15 @@ def read_mcap(data: bytes) -> File:
 
 def _file_of(data: bytes, evidence: Callable[[bytes], Evidence], *, canonical: bool = False) -> File:
     try:
-        _check_checksums(data)
-        _check_sizes(data)
+        check_checksums(data)
+        check_sizes(data)
         record, attachments = evidence(data)
         columns = json.loads(record["columns"])
         if not isinstance(columns, list) or not all(isinstance(name, str) for name in columns):
             raise TrajectoryError("the columns are not a list of names")
         if canonical and record["columns"] != json.dumps(columns):
             raise TrajectoryError("the list of columns is not written as perfbound writes it")
-        if len(attachments[REQUEST]) > MAX_NAMES:
-            raise TrajectoryError(f"{REQUEST} has {len(attachments[REQUEST])} bytes, more than {MAX_NAMES}")
+        check_length(REQUEST, attachments[REQUEST])
         request = json.loads(attachments[REQUEST])
         if not isinstance(request, dict) or canonical_json(request).encode() != attachments[REQUEST]:
             raise TrajectoryError(f"{REQUEST} is not an object, written as perfbound writes it")
@@ -290,45 +285,12 @@ def _npy_header(rows: int, columns: int) -> bytes:
     return out.getvalue()
 
 
-def _check_checksums(data: bytes) -> None:
-    """Refuse a file of which any byte changed.
-
-    The reader of mcap leaves out a checksum that is zero, those of attachments and that of the summary.
-    """
-    if not len(MAGIC) + _DATA_END.size + _FOOTER.size + len(MAGIC) <= len(data) <= MAX_FILE_BYTES:
-        raise TrajectoryError(f"a file of {len(data)} bytes is empty, cut or above {MAX_FILE_BYTES}")
-    view, footer = memoryview(data), len(data) - len(MAGIC) - _FOOTER.size
-    opcode, _, summary, _, summary_crc = _FOOTER.unpack_from(data, footer)
-    if opcode != Opcode.FOOTER or not data.startswith(MAGIC) or not data.endswith(MAGIC):
-        raise TrajectoryError("not an MCAP file, or it was cut")
-    if not _DATA_END.size <= summary <= footer or zlib.crc32(view[summary : -len(MAGIC) - 4]) != summary_crc:
-        raise TrajectoryError("the checksum of the summary is wrong")
-    end = summary - _DATA_END.size
-    if view[end:summary] != _DATA_END.pack(Opcode.DATA_END, 4, zlib.crc32(view[:end])):
-        raise TrajectoryError("the checksum of the data is wrong")
-
-
-def _check_sizes(data: bytes) -> None:
-    """Refuse a file of which more than one attachment, the samples, is large: the others are parsed into objects."""
-    at, small, largest = len(MAGIC), 0, 0
-    for _ in range(MAX_RECORDS + 1):
-        opcode, length = _HEAD.unpack_from(data, at)
-        if opcode in (Opcode.CHUNK, Opcode.DATA_END):
-            break
-        small, at = small + length, at + _HEAD.size + length
-        largest = max(largest, length) if opcode == Opcode.ATTACHMENT else largest
-    if small - largest > MAX_NAMES:
-        raise TrajectoryError(f"{small - largest} bytes beside the samples are more than {MAX_NAMES}")
-
-
 def _evidence_records(data: bytes) -> Evidence:
     """Return the metadata record and both attachments, which precede the chunks of the visual part."""
     # Not `validate_crcs`: every byte has been checked, and this reader would add up its checksum read by read.
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=len(data))
     first = itertools.takewhile(lambda record: not isinstance(record, Chunk | DataEnd), reader.records)
-    records: list[McapRecord] = list(itertools.islice(first, MAX_RECORDS + 1))
-    if len(records) > MAX_RECORDS:
-        raise TrajectoryError(f"more than {MAX_RECORDS} records")
+    records: list[McapRecord] = list(first)
     metadata = [record.metadata for record in records if isinstance(record, Metadata)]
     attachments = [record for record in records if isinstance(record, Attachment)]
     names = sorted(record.name for record in attachments)

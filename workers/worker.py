@@ -152,8 +152,8 @@ class WorkerProcess:
             return Failure(kind, str(fault) or type(fault).__name__)
         except (Exception, SystemExit) as fault:  # noqa: BLE001  (any: the orchestrator decides on a retry)
             return Failure(kind, fault_text(fault))
-        if len(payload) > MAX_RESULT:
-            size = f"{len(payload)} bytes, more than the {MAX_RESULT} of a result"
+        if len(payload) > (most := min(MAX_RESULT, system.spec.largest_file)):
+            size = f"{len(payload)} bytes, more than the {most} of a result"
             return Failure("system", f"the trajectory's file has {size}")
         return payload
 

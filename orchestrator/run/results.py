@@ -44,6 +44,10 @@ class Results:
             result, decoded = message, None
         attempt = Attempt(RolloutId.parse(result.header.rollout), result.header.attempt)
         header, failure, is_open = result.header, None, attempt.rollout in open_rollouts
+        if header.outcome == "done" and len(result.payload) > (most := self._ledger.header.spec.largest_file):
+            size = f"{len(result.payload)} bytes, more than the {most} of a result"
+            failed = Failure("system", f"the trajectory's file has {size}")
+            return (events.Delivered(result.at, result.worker, attempt, failed),)
         if decoded is None and is_open and header.outcome == "done" and len(result.payload) > LARGE:
             self._decoder.submit(result, self.request(attempt.rollout))
             return ()

@@ -114,13 +114,15 @@ def system(
     max_horizon: float = 3600.0,
     versions: Mapping[str, str] | None = None,
     seed_bits: int = SEED_BITS,
+    trajectory_bytes: int | None = None,
 ) -> Callable[[Callable[..., Any]], FunctionSystem]:
     """Make a system under test of a function, or of a class with `__call__`.
 
     `parameters` has the range and the unit of every positional argument, `columns` the units of what is returned; with
     `step`, in seconds, the time of a sample follows from its number, else it is the column `t`. `noisy` names the
     variants that depend on the seed, by default all of a function that takes one. Seeds are below 2^`seed_bits`, which
-    is 31 to 53: 32 for Gymnasium and for libraries in C. The name is that of the function.
+    is 31 to 53: 32 for Gymnasium and for libraries in C. The name is that of the function. A file of more than
+    ten times `trajectory_bytes` is a failed rollout.
 
     The function returns one array (T,) for each column, one array (T, n), or a dict of arrays; a number for each column
     is one sample at time 0.
@@ -177,6 +179,7 @@ def system(
                 default_horizon=_default_horizon(keywords, max_horizon, place),
                 versions=dict(versions or {}),
                 seed_bits=seed_bits,
+                trajectory_bytes=trajectory_bytes,
             )
         except ValidationError as error:
             fault = error.errors(include_url=False)[0]

@@ -9,13 +9,18 @@ import pytest
 from perfbound.orchestrator.fleet.transport import Result
 from perfbound.orchestrator.run import results
 from perfbound.orchestrator.run.decoder import Decoded, Decoder
+from perfbound.orchestrator.run.results import Results
+from perfbound.orchestrator.run.review import Review
 from perfbound.schemas.errors import EvidenceError
+from perfbound.schemas.failure import Failure
 from perfbound.schemas.messages import ResultHeader
+from perfbound.schemas.ranges import MAX_FILE_BYTES
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.trajectory import Trajectory
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
 from tests.fakes.inmemory import campaign
+from tests.fakes.puppets import Stage
 from tests.patience import PATIENCE
 from tests.unit.run.test_service import LIES, SMALL, Altered, Liar, outcomes
 
@@ -59,6 +64,20 @@ def test_a_result_is_decoded_once_however_often_it_is_delivered() -> None:
     fault = done.get(timeout=PATIENCE).found
     assert isinstance(fault, EvidenceError)
     assert fault.__traceback__ is None
+
+
+def test_a_file_of_ten_times_what_the_system_declares_is_refused_unread(tmp_path: Path) -> None:
+    assert SPEC.largest_file == MAX_FILE_BYTES
+    declared = SPEC.model_copy(update={"trajectory_bytes": 100})
+    assert (declared.largest_file, declared.digest) == (1000, SPEC.digest)
+    stage = Stage(tmp_path, SMALL, 1)
+    object.__setattr__(stage.ledger.header, "spec", declared)
+    ledger_results = Results(stage.ledger, stage.journal, Review(stage.ledger, stage.journal), lambda _: None)
+    (found,) = ledger_results.take(a_result(1.0, b"x" * 1001, "0" * 64), open_rollouts=())
+    assert found.failure == Failure("system", "the trajectory's file has 1001 bytes, more than the 1000 of a result")
+    (found,) = ledger_results.take(a_result(1.0, b"x" * 1000, "0" * 64), open_rollouts=())
+    assert found.failure is None
+    stage.journal.close()
 
 
 def test_the_campaign_is_the_same_when_all_results_are_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
+from perfbound.schemas import file_checks
 from perfbound.schemas import trajectory as module
 from perfbound.schemas.errors import TrajectoryError
 from perfbound.schemas.trajectory import Trajectory, Transform, Visual, decode, encode
@@ -362,10 +363,10 @@ def test_two_arrays_are_refused() -> None:
 
 
 def test_what_is_decoded_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_RECORDS", 3)
+    monkeypatch.setattr(file_checks, "MAX_RECORDS", 3)
     with pytest.raises(TrajectoryError, match="records"):
         decode(encoded(a_trajectory()))
-    monkeypatch.setattr(module, "MAX_FILE_BYTES", 1000)
+    monkeypatch.setattr(file_checks, "MAX_FILE_BYTES", 1000)
     with pytest.raises(TrajectoryError, match="above 1000"):
         decode(encoded(a_trajectory()))
 

@@ -10,7 +10,8 @@ from mcap.writer import CompressionType, Writer
 
 from perfbound.schemas.canonical import EVIDENCE, RECORD, REQUEST
 from perfbound.schemas.errors import TrajectoryError
-from perfbound.schemas.trajectory import MAX_NAMES, Trajectory, _npy, encode, read_mcap
+from perfbound.schemas.file_checks import MAX_NAMES
+from perfbound.schemas.trajectory import Trajectory, _npy, encode, read_mcap
 
 SAMPLES = _npy(np.array([[0.0, 1.0]]))
 COLUMNS = json.dumps(["t", "x"])
