@@ -283,11 +283,21 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
             # No worker: of an installed system nothing is compared: the caller has it.
             options = session.RunOptions(0, session.Link(LOCAL), system=system.reference if system else None)
             journal, _ = stack.enter_context(session.reopened(directory, options, SILENT))
+            _check_opinions(journal.header.config)
             if system is not None and system.spec.repeated != "anywhere":
                 session.check_own(journal.header, system.spec)
         else:
+            _check_opinions(config)
             header = Header.new(config, system.spec, software(system.spec))
             journal = stack.enter_context(session.created(directory, header, system.reference))
         study = Study(directory, journal, stack.pop_all(), step)
     _OPEN[directory.absolute()] = study
     return study
+
+
+def _check_opinions(config: CampaignConfig) -> None:
+    """Refuse a campaign whose certificate would state comparisons that nobody makes."""
+    if config.second_opinion:
+        raise PerfboundError(
+            "second_opinion: rollouts that are handed in have no second worker; leave the key out, or run the campaign"
+        )

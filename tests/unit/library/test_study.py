@@ -114,6 +114,12 @@ def test_every_form_of_the_same_data_is_the_same_file(study: Study, tmp_path: Pa
         study.tell(request, {"t": T, "y": columns["y"] + 1e-9})
 
 
+def test_second_opinions_need_workers(tmp_path: Path) -> None:
+    with pytest.raises(PerfboundError, match="second_opinion: rollouts that are handed in have no second worker"):
+        pb.Campaign(rig(), **KEYS, second_opinion=0.1).ask_tell(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [
