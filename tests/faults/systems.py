@@ -4,11 +4,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tests.end_to_end.processes import query, wait_for
-from tests.faults.faulty_function import AFTER, BEFORE
+from tests.faults.faulty_function import BEFORE
 from tests.faults.scene import Scene
 
-OF_SYSTEM = ("raise", "refuse", "leave", *AFTER)
+OF_SYSTEM = ("raise", "refuse", "leave", "nan", "shape", "columns", "none")
 """Failures of the system: it raises, or its trajectory is not usable."""
+ODD = {"gap": ("nan", "short", "late", "columns", "raise"), "brief": ("nan", "huge", "late", "columns", "raise")}
+"""Trajectories, by campaign, on which its objectives cannot be computed; and a failure of the ordinary kind.
+
+Not among them: another time grid. A pair has two, and the first of them to arrive is right by definition.
+"""
 OF_INFRASTRUCTURE = tuple(kind for kind in BEFORE if kind not in OF_SYSTEM)
 """Failures of the infrastructure: the process hangs or ends; or it only prints and leaks."""
 
@@ -22,6 +27,12 @@ def fail_once(scene: Scene) -> None:
     """In some rollouts the system raises or returns nonsense, once or in two ways; then it succeeds with that seed."""
     scene.irreproducible = True
     _misbehave(scene, OF_SYSTEM, alike=False)
+
+
+def odd_result(scene: Scene) -> None:
+    """In some rollouts the system returns the largest numbers, or a part, once; then it succeeds with that seed."""
+    scene.irreproducible = True
+    _misbehave(scene, ODD[scene.subject.name], alike=False)
 
 
 def _misbehave(scene: Scene, among: Sequence[str], *, alike: bool = True) -> None:
