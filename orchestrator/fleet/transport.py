@@ -197,6 +197,7 @@ def _pump(subscriber: Any, read: Callable[[zenoh.Sample, float], Inbound | None]
                 message = Garbage(at, keys.sender_of(str(sample.key_expr)), shortened(str(error)))
             if message is not None:
                 sink(message)
+            del sample, message  # megabytes, which would stay until the next one is read
     except zenoh.ZError:
         return  # the session is closed
 
