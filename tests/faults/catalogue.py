@@ -77,6 +77,7 @@ FAULTS = {
         Fault(systems.misbehave, PLUGIN),
         Fault(systems.fail_once, PLUGIN),
         Fault(systems.odd_result, ("gap", "brief")),
+        Fault(systems.big_result, ("brief",)),
         Fault(systems.poison, ("brittle",)),
         Fault(systems.hang_and_kill, PLUGIN),
         Fault(nodes.broken_node, ("slow",)),

@@ -199,6 +199,15 @@ def _late(found: Trajectory) -> Trajectory:
     return replace(found, samples=found.samples + np.array([0.5, 0.0]))
 
 
+BIG = 3_000_000
+"""Samples of a big result: 48 MB."""
+
+
+def _big(found: Trajectory) -> Trajectory:
+    times = np.arange(BIG) / BIG
+    return replace(found, samples=np.column_stack([times, np.random.default_rng(1).standard_normal(BIG)]))
+
+
 AFTER: dict[str, Callable[[Trajectory], Trajectory]] = {
     "nan": _nan,
     "shape": _shape,
@@ -207,4 +216,5 @@ AFTER: dict[str, Callable[[Trajectory], Trajectory]] = {
     "huge": _huge,
     "short": _short,
     "late": _late,
+    "big": _big,
 }
