@@ -14,7 +14,10 @@ from ...schemas.errors import PerfboundError
 GRACE = 1.0
 """Seconds between asking a worker to end and killing it."""
 FAST_DEATHS = 5
-"""Workers in a row that may die within `FAST` seconds; one more means that none can run on this machine."""
+"""Times in a row that workers may die within `FAST` seconds of their start: then none can run on this machine.
+
+Those that die between two looks count once: something that kills all of them at once says nothing of the next ones.
+"""
 FAST = 3.0
 
 
@@ -87,18 +90,19 @@ class Fleet:
         """
         news = []
         gone = [(child, code) for child in self._children if (code := child.process.poll()) is not None]
+        by_themselves = [child for child, _ in gone if not child.killed]  # by us, which says nothing of what can run
+        if by_themselves:
+            fast = all(time.monotonic() - child.started < FAST for child in by_themselves)
+            self._fast_deaths = self._fast_deaths + 1 if fast else 0
         for child, code in gone:
             self._children.remove(child)
-            fast = time.monotonic() - child.started < FAST
-            if not child.killed:  # by us, which says nothing on whether a worker can run
-                self._fast_deaths = self._fast_deaths + 1 if fast else 0
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             if not child.killed:
                 self.ended[child.worker] = how
             if self._fast_deaths >= FAST_DEATHS:
                 raise PerfboundError(
-                    f"{FAST_DEATHS} local workers in a row ended within {FAST:g} s (last: {how}); "
-                    "run `perfbound systems` and `perfbound simulate` to find the cause"
+                    f"local workers ended within {FAST:g} s of their start, {FAST_DEATHS} times in a row "
+                    f"(last: {how}); run `perfbound systems` and `perfbound simulate` to find the cause"
                 )
             self._spawn()
             what = "replaced" if child.killed else f"ended ({how})"

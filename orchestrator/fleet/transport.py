@@ -217,6 +217,7 @@ def _pump(subscriber: Any, read: Read, end: OrchestratorEnd, sink: Sink) -> None
                 message = garbage(end, at, keys.sender_of(str(sample.key_expr)), error)
             if message is not None:
                 sink(message)
+            del sample, message  # megabytes, which would stay until the next one is read
     except zenoh.ZError:
         return  # the session is closed
 

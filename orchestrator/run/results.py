@@ -60,10 +60,10 @@ class Results:
 
     def _admit(self, attempt: Attempt, message: Result, decoded: Trajectory | EvidenceError | None) -> Failure | None:
         """Keep a result until it is decided on; return the failure of the attempt if it is refused."""
+        if isinstance(decoded, EvidenceError):  # not raised here: its frame would keep the result, and it the frame
+            return _refused(decoded)
         rollout, sha256 = attempt.rollout, message.header.sha256
         try:
-            if isinstance(decoded, EvidenceError):
-                raise decoded
             request = self._review.request(rollout)
             if decoded is None and request is not None:
                 decoded = admit(request, self._admission.columns, message.payload, sha256)
@@ -71,10 +71,8 @@ class Results:
                 decoded = self._admission.admit(rollout, message.payload, sha256)
             elif request is None:
                 self._admission.check(rollout, decoded)
-        except UnusableTrajectoryError as fault:
-            return Failure("system", str(fault))
         except EvidenceError as fault:
-            return Failure("infrastructure", str(fault))
+            return _refused(fault)
         self._admitted[attempt] = message, decoded
         return None
 
@@ -104,3 +102,8 @@ class Results:
     def clear(self) -> None:
         """Drop what is decided on."""
         self._admitted.clear()
+
+
+def _refused(fault: EvidenceError) -> Failure:
+    """Return the failure of an attempt whose result is refused."""
+    return Failure("system" if isinstance(fault, UnusableTrajectoryError) else "infrastructure", str(fault))

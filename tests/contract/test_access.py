@@ -31,6 +31,7 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Tls
         issued, paths = authority.issue_cert("127.0.0.1", common_name=name), [folder / f"{name}.{end}" for end in "ck"]
         issued.cert_chain_pems[0].write_to_path(paths[0])
         issued.private_key_pem.write_to_path(paths[1])
+        paths[1].chmod(0o600)
         return Tls(ca=str(folder / "ca.pem"), certificate=str(paths[0]), key=str(paths[1]))
 
     return made

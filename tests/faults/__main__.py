@@ -1,4 +1,4 @@
-"""`python -m tests.faults`: campaigns under seeded faults for so many minutes; a table in the end."""
+"""`python -m tests.faults`: so many campaigns under seeded faults, or for so many minutes; a table in the end."""
 
 import itertools
 import json
@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -18,34 +18,83 @@ from tests.faults.catalogue import FAULTS, Fault, draw, folder_of, randomness
 from tests.faults.runs import Run, perform
 from tests.faults.subjects import NAMES, Subject, prepare
 from tests.faults.table import rows, text
+from tests.faults.verdict import Verdict
 from tests.missing import MISSING
 
 BUILD = Path(__file__).parents[2] / "build"
 
 
 @click.command()
-@click.option("--minutes", type=float, default=10.0, show_default=True, help="No run begins after so long.")
+@click.option("--minutes", type=float, default=None, help="No run begins after so long.  [default: 10 without --runs]")
+@click.option("--runs", type=click.IntRange(1), default=None, help="Only the runs of numbers below this.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the schedule.")
 @click.option("--only", type=click.Choice(sorted(FAULTS)), default=None, help="Only this class.")
 @click.option("--run", "number", type=int, default=None, help="Only the run of this number.")
 @click.option("--parallel", type=click.IntRange(1), default=3, show_default=True, help="Runs at a time.")
-def main(*, minutes: float, seed: int, only: str | None, number: int | None, parallel: int) -> None:
-    """Do faults to small campaigns; exit with 1 if one result was lost, doubled or changed, or anything is left."""
-    base = BUILD / "faults"
-    shutil.rmtree(base, ignore_errors=True)
-    names = [name for name in NAMES if not (name == "segway" and MISSING)]
-    if len(names) < len(NAMES):
+@click.option("--folder", type=click.Path(path_type=Path), default=BUILD / "faults", help="Of all that is written.")
+@click.option("--resume", is_flag=True, help="Repeat no run that is recorded in the folder.")
+def main(  # the options of the command
+    *,
+    minutes: float | None,
+    runs: int | None,
+    seed: int,
+    only: str | None,
+    number: int | None,
+    parallel: int,
+    folder: Path,
+    resume: bool,
+) -> None:
+    """Do faults to small campaigns; exit with 1 if one result was lost, doubled or changed, or anything is left.
+
+    The folder gets one line of `runs.jsonl` for each run, `faults.json`, and what is left of runs that failed.
+    """
+    if not resume:
+        shutil.rmtree(folder, ignore_errors=True)
+    log = Log(folder, seed, only)
+    if MISSING:
         click.echo(f"skipped  segway: {MISSING}", err=True)
-    subjects = {name: prepare(name, base / "calm" / name) for name in names}
-    numbers = itertools.count() if number is None else iter([number])
-    schedule = _schedule(numbers, seed, only, _over(minutes))
-    done = _perform_all(schedule, seed, subjects, base, parallel)
-    table = rows(done)
-    (BUILD / "faults.json").write_text(json.dumps({"seed": seed, "classes": table}, indent=1) + "\n")
+    subjects = _subjects(folder / "calm", [only] if only else sorted(FAULTS))
+    every = range(runs) if runs else itertools.count()
+    numbers = [number] if number is not None else (each for each in every if each not in log.known)
+    limit = minutes or (10.0 if runs is None else float("inf"))
+    schedule = _schedule(numbers, seed, only, _over(limit))
+    _perform_all(schedule, subjects, log, parallel)
+    table = rows(log.known.values())
+    (folder / "faults.json").write_text(json.dumps({"seed": seed, "classes": table}, indent=1) + "\n")
     click.echo(text(table))
-    if not all(run.verdict.good for run in done):
+    if not all(run.verdict.good for run in log.known.values()):
         sys.exit(1)
-    shutil.rmtree(base)
+
+
+def _subjects(folder: Path, faults: Sequence[str]) -> dict[str, Subject]:
+    """Return the campaigns of these classes, each with its calm run; those of an earlier invocation are used again."""
+    there = [name for name in NAMES if not (name == "segway" and MISSING)]
+    wanted = [name for name in there if any(name in FAULTS[fault].subjects for fault in faults)]
+    return {name: prepare(name, folder / name) for name in wanted}
+
+
+class Log:
+    """The runs of one schedule, also those of an earlier invocation; for one thread at a time."""
+
+    def __init__(self, folder: Path, seed: int, only: str | None) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self.seed, self._path = folder, seed, folder / "runs.jsonl"
+        self.known: dict[int, Run] = {}
+        head = json.dumps({"seed": seed, "only": only})
+        lines = self._path.read_text().splitlines() if self._path.exists() else [head]
+        if lines[0] != head:
+            raise click.UsageError(f"{self._path} is of {lines[0]}; choose another --folder, or leave --resume out")
+        self._path.write_text("".join(f"{line}\n" for line in lines))
+        for line in lines[1:]:
+            found = json.loads(line)
+            self.known[found["number"]] = Run(**found | {"verdict": Verdict(**found["verdict"])})
+
+    def add(self, run: Run) -> None:
+        """Keep a run, and print it."""
+        self.known[run.number] = run
+        with self._path.open("a") as file:
+            file.write(json.dumps(asdict(run)) + "\n")
+        _tell(run, self.seed)
 
 
 def _over(minutes: float) -> Callable[[], bool]:
@@ -57,7 +106,7 @@ def _over(minutes: float) -> Callable[[], bool]:
 
 
 def _schedule(
-    numbers: Iterator[int], seed: int, only: str | None, over: Callable[[], bool]
+    numbers: Iterable[int], seed: int, only: str | None, over: Callable[[], bool]
 ) -> Iterator[tuple[int, Fault]]:
     """Yield the runs until the end; a fault that the machine cannot do is reported once, and skipped."""
     told = set()
@@ -75,11 +124,8 @@ def _schedule(
             return
 
 
-def _perform_all(
-    schedule: Iterator[tuple[int, Fault]], seed: int, subjects: dict[str, Subject], base: Path, parallel: int
-) -> list[Run]:
+def _perform_all(schedule: Iterator[tuple[int, Fault]], subjects: dict[str, Subject], log: Log, parallel: int) -> None:
     """Perform the schedule, `parallel` runs at a time."""
-    done: list[Run] = []
     turn = threading.Lock()
 
     def serve() -> None:
@@ -89,18 +135,17 @@ def _perform_all(
             if following is None:
                 return
             number, fault = following
-            folder = folder_of(base, number)
-            run = perform(fault, randomness(seed, number), subjects, folder, number=number)
+            folder = folder_of(log.folder, number)
+            shutil.rmtree(folder, ignore_errors=True)  # of an invocation that was ended
+            run = perform(fault, randomness(log.seed, number), subjects, folder, number=number)
             with turn:
-                done.append(run)
-                _tell(run, seed)
+                log.add(run)
             if run.verdict.good:
                 shutil.rmtree(folder)
 
     with ThreadPoolExecutor(parallel) as pool:
         for each in [pool.submit(serve) for _ in range(parallel)]:
             each.result()
-    return sorted(done, key=lambda run: run.number)
 
 
 def _tell(run: Run, seed: int) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from tests.faults import deaths, links, machine, nodes, systems
+from tests.faults import deaths, links, machine, nodes, removals, systems
 from tests.faults.scene import Scene
 
 
@@ -50,14 +50,18 @@ def _no_namespaces() -> str:
 
 
 PLUGIN = ("function",)
+BRIEF = ("brief", "function")
+"""For faults that take long, or that hit a campaign anywhere."""
 FAULTS = {
     fault.name: fault
     for fault in (
         Fault(deaths.kill_workers),
+        Fault(deaths.mass_death, ("brief", "slow", "segway")),
         Fault(deaths.stop_workers, ("slow",)),
         Fault(deaths.kill_orchestrator),
         Fault(deaths.kill_resume, ("function", "segway")),
         Fault(deaths.kill_start, PLUGIN),
+        Fault(deaths.two_resumes, BRIEF),
         Fault(deaths.stop_orchestrator),
         Fault(deaths.hang_then_kill, PLUGIN),
         Fault(links.restart_router, ("function", "slow")),
@@ -66,9 +70,14 @@ FAULTS = {
         Fault(links.disturb_messages, PLUGIN),
         Fault(machine.fill_disk, PLUGIN, _no_root),
         Fault(machine.slow_disk, PLUGIN, _no_compiler),
-        Fault(machine.jump_clock, ("function", "segway"), _no_compiler),
+        Fault(machine.io_error, (*BRIEF, "gap"), _no_compiler),
+        Fault(removals.lost_evidence, (*BRIEF, "gap")),
+        Fault(removals.lost_database, BRIEF),
+        Fault(machine.jump_clock, ("brief", "brief", "segway"), _no_compiler),
         Fault(systems.misbehave, PLUGIN),
         Fault(systems.fail_once, PLUGIN),
+        Fault(systems.odd_result, ("gap", "brief")),
+        Fault(systems.big_result, ("brief",)),
         Fault(systems.poison, ("brittle",)),
         Fault(systems.hang_and_kill, PLUGIN),
         Fault(nodes.broken_node, ("slow",)),

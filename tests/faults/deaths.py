@@ -11,6 +11,8 @@ from tests.faults.scene import Scene
 
 LEASE, LOST = 2.0, 3.0
 """Seconds after which the token of a silent worker is gone, and after which a worker without a token is lost."""
+ALL_BACK = ((0.1, 1.0), (LOST + 0.5, LOST + 2.0), (10.0, 10.0))
+"""Seconds without any worker: before the attempts of the dead ones are lost, or afterwards."""
 
 
 def kill_workers(scene: Scene) -> None:
@@ -21,6 +23,25 @@ def kill_workers(scene: Scene) -> None:
         if scene.reach(moment):
             scene.pause()
             scene.kill_worker()
+    scene.finish()
+
+
+def mass_death(scene: Scene) -> None:
+    """kill -9 of all workers at once; after up to ten seconds as many are back. Local ones are replaced at once."""
+    scene.remote = scene.chance.random() < 0.7
+    scene.start(workers=scene.chance.choice((2, 3, 6)))
+    for moment in scene.moments(scene.chance.choice((1, 2))):
+        if scene.reach(moment):
+            scene.pause()
+            victims = scene.workers()
+            for worker in victims:
+                with suppress(psutil.NoSuchProcess):
+                    worker.kill()
+            scene.did(f"kill all {len(victims)} workers")
+            if scene.remote:
+                scene.pause(*scene.chance.choice(ALL_BACK))
+                for _ in victims:
+                    scene.join()
     scene.finish()
 
 
@@ -94,6 +115,32 @@ def kill_start(scene: Scene) -> None:
         scene.did(f"kill orchestrator after {seconds:.2f} s, at {recorded(scene.directory)} rollouts")
     begin_or_resume(scene)
     scene.finish()
+
+
+def two_resumes(scene: Scene) -> None:
+    """Two `resume` at once after kill -9, again and again: one continues, the other one names who has the lock."""
+    scene.remote = scene.chance.random() < 0.5
+    scene.start()
+    for moment in scene.moments(scene.chance.choice((1, 2)), share=0.5):
+        if scene.reach(moment):
+            scene.pause()
+            scene.kill_orchestrator()
+            _race(scene)
+            scene.did("two resumes at once")
+            scene.pause(0.0, 1.0)
+    scene.finish()
+
+
+def _race(scene: Scene) -> None:
+    scene.resume()
+    one = scene.orchestrator
+    scene.resume()
+    both = (one, scene.orchestrator)
+    wait_for(lambda: not all(each.running for each in both))
+    scene.orchestrator, loser = sorted(both, key=lambda each: each.running, reverse=True)
+    ended = loser.wait()
+    assert ended.code == 1, f"exit {ended.code} of the second resume: {ended.err[-1500:]}"
+    assert "another orchestrator is running this campaign" in ended.fault
 
 
 def begin_or_resume(scene: Scene) -> None:

@@ -32,7 +32,10 @@ LEAKED: list[bytearray] = []
 
 
 class FaultyFunction(SystemUnderTest):
-    """J(z) = sin(z1) cos(z2) / 2 with a little noise; a rollout lasts `pace` seconds of the wall clock."""
+    """J(z) = sin(z1) cos(z2) / 2, with a little noise in `true`; a rollout lasts `pace` seconds of the wall clock.
+
+    Without a horizon a trajectory has one sample, else one every tenth of a second, of a value that dies out.
+    """
 
     @cached_property
     def spec(self) -> SystemSpec:
@@ -70,8 +73,10 @@ class FaultyFunction(SystemUnderTest):
         if kind in BEFORE:
             BEFORE[kind](progress)
         _last(pace / 2, progress)
-        noise = 0.001 * np.random.default_rng(seed).standard_normal()
-        found = Trajectory(("t", "value"), np.array([[0.0, math.sin(x[0]) * math.cos(x[1]) / 2 + noise]]))
+        noise = 0.001 * np.random.default_rng(seed).standard_normal() if variant == "true" else 0.0
+        times = np.linspace(0.0, horizon, 1 + round(10 * horizon))
+        values = (math.sin(x[0]) * math.cos(x[1]) / 2 + noise) * np.exp(-times)
+        found = Trajectory(("t", "value"), np.column_stack([times, values]))
         if kind == "lie":
             return replace(found, samples=found.samples + np.array([0.0, 0.001]))
         return AFTER[kind](found) if kind in AFTER else found
@@ -182,9 +187,34 @@ def _none(_: Trajectory) -> Trajectory:
     return None  # type: ignore[return-value]
 
 
+def _huge(found: Trajectory) -> Trajectory:
+    return replace(found, samples=np.column_stack([found.samples[:, 0], np.full(len(found.samples), 1.7e308)]))
+
+
+def _short(found: Trajectory) -> Trajectory:
+    return replace(found, samples=found.samples[: len(found.samples) // 2])
+
+
+def _late(found: Trajectory) -> Trajectory:
+    return replace(found, samples=found.samples + np.array([0.5, 0.0]))
+
+
+BIG = 3_000_000
+"""Samples of a big result: 48 MB."""
+
+
+def _big(found: Trajectory) -> Trajectory:
+    times = np.arange(BIG) / BIG
+    return replace(found, samples=np.column_stack([times, np.random.default_rng(1).standard_normal(BIG)]))
+
+
 AFTER: dict[str, Callable[[Trajectory], Trajectory]] = {
     "nan": _nan,
     "shape": _shape,
     "columns": _columns,
     "none": _none,
+    "huge": _huge,
+    "short": _short,
+    "late": _late,
+    "big": _big,
 }

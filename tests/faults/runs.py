@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.faults.catalogue import Fault
-from tests.faults.scene import Scene
+from tests.faults.scene import EndedEarly, Scene
 from tests.faults.subjects import Subject
 from tests.faults.verdict import Verdict, judge, of_machine, shared_memory
 
@@ -37,6 +37,8 @@ def perform(
     for step in steps:
         try:
             step()
+        except EndedEarly as error:
+            found.early.append(str(error))
         except Exception:  # noqa: BLE001  (every exception is a finding, and is reported)
             found.failures.append(traceback.format_exc(limit=-3).strip())
     found.leftovers += scene.close()

@@ -11,12 +11,17 @@ from pathlib import Path
 
 import psutil
 
+from perfbound.orchestrator.store import lock
 from tests.end_to_end.processes import Ended, Process, Processes, free_port, recorded, wait_for
 from tests.faults.subjects import Subject
 from tests.patience import PATIENCE
 
 MARK = "PERFBOUND_FAULTS"
 """Every process of a scene inherits this variable, whose value is the scene's folder."""
+
+
+class EndedEarly(AssertionError):
+    """A campaign ended without a certificate where it had to continue."""
 
 
 @dataclass
@@ -144,17 +149,33 @@ class Scene:
         """Wait for the certificate; return the end of the orchestrator.
 
         Raises:
-            AssertionError: the campaign failed.
+            EndedEarly: the campaign ended before.
 
         """
         ended = self.end()
-        assert ended.code == 0, f"exit {ended.code}: {ended.err[-2000:]}"
+        if ended.code != 0:
+            raise EndedEarly(f"exit {ended.code}: {''.join(ended.err.splitlines()[-1:])}")
         assert "Traceback" not in ended.err, ended.err[-2000:]
         return ended
 
     def end(self) -> Ended:
         """Wait for the end of the orchestrator, however it ends."""
         return self.orchestrator.wait()
+
+    def refused(self) -> str:
+        """Wait for an orchestrator that cannot continue; return its last line on stderr.
+
+        Raises:
+            AssertionError: it ends in another way than with exit 1 and one clear line, or keeps the lock.
+
+        """
+        ended = self.end()
+        assert ended.code == 1, f"exit {ended.code}: {ended.err[-1500:]}"
+        assert "Traceback" not in ended.err, ended.err[-1500:]
+        last = ended.err.splitlines()[-1] if ended.err else ""
+        assert last.startswith("perfbound: "), ended.err[-1500:]
+        assert not lock.is_held(self.directory)
+        return last
 
     # Afterwards
 

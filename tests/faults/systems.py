@@ -3,12 +3,19 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from perfbound.orchestrator.fleet.inbox import RESULTS
 from tests.end_to_end.processes import query, wait_for
-from tests.faults.faulty_function import AFTER, BEFORE
+from tests.faults.faulty_function import BEFORE, BIG
+from tests.faults.memory import LIBRARIES, memory
 from tests.faults.scene import Scene
 
-OF_SYSTEM = ("raise", "refuse", "leave", *AFTER)
+OF_SYSTEM = ("raise", "refuse", "leave", "nan", "shape", "columns", "none")
 """Failures of the system: it raises, or its trajectory is not usable."""
+ODD = {"gap": ("nan", "short", "late", "columns", "raise"), "brief": ("nan", "huge", "late", "columns", "raise")}
+"""Trajectories, by campaign, on which its objectives cannot be computed; and a failure of the ordinary kind.
+
+Not among them: another time grid. A pair has two, and the first of them to arrive is right by definition.
+"""
 OF_INFRASTRUCTURE = tuple(kind for kind in BEFORE if kind not in OF_SYSTEM)
 """Failures of the infrastructure: the process hangs or ends; or it only prints and leaks."""
 
@@ -22,6 +29,28 @@ def fail_once(scene: Scene) -> None:
     """In some rollouts the system raises or returns nonsense, once or in two ways; then it succeeds with that seed."""
     scene.irreproducible = True
     _misbehave(scene, OF_SYSTEM, alike=False)
+
+
+def odd_result(scene: Scene) -> None:
+    """In some rollouts the system returns the largest numbers, or a part, once; then it succeeds with that seed."""
+    scene.irreproducible = True
+    _misbehave(scene, ODD[scene.subject.name], alike=False)
+
+
+def big_result(scene: Scene) -> None:
+    """Some results have 48 MB, once: refused, and nothing else waits for them or is pushed out of memory."""
+    scene.irreproducible = True
+    plan = a_plan(scene)
+    for seed in scene.chance.sample(scene.subject.seeds, scene.chance.choice((1, 2, 6))):
+        (plan / f"{seed}-0-big").touch()
+    scene.start()
+    with memory(scene) as used:
+        scene.finish()
+    for file in sorted((plan / "taken").iterdir()):
+        scene.did(f"48 MB of the rollout of seed {file.name.split('-')[0]}")
+    scene.did(f"the orchestrator took {used() >> 20} MB", fault=False)
+    # What waits, one message that Zenoh puts together for each worker, and two copies of the one that is decoded.
+    assert used() < LIBRARIES + RESULTS + 4 * 16 * BIG
 
 
 def _misbehave(scene: Scene, among: Sequence[str], *, alike: bool = True) -> None:

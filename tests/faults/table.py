@@ -17,10 +17,21 @@ class Row(TypedDict):
     lost: int
     different: int
     leftovers: int
+    early: int
     failures: int
 
 
-HEAD = ("class", "runs", "faults injected", "recorded twice", "lost", "different certificates", "leftovers", "failures")
+HEAD = (
+    "class",
+    "runs",
+    "faults injected",
+    "recorded twice",
+    "lost",
+    "different certificates",
+    "leftovers",
+    "early ends",
+    "failures",
+)
 
 
 def rows(runs: Iterable[Run]) -> list[Row]:
@@ -40,6 +51,7 @@ def _row(name: str, runs: list[Run]) -> Row:
         "lost": sum(len(each.lost) for each in verdicts),
         "different": sum(bool(each.different) for each in verdicts),
         "leftovers": sum(len(each.leftovers) for each in verdicts),
+        "early": sum(bool(each.early) for each in verdicts),
         "failures": sum(len(each.failures) for each in verdicts),
     }
 

@@ -28,13 +28,15 @@ class Verdict:
     lost: list[str] = field(default_factory=list)
     different: list[str] = field(default_factory=list)
     leftovers: list[str] = field(default_factory=list)
+    early: list[str] = field(default_factory=list)
+    """Campaigns that ended although they could continue."""
     failures: list[str] = field(default_factory=list)
     """Whatever else a fault expects."""
 
     @property
     def good(self) -> bool:
         """Whether the promise was kept."""
-        return not (self.twice or self.lost or self.different or self.leftovers or self.failures)
+        return not (self.twice or self.lost or self.different or self.leftovers or self.early or self.failures)
 
 
 def judge(scene: Scene, found: Verdict) -> None:

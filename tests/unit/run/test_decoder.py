@@ -1,7 +1,9 @@
 """Large results: decoded beside the loop, with the same outcome as small ones."""
 
+import gc
 import hashlib
 import queue
+import weakref
 from pathlib import Path
 
 import pytest
@@ -89,3 +91,24 @@ def test_the_campaign_is_the_same_when_all_results_are_large(tmp_path: Path, mon
     found = campaign(tmp_path / "lie", SMALL, workers=0, wraps=[lambda uplink: Altered(uplink, result=liar)])
     assert found == calm
     assert sum(reason in outcome for outcome in outcomes(tmp_path / "lie")) == len(liar.lied_about) == 2
+
+
+def test_a_large_result_that_is_refused_is_held_by_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It stayed until the next full garbage collection, and its bytes kept the next results of its worker out."""
+    held: list[weakref.ref[Result]] = []
+    submit = Decoder.submit
+
+    def note(decoder: Decoder, result: Result, request: RolloutRequest) -> None:
+        held.append(weakref.ref(result))
+        submit(decoder, result, request)
+
+    monkeypatch.setattr(Decoder, "submit", note)
+    monkeypatch.setattr(results, "LARGE", 0)
+    lie, _ = LIES["seed"]
+    gc.disable()
+    try:
+        campaign(tmp_path / "run", SMALL, workers=0, wraps=[lambda uplink: Altered(uplink, result=Liar(lie))])
+        assert [each() for each in held] == [None] * len(held)
+    finally:
+        gc.enable()
+    assert held
