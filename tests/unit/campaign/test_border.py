@@ -179,6 +179,7 @@ def older(directory: Path, version: int) -> None:
         connection.execute(
             "CREATE TRIGGER schema_no_update BEFORE UPDATE ON schema BEGIN SELECT RAISE(ABORT, 'schema'); END"
         )
+        connection.executescript("DROP TABLE set_aside; DROP TABLE opinions; ALTER TABLE sessions DROP COLUMN platform")
         if version < 4:
             connection.execute("ALTER TABLE sessions DROP COLUMN revision")
         connection.commit()
