@@ -20,7 +20,7 @@ from functools import lru_cache
 from .errors import TrajectoryError
 
 
-class _Opcode(IntEnum):
+class Opcode(IntEnum):
     """The kinds of records, as the specification of MCAP numbers them."""
 
     HEADER, FOOTER, SCHEMA, CHANNEL = 1, 2, 3, 4
@@ -39,9 +39,9 @@ _RECORD = struct.Struct("<BQ")  # opcode, length of the content
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 _DATA_END = struct.Struct("<BQI")
 _FOOTER = struct.Struct("<BQQQI")
-_VISUAL = frozenset({_Opcode.SCHEMA, _Opcode.CHANNEL, _Opcode.CHUNK, _Opcode.MESSAGE_INDEX})
-_INDEXES = frozenset({_Opcode.ATTACHMENT_INDEX, _Opcode.METADATA_INDEX})
-_SUMMARY = frozenset({_Opcode.SCHEMA, _Opcode.CHANNEL, _Opcode.STATISTICS, _Opcode.CHUNK_INDEX, _Opcode.SUMMARY_OFFSET})
+_VISUAL = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
+_INDEXES = frozenset({Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX})
+_SUMMARY = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.SUMMARY_OFFSET})
 
 
 Evidence = tuple[dict[str, str], dict[str, bytes]]
@@ -60,14 +60,14 @@ def canonical_evidence(data: bytes, *, visual: bool) -> Evidence:
         raise TrajectoryError("it is not written as perfbound writes it: its head is another one")
     metadata, after = _read_metadata(data, len(_HEAD))
     place = struct.pack("<QQ", len(_HEAD), after - len(_HEAD))
-    listed = _packed(_Opcode.METADATA_INDEX, place + _packed_text(RECORD))
+    listed = _packed(Opcode.METADATA_INDEX, place + _packed_text(RECORD))
     attachments: dict[str, bytes] = {}
     indexes = []
     for name, media_type in MEDIA_TYPES.items():
         start = after
         attachments[name], after = _attachment(data, start, name, media_type)
         place = struct.pack("<QQQQQ", start, after - start, 0, 0, len(attachments[name]))
-        indexes.append(_packed(_Opcode.ATTACHMENT_INDEX, place + _packed_text(name) + _packed_text(media_type)))
+        indexes.append(_packed(Opcode.ATTACHMENT_INDEX, place + _packed_text(name) + _packed_text(media_type)))
     _check_rest(data, after, [*indexes, listed], visual=visual)
     return metadata, attachments
 
@@ -79,7 +79,7 @@ def _read_metadata(data: bytes, start: int) -> tuple[dict[str, str], int]:
     name, at = _read_text(data, at)
     (size,) = _LENGTH.unpack_from(data, at)
     at += _LENGTH.size
-    if opcode != _Opcode.METADATA or name != RECORD or at + size != end:
+    if opcode != Opcode.METADATA or name != RECORD or at + size != end:
         raise TrajectoryError("its metadata are not written as perfbound writes them")
     found: list[tuple[str, str]] = []
     while at < end:
@@ -100,7 +100,7 @@ def _attachment(data: bytes, start: int, name: str, media_type: str) -> tuple[by
     (size,) = _SIZE.unpack_from(data, at + len(head))
     content = at + len(head) + _SIZE.size
     end = content + size + _LENGTH.size
-    expected = _RECORD.pack(_Opcode.ATTACHMENT, end - at) + head
+    expected = _RECORD.pack(Opcode.ATTACHMENT, end - at) + head
     if data[start : start + len(expected)] != expected or end > len(data):
         raise TrajectoryError(f"its attachments are not {' and '.join(MEDIA_TYPES)}, as perfbound writes them")
     found = data[content : content + size]
@@ -145,22 +145,22 @@ def _framed(data: bytes, start: int, end: int) -> Iterator[tuple[int, bytes]]:
 def _plain_end(summary: int, indexes: tuple[bytes, ...]) -> bytes:
     """Return everything after the data of a file without a visual part."""
     # messages, schemas, channels, attachments, metadata, chunks, first and last time, messages by channel
-    statistics = _packed(_Opcode.STATISTICS, struct.pack("<QHIIIIQQI", 0, 0, 0, len(MEDIA_TYPES), 1, 0, 0, 0, 0))
+    statistics = _packed(Opcode.STATISTICS, struct.pack("<QHIIIIQQI", 0, 0, 0, len(MEDIA_TYPES), 1, 0, 0, 0, 0))
     *attachments, metadata = indexes
     groups = {
-        _Opcode.SCHEMA: b"",
-        _Opcode.CHANNEL: b"",
-        _Opcode.STATISTICS: statistics,
-        _Opcode.CHUNK_INDEX: b"",
-        _Opcode.ATTACHMENT_INDEX: b"".join(attachments),
-        _Opcode.METADATA_INDEX: metadata,
+        Opcode.SCHEMA: b"",
+        Opcode.CHANNEL: b"",
+        Opcode.STATISTICS: statistics,
+        Opcode.CHUNK_INDEX: b"",
+        Opcode.ATTACHMENT_INDEX: b"".join(attachments),
+        Opcode.METADATA_INDEX: metadata,
     }
     start, offsets = summary, b""
     for opcode, group in groups.items():
-        offsets += _packed(_Opcode.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, len(group)))
+        offsets += _packed(Opcode.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, len(group)))
         start += len(group)
     content = b"".join(groups.values()) + offsets
-    content += _FOOTER.pack(_Opcode.FOOTER, 20, summary, start, 0)[:-4]
+    content += _FOOTER.pack(Opcode.FOOTER, 20, summary, start, 0)[:-4]
     return content + struct.pack("<I", zlib.crc32(content)) + MAGIC
 
 
@@ -181,4 +181,4 @@ def _read_text(data: bytes, at: int) -> tuple[str, int]:
     return data[at + _LENGTH.size : after].decode(), after
 
 
-_HEAD = MAGIC + _packed(_Opcode.HEADER, _packed_text("") + _packed_text(LIBRARY))
+_HEAD = MAGIC + _packed(Opcode.HEADER, _packed_text("") + _packed_text(LIBRARY))

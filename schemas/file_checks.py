@@ -6,9 +6,7 @@ What is decoded takes a small multiple of the bytes of the file.
 import struct
 import zlib
 
-from mcap.opcode import Opcode
-
-from .canonical import MAGIC
+from .canonical import MAGIC, Opcode
 from .errors import TrajectoryError
 from .ranges import MAX_FILE_BYTES
 

@@ -26,7 +26,6 @@ from .plan import plans
 from .ports import FactStore, FileStore, RecordedRollouts
 from .recorded import Recorded
 from .restoration import Restoration
-from .second_opinion import is_chosen
 from .series import Series
 
 
@@ -72,15 +71,6 @@ class Ledger:
     def done(self) -> bool:
         """Whether every problem has stopped, and all evidence is there."""
         return self.state.done and not self._restoration
-
-    @property
-    def discards(self) -> list[DiscardFact]:
-        """The discarded rollouts of the observed tests, in the order of the series, tests and rollouts."""
-        found = [
-            [fact for fact in series.discards if fact.rollout.test < len(series.observations)]
-            for series in self.series.values()
-        ]
-        return [fact for each in found for fact in sorted(each, key=lambda fact: (*fact.rollout[1:], fact.sha256))]
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -133,10 +123,6 @@ class Ledger:
             found = self._template.request(rollout, start, self.deciders[rollout.problem].seed(rollout))
             self._requests[rollout] = found
         return found
-
-    def compares(self, rollout: RolloutId) -> bool:
-        """Whether this rollout gets a second opinion before it is recorded; a damaged file has its digest."""
-        return is_chosen(self.header, rollout) and not self.restores(rollout)
 
     def restores(self, rollout: RolloutId) -> bool:
         """Whether this rollout has been recorded, and only its file is wanted again."""
@@ -232,3 +218,12 @@ class Ledger:
         self.series[check.name], self.deciders[check.name] = series, check
         self.state, actions = state.extended(self.state, check.plan)
         return actions
+
+
+def observed_discards(ledger: Ledger) -> list[DiscardFact]:
+    """Return the discarded rollouts of the observed tests, in the order of the series, tests and rollouts."""
+    found = [
+        [fact for fact in series.discards if fact.rollout.test < len(series.observations)]
+        for series in ledger.series.values()
+    ]
+    return [fact for each in found for fact in sorted(each, key=lambda fact: (*fact.rollout[1:], fact.sha256))]

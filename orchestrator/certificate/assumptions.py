@@ -8,7 +8,7 @@ from ...schemas.campaign import Linearised, PaperProblem, RigorousProblem, Scena
 from ...schemas.certificate import Assumption, Recheck, SpotCheck, Status
 from ..campaign.account import Account
 from ..campaign.copies import copies
-from ..campaign.ledger import Ledger
+from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel
 from ..campaign.plan import UNBOUNDED
 from ..mathematics.bounds import audit
@@ -71,7 +71,7 @@ def assumptions(
     else:
         found.append(assumption("finite_rollouts", "derived", rollouts))
         found.append(_reproducible(recheck, measured=measured, irreproducible=irreproducible))
-    for number, fact in enumerate(ledger.discards, start=1):
+    for number, fact in enumerate(observed_discards(ledger), start=1):
         values = {"rollout": str(fact.rollout), "sha256": fact.sha256, "reason": fact.reason}
         found.append(assumption(f"{DISCARDED}{number}", "derived", values, form="discarded"))
     if set(PAIR) <= set(accounts):

@@ -9,7 +9,7 @@ from ...schemas import certificate as document
 from ...schemas.base import digest
 from ...schemas.facts import DiscardFact, Header
 from ...schemas.ids import RolloutId
-from ..campaign.ledger import Ledger
+from ..campaign.ledger import Ledger, observed_discards
 from .assumptions import assumptions
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
@@ -41,7 +41,7 @@ def issue(
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later; so does a discarded one.
     `contradicted` are rollouts of outvoted workers that had another result when they were simulated again.
     """
-    irreproducible = irreproducible or bool(ledger.discards)
+    irreproducible = irreproducible or bool(observed_discards(ledger))
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
     results: Results = {name: result(account, header.rules) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)

@@ -178,9 +178,9 @@ def _run_new(
 
 def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, report: bool) -> None:
     from ..certificate import text  # noqa: PLC0415
-    from ..run import session  # noqa: PLC0415
+    from ..run.directory import finished_certificate  # noqa: PLC0415
 
-    console, found = output_console(), session.finished_certificate(directory)
+    console, found = output_console(), finished_certificate(directory)
     if key is not None:
         signing.sign_directory(directory, key)
     # Before anything is printed: a pipe that closes, as that of `| head`, ends the process.

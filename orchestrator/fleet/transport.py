@@ -13,6 +13,7 @@ import zenoh
 
 from ...schemas import keys
 from ...schemas.errors import LinkError, MessageError, PerfboundError, SealError, shortened
+from ...schemas.ids import Attempt, RolloutId
 from ...schemas.link import Tls, listen_config, password_line, reachable, with_port
 from ...schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState
 from ...schemas.sealed import OrchestratorEnd
@@ -52,6 +53,11 @@ class Result:
     worker: str
     header: ResultHeader
     payload: bytes
+
+    @property
+    def attempt(self) -> Attempt:
+        """The attempt that has ended."""
+        return Attempt(RolloutId.parse(self.header.rollout), self.header.attempt)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,9 @@ from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_file import differences
+from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
+from ..certificate import files
 from ..store import read
 from ..store.lock import campaign_lock
 from ..store.read import read_header
@@ -75,3 +77,16 @@ def claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
 def _remove(files: list[Path]) -> None:
     for each in files:
         each.unlink()
+
+
+def finished_certificate(directory: Path) -> Certificate:
+    """Return the certificate of a finished campaign.
+
+    Raises:
+        PerfboundError: there is none, or it is damaged.
+
+    """
+    found = files.read(directory)
+    if found is None:
+        raise PerfboundError(f"{directory}: no certificate yet; `{resume_command(directory)}` continues the campaign")
+    return found

@@ -42,7 +42,7 @@ class Results:
             result, decoded = message.result, message.found
         else:
             result, decoded = message, None
-        attempt = Attempt(RolloutId.parse(result.header.rollout), result.header.attempt)
+        attempt = result.attempt
         header, failure, is_open = result.header, None, attempt.rollout in open_rollouts
         if header.outcome == "done" and len(result.payload) > (most := self._ledger.header.spec.largest_file):
             size = f"{len(result.payload)} bytes, more than the {most} of a result"
@@ -89,14 +89,14 @@ class Results:
             return Work()
         outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
         work = self._ledger.record(rollout, message.payload, trajectory, header.sha256)
-        self._journal.attempt_ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
+        self._journal.attempts.ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
         return work
 
     def recorders(self, wanted: Iterable[RolloutId]) -> dict[RolloutId, str]:
         """Return the worker that recorded the original of each rollout that repeats one."""
         reviewed = self._review.request
         originals = {each: each if reviewed(each) else self._ledger.closing.original(each) for each in wanted}
-        found = {each: self._journal.worker_of(original) for each, original in originals.items() if original}
+        found = {each: self._journal.attempts.worker_of(original) for each, original in originals.items() if original}
         return {each: worker for each, worker in found.items() if worker is not None}
 
     def clear(self) -> None:

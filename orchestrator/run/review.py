@@ -7,6 +7,7 @@ refutes that the workers are honest.
 from ...schemas.ids import Attempt, RolloutId
 from ...schemas.rollout import RolloutRequest
 from ..campaign.ledger import Ledger
+from ..campaign.second_opinion import is_chosen
 from ..store.journal import Journal
 
 
@@ -22,7 +23,7 @@ class Review:
 
     def begin(self) -> list[RolloutId]:
         """Return the rollouts that are still to be simulated again, and take them in."""
-        found = self._journal.suspects()
+        found = self._journal.attempts.suspects()
         for rollout in found:
             start = self._journal.proposal(rollout.problem, rollout.test).proposal.x
             self._requests[rollout] = self._ledger.request_again(self._journal.rollout(rollout), start)
@@ -32,7 +33,12 @@ class Review:
         """Return the request for a rollout under review; None for every other one."""
         return self._requests.get(rollout)
 
+    def compares(self, rollout: RolloutId) -> bool:
+        """Whether a rollout gets a second opinion before it is recorded: a damaged file has its digest."""
+        known = rollout in self._requests or self._ledger.restores(rollout)
+        return not known and is_chosen(self._ledger.header, rollout)
+
     def take(self, worker: str, attempt: Attempt, sha256: str) -> None:
         """Write the digest of a result."""
         del self._requests[attempt.rollout]
-        self._journal.opinion("reviewed", attempt, worker, sha256)
+        self._journal.attempts.opinion("reviewed", attempt, worker, sha256)

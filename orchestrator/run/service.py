@@ -5,7 +5,6 @@ decides is committed in one transaction; only then do messages leave.
 """
 
 import queue
-import shlex
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -13,31 +12,28 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped, one_line
-from ...schemas.ids import CLOSING, Attempt, RolloutId
-from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request, ResultHeader
-from ...schemas.places import short_path
+from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.ids import CLOSING, RolloutId
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..fleet import dispatch, events
 from ..fleet.choice import out_of_favour
 from ..fleet.inbox import Inbox
 from ..fleet.limits import Limits
-from ..fleet.opinions import FOR_GOOD
 from ..fleet.processes import Fleet
-from ..fleet.retries import blames_rollout, missed
-from ..fleet.simulate import LIMIT
 from ..fleet.state import DispatchState
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
 from ..store import read
 from ..store.journal import Journal
 from .assignments import Assignments
 from .decoder import Decoded
-from .format import duration
 from .lines import Lines
+from .outbox import Outbox
+from .poison import poison_text
 from .results import Results
 from .review import Review
 from .roster import Roster, WorkerRecord
+from .trust import failures_before, note
 
 TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
@@ -53,6 +49,10 @@ class Interrupted:
     """The event of a signal that stops the orchestrator."""
 
     signal: int
+
+
+Message = Inbound | Decoded | Interrupted
+"""What wakes the loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +100,9 @@ class Service:
         resumed: bool,
         drain: bool = False,
     ) -> None:
-        self.inbox: Inbox[Inbound | Decoded | Interrupted] = Inbox()
+        self.inbox: Inbox[Message] = Inbox()
         self._ledger = ledger
         self._journal = journal
-        self._transport = transport
         self._fleet = fleet
         self._listeners = listeners
         self._lines = Lines(self._print_line)
@@ -111,16 +110,15 @@ class Service:
         self._review = Review(ledger, journal)
         self._results = Results(ledger, journal, self._review, self.inbox.put)
         self._assignments = Assignments(journal.directory, journal.header.run)
-        self._outgoing: list[tuple[str, Request]] = []
+        self._outbox = Outbox(transport, self._assignments)
         self._events: deque[events.Event] = deque()
         self._drain = drain
         self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
-        self._unproved: set[str] = set()
         self._started = time.monotonic()
         self._next_tick = self._started
-        limits = _limits(ledger.config)
+        limits = _dispatch_limits(ledger.config)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
         self._state = DispatchState(limits, hold, second_opinion=ledger.config.second_opinion > 0)
@@ -136,12 +134,13 @@ class Service:
         """
         attempts = read.attempts(self._journal.directory)
         with self._ledger.transaction():
-            self._demand(self._ledger.outstanding(), attempts, self._failed_before())
+            failed = failures_before(self._journal.directory, self._state.limits.deadline)
+            self._demand(self._ledger.outstanding(), attempts, failed)
             self._settle()
             self._begin_review()
         self._send()
         while not self._done:
-            self._turn(*self._receive())
+            self._turn(*_received(self.inbox, self._next_tick))
         self._show()  # the last turn ends between two ticks
 
     @property
@@ -155,29 +154,7 @@ class Service:
             self._demand(Work(wanted=suspects), read.attempts(self._journal.directory))
             self._settle()
 
-    def _failed_before(self) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:
-        """Return the failures of earlier sessions that blame their rollouts."""
-        found: dict[RolloutId, tuple[events.EarlierFailure, ...]] = {}
-        for each in read.failures(self._journal.directory):
-            if blames_rollout(each.failure, self._state.limits.deadline):
-                failed = events.EarlierFailure(events.Fail(each.worker, each.attempt, each.failure), each.host)
-                found[each.attempt.rollout] = (*found.get(each.attempt.rollout, ()), failed)
-        return found
-
-    def _receive(self) -> tuple[list[Inbound | Decoded | Interrupted], float]:
-        """Wait for the next message or tick; return messages, and the time up to which they are all that came."""
-        messages: list[Inbound | Decoded | Interrupted] = []
-        while len(messages) < TURN:
-            now = time.monotonic()
-            wait = 0.0 if messages else max(0.0, self._next_tick - now)
-            try:
-                messages.append(self.inbox.get(wait))
-            except queue.Empty:
-                return messages, now + wait
-        # The inbox may contain more: time is complete only up to the last message taken, and a signal has no time.
-        return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
-
-    def _turn(self, messages: list[Inbound | Decoded | Interrupted], complete: float) -> None:
+    def _turn(self, messages: list[Message], complete: float) -> None:
         with self._ledger.transaction():
             for message in messages:
                 self._take(message)
@@ -195,32 +172,27 @@ class Service:
         # After the commit: kill -9 before it loses facts that no worker has received, so all of them are made again.
         self._send()
 
-    def _take(self, message: Inbound | Decoded | Interrupted) -> None:
+    def _take(self, message: Message) -> None:
         match message:
             case Token():
                 self._events.extend(self._roster.token(message))
             case Heartbeat():
                 if (reason := self._roster.refusal(message)) is not None:
                     self._lines.refused(message.worker, reason)
-                    self._outgoing.append((message.worker, Refuse(reason=reason)))
+                    self._outbox.refuse(message.worker, reason)
                 self._events.extend(self._roster.heartbeat(message))
             case Result() if self._roster.admitted(message.worker) is None:
                 return  # not acknowledged before the worker is admitted: it delivers the result again
             case Result() if not self._assignments.proved(message.worker, message.header):
-                self._unproved_result(message.worker, message.header)
+                # Of another peer, or of an attempt whose key is lost: nothing is recorded, and no worker keeps it.
+                self._lines.ignored(message.worker, "no assignment proves its result")
+                self._outbox.acknowledge(message.worker, message.attempt)
             case Result() | Decoded():
                 self._events.extend(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
                 self._lines.ignored(message.worker, message.reason)
             case Interrupted():
                 self._interrupted(message.signal)
-
-    def _unproved_result(self, worker: str, header: ResultHeader) -> None:
-        # Of another peer, or of an attempt whose key is lost: nothing is recorded, and no worker keeps it for ever.
-        if worker not in self._unproved:
-            self._unproved.add(worker)
-            self._print_line(f"ignored results in the name of {worker}: no assignment proves them")
-        self._outgoing.append((worker, Ack(rollout=header.rollout, attempt=header.attempt)))
 
     def _interrupted(self, signal: int) -> None:
         """Stop at once; with `drain`, hand out nothing more and stop when the attempts under way have ended."""
@@ -259,18 +231,18 @@ class Service:
             case events.Start(worker, attempt):
                 state = self._roster.admitted(worker)
                 assert state is not None, "the dispatch machine has admitted workers only"
-                self._journal.attempt_started(attempt, worker, state.host, state.pid)
-                self._assign(worker, attempt)
+                self._journal.attempts.started(attempt, worker, state.host, state.pid)
+                self._outbox.assign(worker, attempt, self._results.request(attempt.rollout))
             case events.Resend(worker, attempt):
-                self._assign(worker, attempt)
+                self._outbox.assign(worker, attempt, self._results.request(attempt.rollout))
             case events.Revoke(worker, attempt):
-                self._outgoing.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
+                self._outbox.cancel(worker, attempt)
             case events.Acknowledge(worker, attempt):
-                self._outgoing.append((worker, Ack(rollout=str(attempt.rollout), attempt=attempt.number)))
+                self._outbox.acknowledge(worker, attempt)
             case events.Fail(worker, attempt, failure):
                 # Else a peer could fill the disk with failures of attempts that it makes up.
-                if self._journal.worker_of(attempt.rollout, attempt.number) == worker:
-                    self._journal.attempt_ended(attempt, worker, failure)
+                if self._journal.attempts.worker_of(attempt.rollout, attempt.number) == worker:
+                    self._journal.attempts.ended(attempt, worker, failure)
                     self._lines.failed(action)
             case events.GiveUp(worker):
                 if self._fleet is not None and self._fleet.kill(worker):
@@ -279,22 +251,7 @@ class Service:
             case events.Poison():
                 self._poisoned = action
             case _:
-                self._note(action)
-
-    def _note(self, action: events.SetAside | events.TakeBack | events.Compared | events.Outvoted) -> None:
-        """Write what concerns the trust in a worker or host."""
-        match action:
-            case events.SetAside(place, seconds, reason):
-                self._journal.set_aside(place.kind, place.name, seconds, reason)
-                length = duration(seconds) if seconds < FOR_GOOD else "good"
-                pause = f"{place.kind} {place.name} is set aside for {length}"
-                self._print_line(f"{pause}: {one_line(reason)}")
-            case events.Compared(worker, attempt, digest):
-                self._journal.opinion("compared", attempt, worker, digest)
-            case events.Outvoted(worker, attempt, digest):
-                self._journal.opinion("outvoted", attempt, worker, digest)
-            case events.TakeBack(place):
-                self._journal.set_aside(place.kind, place.name, 0.0, "")
+                note(action, self._journal.attempts, self._print_line)
 
     def _demand(
         self,
@@ -308,47 +265,54 @@ class Service:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
             wanted = tuple((each, attempts.get(each, 0)) for each in work.wanted)
-            self._events.append(
-                events.Wanted(now, wanted, self._results.recorders(work.wanted), self._compared(work), failed)
-            )
-
-    def _compared(self, work: Work) -> frozenset[RolloutId]:
-        reviewed = self._review.request
-        return frozenset(each for each in work.wanted if reviewed(each) is None and self._ledger.compares(each))
-
-    def _assign(self, worker: str, attempt: Attempt) -> None:
-        request, secret = self._results.request(attempt.rollout), self._assignments.secret(worker, attempt)
-        self._outgoing.append((worker, Assign(attempt=attempt.number, secret=secret, request=request)))
+            compared = frozenset(each for each in work.wanted if self._review.compares(each))
+            self._events.append(events.Wanted(now, wanted, self._results.recorders(work.wanted), compared, failed))
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""
         # Also before it ends: results of this turn are durable, and their workers may drop them.
-        for worker, message in self._outgoing:
-            self._transport.send(worker, message)
-        self._outgoing.clear()
+        self._outbox.send()
         if self._stop is not None:
             raise Stopped(self._stop)
         if self._poisoned is not None:
             ends = self._fleet.ended if self._fleet is not None else {}
-            raise PerfboundError(_poison_text(self._poisoned, self._ledger, self._journal.origin.system, ends))
+            raise PerfboundError(poison_text(self._poisoned, self._ledger, self._journal.origin.system, ends))
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:
             listener.print_line(line)
 
     def _show(self) -> None:
-        status = RunStatus(
-            self._ledger.config,
-            {name: account.progress for name, account in self._ledger.accounts.items()},
-            {name: each.progress for name, each in self._ledger.series.items() if name in CLOSING},
-            _phases(self._state),
-            self._roster.records,
-            self._state.recorded,
-            len(self._state.waiting),
-            time.monotonic() - self._started,
-        )
+        status = _status(self._ledger, self._state, self._roster, time.monotonic() - self._started)
         for listener in self._listeners:
             listener.show(status)
+
+
+def _received(inbox: Inbox[Message], tick: float) -> tuple[list[Message], float]:
+    """Wait for the next message or `tick`; return messages, and the time up to which they are all that came."""
+    messages: list[Message] = []
+    while len(messages) < TURN:
+        now = time.monotonic()
+        wait = 0.0 if messages else max(0.0, tick - now)
+        try:
+            messages.append(inbox.get(wait))
+        except queue.Empty:
+            return messages, now + wait
+    # The inbox may contain more: time is complete only up to the last message taken, and a signal has no time.
+    return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
+
+
+def _status(ledger: Ledger, state: DispatchState, roster: Roster, seconds: float) -> RunStatus:
+    return RunStatus(
+        ledger.config,
+        {name: account.progress for name, account in ledger.accounts.items()},
+        {name: each.progress for name, each in ledger.series.items() if name in CLOSING},
+        _phases(state),
+        roster.records,
+        state.recorded,
+        len(state.waiting),
+        seconds,
+    )
 
 
 def _phases(state: DispatchState) -> dict[str, str]:
@@ -356,38 +320,5 @@ def _phases(state: DispatchState) -> dict[str, str]:
     return {name: "set aside" if name in aside else worker.phase for name, worker in state.workers.items()}
 
 
-def _poison_text(found: events.Poison, ledger: Ledger, reference: str | None, ends: Mapping[str, str]) -> str:
-    """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy.
-
-    `reference` is that of a system that is not installed; `ends` say how workers have ended.
-    """
-    request, config = ledger.request(found.rollout), ledger.config
-    by_reason: dict[str, list[str]] = {}
-    for each in found.failures:
-        end = f" ({how})" if (how := ends.get(each.worker)) else ""
-        attempt = f"attempt {each.attempt.number} on {each.worker}{end}"
-        by_reason.setdefault(each.failure.reason, []).append(attempt)
-    history = "; ".join(f"{', '.join(attempts)}: {reason}" for reason, attempts in by_reason.items())
-    options = [f"--option={name}={value}" for name, value in config.system.options.items()]
-    start = ",".join(map(repr, request.x))
-    rollout = [f"--x={start}", "--variant", request.variant, "--seed", str(request.seed)]
-    system = config.system.name if reference is None else short_path(reference)
-    limits = ["--horizon", f"{request.horizon:g}"]
-    if config.deadline != LIMIT:  # a rollout that hangs is to hang no longer than here
-        limits += ["--timeout", f"{config.deadline:g}"]
-    command = shlex.join(["perfbound", "simulate", system, *rollout, *limits, *options, "--out", "failed.mcap"])
-    repeat = f"Repeat it: {command}"
-    if ledger.header.spec.repeated == "session":  # which no command has
-        repeat = f"Repeat it: call {request.system.replace('-', '_')} at {start}, with seed {request.seed}"
-    if found.failures[-1].failure == missed(config.deadline):
-        repeat = f"It exceeds deadline = {config.deadline:g} s at the start ({start}). {repeat}"
-    # Another code is another system, with which the recorded rollouts cannot be mixed.
-    remedy = "If the code of the system is wrong, fix it and start a new campaign (--out); else"
-    return (
-        f"rollout {found.rollout} failed {len(found.failures)} times, so the campaign cannot continue: {history}. "
-        f"{repeat}. {remedy} fix the worker or the machine, then resume"
-    )
-
-
-def _limits(file: CampaignConfig) -> Limits:
+def _dispatch_limits(file: CampaignConfig) -> Limits:
     return Limits(hung_after=file.hung_after, deadline=file.deadline, max_attempts=file.max_attempts)

@@ -18,8 +18,7 @@ from rich.text import Text
 
 from ...schemas.access import access_rules, common_name
 from ...schemas.campaign import CampaignConfig
-from ...schemas.certificate import Certificate
-from ...schemas.errors import CampaignError, JournalError, LinkError, PerfboundError
+from ...schemas.errors import CampaignError, JournalError, LinkError
 from ...schemas.facts import Header
 from ...schemas.link import Tls, asks_for_secret
 from ...schemas.platforms import ANY, platform_class
@@ -32,20 +31,17 @@ from ..fleet import child
 from ..fleet.processes import Fleet
 from ..fleet.transport import Transport, listen
 from ..store import read
-from ..store.files import read_evidence
 from ..store.journal import INSTALLED, Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
-from . import assignments
 from .address import Address
 from .directory import check_vacant, claimed
-from .format import resume_command
 from .live_page import LivePage, live_page
 from .revision import revision
 from .systemd import Systemd
 
 if TYPE_CHECKING:
-    from ..campaign.ledger import Ledger
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +336,7 @@ def _conduct(
         ledger = Ledger(directory, journal)
         ledger.replay()
         damaged = ledger.check_files(journal, whole=ledger.done) if resumed else 0
-        if not ledger.done or journal.suspects():
+        if not ledger.done or journal.attempts.suspects():
             terminal = stack.enter_context(listener(console))
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
@@ -364,26 +360,9 @@ def _conduct(
                 terminal.print_line(f"{lost} trajectory files were removed or changed: simulating them again")
                 service.run()
     journal.check_place()
+    from .certify import certify  # noqa: PLC0415
+
     certify(directory, ledger)
-
-
-def certify(directory: Path, ledger: "Ledger") -> None:
-    """Write the certificate of a campaign that is done, and its manifest.
-
-    Raises:
-        EvidenceError: the kept file of a discarded rollout is missing or damaged.
-
-    """
-    for fact in ledger.discards:
-        read_evidence(directory, fact.path, fact.sha256)
-    assignments.forget(directory)
-    from ..certificate.issue import issue, manifest  # noqa: PLC0415
-
-    found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), ledger.discards)
-    irreproducible = read.irreproducible(directory) > 0
-    differing = read.contradicted(directory)
-    certificate = issue(ledger, found, irreproducible=irreproducible, contradicted=differing)
-    files.write(directory, certificate, found.text)
 
 
 @contextmanager
@@ -404,16 +383,3 @@ def _signals(put: Callable[[int], None]) -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, signal.SIG_IGN if taken else old)
-
-
-def finished_certificate(directory: Path) -> Certificate:
-    """Return the certificate of a finished campaign.
-
-    Raises:
-        PerfboundError: there is none, or it is damaged.
-
-    """
-    found = files.read(directory)
-    if found is None:
-        raise PerfboundError(f"{directory}: no certificate yet; `{resume_command(directory)}` continues the campaign")
-    return found

@@ -3,8 +3,7 @@
 import os
 import sqlite3
 import time
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,33 +14,24 @@ from sqlalchemy import Connection, Engine
 
 from ...schemas.atomic import move, temporary
 from ...schemas.errors import JournalError, one_line
-from ...schemas.facts import RECORDED, Fact, Header, ProposalFact, RolloutFact
-from ...schemas.failure import Failure
-from ...schemas.ids import Attempt, RolloutId
+from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
+from ...schemas.ids import RolloutId
 from ...schemas.platforms import platform_class
 from . import tables
+from .attempts import AttemptLog
+from .pending import PendingRows
 from .read import read_facts, read_header, read_version
 from .rows import (
     DATABASE,
     SCHEMA_VERSION,
     UNREADABLE,
-    attempt_key,
     existing,
     fact_row,
     has_column,
-    has_table,
     header_row,
-    outcome_fields,
     proposal_fact,
     rollout_fact,
 )
-
-_INSERTS = (
-    {table: table.insert() for table in tables.FACTS}
-    | {table: table.insert().prefix_with("OR IGNORE") for table in (tables.attempts, tables.outcomes)}
-    | {table: table.insert() for table in (tables.set_aside, tables.opinions)}
-)
-"""In the order of their foreign keys. An attempt may be written twice (OR IGNORE), a fact never."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +56,9 @@ class Journal:
         self._connection = engine.connect()
         self._place = os.stat(directory / DATABASE)
         self._version, self._seq = _position(self._connection, directory)
-        self._pending: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
+        self._rows = PendingRows(self._connection)
         self.session = _open_session(self._connection, self._version, origin)
+        self.attempts = AttemptLog(self._rows, self._version, self.session)
 
     @classmethod
     def create(cls, directory: Path, header: Header, origin: Origin = INSTALLED) -> "Journal":
@@ -109,11 +100,11 @@ class Journal:
         before = self._seq
         try:
             yield
-            self._flush()  # the first write begins the transaction: a turn of heartbeats touches no disk
+            self._rows.flush()  # the first write begins the transaction: a turn of heartbeats touches no disk
             self._connection.commit()
         except BaseException:  # also a signal between two lines: numbers that are not in the database are given again
             self._seq = before
-            self._pending.clear()
+            self._rows.clear()
             self._connection.rollback()
             raise
 
@@ -121,55 +112,7 @@ class Journal:
         """Write one fact; inside `transaction` alone."""
         table, row = fact_row(fact)
         self._seq += 1
-        self._pending[tables.metadata.tables[table]].append({"seq": self._seq, **row})
-
-    def attempt_started(self, attempt: Attempt, worker: str, host: str, pid: int) -> None:
-        """Write a new attempt, before it is assigned."""
-        row = {"worker": worker, "host": host, "pid": pid, "session": self.session, "started": time.time()}
-        self._pending[tables.attempts].append(attempt_key(attempt) | row)
-
-    def attempt_ended(
-        self, attempt: Attempt, worker: str, outcome: str | Failure, cpu: float = 0.0, wall: float = 0.0
-    ) -> None:
-        """Write the outcome of an attempt: RECORDED, RESTORED or a failure.
-
-        A worker that was given up may still deliver its result, or report a failure. A result is written in any case,
-        a failure of the infrastructure as the first outcome alone, a failure of the system as the first of its kind.
-        """
-        if isinstance(outcome, Failure) and self._read(_failures_of(attempt, outcome, self._version)):
-            return
-        row = {"worker": worker, "ended": time.time(), "cpu_seconds": cpu, "wall_seconds": wall}
-        self._pending[tables.outcomes].append(attempt_key(attempt) | row | outcome_fields(outcome, self._version))
-
-    def set_aside(self, kind: str, name: str, seconds: float, reason: str) -> None:
-        """Write the pause of a worker or host, or 0 s for the end of one; databases before version 5 have no place."""
-        if has_table("set_aside", self._version):
-            row = {"kind": kind, "name": name, "seconds": seconds, "reason": reason}
-            self._pending[tables.set_aside].append({"session": self.session, "at": time.time(), **row})
-
-    def opinion(self, kind: str, attempt: Attempt, worker: str, sha256: str) -> None:
-        """Write the digest of a result that is compared, outvoted or reviewed; not before version 5."""
-        if has_table("opinions", self._version):
-            row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time()}
-            self._pending[tables.opinions].append(attempt_key(attempt) | row)
-
-    def suspects(self) -> list[RolloutId]:
-        """Return the rollouts that an outvoted worker recorded and that no other one has simulated."""
-        if not has_table("opinions", self._version):
-            return []
-        seen, ended = tables.opinions.c, tables.outcomes.c
-        outvoted = sa.select(seen.worker).where(seen.kind == "outvoted")
-        if not self._read(outvoted.limit(1)):
-            return []
-        others = sa.select(seen.rollout).where(seen.kind != "outvoted")
-        query = sa.select(ended.rollout).where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
-        return [RolloutId.parse(row[0]) for row in self._read(query.where(ended.rollout.not_in(others)))]
-
-    def _flush(self) -> None:
-        """Write the pending rows, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
-        for table, insert in _INSERTS.items():
-            if rows := self._pending.pop(table, None):
-                self._connection.execute(insert, rows)
+        self._rows.add(tables.metadata.tables[table], {"seq": self._seq, **row})
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
@@ -185,14 +128,14 @@ class Journal:
     def proposal(self, problem: str, test: int) -> ProposalFact:
         """Return the proposal of a test that has one; inside or outside a transaction."""
         columns = tables.tests.c
-        (row,) = self._read(sa.select(tables.tests).where(columns.problem == problem, columns.test == test))
+        (row,) = self._rows.read(sa.select(tables.tests).where(columns.problem == problem, columns.test == test))
         return proposal_fact(row)
 
     def rollout(self, rollout: RolloutId) -> RolloutFact:
         """Return a recorded rollout; inside or outside a transaction."""
         columns = tables.rollouts.c
         this = [columns[name] == value for name, value in rollout._asdict().items()]
-        (row,) = self._read(sa.select(tables.rollouts).where(*this))
+        (row,) = self._rows.read(sa.select(tables.rollouts).where(*this))
         return rollout_fact(row)
 
     @property
@@ -204,23 +147,8 @@ class Journal:
             return platform_class()
         sessions = tables.sessions.c
         named = sa.select(sessions.platform).where(sessions.platform.is_not(None))  # the present session, at least
-        ((found,),) = self._read(named.order_by(sessions.session).limit(1))
+        ((found,),) = self._rows.read(named.order_by(sessions.session).limit(1))
         return str(found)
-
-    def worker_of(self, rollout: RolloutId, attempt: int | None = None) -> str | None:
-        """Return the worker of an attempt, or the one whose result was recorded; inside or outside a transaction."""
-        table = tables.outcomes if attempt is None else tables.attempts
-        which = table.c.outcome == RECORDED if attempt is None else table.c.attempt == attempt
-        rows = self._read(sa.select(table.c.worker).where(table.c.rollout == str(rollout), which))
-        return str(rows[0][0]) if rows else None
-
-    def _read(self, query: sa.Select[Any]) -> Sequence[sa.Row[Any]]:
-        """Return the rows of a query; rows of the open transaction are among them."""
-        if not self._connection.in_transaction() and not self._pending:
-            with self._connection.begin():
-                return self._connection.execute(query).all()
-        self._flush()
-        return self._connection.execute(query).all()
 
     def check_place(self) -> None:
         """Refuse to go on without the database: what is written now would be lost with the last open file.
@@ -294,15 +222,6 @@ def _open_session(connection: Connection, version: int, origin: Origin) -> int:
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
         assert key is not None
         return int(key[0])
-
-
-def _failures_of(attempt: Attempt, failure: Failure, version: int) -> sa.Select[Any]:
-    """Return the query of the outcomes of an attempt to which a failure adds nothing."""
-    columns = tables.outcomes.c
-    this = (columns.rollout == str(attempt.rollout)) & (columns.attempt == attempt.number)
-    if failure.kind == "system" and has_column("outcomes", "kind", version):
-        this &= columns.kind == "system"
-    return sa.select(columns.attempt).where(this)
 
 
 def _of_the_disk(error: sa.exc.DatabaseError) -> bool:

@@ -177,23 +177,10 @@ class Run:
 
     def __repr__(self) -> str:
         """Return the claim, or the number of tests so far."""
-        return self._text().rstrip()
+        return _in_words(self).rstrip()
 
     def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(self._text())}</pre>"
-
-    def _text(self) -> str:
-        """Return what `perfbound run` prints of the first claim; names in it may be anybody's text."""
-        found = files.read(self.directory)
-        if found is None:
-            rollouts = len(self.rollouts)
-            return f"{self.directory}: not finished, {rollouts} rollouts so far; perfbound.resume continues it\n"
-        console = Console(file=io.StringIO(), width=text.WIDTH, force_terminal=False, color_system=None)
-        refuted = [each.id for each in found.predicate.assumptions if each.status == "refuted"]
-        with console.capture() as captured:
-            text.first_claim(found, console)
-        first = f"REFUTED: {', '.join(refuted)}\n" if refuted else ""
-        return f"{first}{captured.get().lstrip()}"
+        return f"<pre>{html.escape(_in_words(self))}</pre>"
 
 
 def open_run(directory: str | Path) -> Run:
@@ -273,3 +260,17 @@ def robustness(specification: str, trajectory: Trajectory | dict[str, Sequence[f
         return evaluated(parse_formula(specification, trajectory.columns), trajectory.columns, trajectory.samples)
     except ValueError as error:
         raise PerfboundError(f"robustness: {error}") from None
+
+
+def _in_words(run: Run) -> str:
+    """Return what `perfbound run` prints of the first claim; names in it may be anybody's text."""
+    found = files.read(run.directory)
+    if found is None:
+        rollouts = len(run.rollouts)
+        return f"{run.directory}: not finished, {rollouts} rollouts so far; perfbound.resume continues it\n"
+    console = Console(file=io.StringIO(), width=text.WIDTH, force_terminal=False, color_system=None)
+    refuted = [each.id for each in found.predicate.assumptions if each.status == "refuted"]
+    with console.capture() as captured:
+        text.first_claim(found, console)
+    first = f"REFUTED: {', '.join(refuted)}\n" if refuted else ""
+    return f"{first}{captured.get().lstrip()}"

@@ -19,6 +19,7 @@ from ..orchestrator.campaign.ledger import Ledger, Work
 from ..orchestrator.campaign.software import software
 from ..orchestrator.certificate import files
 from ..orchestrator.run import session
+from ..orchestrator.run.certify import certify
 from ..orchestrator.run.directory import stored_differently
 from ..orchestrator.store import read
 from ..orchestrator.store.journal import Journal
@@ -127,7 +128,7 @@ class _Rollouts:
             with self._ledger.transaction():
                 attempt = self._attempt(rollout)
                 work = self._ledger.record(rollout, told.payload, told.trajectory, told.sha256)
-                self._journal.attempt_ended(attempt, TOLD_BY, outcome)
+                self._journal.attempts.ended(attempt, TOLD_BY, outcome)
             del self.wanted[rollout]
             self._take(work)
             self._certify()
@@ -135,12 +136,12 @@ class _Rollouts:
     def failed(self, rollout: RolloutId, reason: str) -> None:
         """Record a trial that the system did not survive."""
         with self._ledger.transaction():
-            self._journal.attempt_ended(self._attempt(rollout), TOLD_BY, Failure("system", reason))
+            self._journal.attempts.ended(self._attempt(rollout), TOLD_BY, Failure("system", reason))
 
     def _attempt(self, rollout: RolloutId) -> Attempt:
         attempt = Attempt(rollout, self._attempts.get(rollout, 0) + 1)
         self._attempts[rollout] = attempt.number
-        self._journal.attempt_started(attempt, TOLD_BY, os.uname().nodename, os.getpid())
+        self._journal.attempts.started(attempt, TOLD_BY, os.uname().nodename, os.getpid())
         return attempt
 
     def _take(self, work: Work) -> None:
@@ -155,7 +156,7 @@ class _Rollouts:
         if self._ledger.check_files(self._journal, whole=True):
             self._take(self._ledger.outstanding())  # what was removed meanwhile is wanted again
         else:
-            session.certify(self.directory, self._ledger)
+            certify(self.directory, self._ledger)
 
 
 class Study:

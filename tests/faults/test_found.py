@@ -28,10 +28,10 @@ def test_a_result_that_comes_after_its_attempt_was_given_up_shows_as_recorded(tm
     campaign = config("test-function")
     with closing(Journal.create(tmp_path, Header.new(campaign, load_system("test-function").spec, {}))) as journal:
         with journal.transaction():
-            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "worker lost for 3 s"))
-            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "no progress for 2 s"))
-            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", "recorded")
-            journal.attempt_ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "the worker failed at last"))
+            journal.attempts.ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "worker lost for 3 s"))
+            journal.attempts.ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "no progress for 2 s"))
+            journal.attempts.ended(Attempt(ROLLOUT, 1), "w", "recorded")
+            journal.attempts.ended(Attempt(ROLLOUT, 1), "w", Failure("infrastructure", "the worker failed at last"))
         with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
             told = connection.execute("SELECT outcome FROM outcomes ORDER BY rowid").fetchall()
     assert told == [("worker lost for 3 s",), ("recorded",)]

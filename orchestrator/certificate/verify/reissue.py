@@ -5,6 +5,7 @@ from typing import Any
 
 from ....schemas.certificate import Assumption, Certificate
 from ....schemas.facts import Header
+from ...campaign.ledger import observed_discards
 from ..issue import issue, manifest
 from . import compare
 from .checks import plural
@@ -16,7 +17,7 @@ PROBABILITIES = ("probability", "probabilities")
 
 def reissue(rerun: Rerun, *, irreproducible: bool, contradicted: Sequence[str]) -> Certificate:
     """Return the certificate that follows from the evidence, and from what no trajectory file shows, as for `issue`."""
-    found = manifest(rerun.observed(), rerun.ledger.discards)
+    found = manifest(rerun.observed(), observed_discards(rerun.ledger))
     return issue(rerun.ledger, found, irreproducible=irreproducible, contradicted=contradicted)
 
 

@@ -17,6 +17,7 @@ from ....schemas.facts import Header, ObservationFact, ProposalFact
 from ....schemas.ids import RolloutId
 from ....schemas.rollout import RolloutRequest
 from ...campaign.checks import check
+from ...campaign.ledger import observed_discards
 from ...campaign.software import other_numerics
 from ...fleet.simulate import simulate_to
 from ...store import files as evidence
@@ -184,7 +185,8 @@ def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks)
 
 
 def _complete(rerun: Rerun, text: str, certificate: Certificate) -> str | None:
-    expected, counted = manifest(rerun.observed(), rerun.ledger.discards), certificate.predicate.evidence.rollouts
+    expected = manifest(rerun.observed(), observed_discards(rerun.ledger))
+    counted = certificate.predicate.evidence.rollouts
     if expected.text != text:
         return "the lines of the manifest are not in the order of problems, tests and rollouts"
     rollouts = expected.rollouts

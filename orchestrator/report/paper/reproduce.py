@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ....schemas import atomic
-from ...run import session
+from ...run.directory import finished_certificate
 from ...store import read
 from .. import style
 from . import figures, study, table
@@ -36,9 +36,7 @@ def reproduce_paper(extent: study.Extent, folder: Path, out: Path, *, workers: i
 
 
 def _tables(campaigns: Sequence[Planned]) -> dict[str, bytes]:
-    finished = [
-        table.Finished(each.preset.name, session.finished_certificate(each.directory).predicate) for each in campaigns
-    ]
+    finished = [table.Finished(each.preset.name, finished_certificate(each.directory).predicate) for each in campaigns]
     rows, claims = table.rows(finished), table.claim_rows(finished)
     return {
         "table1.csv": table.table_csv(rows).encode(),

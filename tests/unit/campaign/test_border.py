@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.campaign.ledger import Ledger, observed_discards
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
-from perfbound.orchestrator.run import session
+from perfbound.orchestrator.run.certify import certify
 from perfbound.orchestrator.run.discard import discard_rollout
 from perfbound.orchestrator.run.service import Service
 from perfbound.orchestrator.store.journal import Journal
@@ -117,7 +117,7 @@ def test_a_rollout_without_an_objective_is_a_failed_attempt(
     stage = odd(tmp_path / "run", config, rollout=str(rollout), **answer)
     stage.play()
     assert stage.ledger.done
-    session.certify(tmp_path / "run", stage.ledger)
+    certify(tmp_path / "run", stage.ledger)
     stage.journal.close()
     found = outcomes(tmp_path / "run", rollout)
     if answer:
@@ -166,7 +166,7 @@ def resumed(directory: Path) -> Ledger:
         service = Service(ledger, journal, puppets, None, [], resumed=False)
         puppets.start(journal.header.run, service.inbox.put)
         service.run()
-        session.certify(directory, ledger)
+        certify(directory, ledger)
     return ledger
 
 
@@ -203,7 +203,7 @@ def test_a_discarded_rollout_is_simulated_again_and_the_certificate_names_it(stu
     (repeatable,) = [each for each in certificate.predicate.assumptions if each.id == "reproducible_rollouts"]
     assert repeatable.status == "refuted", "the same seed gave two trajectories"
     assert all("discarded_1" in claim.assumptions for claim in certificate.predicate.claims)
-    assert ledger.discards == [found]
+    assert observed_discards(ledger) == [found]
     assert verify(stuck) == {}
     with pytest.raises(PerfboundError, match="has finished"):
         discard_rollout(stuck, str(ODD), "again")

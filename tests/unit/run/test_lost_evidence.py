@@ -10,7 +10,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
-from perfbound.orchestrator.run import session
+from perfbound.orchestrator.run.certify import certify
 from perfbound.orchestrator.run.service import Service
 from perfbound.orchestrator.store import files as evidence
 from perfbound.orchestrator.store.journal import Journal
@@ -49,7 +49,7 @@ def test_a_file_that_is_lost_in_mid_run_is_simulated_again(
     assert not stage.ledger.done
     service.run()
     assert stage.ledger.check_files(stage.journal, whole=True) == 0
-    session.certify(directory, stage.ledger)
+    certify(directory, stage.ledger)
     stage.journal.close()
     assert (directory / files.CERTIFICATE).read_text() == calm
 

@@ -7,7 +7,7 @@ import pytest
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.fleet import events
-from perfbound.orchestrator.run.service import _poison_text
+from perfbound.orchestrator.run.poison import poison_text
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
@@ -28,7 +28,7 @@ def text(reference: str | None, ends: dict[str, str] | None = None, **changes: A
         events.Fail(f"local-{number}", Attempt(ROLLOUT, number), Failure("infrastructure", "worker lost for 5 s"))
         for number in (1, 2)
     )
-    return _poison_text(events.Poison(ROLLOUT, failed), ledger(**changes), reference, ends or {})
+    return poison_text(events.Poison(ROLLOUT, failed), ledger(**changes), reference, ends or {})
 
 
 def command(found: str) -> str:

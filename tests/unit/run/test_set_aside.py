@@ -113,7 +113,7 @@ def test_an_older_database_takes_a_pause_without_a_place_for_it(tmp_path: Path) 
     shutil.copy(Path(__file__).parents[2] / "fixtures" / "schema-2" / DATABASE, tmp_path)
     journal = Journal.open(tmp_path)
     with journal.transaction():
-        journal.set_aside("worker", "w", 30.0, "why")
+        journal.attempts.set_aside("worker", "w", 30.0, "why")
     journal.close()
     assert read_progress(tmp_path).pauses == ()
 
@@ -122,10 +122,10 @@ def test_the_end_of_a_pause_is_written_too(tmp_path: Path) -> None:
     begin(tmp_path / "run", CONFIG)
     journal = Journal.open(tmp_path / "run")
     with journal.transaction():
-        journal.set_aside("host", "h", 30.0, "why")
+        journal.attempts.set_aside("host", "h", 30.0, "why")
     (before,) = read_progress(tmp_path / "run").pauses
     with journal.transaction():
-        journal.set_aside("host", "h", 0.0, "")
+        journal.attempts.set_aside("host", "h", 0.0, "")
     journal.close()
     (after,) = read_progress(tmp_path / "run").pauses
     assert (before.count, after.count, after.reason) == (1, 1, "why")

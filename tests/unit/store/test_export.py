@@ -269,10 +269,10 @@ def test_the_attempt_is_the_one_that_brought_the_result(tmp_path: Path) -> None:
     add(journal, rollout("sim_gap", 0, 1))
     with journal.transaction():
         for try_ in (1, 2, 3):
-            journal.attempt_started(Attempt(which, try_), f"w{try_}", "host", 1)
-        journal.attempt_ended(Attempt(which, 1), "w1", Failure("infrastructure", "lost"), 9.0, 9.0)
-        journal.attempt_ended(Attempt(which, 2), "w2", RECORDED, 0.25, 0.5)
-        journal.attempt_ended(Attempt(which, 3), "w3", RESTORED, 8.0, 8.0)
+            journal.attempts.started(Attempt(which, try_), f"w{try_}", "host", 1)
+        journal.attempts.ended(Attempt(which, 1), "w1", Failure("infrastructure", "lost"), 9.0, 9.0)
+        journal.attempts.ended(Attempt(which, 2), "w2", RECORDED, 0.25, 0.5)
+        journal.attempts.ended(Attempt(which, 3), "w3", RESTORED, 8.0, 8.0)
     journal.close()
     first, second = exported(tmp_path)["rollouts"]
     attempt = ("worker", "attempts", "wall (s)", "cpu (s)")
@@ -283,10 +283,10 @@ def test_the_attempt_is_the_one_that_brought_the_result(tmp_path: Path) -> None:
 def test_failures_are_the_attempts_without_a_result(tmp_path: Path) -> None:
     journal, which = journal_of(tmp_path, config("segway-paper")), RolloutId("sim_gap", 0, "true", 0)
     with journal.transaction():
-        journal.attempt_ended(Attempt(which, 2), "w2", Failure("system", "=1+1"))
-        journal.attempt_ended(Attempt(which, 1), "w1", Failure("infrastructure", "worker lost for 3 s"))
-        journal.attempt_ended(Attempt(which, 3), "w3", RECORDED)
-        journal.attempt_ended(Attempt(which, 4), "w3", RESTORED)
+        journal.attempts.ended(Attempt(which, 2), "w2", Failure("system", "=1+1"))
+        journal.attempts.ended(Attempt(which, 1), "w1", Failure("infrastructure", "worker lost for 3 s"))
+        journal.attempts.ended(Attempt(which, 3), "w3", RECORDED)
+        journal.attempts.ended(Attempt(which, 4), "w3", RESTORED)
     journal.close()
     found = exported(tmp_path)["failures"]
     titles = ("rollout", "attempt", "worker", "kind", "reason")
@@ -302,7 +302,7 @@ def test_failures_in_a_database_without_kinds_have_none(tmp_path: Path, name: st
     shutil.copy(Path(__file__).parents[2] / "fixtures" / name / "campaign.db", tmp_path)
     journal = Journal.open(tmp_path)
     with journal.transaction():
-        journal.attempt_ended(Attempt(RolloutId("sim_gap", 0, "true", 0), 9), "w", Failure("system", "it raised"))
+        journal.attempts.ended(Attempt(RolloutId("sim_gap", 0, "true", 0), 9), "w", Failure("system", "it raised"))
     journal.close()
     (row,) = exported(tmp_path)["failures"]
     assert (row["worker"], row["kind"], row["reason"]) == ("w", "", "it raised")

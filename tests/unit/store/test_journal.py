@@ -118,8 +118,8 @@ def test_nothing_is_changed_or_removed(journal: Journal, tmp_path: Path, table: 
     with journal.transaction():
         for fact in FACTS:
             journal.add(fact)
-        journal.attempt_started(Attempt(R0, 1), "w", "h", 1)
-        journal.attempt_ended(Attempt(R0, 1), "w", "recorded")
+        journal.attempts.started(Attempt(R0, 1), "w", "h", 1)
+        journal.attempts.ended(Attempt(R0, 1), "w", "recorded")
     with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
         connection.execute(  # by `perfbound discard` alone, not by the journal
             "INSERT INTO discards SELECT 99, problem, test, variant, replicate, seed, sha256, size, path, robustness, "
@@ -158,7 +158,7 @@ def test_a_transaction_is_whole_or_nothing(journal: Journal, tmp_path: Path) -> 
     def interrupted() -> None:
         with journal.transaction():
             journal.add(FACTS[1])
-            journal.attempt_started(Attempt(R0, 1), "w", "h", 1)
+            journal.attempts.started(Attempt(R0, 1), "w", "h", 1)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -192,9 +192,9 @@ def test_the_highest_attempt_is_known_and_the_first_outcome_stands(journal: Jour
     other = RolloutId("maximum", 1, "true", 2)
     with journal.transaction():
         for attempt in (Attempt(R0, 1), Attempt(R0, 3), Attempt(other, 2)):
-            journal.attempt_started(attempt, "w", "h", 1)
-        journal.attempt_ended(Attempt(R0, 1), "w", LOST)
-        journal.attempt_ended(Attempt(R0, 1), "w", Failure("infrastructure", "worse"))
+            journal.attempts.started(attempt, "w", "h", 1)
+        journal.attempts.ended(Attempt(R0, 1), "w", LOST)
+        journal.attempts.ended(Attempt(R0, 1), "w", Failure("infrastructure", "worse"))
     assert read.attempts(tmp_path) == {R0: 3, other: 2}
     assert ended(tmp_path) == [("worker lost for 3 s", "infrastructure")]
 
@@ -203,10 +203,10 @@ def test_the_largest_numbers_of_messages_come_back_and_sums_of_older_ones_are_fi
     journal: Journal, tmp_path: Path
 ) -> None:
     with journal.transaction():
-        journal.attempt_started(Attempt(R0, 10**6), "w", "h", 2**31 - 1)
-        journal.attempt_ended(Attempt(R0, 10**6), "w", "recorded", MOST_SECONDS, MOST_SECONDS)
+        journal.attempts.started(Attempt(R0, 10**6), "w", "h", 2**31 - 1)
+        journal.attempts.ended(Attempt(R0, 10**6), "w", "recorded", MOST_SECONDS, MOST_SECONDS)
         for number in (1, 2):  # a message had no ranges once
-            journal.attempt_ended(Attempt(R0, number), "w", "recorded", 1.5e308, 1.5e308)
+            journal.attempts.ended(Attempt(R0, number), "w", "recorded", 1.5e308, 1.5e308)
     assert read.attempts(tmp_path) == {R0: 10**6}
     outcomes = ChangeReader(tmp_path).read().outcomes
     assert [each.cpu_seconds for each in outcomes] == [MOST_SECONDS] * 3
@@ -228,7 +228,7 @@ def ended(directory: Path) -> list[tuple[str, str | None]]:
 def end(journal: Journal, *outcomes: tuple[RolloutId, int, str | Failure]) -> None:
     for rollout, number, outcome in outcomes:
         with journal.transaction():
-            journal.attempt_ended(Attempt(rollout, number), "w", outcome)
+            journal.attempts.ended(Attempt(rollout, number), "w", outcome)
 
 
 def test_a_failure_of_the_system_is_written_after_one_of_the_infrastructure(journal: Journal, tmp_path: Path) -> None:

@@ -1,0 +1,27 @@
+"""The end of a run: its certificate, and its manifest."""
+
+from pathlib import Path
+
+from ..campaign.ledger import Ledger, observed_discards
+from ..certificate import files
+from ..certificate.issue import issue, manifest
+from ..store import read
+from ..store.files import read_evidence
+from . import assignments
+
+
+def certify(directory: Path, ledger: Ledger) -> None:
+    """Write the certificate of a campaign that is done, and its manifest.
+
+    Raises:
+        EvidenceError: the kept file of a discarded rollout is missing or damaged.
+
+    """
+    for fact in observed_discards(ledger):
+        read_evidence(directory, fact.path, fact.sha256)
+    assignments.forget(directory)
+    found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), observed_discards(ledger))
+    irreproducible = read.irreproducible(directory) > 0
+    differing = read.contradicted(directory)
+    certificate = issue(ledger, found, irreproducible=irreproducible, contradicted=differing)
+    files.write(directory, certificate, found.text)

@@ -1,0 +1,42 @@
+"""What the run keeps and tells of the trust in its workers and hosts."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ...schemas.errors import one_line
+from ...schemas.ids import RolloutId
+from ..fleet import events
+from ..fleet.opinions import FOR_GOOD
+from ..fleet.retries import blames_rollout
+from ..store import read
+from ..store.attempts import AttemptLog
+from .format import duration
+
+
+def note(
+    action: events.SetAside | events.TakeBack | events.Compared | events.Outvoted,
+    log: AttemptLog,
+    print_line: Callable[[str], None],
+) -> None:
+    """Write what concerns the trust in a worker or host; inside a transaction."""
+    match action:
+        case events.SetAside(place, seconds, reason):
+            log.set_aside(place.kind, place.name, seconds, reason)
+            length = duration(seconds) if seconds < FOR_GOOD else "good"
+            print_line(f"{place.kind} {place.name} is set aside for {length}: {one_line(reason)}")
+        case events.Compared(worker, attempt, digest):
+            log.opinion("compared", attempt, worker, digest)
+        case events.Outvoted(worker, attempt, digest):
+            log.opinion("outvoted", attempt, worker, digest)
+        case events.TakeBack(place):
+            log.set_aside(place.kind, place.name, 0.0, "")
+
+
+def failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:
+    """Return the failures of earlier sessions that blame their rollouts; `deadline` of a rollout in s."""
+    found: dict[RolloutId, tuple[events.EarlierFailure, ...]] = {}
+    for each in read.failures(directory):
+        if blames_rollout(each.failure, deadline):
+            failed = events.EarlierFailure(events.Fail(each.worker, each.attempt, each.failure), each.host)
+            found[each.attempt.rollout] = (*found.get(each.attempt.rollout, ()), failed)
+    return found

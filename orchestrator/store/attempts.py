@@ -1,0 +1,76 @@
+"""The part of the journal that depends on chance: attempts and their ends, pauses and comparisons of workers."""
+
+import time
+from typing import Any
+
+import sqlalchemy as sa
+
+from ...schemas.facts import RECORDED
+from ...schemas.failure import Failure
+from ...schemas.ids import Attempt, RolloutId
+from . import tables
+from .pending import PendingRows
+from .rows import attempt_key, has_column, has_table, outcome_fields
+
+
+class AttemptLog:
+    """Attempts of one session; everything is written inside the transaction of the journal."""
+
+    def __init__(self, rows: PendingRows, version: int, session: int) -> None:
+        self._rows, self._version, self._session = rows, version, session
+
+    def started(self, attempt: Attempt, worker: str, host: str, pid: int) -> None:
+        """Write a new attempt, before it is assigned."""
+        row = {"worker": worker, "host": host, "pid": pid, "session": self._session, "started": time.time()}
+        self._rows.add(tables.attempts, attempt_key(attempt) | row)
+
+    def ended(self, attempt: Attempt, worker: str, outcome: str | Failure, cpu: float = 0.0, wall: float = 0.0) -> None:
+        """Write the outcome of an attempt: RECORDED, RESTORED or a failure.
+
+        A worker that was given up may still deliver its result, or report a failure. A result is written in any case,
+        a failure of the infrastructure as the first outcome alone, a failure of the system as the first of its kind.
+        """
+        if isinstance(outcome, Failure) and self._rows.read(_failures_of(attempt, outcome, self._version)):
+            return
+        row = {"worker": worker, "ended": time.time(), "cpu_seconds": cpu, "wall_seconds": wall}
+        self._rows.add(tables.outcomes, attempt_key(attempt) | row | outcome_fields(outcome, self._version))
+
+    def set_aside(self, kind: str, name: str, seconds: float, reason: str) -> None:
+        """Write the pause of a worker or host, or 0 s for the end of one; databases before version 5 have no place."""
+        if has_table("set_aside", self._version):
+            row = {"kind": kind, "name": name, "seconds": seconds, "reason": reason}
+            self._rows.add(tables.set_aside, {"session": self._session, "at": time.time(), **row})
+
+    def opinion(self, kind: str, attempt: Attempt, worker: str, sha256: str) -> None:
+        """Write the digest of a result that is compared, outvoted or reviewed; not before version 5."""
+        if has_table("opinions", self._version):
+            row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time()}
+            self._rows.add(tables.opinions, attempt_key(attempt) | row)
+
+    def suspects(self) -> list[RolloutId]:
+        """Return the rollouts that an outvoted worker recorded and that no other one has simulated."""
+        if not has_table("opinions", self._version):
+            return []
+        seen, ended = tables.opinions.c, tables.outcomes.c
+        outvoted = sa.select(seen.worker).where(seen.kind == "outvoted")
+        if not self._rows.read(outvoted.limit(1)):
+            return []
+        others = sa.select(seen.rollout).where(seen.kind != "outvoted")
+        query = sa.select(ended.rollout).where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
+        return [RolloutId.parse(row[0]) for row in self._rows.read(query.where(ended.rollout.not_in(others)))]
+
+    def worker_of(self, rollout: RolloutId, attempt: int | None = None) -> str | None:
+        """Return the worker of an attempt, or the one whose result was recorded; inside or outside a transaction."""
+        table = tables.outcomes if attempt is None else tables.attempts
+        which = table.c.outcome == RECORDED if attempt is None else table.c.attempt == attempt
+        rows = self._rows.read(sa.select(table.c.worker).where(table.c.rollout == str(rollout), which))
+        return str(rows[0][0]) if rows else None
+
+
+def _failures_of(attempt: Attempt, failure: Failure, version: int) -> sa.Select[Any]:
+    """Return the query of the outcomes of an attempt to which a failure adds nothing."""
+    columns = tables.outcomes.c
+    this = (columns.rollout == str(attempt.rollout)) & (columns.attempt == attempt.number)
+    if failure.kind == "system" and has_column("outcomes", "kind", version):
+        this &= columns.kind == "system"
+    return sa.select(columns.attempt).where(this)

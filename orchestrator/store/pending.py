@@ -1,0 +1,47 @@
+"""Rows that wait for the end of a transaction, and queries that see them."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import Connection
+
+from . import tables
+
+_INSERTS = (
+    {table: table.insert() for table in tables.FACTS}
+    | {table: table.insert().prefix_with("OR IGNORE") for table in (tables.attempts, tables.outcomes)}
+    | {table: table.insert() for table in (tables.set_aside, tables.opinions)}
+)
+"""In the order of their foreign keys. An attempt may be written twice (OR IGNORE), a fact never."""
+
+
+class PendingRows:
+    """The rows of the open transaction of a connection."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._rows: defaultdict[sa.Table, list[dict[str, Any]]] = defaultdict(list)
+
+    def add(self, table: sa.Table, row: dict[str, Any]) -> None:
+        """Add one row; nothing touches the disk yet."""
+        self._rows[table].append(row)
+
+    def clear(self) -> None:
+        """Drop what has not been written."""
+        self._rows.clear()
+
+    def flush(self) -> None:
+        """Write the rows, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
+        for table, insert in _INSERTS.items():
+            if rows := self._rows.pop(table, None):
+                self._connection.execute(insert, rows)
+
+    def read(self, query: sa.Select[Any]) -> Sequence[sa.Row[Any]]:
+        """Return the rows of a query; rows of the open transaction are among them."""
+        if not self._connection.in_transaction() and not self._rows:
+            with self._connection.begin():
+                return self._connection.execute(query).all()
+        self.flush()
+        return self._connection.execute(query).all()
