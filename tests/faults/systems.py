@@ -16,8 +16,8 @@ ODD = {"gap": ("nan", "short", "late", "columns", "raise"), "brief": ("nan", "hu
 
 Not among them: another time grid. A pair has two, and the first of them to arrive is right by definition.
 """
-OF_INFRASTRUCTURE = tuple(kind for kind in BEFORE if kind not in OF_SYSTEM)
-"""Failures of the infrastructure: the process hangs or ends; or it only prints and leaks."""
+OF_INFRASTRUCTURE = tuple(kind for kind in BEFORE if kind not in (*OF_SYSTEM, "lack"))
+"""Failures of the infrastructure: the process hangs or ends; or it only prints and leaks. A node lacks a module."""
 
 
 def misbehave(scene: Scene) -> None:
