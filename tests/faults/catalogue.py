@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from tests.faults import deaths, links, machine, nodes, removals, systems
+from tests.faults import deaths, links, machine, nodes, peers, removals, systems
 from tests.faults.scene import Scene
 
 
@@ -74,6 +74,7 @@ FAULTS = {
         Fault(removals.lost_evidence, (*BRIEF, "gap")),
         Fault(removals.lost_database, BRIEF),
         Fault(machine.jump_clock, ("brief", "brief", "segway"), _no_compiler),
+        Fault(peers.hostile_peer, ("brief",)),
         Fault(systems.misbehave, PLUGIN),
         Fault(systems.fail_once, PLUGIN),
         Fault(systems.odd_result, ("gap", "brief")),

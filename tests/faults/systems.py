@@ -16,8 +16,8 @@ ODD = {"gap": ("nan", "short", "late", "columns", "raise"), "brief": ("nan", "hu
 
 Not among them: another time grid. A pair has two, and the first of them to arrive is right by definition.
 """
-OF_INFRASTRUCTURE = tuple(kind for kind in BEFORE if kind not in OF_SYSTEM)
-"""Failures of the infrastructure: the process hangs or ends; or it only prints and leaks."""
+OF_INFRASTRUCTURE = tuple(kind for kind in BEFORE if kind not in (*OF_SYSTEM, "lack"))
+"""Failures of the infrastructure: the process hangs or ends; or it only prints and leaks. A node lacks a module."""
 
 
 def misbehave(scene: Scene) -> None:
@@ -62,7 +62,8 @@ def _misbehave(scene: Scene, among: Sequence[str], *, alike: bool = True) -> Non
         for number in range(scene.chance.choice((1, 1, 2))):
             # Two failures of the system with one reason would end the campaign.
             kind = kinds[place if alike else (place + number) % len(kinds)]
-            (plan / f"{seed}-{number}-{kind}").touch()
+            if not (kind == "dawdle" and number):  # two missed deadlines of one rollout end the campaign as well
+                (plan / f"{seed}-{number}-{kind}").touch()
     scene.start()
     scene.finish()
     for file in sorted((plan / "taken").iterdir()):
