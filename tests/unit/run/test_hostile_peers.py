@@ -40,6 +40,7 @@ from perfbound.schemas.messages import (
     decode_request,
     encode_message,
 )
+from perfbound.schemas.platforms import platform_class
 from perfbound.schemas.sealed import SEAL, SHOWN, OrchestratorEnd, Packet, WorkerEnd
 from perfbound.workers.systems import load_system
 from tests.campaigns import UNCHECKED
@@ -268,7 +269,7 @@ def test_a_result_that_no_assignment_proves_is_not_recorded(tmp_path: Path, calm
         assert serve(directory, network, log) == calm
     assert [outcome for outcome, _ in recorded(directory)] == ["recorded"] * ROLLOUTS
     assert {line.partition(" of ")[2].partition("-")[0] for line in log.lines} == {"worker"}
-    assert all(line.endswith("no assignment proves them") for line in log.lines)
+    assert all(line.endswith("no assignment proves its result") for line in log.lines)
     assert not (directory / assignments.KEY).exists()
 
 
@@ -303,6 +304,7 @@ def test_a_process_that_a_message_claims_is_not_ended(tmp_path: Path) -> None:
             version=__version__,
             worker="local-1-0123abcd",
             host=os.uname().nodename,
+            platform=platform_class(),
             pid=own.pid,
             systems={"test-function": load_system("test-function").spec.identities},
             state="idle",

@@ -23,8 +23,8 @@ from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.messages import ResultHeader
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers.systems import load_system
-from perfbound.workers.transport import Receiver
 from tests.campaigns import UNCHECKED
+from tests.fakes.altering import AlteringUplink
 from tests.fakes.inmemory import InMemoryUplink, Log, Network, Wrap, begin, campaign, hurry, run_of, serve, working
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
@@ -39,23 +39,17 @@ def honest(uplink: InMemoryUplink) -> InMemoryUplink:
     return uplink
 
 
-class Liar:
+class Liar(AlteringUplink):
     """The uplink of a worker that sends plausible results that are false."""
 
     def __init__(self, inner: InMemoryUplink, alter: Callable[[bytes], bytes]) -> None:
-        self._inner, self._alter = inner, alter
-        self.orchestrators = inner.orchestrators
-        self.leave = inner.leave
-        self.report = inner.report
-
-    def join(self, run: str, worker: str, receive: Receiver) -> None:
-        """Pass on."""
-        self._inner.join(run, worker, receive)
+        super().__init__(inner)
+        self._alter = alter
 
     def deliver(self, header: ResultHeader, payload: bytes) -> None:
         """Lie, in the same way each time."""
         altered = self._alter(payload)
-        self._inner.deliver(header.model_copy(update={"sha256": hashlib.sha256(altered).hexdigest()}), altered)
+        super().deliver(header.model_copy(update={"sha256": hashlib.sha256(altered).hexdigest()}), altered)
 
 
 @pytest.fixture(autouse=True)

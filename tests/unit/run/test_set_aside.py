@@ -24,8 +24,8 @@ from perfbound.schemas.messages import ResultHeader, WorkerState
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.workers import worker as module
 from perfbound.workers.systems.base import Progress, SystemUnderTest
-from perfbound.workers.transport import Receiver
 from tests.campaigns import UNCHECKED
+from tests.fakes.altering import AlteringUplink
 from tests.fakes.inmemory import InMemoryUplink, Log, Network, begin, campaign, hurry, run_of, serve, working
 
 PRESET = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
@@ -34,26 +34,17 @@ CONFIG = parse_campaign(
 )
 
 
-class BrokenNode:
+class BrokenNode(AlteringUplink):
     """The uplink of a worker of another host that fails in everything."""
-
-    def __init__(self, inner: InMemoryUplink) -> None:
-        self._inner = inner
-        self.orchestrators = inner.orchestrators
-        self.leave = inner.leave
-
-    def join(self, run: str, worker: str, receive: Receiver) -> None:
-        """Pass on."""
-        self._inner.join(run, worker, receive)
 
     def report(self, state: WorkerState) -> None:
         """Report another host."""
-        self._inner.report(state.model_copy(update={"host": "far"}))
+        super().report(state.model_copy(update={"host": "far"}))
 
     def deliver(self, header: ResultHeader, payload: bytes) -> None:
         """Fail."""
         failed = {"outcome": "failed", "sha256": "", "error": "no \x1b[31msimulator", "kind": "infrastructure"}
-        self._inner.deliver(header.model_copy(update=failed), b"")
+        super().deliver(header.model_copy(update=failed), b"")
 
 
 @pytest.fixture(autouse=True)
