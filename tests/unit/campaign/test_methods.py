@@ -65,7 +65,6 @@ def fault(text: str, old: str, new: str, **files: Any) -> str:
         ("replicates = 64", "replicates = 0", "problems.sim_gap.replicates: 0 is not allowed"),
         ("replicates = 64", "replicates = 64\nsigma = 'std'", "problems.sim_gap.sigma: unknown key"),
         ('method = "rigorous"', 'method = "rigourous"', "problems.0.method: 'rigourous' is not allowed"),
-        ('method = "rigorous"\n', "", "problems.nominal_robustness.method: this key is required"),
         ('composition = "pointwise"', 'composition = "product"', "composition: 'product' is for method 'paper'"),
         ('kind = "robustness"', 'kind = "predicate_sup", lipschitz = 2.0', "gap.lipschitz: 2 must be 1"),
         ('kind = "robustness"', 'kind = "robustness", column = "phi"', "gap.column: not allowed for kind 'robustness'"),

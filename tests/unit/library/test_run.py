@@ -8,6 +8,7 @@ from matplotlib import pyplot
 from matplotlib.axes import Axes
 
 import perfbound as pb
+from perfbound.library import run as run_module
 from perfbound.library.run import Run
 from perfbound.orchestrator.campaign.methods import method
 from perfbound.orchestrator.campaign.plan import plans
@@ -85,7 +86,7 @@ def test_figures_are_axes_of_the_notebook(run: Run) -> None:
 
 
 def test_names_in_html_are_text(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Run, "_text", lambda _self: "<script>")
+    monkeypatch.setattr(run_module, "_in_words", lambda _: "<script>")
     assert "<script>" not in run._repr_html_()
 
 

@@ -298,7 +298,7 @@ def test_what_breaks_off_inside_a_tell_is_told_again(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("perfbound.orchestrator.store.journal.Journal.attempt_ended", interrupted)
+        patched.setattr("perfbound.orchestrator.store.attempts.AttemptLog.ended", interrupted)
         with pytest.raises(KeyboardInterrupt):
             study.tell(request, curve(request))
     with pytest.raises(PerfboundError, match="closed"):

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from PIL import Image
 
 from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.fleet import simulate
 from perfbound.orchestrator.report.replay import replay
 from perfbound.orchestrator.report.replay.comparison import compare
 from perfbound.orchestrator.report.replay.load import load_recorded
@@ -77,7 +78,7 @@ def spoil(monkeypatch: pytest.MonkeyPatch) -> Callable[[Spoil], None]:
     """Answers for the child in this process, and spoils the file that it writes."""
     spoils: list[Spoil] = []
 
-    def ask(command: str, *arguments: str) -> str:
+    def ask(command: str, *arguments: str, **_: object) -> str:
         given = dict(zip(arguments[::2], arguments[1::2], strict=True))
         if command == "visual":
             return canonical_json(visual_json(Path(given["--file"]).read_bytes()))
@@ -87,7 +88,8 @@ def spoil(monkeypatch: pytest.MonkeyPatch) -> Callable[[Spoil], None]:
         Path(given["--out"]).write_bytes(data)
         return ""
 
-    monkeypatch.setattr(replay, "ask", ask)
+    for module in (replay, simulate):
+        monkeypatch.setattr(module, "ask", ask)
     return spoils.append
 
 
@@ -270,10 +272,11 @@ def test_a_directory_without_a_campaign(tmp_path: Path) -> None:
 
 
 def test_the_reason_of_the_child_is_passed_on(segway: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def ask(*_: str) -> str:
+    def ask(*_: str, **__: object) -> str:
         raise PerfboundError("the system 'segway' is not installed here; known: test-function")
 
-    monkeypatch.setattr(replay, "ask", ask)
+    for module in (replay, simulate):
+        monkeypatch.setattr(module, "ask", ask)
     with pytest.raises(PerfboundError, match="not installed here"):
         list(replay.replay_rollout(segway, NOMINAL, out=tmp_path / "a.png", mcap=tmp_path / "a.mcap"))
     assert list(tmp_path.iterdir()) == []

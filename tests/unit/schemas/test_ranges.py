@@ -50,7 +50,7 @@ REQUEST: dict[str, Any] = {
     "x": [0.0],
     "horizon": 1.0,
 }
-ASSIGN: dict[str, Any] = {"type": "assign", "attempt": 1, "request": REQUEST}
+ASSIGN: dict[str, Any] = {"type": "assign", "attempt": 1, "secret": "0" * 64, "request": REQUEST}
 INTEGERS = {  # the largest that is taken
     ("state", "protocol"): 10**6,
     ("state", "pid"): 2**31 - 1,
