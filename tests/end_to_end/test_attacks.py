@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.end_to_end.processes import Processes, query, wait_for
-from tests.faults.subjects import FUNCTION, LIMITS, install
+from tests.faults.subjects import function_campaign, install
 
 TESTS = 12
 """Of the problem, before the checks."""
@@ -20,7 +20,7 @@ def simulated(directory: Path, series: str) -> int:
 def test_a_kill_in_each_check_changes_nothing(started: Processes) -> None:
     path = f"{install(started.folder / 'plugins')}:{Path(__file__).parents[2]}"
     campaign, calm, killed = (started.folder / name for name in ("campaign.toml", "calm", "killed"))
-    campaign.write_text(FUNCTION.format(name="function", **(LIMITS["function"] | {"tests": TESTS})))
+    campaign.write_text(function_campaign("function", "function", tests=TESTS))
     ended = started.run("perfbound", "run", campaign, "--workers", "2", "--out", calm, PYTHONPATH=path)
     assert ended.code == 0, ended.err
 

@@ -27,7 +27,7 @@ from tests.end_to_end.processes import (
     wait_for,
     write_campaign,
 )
-from tests.faults.subjects import FUNCTION, LIMITS, install
+from tests.faults.subjects import function_campaign, install
 from tests.faults.verdict import REPRODUCIBLE, without
 
 RESUME = "perfbound: stopped; continue with: perfbound resume run\n"
@@ -194,7 +194,7 @@ def test_a_system_that_raises_once_keeps_every_number_and_is_shown_as_irreproduc
     started: Processes, directory: Path
 ) -> None:
     campaign, plugins = started.folder / "c.toml", install(started.folder / "plugins")
-    campaign.write_text(FUNCTION.format(name="once", **{**LIMITS["function"], "tests": 8, "pace": 0.04}))
+    campaign.write_text(function_campaign("once", "function", tests=8, pace=0.04))
     calm, plan = started.folder / "calm", started.folder / "plan"
     path = {"PYTHONPATH": str(plugins), "FAULTY_PLAN": str(plan)}
     assert started.run("perfbound", "run", campaign, "--out", calm, **path).code == 0
@@ -223,7 +223,7 @@ def test_a_system_that_raises_once_keeps_every_number_and_is_shown_as_irreproduc
 def test_ctrl_c_waits_for_no_rollout(started: Processes, directory: Path) -> None:
     """Every rollout lasts an hour: a wait for one would reach the limit of the test."""
     campaign, plugins = started.folder / "c.toml", install(started.folder / "plugins")
-    campaign.write_text(FUNCTION.format(name="endless", **{**LIMITS["slow"], "pace": 3600.0, "deadline": 36000.0}))
+    campaign.write_text(function_campaign("endless", "slow", pace=3600.0, deadline=36000.0))
     process = started.start("perfbound", "run", campaign, "--out", "run", PYTHONPATH=str(plugins))
     wait_for(lambda: len(under_way(directory)) == 2)
     process.signal_group(signal.SIGINT)

@@ -139,6 +139,12 @@ LIMITS = {
 NAMES = (*LIMITS, "segway")
 
 
+def function_campaign(name: str, limits: str, **changes: float) -> str:
+    """Return the file of a campaign with the limits of a subject."""
+    text = GAP if limits == "gap" else FUNCTION
+    return text.format(name=name, **{"second_opinion": 0.0, **LIMITS[limits], **changes})
+
+
 def _hung_after(name: str) -> float:
     return LIMITS[name]["hung_after"] if name in LIMITS else 3.0
 
@@ -164,8 +170,7 @@ def prepare(name: str, folder: Path) -> Subject:
     if name == "segway":
         write_campaign(campaign, hung_after=str(_hung_after(name)), max_attempts="50")
     else:
-        text = GAP if name == "gap" else FUNCTION
-        campaign.write_text(text.format(name=name, **{"second_opinion": 0.0, **LIMITS[name]}))
+        campaign.write_text(function_campaign(name, name))
     subject = Subject(name, campaign, folder / "calm", plugins, _hung_after(name))
     with processes(folder) as started:
         calm = started.start("perfbound", "run", campaign, "--out", subject.calm, PYTHONPATH=subject.path).wait()
