@@ -99,16 +99,24 @@ def simulate_to(
             "give it more time: perfbound simulate --timeout SECONDS, `deadline` in a campaign file"
         ) from None
     except PerfboundError as fault:
-        # The worker knows the identity of the system that is asked for, and not what it consists of.
-        here = system_spec(system or spec.name, "SYSTEM")
-        if request.spec_sha256 not in here.identities and (differing := spec.differences(here)):
-            raise PerfboundError(
-                f"{spec.name} is another build than that of the campaign: {'; '.join(differing)}; use that one"
-            ) from None
-        raise fault from None
+        raise _other_build(request, spec, system) or fault from None
     except Stopped as stop:
         seconds = time.monotonic() - started
         raise Stopped(stop.signal, f"{words} was ended after {seconds:.1f} s, nothing was written") from None
+
+
+def _other_build(request: RolloutRequest, spec: SystemSpec, system: str | None) -> PerfboundError | None:
+    """Return what differs between the system that is here and the one that was asked for; None if that is not it."""
+    # The worker knows the identity of the system that is asked for, and not what it consists of.
+    try:
+        here = system_spec(system or spec.name, "SYSTEM")
+    except PerfboundError:
+        return None
+    if request.spec_sha256 in here.identities or not (differing := spec.differences(here)):
+        return None
+    return PerfboundError(
+        f"{spec.name} is another build than that of the campaign: {'; '.join(differing)}; use that one"
+    )
 
 
 def column_lines(spec: SystemSpec, trajectory: Trajectory) -> Iterator[str]:
