@@ -25,7 +25,7 @@ SEAL = seal.COUNTER + seal.TAG
 BY_CERTIFICATE = "-certificate"
 """Before the seal in the name of an orchestrator with access rules."""
 SHOWN = 5
-"""Messages without a valid seal that are reported; whoever sends more shall not fill the log."""
+"""Messages without a valid seal that are reported; a peer that sends more shall not fill the log."""
 
 
 class Packet(NamedTuple):
@@ -92,7 +92,7 @@ def takes_by_certificate(orchestrator: str) -> bool:
 
 
 class _Line:
-    """What a worker needs to speak with one orchestrator; kept while the worker lives, since its counters go on."""
+    """What a worker needs to speak with one orchestrator; kept while the worker lives, since its counters continue."""
 
     def __init__(self, secret: bytes, run: str, orchestrator: str) -> None:
         self.states = seal.Sealer(seal.Stream(secret, run, orchestrator, "state"))

@@ -1,7 +1,7 @@
 """The secret that the processes of one user share: `PERFBOUND_SECRET`, else a file that only this user can read.
 
 The file lies in the state directory, not in the runtime directory: that one ends with the last session of the user, and
-a campaign goes on. It is made by the first process that needs it.
+a campaign continues. It is made by the first process that needs it.
 """
 
 import os

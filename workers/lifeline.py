@@ -15,5 +15,5 @@ def die_with_parent() -> None:
 
 
 def adopt_orphans() -> None:
-    """Keep all that this process has started below it, also what a child of it left behind."""
+    """Keep all that this process has started below it, also what outlives a child of it."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)

@@ -38,7 +38,7 @@ class Sender:
 
 
 def within_patience(close: Callable[[], object]) -> None:
-    """Call `close` in a thread that is left behind if it takes longer; the end of the process ends it."""
+    """Call `close` in a thread that is not waited for if it takes longer; the end of the process ends it."""
 
     def attempt() -> None:
         try:

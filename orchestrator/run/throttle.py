@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 EACH = 10
 """Lines of one kind about one worker in a period."""
 ALL = 100
-"""Lines of one kind about all workers in a period: whoever may choose names has as many as it likes."""
+"""Lines of one kind about all workers in a period: a peer that chooses names has as many as it likes."""
 PERIOD = 60.0
 """Seconds."""
 

@@ -151,7 +151,7 @@ class Journal:
         return str(found)
 
     def check_place(self) -> None:
-        """Refuse to go on without the database: what is written now would be lost with the last open file.
+        """Refuse to continue without the database: what is written now would be lost with the last open file.
 
         Raises:
             JournalError: another file is in its place, or none.

@@ -57,7 +57,7 @@ class Pauses:
     name: str
     count: int
     until: float
-    """Unix time of the end of the last one, if the session that began it goes on."""
+    """Unix time of the end of the last one, if the session that began it still runs."""
     reason: str
 
 
