@@ -11,7 +11,14 @@ class Model(BaseModel):
     """Frozen, strict, closed: no unknown key, no NaN, no silent conversion."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True, ser_json_inf_nan="strings"
+        extra="forbid",
+        frozen=True,
+        strict=True,
+        allow_inf_nan=False,
+        validate_default=True,
+        ser_json_inf_nan="strings",
+        # Names of fields alone: pydantic otherwise keeps the texts of messages too, thousands of them.
+        cache_strings="keys",
     )
 
 

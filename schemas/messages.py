@@ -3,7 +3,7 @@
 from functools import partial
 from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from .base import Model
 from .errors import MessageError, one_line, shortened
@@ -110,7 +110,9 @@ class ResultHeader(Model):
 
 
 T = TypeVar("T")
-_REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="type")])
+_REQUEST: TypeAdapter[Request] = TypeAdapter(
+    Annotated[Request, Field(discriminator="type")], config=ConfigDict(cache_strings="keys")
+)
 _STATE = TypeAdapter(WorkerState)
 _HEADER = TypeAdapter(ResultHeader)
 
