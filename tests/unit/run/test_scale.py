@@ -24,7 +24,6 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.messages import Request
 from tests.campaigns import cheap
 from tests.fakes.invariants import check_invariants
 from tests.fakes.puppets import Stage
