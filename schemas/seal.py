@@ -38,7 +38,9 @@ def mac(key: bytes, *parts: bytes) -> bytes:
     >>> mac(b"key", b"ab", b"c") == mac(b"key", b"a", b"bc")
     False
     """
-    return hmac.digest(key, b"".join(len(part).to_bytes(8, "big") + part for part in parts), "sha256")
+    message = b"".join(len(part).to_bytes(8, "big") + part for part in parts)
+    # `hmac.digest` gives up the interpreter's lock each time, for which a busy loop keeps it waiting.
+    return hmac.new(key, message, "sha256").digest()
 
 
 def link_password(secret: bytes) -> str:

@@ -13,18 +13,18 @@ import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
 from ...schemas.atomic import move, temporary
-from ...schemas.errors import JournalError, one_line
+from ...schemas.errors import JournalError
 from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
 from ...schemas.ids import RolloutId
 from ...schemas.platforms import platform_class
 from . import tables
 from .attempts import AttemptLog
+from .damage import readable
 from .pending import PendingRows
 from .read import read_facts, read_header, read_version
 from .rows import (
     DATABASE,
     SCHEMA_VERSION,
-    UNREADABLE,
     existing,
     fact_row,
     has_column,
@@ -87,7 +87,7 @@ class Journal:
         engine = open_engine(_unlinked(existing(directory)))
         with ExitStack() as refused:
             refused.callback(engine.dispose)
-            with _readable(directory):
+            with readable(directory):
                 with engine.begin() as connection:
                     header = read_header(connection, directory)
                 opened = cls(directory, engine, header, origin)
@@ -116,7 +116,7 @@ class Journal:
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
-        with _readable(self.directory), self._connection.begin():
+        with readable(self.directory), self._connection.begin():
             yield from read_facts(self._connection)
 
     def recorded(self) -> list[RolloutFact]:
@@ -179,24 +179,6 @@ class Journal:
         self._engine.dispose()
 
 
-@contextmanager
-def _readable(directory: Path) -> Iterator[None]:
-    """Turn an error of a damaged database into a `JournalError`; a full or failing disk is no fault of the file."""
-    try:
-        yield
-    except sa.exc.DatabaseError as error:
-        if _of_the_disk(error):
-            raise
-        raise JournalError(
-            f"{directory / DATABASE}: not a campaign database ({error.orig}); restore it from a copy"
-        ) from None
-    except UNREADABLE as error:
-        raise JournalError(
-            f"{directory / DATABASE}: not a campaign database ({type(error).__name__}: {one_line(str(error))[:200]}); "
-            "restore it from a copy"
-        ) from None
-
-
 def _unlinked(path: Path) -> Path:
     """Refuse a database, or a log beside it, that is a symbolic link: SQLite would write what it leads to."""
     for each in (path, *(path.with_name(f"{path.name}-{log}") for log in ("wal", "shm", "journal"))):
@@ -222,12 +204,6 @@ def _open_session(connection: Connection, version: int, origin: Origin) -> int:
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
         assert key is not None
         return int(key[0])
-
-
-def _of_the_disk(error: sa.exc.DatabaseError) -> bool:
-    """Whether the disk is full or failing, as opposed to the file being damaged."""
-    code = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF  # the primary code, without the detail
-    return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
 
 
 def open_engine(path: Path) -> Engine:

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
-from ...schemas.errors import JournalError, one_line
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.values import ProblemProgress
+from .damage import readable
 from .readonly import is_still, open_readonly
 from .rows import (
-    DATABASE,
-    UNREADABLE,
     bound_fact,
     checked_header,
     checked_version,
@@ -83,21 +81,14 @@ def read_progress(directory: Path) -> CampaignProgress:
     """Return the progress of the campaign in `directory`.
 
     Raises:
-        JournalError: there is none, or it cannot be read.
+        JournalError: there is none, or it is damaged.
+        OSError: the disk is full or fails.
 
     """
     path = existing(directory).resolve()
-    try:
-        with closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
-            connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
-            return _campaign_progress(connection, directory)
-    except sqlite3.DatabaseError as error:
-        raise JournalError(f"{directory / DATABASE}: cannot be read ({error}); restore it from a copy") from None
-    except UNREADABLE as error:
-        raise JournalError(
-            f"{directory / DATABASE}: cannot be read ({type(error).__name__}: {one_line(str(error))[:200]}); "
-            "restore it from a copy"
-        ) from None
+    with readable(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
+        connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
+        return _campaign_progress(connection, directory)
 
 
 def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:

@@ -10,17 +10,15 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
-from ...schemas.errors import JournalError, one_line
 from ...schemas.facts import RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
 from ...schemas.failure import Failure
 from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
+from .damage import readable
 from .readonly import is_still, open_readonly
 from .rows import (
-    DATABASE,
     READERS,
-    UNREADABLE,
     checked_header,
     checked_version,
     existing,
@@ -51,21 +49,14 @@ def reading(directory: Path) -> Iterator[Connection]:
     """Open the database of a campaign read-only, at one moment in time.
 
     Raises:
-        JournalError: there is none, or it cannot be read.
+        JournalError: there is none, or it is damaged.
+        OSError: the disk is full or fails.
 
     """
     path = existing(directory).resolve()
-    try:
-        with _reading_engine(path, immutable=is_still(directory, path)).connect() as connection:
-            connection.exec_driver_sql("BEGIN")  # one snapshot; the driver would begin before a write only
-            yield connection
-    except sa.exc.DatabaseError as error:
-        raise JournalError(f"{directory / DATABASE}: cannot be read ({error.orig}); restore it from a copy") from None
-    except UNREADABLE as error:
-        raise JournalError(
-            f"{directory / DATABASE}: cannot be read ({type(error).__name__}: {one_line(str(error))[:200]}); "
-            "restore it from a copy"
-        ) from None
+    with readable(directory), _reading_engine(path, immutable=is_still(directory, path)).connect() as connection:
+        connection.exec_driver_sql("BEGIN")  # one snapshot; the driver would begin before a write only
+        yield connection
 
 
 @lru_cache(maxsize=16)

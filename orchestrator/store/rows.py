@@ -43,8 +43,6 @@ Campaigns without `rules` follow rules 1; the kind of a failure without `kind` i
 """
 TABLES_ADDED_IN = {"discards": 5, "set_aside": 5, "opinions": 5}
 """Table to the schema version that added it; every other table is as old as version 1."""
-UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RecursionError)
-"""What reading a damaged database raises besides errors of SQLite, whose messages may be no UTF-8 either."""
 _HEADER = ("run", "name", "seed", "config", "config_sha256", "system", "software", "rules")
 
 
