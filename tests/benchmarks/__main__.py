@@ -49,6 +49,7 @@ PARTS = (
     "durability",
     "reactions",
     "throughput",
+    "disturbed",
 )
 """In this order: wall times last."""
 

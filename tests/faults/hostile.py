@@ -224,13 +224,14 @@ class Peer:
 @click.option("--other", type=click.Path(path_type=Path), help="The run directory of another campaign.")
 @click.option("--seed", type=int)
 @click.option("--link", type=json.loads, default=None, help="User and password of the link, as JSON.")
-def main(*, endpoint: str, directory: Path, other: Path, seed: int, link: dict[str, str] | None) -> None:
+@click.option("--rate", type=float, default=RATE, help="Messages a second; 0 is as many as it can.")
+def main(*, endpoint: str, directory: Path, other: Path, seed: int, link: dict[str, str] | None, rate: float) -> None:
     """Disturb the campaign in DIRECTORY, whose orchestrator listens at ENDPOINT; print how many messages it took."""
     over = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: over.set())
     peer, sent = Peer(directory, other, seed), itertools.count()
     try:
-        while not over.wait(1 / RATE):
+        while not over.wait(1 / rate if rate else 0):
             next(sent)
             try:
                 peer.act(endpoint, link)
