@@ -19,7 +19,6 @@ from tests.end_to_end.processes import (
     ROLLOUTS,
     Process,
     Processes,
-    free_port,
     of_run,
     query,
     recorded,
@@ -29,6 +28,7 @@ from tests.end_to_end.processes import (
 )
 from tests.faults.subjects import function_campaign, install
 from tests.faults.verdict import REPRODUCIBLE, without
+from tests.sharing import free_port
 
 RESUME = "perfbound: stopped; continue with: perfbound resume run\n"
 
