@@ -81,7 +81,7 @@ def test_the_judge_finds_an_irreproducible_rollout(tmp_path: Path, subject: Call
     """Where none is expected; and its absence where one is."""
     for number, (act, found) in enumerate(((_raise_once, "1 rollouts"), (_expect_a_failure, "0 rollouts"))):
         folder = tmp_path / str(number)
-        run = perform(Fault(act), randomness(SEED, 0), {"brief": subject("brief")}, folder)
+        run = perform(Fault(act), randomness(SEED, 0), {"function": subject("function")}, folder)
         assert run.verdict.different[-1:] == [f"{found} are irreproducible"], run.verdict
 
 
@@ -98,7 +98,7 @@ def _expect_a_failure(scene: Scene) -> None:
 
 
 def test_the_judge_sees_what_is_wrong(tmp_path: Path, subject: Callable[[str], Subject]) -> None:
-    run = perform(Fault(_spoil), randomness(SEED, 0), {"brief": subject("brief")}, tmp_path / "scene")
+    run = perform(Fault(_spoil), randomness(SEED, 0), {"function": subject("function")}, tmp_path / "scene")
     verdict = run.verdict
     assert len(verdict.lost) == 1
     assert verdict.different == ["certificate.json differs from the calm one"]
