@@ -84,21 +84,23 @@ build/backend/.installed: pyproject.toml $(INSTALLED)
 	touch $@
 
 NOT_SLOW := -m "not slow"
-# In two processes, but for the tests with real processes and real waiting. A file's tests share what is costly to make.
+# A file's tests share what is costly to make. Those with real processes wait much of their time: AT_ONCE.
 PROCESSES := tests/end_to_end tests/faults
 IN_TWO := -n 2 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
+AT_ONCE ?= 3
+SOME_AT_ONCE := -n $(AT_ONCE) --dist loadgroup $(PROCESSES)
 OUR_DOCTESTS := tests/architecture/source.py tests/golden/record.py
 unit: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
 	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas perfbound/library $(OUR_DOCTESTS)
 	$(BIN)/python -m pytest $(IN_TWO) --durations=10 $(NOT_SLOW)
-	$(BIN)/python -m pytest $(PROCESSES) --durations=10 $(NOT_SLOW)
+	$(BIN)/python -m pytest $(SOME_AT_ONCE) --durations=10 $(NOT_SLOW)
 
 explore: $(INSTALLED)-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit
 
 FUZZ ?= 100000
-fuzz: $(INSTALLED)-dev ## Random and mutated bytes at the borders of a run (FUZZ=100000 of each)
-	PERFBOUND_FUZZ=$(FUZZ) $(BIN)/python -m pytest -q tests/unit/fleet/test_fuzz_border.py
+fuzz: $(INSTALLED)-dev ## Random and mutated bytes at every border (FUZZ=100000 of each, fewer of costly ones; prints the sum)
+	PERFBOUND_FUZZ=$(FUZZ) $(BIN)/python -m pytest -q --timeout 0 tests/fuzz tests/unit/fleet/test_fuzz_border.py
 
 MINUTES ?= 10
 SEED ?= 1

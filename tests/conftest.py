@@ -9,6 +9,7 @@ from collections.abc import Generator
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.fuzz import amount
 from tests.missing import MISSING, for_want_of_pybullet
 
 TIMELESS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -36,3 +37,8 @@ def pytest_make_collect_report(
     if report.failed and for_want_of_pybullet(str(report.longrepr)):
         report.outcome, report.longrepr = "skipped", (str(collector.path), 1, f"Skipped: {MISSING}")
     return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if amount.CHOSEN:
+        terminalreporter.write_line(f"{amount.made():,} random inputs at the borders")

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from types import FrameType
 
 from ...schemas.blas import one_blas_thread
@@ -12,7 +13,11 @@ from .exits import end, take_signals
 from .group import cli
 
 
-def _stop(number: int, _frame: FrameType | None) -> None:
+def _stop(number: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        if frame.f_code is _unraisable.__code__:
+            return  # raised in there it would be lost; it is repeated until it gets through
+        frame = frame.f_back
     take_signals(signal.SIG_IGN)  # a second Ctrl-C must not interrupt the shutdown
     raise Stopped(number)
 
@@ -21,9 +26,18 @@ def _unraisable(lost: "sys.UnraisableHookArgs") -> None:
     """Repeat a signal that arrived while a destructor ran: Python drops exceptions there."""
     if isinstance(lost.exc_value, Stopped):
         take_signals(_stop)
-        threading.Timer(0.02, os.kill, (os.getpid(), lost.exc_value.signal)).start()
+        threading.Thread(target=_repeat, args=(lost.exc_value.signal,), daemon=True).start()
     else:
         sys.__unraisablehook__(lost)
+
+
+def _repeat(number: int) -> None:
+    """Send this process a signal, until it is no longer waited for."""
+    while True:
+        time.sleep(0.02)
+        os.kill(os.getpid(), number)
+        if signal.getsignal(number) is not _stop:
+            return
 
 
 def main() -> None:

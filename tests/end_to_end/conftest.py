@@ -1,11 +1,15 @@
+import shutil
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests import sharing
 from tests.end_to_end import processes
 from tests.end_to_end.processes import Processes
+
+HERE = Path(__file__).parent
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -24,9 +28,19 @@ def started(tmp_path: Path) -> Iterator[Processes]:
 
 @pytest.fixture(scope="session")
 def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run directory of the small campaign, run by two workers without trouble."""
-    folder = tmp_path_factory.mktemp("calm")
+    """The run directory of the small campaign, run by two workers without trouble; every process has its own copy."""
+    made = sharing.made_once(sharing.shared_folder(tmp_path_factory) / "calm", run_calmly)
+    return Path(shutil.copytree(made / "run", tmp_path_factory.mktemp("calm") / "run"))
+
+
+def run_calmly(folder: Path) -> None:
     with processes.processes(folder) as found:
         ended = found.run("perfbound", "run", processes.write_campaign(folder / "c.toml"), "--out", folder / "run")
     assert ended.code == 0, ended.err
-    return folder / "run"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """With `--dist loadgroup`, one process runs the tests of a file here: they share what is costly to make."""
+    for item in items:
+        if item.path.parent == HERE:
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))

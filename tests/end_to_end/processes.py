@@ -1,7 +1,6 @@
 """Real `perfbound` processes for tests: started here, and ended here by their pid."""
 
 import os
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -203,11 +202,3 @@ def contents(directory: Path) -> dict[str, tuple[bytes, int]]:
     """Return bytes and time of modification of every file."""
     files = (path for path in sorted(directory.rglob("*")) if path.is_file())
     return {str(path.relative_to(directory)): (path.read_bytes(), path.stat().st_mtime_ns) for path in files}
-
-
-def free_port() -> int:
-    """Return a free port of the loopback."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -19,7 +19,6 @@ from tests.end_to_end.processes import (
     ROLLOUTS,
     Process,
     Processes,
-    free_port,
     of_run,
     query,
     recorded,
@@ -29,6 +28,7 @@ from tests.end_to_end.processes import (
 )
 from tests.faults.subjects import function_campaign, install
 from tests.faults.verdict import REPRODUCIBLE, without
+from tests.sharing import free_port
 
 RESUME = "perfbound: stopped; continue with: perfbound resume run\n"
 
@@ -247,10 +247,14 @@ def test_an_impatient_person_presses_ctrl_c_again_and_again(started: Processes, 
     assert gone(directory)
 
 
-def test_a_signal_that_meets_a_destructor_is_not_lost(started: Processes) -> None:
+@pytest.mark.parametrize("busy", [0.0, 0.3], ids=["idle", "busy"])
+def test_a_signal_that_meets_a_destructor_is_not_lost(started: Processes, busy: float) -> None:
+    """Nor when its repetition arrives before the process is back from where it was noticed, as on a busy machine."""
     (started.folder / "dying.py").write_text(
-        "import os, signal, time\n"
+        "import os, signal, threading, time\n"
         "from perfbound.orchestrator.cli import entry\n"
+        "start = threading.Thread.start\n"
+        f"threading.Thread.start = lambda thread: (start(thread), time.sleep({busy}))\n"
         "class Dying:\n"
         "    def __del__(self):\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"

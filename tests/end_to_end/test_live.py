@@ -15,8 +15,9 @@ from playwright.sync_api import Browser
 
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import processes
-from tests.end_to_end.processes import Process, Processes, contents, free_port, of_run, wait_for, write_campaign
+from tests.end_to_end.processes import Process, Processes, contents, of_run, wait_for, write_campaign
 from tests.patience import PATIENCE
+from tests.sharing import free_port
 
 browser = chromium.browser
 TESTS = 20

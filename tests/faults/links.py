@@ -3,9 +3,9 @@
 import subprocess
 from pathlib import Path
 
-from tests.end_to_end.processes import free_port
 from tests.faults.scene import Scene
 from tests.faults.verdict import prefix
+from tests.sharing import free_port
 
 ROUTER = Path(__file__).with_name("router.py")
 

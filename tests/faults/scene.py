@@ -12,9 +12,10 @@ from pathlib import Path
 import psutil
 
 from perfbound.orchestrator.store import lock
-from tests.end_to_end.processes import Ended, Process, Processes, free_port, recorded, wait_for
+from tests.end_to_end.processes import Ended, Process, Processes, recorded, wait_for
 from tests.faults.subjects import Subject
 from tests.patience import PATIENCE
+from tests.sharing import free_port
 
 MARK = "PERFBOUND_FAULTS"
 """Every process of a scene inherits this variable, whose value is the scene's folder."""

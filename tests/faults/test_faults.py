@@ -1,68 +1,47 @@
 """One fixed run of every class of faults, and the time to detection and to the next result."""
 
 import json
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
 from random import Random
-from threading import Lock
 
 import pytest
 
 from tests.end_to_end.processes import wait_for
 from tests.faults.catalogue import FAULTS, Fault, draw, randomness
 from tests.faults.delays import DELAYS
-from tests.faults.runs import Run, perform
+from tests.faults.runs import perform
 from tests.faults.scene import Scene
 from tests.faults.subjects import Subject, prepare
 from tests.faults.systems import a_plan
 from tests.faults.table import rows
 from tests.faults.verdict import REPRODUCIBLE, without
+from tests.sharing import made_once, shared_folder
 
 SEED = 2
-PARALLEL = 4
-ONE = "test_one_result_per_rollout"
 LEAST = {"dead-worker": 2.9, "hung-worker": 1.9}
 """Seconds that the orchestrator waits before it gives an attempt up; `make bench` measures how long it takes."""
 
 
 @pytest.fixture(scope="session")
 def subject(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Subject]:
-    """Return a maker of campaigns with their calm runs."""
-    base, turn = tmp_path_factory.mktemp("calm"), Lock()
-    known: dict[str, Subject] = {}
+    """Return a maker of campaigns with their calm runs, each made once for all processes."""
+    base = shared_folder(tmp_path_factory)
 
     def make(name: str) -> Subject:
-        with turn:
-            if name not in known:
-                known[name] = prepare(name, base / name)
-            return known[name]
+        return prepare(name, made_once(base / f"subject-{name}", lambda folder: prepare(name, folder)))
 
     return make
 
 
-@pytest.fixture(scope="session")
-def runs(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, subject: Callable[[str], Subject]
-) -> Iterator[dict[str, Future[Run]]]:
-    """Return the runs of the selected tests; they mostly wait, so that some run at the same time."""
-    wanted = {item.callspec.params["name"] for item in request.session.items if item.name.startswith(ONE)}  # type: ignore[attr-defined]
-    base = tmp_path_factory.mktemp("runs")
-    with ThreadPoolExecutor(PARALLEL) as pool:
-        possible = [name for name in sorted(wanted) if not FAULTS[name].missing()]
-        yield {name: pool.submit(_perform, name, base / name, subject) for name in possible}
-
-
-def _perform(name: str, folder: Path, subject: Callable[[str], Subject]) -> Run:
-    fault, chance = FAULTS[name], Random(f"{SEED}/{name}")  # a new class changes no run of the others
-    return perform(fault, chance, {fault.subjects[0]: subject(fault.subjects[0])}, folder)
-
-
 @pytest.mark.parametrize("name", sorted(FAULTS))
-def test_one_result_per_rollout_and_the_same_certificate(name: str, runs: dict[str, Future[Run]]) -> None:
-    if reason := FAULTS[name].missing():
+def test_one_result_per_rollout_and_the_same_certificate(
+    name: str, tmp_path: Path, subject: Callable[[str], Subject]
+) -> None:
+    fault, chance = FAULTS[name], Random(f"{SEED}/{name}")  # a new class changes no run of the others
+    if reason := fault.missing():
         pytest.skip(reason)
-    run = runs[name].result()
+    run = perform(fault, chance, {fault.subjects[0]: subject(fault.subjects[0])}, tmp_path / "run")
     assert run.verdict.good, (run.done, run.verdict)
     assert run.injected > 0, run.done
 

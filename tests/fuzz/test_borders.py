@@ -1,7 +1,7 @@
 """Every border takes any input: it ends with a documented error or a value, never with another exception.
 
-`PERFBOUND_FUZZ` is the number of inputs for each border, `PERFBOUND_FUZZ_SEED` the first of their seeds; a failure
-prints the seed of its input.
+`PERFBOUND_FUZZ` is the number of inputs for each border (see `tests.fuzz.amount`), `PERFBOUND_FUZZ_SEED` the first of
+their seeds; a failure prints the seed of its input.
 """
 
 import io
@@ -40,9 +40,9 @@ from perfbound.schemas.errors import PerfboundError, TrajectoryError
 from perfbound.schemas.trajectory import Trajectory, Visual, encode, read_canonical, read_mcap
 from perfbound.workers.systems import load_system
 from tests.campaigns import FOLDER
+from tests.fuzz.amount import inputs
 from tests.fuzz.mutations import flipped, mutated, rewritten
 
-COUNT = int(os.environ.get("PERFBOUND_FUZZ", "300"))
 FIRST = int(os.environ.get("PERFBOUND_FUZZ_SEED", "0"))
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 MEMORY = 400 * 2**20
@@ -56,9 +56,9 @@ def bounded() -> Iterator[None]:
     assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024 < MEMORY
 
 
-def each(count: int, attempt: Callable[[random.Random], None]) -> None:
+def each(attempt: Callable[[random.Random], None], *, one_in: int = 1) -> None:
     """Make an attempt for every seed; name that of a failure."""
-    for seed in range(FIRST, FIRST + count):
+    for seed in inputs(one_in, FIRST):
         try:
             attempt(random.Random(seed))
         except Exception as error:
@@ -109,7 +109,7 @@ def test_trajectory_files(visual: bool) -> None:
                 units = dict.fromkeys(found.trajectory.columns, "1")
                 assert encode(found.trajectory, request=found.request, metadata=metadata, units=units) == each
 
-    each(COUNT, attempt)
+    each(attempt)
 
 
 # Certificates
@@ -131,7 +131,7 @@ def test_certificates(tmp_path: Path) -> None:
         if found is not None:
             text.print_certificate(found, Console(file=io.StringIO()))
 
-    each(COUNT, attempt)
+    each(attempt)
 
 
 def test_manifests() -> None:
@@ -142,7 +142,7 @@ def test_manifests() -> None:
         with suppress(CheckFailed):
             parse_manifest(split_manifest(given)[0])
 
-    each(COUNT, attempt)
+    each(attempt)
 
 
 # Databases
@@ -187,7 +187,7 @@ def test_databases(tmp_path: Path, fixture: str) -> None:
         opened(directory)
         shutil.rmtree(directory)
 
-    each(COUNT // 3, attempt)
+    each(attempt, one_in=3)
 
 
 def test_every_byte_of_the_schema_of_a_database(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def test_every_byte_of_the_schema_of_a_database(tmp_path: Path) -> None:
         opened(directory)
         shutil.rmtree(directory)
 
-    each(COUNT // 3, attempt)
+    each(attempt, one_in=3)
 
 
 def test_verify(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_verify(tmp_path: Path) -> None:
             verify_certificate(directory, key=None, again=0, report=lambda *_: None)
         shutil.rmtree(directory)
 
-    each(COUNT // 10, attempt)
+    each(attempt, one_in=10)
 
 
 # Campaign files and formulas
@@ -234,7 +234,7 @@ def test_campaign_files(name: str) -> None:
             refused = str(error)
         assert refused.startswith("campaign.toml")
 
-    each(COUNT, attempt)
+    each(attempt)
 
 
 def test_formulas() -> None:
@@ -253,4 +253,4 @@ def test_formulas() -> None:
         with suppress(ValueError):
             assert np.isfinite(robustness(tree, columns, samples))
 
-    each(COUNT, attempt)
+    each(attempt)

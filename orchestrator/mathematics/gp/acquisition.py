@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.optimize import minimize
 
 from .kernels import Floats
 
@@ -56,6 +55,8 @@ def climb(value: Callable[[Floats], tuple[float, Floats]], start: Floats, low: F
     >>> abs(float(z[0])) < 1e-6
     True
     """
+    # It takes .3 s of CPU to import, and only campaigns with `refine` climb.
+    from scipy.optimize import minimize  # noqa: PLC0415
 
     def descent(z: Floats) -> tuple[float, Floats]:
         height, gradient = value(z)

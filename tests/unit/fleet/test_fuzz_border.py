@@ -1,11 +1,10 @@
 """Random and mutated bytes at the borders of a run: only the documented errors, and bounded texts.
 
-PERFBOUND_FUZZ sets the number of inputs of each border (`make fuzz` takes 100000); the seed is fixed without it.
+PERFBOUND_FUZZ sets the number of inputs of each border (see `tests.fuzz.amount`); the seed is fixed without it.
 """
 
 import contextlib
 import hashlib
-import os
 import random
 import zlib
 from collections.abc import Callable
@@ -40,9 +39,9 @@ from perfbound.schemas.sealed import OrchestratorEnd
 from perfbound.schemas.trajectory import read_mcap
 from perfbound.workers.simulate import run_request
 from perfbound.workers.systems import load_system
+from tests.fuzz.amount import CHOSEN, inputs
 
-COUNT = int(os.environ.get("PERFBOUND_FUZZ", "1000"))
-RNG = random.Random(None if "PERFBOUND_FUZZ" in os.environ else 7)
+RNG = random.Random(None if CHOSEN else 7)
 SPEC = load_system("test-function").spec
 REQUEST = RequestTemplate.of(SPEC, {}, horizon=0.0, visual=False).request(
     RolloutId("maximum", 0, "true", 0), [parameter.low for parameter in SPEC.parameters], 1
@@ -94,7 +93,7 @@ def mutated(seed: bytes) -> bytes:
 )
 def test_messages(decode: Callable[[bytes], Any], seed: bytes) -> None:
     decode(seed)
-    for _ in range(COUNT):
+    for _ in inputs():
         found, refused = None, ""
         try:
             found = decode(mutated(seed))
@@ -125,7 +124,7 @@ def test_a_file_with_its_checksums_is_the_file() -> None:
 
 def test_files() -> None:
     admit(REQUEST, COLUMNS, FILE, hashlib.sha256(FILE).hexdigest())
-    for _ in range(COUNT):
+    for _ in inputs():
         data = resealed(mutated(FILE))
         with contextlib.suppress(TrajectoryError):
             read_mcap(data)
@@ -153,7 +152,7 @@ def test_readers_of_the_link() -> None:
     for key, (stream, read) in readers.items():
         received: list[Inbound] = []
         sealer = Sealer(Stream(b"", "r", end.name, stream))
-        samples = [_sample(key, sealer, stream) for _ in range(COUNT)]
+        samples = [_sample(key, sealer, stream) for _ in inputs()]
         transport._pump(samples, read, end, received.append)
         # Of those without a valid seal some are reported; all others are read.
         assert len(samples) // 4 < len(received) <= len(samples)
