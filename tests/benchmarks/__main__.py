@@ -19,6 +19,7 @@ one_blas_thread()
 
 from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     campaign,
+    disturbed,
     durability,
     fleet,
     forms,
@@ -101,7 +102,12 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
     if part == "durability":
         return durability.main(None if alone else lambda: child("peers_storage"))
     plain = {"scenario": scenario.main, "rollout": rollout.main, "forms": forms.main, "fleet": fleet.main}
-    whole = {"campaign": campaign.main, "reactions": reactions.main, "throughput": throughput.main}
+    whole = {
+        "campaign": campaign.main,
+        "reactions": reactions.main,
+        "throughput": throughput.main,
+        "disturbed": disturbed.main,
+    }
     return (plain | whole)[part]()
 
 
