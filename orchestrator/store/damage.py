@@ -14,7 +14,7 @@ _UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RecursionErr
 
 
 @contextmanager
-def readable(directory: Path) -> Iterator[None]:
+def naming_cause(directory: Path) -> Iterator[None]:
     """Name the cause of an error of the database in `directory`.
 
     Raises:

@@ -19,7 +19,7 @@ from ...schemas.ids import RolloutId
 from ...schemas.platforms import platform_class
 from . import tables
 from .attempts import AttemptLog
-from .damage import readable
+from .damage import naming_cause
 from .pending import PendingRows
 from .read import read_facts, read_header, read_version
 from .rows import (
@@ -87,7 +87,7 @@ class Journal:
         engine = open_engine(_unlinked(existing(directory)))
         with ExitStack() as refused:
             refused.callback(engine.dispose)
-            with readable(directory):
+            with naming_cause(directory):
                 with engine.begin() as connection:
                     header = read_header(connection, directory)
                 opened = cls(directory, engine, header, origin)
@@ -116,7 +116,7 @@ class Journal:
 
     def facts(self) -> Iterator[Fact]:
         """Yield all facts after the header in the order in which they were written."""
-        with readable(self.directory), self._connection.begin():
+        with naming_cause(self.directory), self._connection.begin():
             yield from read_facts(self._connection)
 
     def recorded(self) -> list[RolloutFact]:

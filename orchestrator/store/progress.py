@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.values import ProblemProgress
-from .damage import readable
+from .damage import naming_cause
 from .readonly import is_still, open_readonly
 from .rows import (
     bound_fact,
@@ -86,7 +86,7 @@ def read_progress(directory: Path) -> CampaignProgress:
 
     """
     path = existing(directory).resolve()
-    with readable(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
+    with naming_cause(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
         connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
         return _campaign_progress(connection, directory)
 

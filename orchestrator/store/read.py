@@ -15,7 +15,7 @@ from ...schemas.failure import Failure
 from ...schemas.ids import CLOSING, Attempt, RolloutId
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
-from .damage import readable
+from .damage import naming_cause
 from .readonly import is_still, open_readonly
 from .rows import (
     READERS,
@@ -54,7 +54,7 @@ def reading(directory: Path) -> Iterator[Connection]:
 
     """
     path = existing(directory).resolve()
-    with readable(directory), _reading_engine(path, immutable=is_still(directory, path)).connect() as connection:
+    with naming_cause(directory), _reading_engine(path, immutable=is_still(directory, path)).connect() as connection:
         connection.exec_driver_sql("BEGIN")  # one snapshot; the driver would begin before a write only
         yield connection
 

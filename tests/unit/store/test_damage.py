@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from perfbound.orchestrator.store.damage import readable
+from perfbound.orchestrator.store.damage import naming_cause
 from perfbound.schemas.errors import JournalError
 
 
@@ -20,7 +20,7 @@ def failed(code: int) -> sqlite3.OperationalError:
 @pytest.mark.parametrize("wrapped", [False, True], ids=["of the driver", "of SQLAlchemy"])
 @pytest.mark.parametrize("code", [sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_IOERR | 18 << 8])
 def test_a_full_or_failing_disk_is_no_fault_of_the_file(tmp_path: Path, code: int, wrapped: bool) -> None:
-    with pytest.raises(OSError, match="disk I/O error") as found, readable(tmp_path):
+    with pytest.raises(OSError, match="disk I/O error") as found, naming_cause(tmp_path):
         raise sa.exc.OperationalError("SELECT", {}, failed(code)) if wrapped else failed(code)
     assert found.value.filename == str(tmp_path / "campaign.db")
 
@@ -28,10 +28,10 @@ def test_a_full_or_failing_disk_is_no_fault_of_the_file(tmp_path: Path, code: in
 @pytest.mark.parametrize("error", [failed(sqlite3.SQLITE_CORRUPT), ValueError("no number"), KeyError("F")])
 def test_a_damaged_file_is_named_with_the_remedy(tmp_path: Path, error: Exception) -> None:
     told = r"campaign\.db: not a campaign database .*; restore it from a copy"
-    with pytest.raises(JournalError, match=told), readable(tmp_path):
+    with pytest.raises(JournalError, match=told), naming_cause(tmp_path):
         raise error
 
 
 def test_what_is_neither_passes(tmp_path: Path) -> None:
-    with pytest.raises(InterruptedError), readable(tmp_path):
+    with pytest.raises(InterruptedError), naming_cause(tmp_path):
         raise InterruptedError
