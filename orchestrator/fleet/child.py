@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from .family import GRACE, STACK_WRITER, end_family, place_of_stack, without_sta
 
 CHILD_TIMEOUT = 120.0
 """Seconds that a child may take to answer."""
+POLL = 1.0
+"""Seconds between two looks at the steps of a child."""
 FAULT = "perfbound-worker: "
 """Begin of the line in which a child gives its fault, with exit code 1; every other line is one of the system."""
 
@@ -120,12 +123,14 @@ def ask(
 
 def _outputs(child: "subprocess.Popen[str]", limit: float, steps: Callable[[], int]) -> tuple[str, str]:
     """Return stdout and stderr of a child that ends; raise TimeoutExpired after `limit` seconds without a step."""
+    done, since = steps(), time.monotonic()
     while True:
-        done = steps()
         try:
-            return child.communicate(timeout=limit)
+            return child.communicate(timeout=min(limit, POLL))
         except subprocess.TimeoutExpired:
-            if steps() == done:
+            if (now := steps()) != done:
+                done, since = now, time.monotonic()
+            elif time.monotonic() - since >= limit:
                 raise
 
 
