@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.errors import PerfboundError, TrajectoryError
+from ...schemas.errors import PerfboundError, Stopped, TrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
@@ -126,6 +126,8 @@ def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple
             hang = f"the rollout gave no result within {plan.limit:g} s, and was ended"
             reason = f"{hang}{error.place}" if isinstance(error, HangError) else error
             raise PilotError(f"{failed.words(plan.spec)}: {reason}") from None
+        except Stopped as stop:
+            raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
         for request, path in zip(requests, paths, strict=True):
             if not path.exists():
                 return

@@ -43,6 +43,8 @@ class Trials:
     variants: tuple[Variant, ...]
     seed: int
     halves: bool = True
+    start: int = 0
+    """Number of the random start at which each process begins."""
 
     @classmethod
     def of(
@@ -73,10 +75,15 @@ class Trials:
         """Return the rollouts of a system that has one horizon alone, in s."""
         return replace(self, template=replace(self.template, horizon=horizon), halves=False)
 
+    def elsewhere(self) -> "Trials":
+        """Return the same rollouts, with another start at which each process begins."""
+        return replace(self, start=self.start + 1)
+
     def fresh(self) -> tuple[Trial, ...]:
         """Return the rollouts of a process that runs no other: the start of each variant."""
         return tuple(
-            Trial(request=self._request(START, 0, variant), beginning=self._beginning) for variant in self.variants
+            Trial(request=self._request(START, self.start, variant), beginning=self._beginning)
+            for variant in self.variants
         )
 
     def first(self, seconds: float) -> tuple[Trial, ...]:
