@@ -4,7 +4,7 @@ import json
 import os
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -91,7 +91,7 @@ def checked_system(
     rolled = partial(_in_child, arguments=(*system_options(reference), *folder), limit=limit, report=report)
     fresh, ended = rolled("start", trials.fresh()), []
     if fresh.ended and fresh.loaded is not None:  # a start that no process survives must not hide the others
-        ended, trials = [fresh], trials.elsewhere()
+        ended, trials = [fresh], replace(trials, start=trials.start + 1)
         fresh = rolled("another start", trials.fresh())
     own = own_horizon(spec, fresh) if given is None else None
     if own is not None:

@@ -75,10 +75,6 @@ class Trials:
         """Return the rollouts of a system that has one horizon alone, in s."""
         return replace(self, template=replace(self.template, horizon=horizon), halves=False)
 
-    def elsewhere(self) -> "Trials":
-        """Return the same rollouts, with another start at which each process begins."""
-        return replace(self, start=self.start + 1)
-
     def fresh(self) -> tuple[Trial, ...]:
         """Return the rollouts of a process that runs no other: the start of each variant."""
         return tuple(
