@@ -34,6 +34,9 @@ $(INSTALLED)-%: $(LOCK)-%.txt $(INSTALLED)
 	$(INSTALL) --require-hashes -r $<
 	touch $@
 
+# Another Python has no locks: the rule above does not apply, and that of $(INSTALLED) says what is wrong.
+$(INSTALLED)-%: $(INSTALLED) ;
+
 setup: $(INSTALLED) ## Make the virtual environment with the locked versions (PYTHON=python3.12)
 
 mujoco: $(INSTALLED)-mujoco ## Add MuJoCo to it, for deploy/examples/cartpole

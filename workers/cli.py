@@ -258,8 +258,12 @@ def simulate(request: str, out: Path) -> None:
 @click.option("--seconds", type=float, required=True, help="No rollout starts later than this.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the files.")
 def pilot(requests: Path, seconds: float, out: Path) -> None:
-    """Run rollouts one after the other in this process; `K.mcap` is the file of the K-th request, from 0."""
+    """Run rollouts one after the other in this process; `K.mcap` is the file of the K-th request, from 0.
+
+    A first file, `loaded`, says that the systems in files are loaded.
+    """
     _be_child()
+    (out / "loaded").touch()
     end = time.monotonic() + seconds
     for number, request in enumerate(requests.read_text().splitlines()):
         if number and time.monotonic() > end:

@@ -41,6 +41,8 @@ class FirstValues:
     clip: tuple[float, float] | None
     constants: dict[ProblemName, Constants]
     """Of each problem, in the order of the file."""
+    guess: str = ""
+    """Ends the meaning of clip and constants that no pilot shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,7 @@ class FirstCampaign:
         if basis.clip is not None:
             yield from _comment(
                 "Range to which the robustness, the margin to a violation, is clipped; the claim is about the clipped "
-                "one. Choose it so that it contains nearly all values."
+                f"one. Choose it so that it contains nearly all values.{basis.guess}"
             )
             yield f"clip = [{basis.clip[0]!r}, {basis.clip[1]!r}]"
         if len(basis.constants) == 2:
@@ -104,6 +106,11 @@ class FirstCampaign:
         yield "# Tests of a problem at most; the bound is valid whenever they end."
         yield f"max_tests = {self.size.max_tests}"
         yield from self._checks()
+        yield from _comment(
+            "For workers on several machines: this share of the rollouts is simulated by two of them, and counts if "
+            "both agree, so that a machine that computes wrongly is found. It costs as many rollouts more."
+        )
+        yield "# second_opinion = 0.02"
 
     def _checks(self) -> Iterator[str]:
         """Yield the sizes of the closing checks, where the defaults would take long."""
@@ -143,7 +150,7 @@ class FirstCampaign:
             yield from _comment(about)
             yield "[[problems]]"
             yield f'name = "{name}"'
-            yield from _constant_lines(constants, objective)
+            yield from _constant_lines(constants, objective, self.basis.guess)
             if name in self.noisy and self.size.replicates > 1:
                 yield "# Rollouts of a test, with different seeds."
                 yield f"replicates = {self.size.replicates}"
@@ -152,14 +159,14 @@ class FirstCampaign:
             yield f"kernel = {{ length_scale = {{ {lengths} }} }}"
 
 
-def _constant_lines(found: Constants, objective: str) -> Iterator[str]:
-    yield "# The problem stops when its bounds are so near."
+def _constant_lines(found: Constants, objective: str, guess: str) -> Iterator[str]:
+    yield "# The problem stops when its bounds are so near, or after max_tests: both give valid bounds."
     yield f"alpha = {found.alpha!r}"
-    yield f"# About the mean of {objective} over all starts."
+    yield f"# About the mean of {objective} over all starts.{guess}"
     yield f"prior_mean = {found.prior_mean!r}"
     yield from _comment(
         f"B, the norm of {objective} minus prior_mean for the kernel: the main assumption. It is above every distance "
-        "from prior_mean; a larger one is safer and proves less."
+        f"from prior_mean; a larger one is safer and proves less.{guess}"
     )
     yield f"rkhs_norm = {found.rkhs_norm!r}"
     yield from _comment(_NOISE.get(found.noise_scale, _NOISE_NUMBER))
@@ -172,8 +179,9 @@ _NOISE = {
     "noisiest start, as a number, is an assumption and proves more.",
 }
 _NOISE_NUMBER = (
-    "R, the noise of one rollout: the standard deviation at the noisiest start, with a margin; an assumption. "
-    '"derived" follows from the clip, assumes nothing and proves less.'
+    "R, the noise of one rollout: 1.5 times the largest standard deviation of two rollouts at a start, an assumption. "
+    "It is often three times the typical one, because it has to hold at the noisiest start; one from many rollouts "
+    'there proves more. "derived" follows from the clip, assumes nothing and proves less.'
 )
 
 

@@ -37,6 +37,7 @@ MOST_NODES = 20_000
 NORM_FACTOR = 2.0
 """The campaign sees more of the objective than a pilot, and finds larger norms."""
 NOISE_FACTOR = 1.5
+"""Of the largest s. A smaller factor, or a mean over neighbours, is often below a noise that grows to one side."""
 PARTS = 20
 """Parts into which `alpha` divides the spread of the objective."""
 NOISE_OF_FIT = 0.02

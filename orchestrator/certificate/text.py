@@ -5,7 +5,6 @@ styles, never as markup: names, paths and formulas may contain brackets.
 """
 
 import math
-import shlex
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sized
 from pathlib import Path
@@ -25,6 +24,7 @@ from ...schemas.certificate import (
     SpotCheck,
     SpotCheckedProblem,
 )
+from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
 
@@ -78,17 +78,17 @@ def quantity_words(quantity: Quantity, starts: int | None) -> str:
     return QUANTITIES[quantity] if starts is None else LISTED[quantity].format(starts)
 
 
-def print_certificate(certificate: Certificate, console: Console) -> None:
-    """Print the whole certificate."""
+def print_certificate(certificate: Certificate, console: Console, unit: str = "") -> None:
+    """Print the whole certificate; `unit` is that of the robustness, if it has one."""
     predicate = certificate.predicate
     # First of all: a claim that rests on a refuted assumption proves nothing, however good its number.
     broken = [each for each in predicate.assumptions if each.status == "refuted"]
     if broken:
         _heading(console, f"REFUTED, by the data of this campaign or by derivation: {_count(broken)}", "bold red")
         _assumptions(broken, console)
-    first_claim(certificate, console)
+    first_claim(certificate, console, unit)
     for number in range(1, len(predicate.claims)):
-        _claim("also", certificate, number, console)
+        _claim("also", certificate, number, console, unit)
     if len(predicate.claims) > 1:
         console.print()
         _line(console, "The first claim was chosen beforehand. Each has its own probability; if you pick the best")
@@ -110,9 +110,9 @@ def print_assumptions(certificate: Certificate, console: Console) -> None:
     _assumptions(certificate.predicate.assumptions, console)
 
 
-def first_claim(certificate: Certificate, console: Console) -> None:
-    """Print the claim that was chosen beforehand."""
-    _claim("CLAIM", certificate, 0, console)
+def first_claim(certificate: Certificate, console: Console, unit: str = "") -> None:
+    """Print the claim that was chosen beforehand; `unit` is that of the robustness."""
+    _claim("CLAIM", certificate, 0, console, unit)
 
 
 def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
@@ -198,13 +198,14 @@ def print_files(directory: Path, console: Console) -> None:
     ):
         if (directory / name).exists():
             _line(console, f"  {content:<12} {directory / name}")
-    _line(console, f"  verify with  perfbound verify {shlex.quote(str(directory))}")
 
 
-def _claim(title: str, certificate: Certificate, number: int, console: Console) -> None:
+def _claim(title: str, certificate: Certificate, number: int, console: Console, unit: str) -> None:
     predicate = certificate.predicate
     claim = predicate.claims[number]
-    _heading(console, f"{title}  {quantity_words(claim.quantity, claim.starts)} {claim.sense} {_bound(claim)}", "bold")
+    of_robustness = claim.quantity != "J_star"  # the other one is about a column
+    shown = f"{_bound(claim)} {one_line(unit)}" if of_robustness and unit not in {"", "1"} else _bound(claim)
+    _heading(console, f"{title}  {quantity_words(claim.quantity, claim.starts)} {claim.sense} {shown}", "bold")
     rule = "" if claim.rule == "single" else f"{claim.rule} rule, "
     source = f"method {claim.method}, {rule}{_count(claim.assumptions)}"
     _line(console, f"       with probability at least {outward(claim.probability, '>=')} ({source})")

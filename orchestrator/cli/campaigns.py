@@ -177,8 +177,9 @@ def _run_new(
 
 
 def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, report: bool) -> None:
-    from ..certificate import text  # noqa: PLC0415
     from ..run.directory import finished_certificate  # noqa: PLC0415
+    from ..store.read import stored_header  # noqa: PLC0415
+    from .status import print_result  # noqa: PLC0415
 
     console, found = output_console(), finished_certificate(directory)
     if key is not None:
@@ -186,8 +187,7 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
     # Before anything is printed: a pipe that closes, as that of `| head`, ends the process.
     if report:
         draw(directory)
-    text.print_certificate(found, console)
-    text.print_files(directory, console)
+    print_result(directory, stored_header(directory), found, console)
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
 

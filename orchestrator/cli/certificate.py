@@ -19,7 +19,10 @@ from .stderr import STDERR
     "--resimulate", "again", type=click.IntRange(0), default=0, metavar="K", help="Simulate K random rollouts again."
 )
 @click.option(
-    "--system", default=None, metavar="FILE.py:NAME", help="With --resimulate: the system, if it is in a file."
+    "--system",
+    default=None,
+    metavar="REF",
+    help="With --resimulate: the system, if it is in a file; FILE.py:NAME or its campaign file.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON.")
 def verify(*, path: Path, key: Path | None, again: int, system: str | None, as_json: bool) -> None:

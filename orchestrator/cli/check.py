@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 @click.option(
     "--timeout",
     type=click.FloatRange(0, 86_400, min_open=True),
-    default=60.0,
-    show_default=True,
-    help="Seconds that a rollout may take.",
+    default=None,
+    help="Seconds that a rollout may take; default: `deadline` of the campaign file, else 60.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 def check_system(
@@ -35,7 +34,7 @@ def check_system(
     horizon: float | None,
     options: tuple[str, ...],
     seed: int,
-    timeout: float,
+    timeout: float | None,
     as_json: bool,
 ) -> None:
     """Test what a certificate rests on, for SYSTEM: an installed one, FILE.py:NAME or a campaign file.

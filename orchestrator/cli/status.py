@@ -1,18 +1,25 @@
 """`perfbound status`: the progress of a campaign, from its database alone."""
 
 import math
+import shlex
 import time
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
+from ...schemas.certificate import Certificate
 from ...schemas.errors import one_line
+from ...schemas.facts import Header
+from ...schemas.places import short_path
 from ..certificate import files, text
+from ..fleet.child import in_file
 from ..run.format import duration, resume_command
 from ..run.table import progress_table, remaining_tests
 from ..store import lock
+from ..store.export_tables import robustness_unit
 from ..store.progress import CampaignProgress, read_progress
+from ..store.read import system_reference
 
 
 def print_status(directory: Path, console: Console) -> None:
@@ -37,10 +44,22 @@ def print_status(directory: Path, console: Console) -> None:
     for line in _work(found, running=running):
         console.print(Text(line), soft_wrap=True)
     if certificate is not None:
-        text.print_certificate(certificate, console)
-        text.print_files(directory, console)
+        print_result(directory, found.header, certificate, console)
     elif not running:
         console.print(Text(f"continue with: {resume_command(directory)}"), soft_wrap=True)
+
+
+def print_result(directory: Path, header: Header, certificate: Certificate, console: Console) -> None:
+    """Print the certificate of a finished campaign, its files, and what comes next."""
+    text.print_certificate(certificate, console, robustness_unit(header.config, header.spec))
+    text.print_files(directory, console)
+    verify = f"perfbound verify {shlex.quote(str(directory))}"
+    if header.spec.repeated == "anywhere":
+        reference = system_reference(directory)
+        system = f" --system {shlex.quote(short_path(reference))}" if in_file(reference) else ""
+        verify += f" --resimulate 5{system}"
+    console.print(Text("\nThe campaign is finished. Its report shows the claim; to check it against the evidence:"))
+    console.print(Text(f"  {verify}"), soft_wrap=True)
 
 
 def _work(progress: CampaignProgress, *, running: bool) -> list[str]:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from .family import GRACE, STACK_WRITER, end_family, place_of_stack, without_sta
 
 CHILD_TIMEOUT = 120.0
 """Seconds that a child may take to answer."""
+POLL = 1.0
+"""Seconds between two looks at the steps of a child."""
 FAULT = "perfbound-worker: "
 """Begin of the line in which a child gives its fault, with exit code 1; every other line is one of the system."""
 
@@ -70,11 +73,16 @@ def system_options(reference: str | None) -> list[str]:
 
 
 def ask(
-    command: str, *arguments: str, limit: float = CHILD_TIMEOUT, on_line: Callable[[str], None] | None = None
+    command: str,
+    *arguments: str,
+    limit: float = CHILD_TIMEOUT,
+    steps: Callable[[], int] = lambda: 0,
+    on_line: Callable[[str], None] | None = None,
 ) -> str:
     """Return the output of a command of a `workers` child; `on_line` gets what the system printed, line by line.
 
-    After `limit` seconds, and when this process is stopped, the child and everything that it started is ended.
+    After `limit` seconds, and when this process is stopped, the child and everything that it started is ended. A child
+    that does several things may take `limit` seconds for each; `steps` counts those that are done.
 
     Raises:
         HangError: it gives no answer in time.
@@ -93,7 +101,7 @@ def ask(
     )
     with child:
         try:
-            output, errors = child.communicate(timeout=limit)
+            output, errors = _outputs(child, limit, steps)
         except subprocess.TimeoutExpired:
             end_family(child, stack=True)
             raise HangError(command, limit, place_of_stack(_rest_of_errors(child))) from None
@@ -111,6 +119,19 @@ def ask(
     if child.returncode:
         raise PerfboundError(reason)
     return output
+
+
+def _outputs(child: "subprocess.Popen[str]", limit: float, steps: Callable[[], int]) -> tuple[str, str]:
+    """Return stdout and stderr of a child that ends; raise TimeoutExpired after `limit` seconds without a step."""
+    done, since = steps(), time.monotonic()
+    while True:
+        try:
+            return child.communicate(timeout=min(limit, POLL))
+        except subprocess.TimeoutExpired:
+            if (now := steps()) != done:
+                done, since = now, time.monotonic()
+            elif time.monotonic() - since >= limit:
+                raise
 
 
 def _rest_of_errors(child: "subprocess.Popen[str]") -> str:

@@ -78,8 +78,9 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     score = pilot.score(wish.specification, spec)
     yield f"{spec.name}: a pilot of a few rollouts, for about {SECONDS:g} s at most, proposes the constants"
     cost = None
+    limit = SECONDS if known is None else min(SECONDS, known.deadline)
     try:
-        found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon), score)
+        found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon, limit), score)
         basis, news, cost = _proposal(wish, spec, found), f"the constants are proposed from {found.size}", found.cost
     except PilotError as error:
         basis = _guess(wish, spec, horizon, str(error))
@@ -183,12 +184,17 @@ def _guess(wish: Wish, spec: SystemSpec, horizon: float, fault: str) -> FirstVal
         source=f"The constants are GUESSES, because the pilot failed: {fault}",
         horizon=horizon,
         specification=wish.specification or _above(spec.columns[1].name, 0.0, horizon),
-        about="Put your formula here.",
+        about=(
+            "The constants below do not follow from this formula, because the pilot failed."
+            if wish.specification
+            else "Put your formula here."
+        ),
         clip=(-10.0, 10.0),
         constants={
             name: pilot.Constants(0.0, 30.0, "derived" if _noisy(name, spec) else 0.0, 1.0)
             for name in QUESTIONS[wish.question]
         },
+        guess=" This one is a guess.",
     )
 
 

@@ -3,21 +3,22 @@
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ...schemas.errors import PerfboundError, TrajectoryError
+from ...schemas.errors import PerfboundError, Stopped, TrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
 from ...schemas.trajectory import Floats, Trajectory, decode
 from ..campaign.admission import check_whole
 from ..campaign.pilot import NOISY_ROLLOUTS, Score, pilot_starts, settled_horizon
-from ..fleet.child import ask, system_options
+from ..fleet.child import HangError, ask, system_options
 
 SECONDS = 60.0
-"""No rollout of a pilot starts later than this."""
+"""No rollout of a pilot starts later than this, and none may take longer: there would be too few."""
 FEWEST_STARTS = 8
 LARGEST = 1e100
 """Scores from here on are no quantity of a system, and their squares overflow."""
@@ -57,6 +58,8 @@ class PilotPlan:
     variants: tuple[Variant, ...]
     horizon: float
     """In s, as it is asked for; the system may have a duration of its own."""
+    limit: float = SECONDS
+    """Seconds that a rollout may take."""
 
     def seeds(self, variant: Variant) -> int:
         """Return the rollouts of a variant at each start."""
@@ -115,10 +118,16 @@ def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple
         place = ("--requests", str(listed), "--out", str(folder), "--seconds", str(SECONDS))
         paths = [folder / f"{number}.mcap" for number in range(len(requests))]
         try:
-            ask("pilot", *place, *system_options(plan.reference))
+            # A file for each rollout, and before them one that says that the system is loaded.
+            steps = partial(_written, folder)
+            ask("pilot", *place, *system_options(plan.reference), limit=plan.limit, steps=steps)
         except PerfboundError as error:
             failed = next((each for each, path in zip(requests, paths, strict=True) if not path.exists()), requests[-1])
-            raise PilotError(f"{failed.words(plan.spec)}: {error}") from None
+            hang = f"the rollout gave no result within {plan.limit:g} s, and was ended"
+            reason = f"{hang}{error.place}" if isinstance(error, HangError) else error
+            raise PilotError(f"{failed.words(plan.spec)}: {reason}") from None
+        except Stopped as stop:
+            raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
         for request, path in zip(requests, paths, strict=True):
             if not path.exists():
                 return
@@ -127,3 +136,7 @@ def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple
             except TrajectoryError as fault:
                 raise PilotError(f"{request.words(plan.spec)}: {fault}") from None
             yield request, trajectory, path.stat().st_mtime
+
+
+def _written(folder: Path) -> int:
+    return sum(1 for _ in folder.iterdir())

@@ -34,7 +34,8 @@ def poison_text(found: events.Poison, ledger: Ledger, reference: str | None, end
     if ledger.header.spec.repeated == "session":  # which no command has
         repeat = f"Repeat it: call {request.system.replace('-', '_')} at {start}, with seed {request.seed}"
     if found.failures[-1].failure == missed(config.deadline):
-        repeat = f"It exceeds deadline = {config.deadline:g} s at the start ({start}). {repeat}"
+        missing = f"It exceeds deadline = {config.deadline:g} s at the start ({start})"
+        repeat = f"{missing}; simulated alone, it names the place in the file. {repeat}"
     # Another code is another system, with which the recorded rollouts cannot be mixed.
     remedy = "If the code of the system is wrong, fix it and start a new campaign (--out); else"
     return (

@@ -4,7 +4,7 @@ import json
 import os
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...schemas.campaign_check import check_against
-from ...schemas.errors import PerfboundError
+from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.system import SystemSpec, Variant
 from ...schemas.system_check import ChildRun, Trial
 from ..campaign.system_check.findings import SystemFinding
@@ -24,6 +24,8 @@ from ..fleet.child import named_campaign, system_options, system_spec
 from ..fleet.measure import measure_in_child
 from ..fleet.simulate import chosen_horizon, chosen_options
 
+LIMIT = 60.0
+"""Seconds that a rollout may take where neither `--timeout` nor a campaign file says otherwise."""
 COLOURS = {"passed": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
 Report = Callable[[str, int, int], None]
 """Progress callback: stage, completed, total."""
@@ -54,16 +56,17 @@ def checked_system(
     horizon: float | None,
     options: Sequence[str],
     seed: int,
-    limit: float,
+    limit: float | None,
     report: Report,
 ) -> SystemCheck:
     """Run the rollouts of a check, `limit` seconds each at most, and judge them.
 
-    A campaign file gives its options, its horizon and its space, too.
+    A campaign file gives its options, its horizon, its space, and without `limit` its deadline, too.
 
     Raises:
         CampaignError: the system is not installed, its file cannot be used, or the campaign file does not fit it.
         PerfboundError: an option is not one of the system.
+        Stopped: with what was ended.
 
     """
     spec = system_spec(reference, "SYSTEM")
@@ -72,6 +75,8 @@ def checked_system(
         check_against(config, spec, reference)
     if variant is not None and variant not in spec.variants:
         raise PerfboundError(f"--variant {variant}: {spec.name} has {', '.join(spec.variants)}")
+    if limit is None:  # the default deadline of a campaign is one for all systems
+        limit = config.deadline if config is not None and "deadline" in config.model_fields_set else LIMIT
     given = horizon if horizon is not None or config is None else config.horizon
     trials = Trials.of(
         spec,
@@ -84,7 +89,10 @@ def checked_system(
     program = config is not None and config.system.program is not None
     folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()
     rolled = partial(_in_child, arguments=(*system_options(reference), *folder), limit=limit, report=report)
-    fresh = rolled("start", trials.fresh())
+    fresh, ended = rolled("start", trials.fresh()), []
+    if fresh.ended and fresh.loaded is not None:  # a start that no process survives must not hide the others
+        ended, trials = [fresh], replace(trials, start=trials.start + 1)
+        fresh = rolled("another start", trials.fresh())
     own = own_horizon(spec, fresh) if given is None else None
     if own is not None:
         trials = trials.of_own_horizon(own)
@@ -96,11 +104,11 @@ def checked_system(
     if usable and not runs[-1].ended:
         seconds = min((found.seconds for found in fresh.measured), default=0.0)
         runs.append(rolled("rollouts", trials.first(seconds)))
-    if usable and not runs[-1].ended:
+        # If the first one has ended early, this one comes to the rollouts behind the one that ended it.
         runs.append(rolled("opposite order", trials.second()))
     measurements = Measurements(
         spec,
-        tuple(runs),
+        (*runs, *ended),
         limit=limit,
         processors=len(os.sched_getaffinity(0)),
         own_horizon=own is not None,
@@ -120,7 +128,11 @@ def _in_child(
         report(stage, done, len(trials))
 
     report(stage, 0, len(trials))
-    return measure_in_child(trials, arguments, limit=limit, done=advance)
+    try:
+        return measure_in_child(trials, arguments, limit=limit, done=advance)
+    except Stopped as stop:
+        state = f"the check was ended after {done} of {len(trials)} rollouts ({stage}), nothing was written"
+        raise Stopped(stop.signal, state) from None
 
 
 def print_findings(found: SystemCheck, console: Console) -> None:

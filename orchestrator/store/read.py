@@ -89,6 +89,17 @@ def read_header(connection: Connection, directory: Path) -> Header:
     return checked_header(directory, connection.execute(sa.select(*columns).limit(2)).all())
 
 
+def stored_header(directory: Path) -> Header:
+    """Return the first fact of the campaign in `directory`.
+
+    Raises:
+        JournalError: there is no campaign, or it cannot be read.
+
+    """
+    with reading(directory) as connection:
+        return read_header(connection, directory)
+
+
 def system_reference(directory: Path) -> str:
     """Return the system of a campaign as a worker finds it: its name, or its file as the last session had it.
 

@@ -15,6 +15,7 @@ from ..orchestrator.certificate import files, text
 from ..orchestrator.run import directory as places
 from ..orchestrator.run import session
 from ..orchestrator.store import export, read
+from ..orchestrator.store.export_tables import robustness_unit
 from ..orchestrator.store.rows import DATABASE, existing
 from ..schemas.campaign import CampaignConfig
 from ..schemas.certificate import Predicate
@@ -271,6 +272,6 @@ def _in_words(run: Run) -> str:
     console = Console(file=io.StringIO(), width=text.WIDTH, force_terminal=False, color_system=None)
     refuted = [each.id for each in found.predicate.assumptions if each.status == "refuted"]
     with console.capture() as captured:
-        text.first_claim(found, console)
+        text.first_claim(found, console, robustness_unit(run.header.config, run.header.spec))
     first = f"REFUTED: {', '.join(refuted)}\n" if refuted else ""
     return f"{first}{captured.get().lstrip()}"

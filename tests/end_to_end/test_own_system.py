@@ -42,7 +42,12 @@ def certificate(directory: Path) -> bytes:
 
 def test_the_certificate_names_the_code(ended: Ended, folder: Path) -> None:
     assert ended.code == 0, ended.err
-    assert "CLAIM  worst expected robustness over all starts >= " in ended.out
+    claim = next(line for line in ended.out.splitlines() if line.startswith("CLAIM"))
+    assert claim.startswith("CLAIM  worst expected robustness over all starts >= ")
+    assert claim.endswith(" m"), "the unit of distance, the only column of the specification"
+    command = ended.out.splitlines()[-1].split()
+    assert command[:2] + command[3:6] == ["perfbound", "verify", "--resimulate", "5", "--system"]
+    assert command[6].endswith("cars.py:cars")
     found = Certificate.model_validate_json(certificate(folder / "run")).predicate
     assert found.question["system"] == {"python": "cars.py:cars", "reaction": 0.6}
     assert len(found.software["cars.py"].removeprefix("sha256 ")) == 64

@@ -25,9 +25,9 @@ SYSTEM_CHECKS = {
 
 OF_PROGRAM = {
     "ends": 'let every rollout end, with {"error": "TEXT"} where it cannot be simulated; if it takes longer, choose '
-    "--timeout",
-    "errors": "fix the program: its last lines on stderr are in the reason; if it is not defined there, narrow the "
-    "ranges of [space]",
+    "--timeout, or a `deadline` in the campaign file",
+    "errors": "fix the program: its answer, or its last lines on stderr, are in the reason, and stdout is for answers "
+    "alone; if it is not defined there, narrow the ranges of [space]",
     "columns": "write the numbers of `columns` alone, in their order, and in the form that `samples` names",
     "finite": "fix the arithmetic at this start (a division by 0, an overflow, an unstable step), or narrow the ranges "
     "of [space] to where the system is defined",

@@ -10,7 +10,10 @@ Rolled = tuple[Trial, Measured]
 
 @dataclass(frozen=True)
 class Measurements:
-    """What was measured of one system: the runs of the child processes `fresh`, `first` and `second`."""
+    """What was measured of one system: the runs of the child processes `fresh`, `first` and `second`.
+
+    Behind them stand those that ended at the start of another `fresh`.
+    """
 
     spec: SystemSpec
     runs: tuple[ChildRun, ...]
@@ -23,7 +26,7 @@ class Measurements:
     @property
     def horizon(self) -> float:
         """Length of the rollouts in s; a few are shorter."""
-        return self.runs[-1].trials[0].request.horizon
+        return self.runs[0].trials[0].request.horizon
 
     @property
     def rolled(self) -> list[Rolled]:

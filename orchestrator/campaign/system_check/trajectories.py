@@ -12,6 +12,11 @@ STEP_SPREAD = 1e-6
 """Relative difference of the steps of a grid that is round-off of its times."""
 
 
+_REMEDY_HANG = (
+    "fix what does not end there; if rollouts take longer, choose --timeout, or a `deadline` in the campaign file"
+)
+
+
 def judge_ends(measurements: Measurements) -> SystemFinding:
     """Judge how the processes ended: a crash, a hang."""
     run = next((run for run in measurements.runs if run.ended), None)
@@ -24,7 +29,7 @@ def judge_ends(measurements: Measurements) -> SystemFinding:
     if run.hung:
         where = f" in {measurements.program}" if measurements.program else _at(run.place)
         text = f"a rollout {run.ended}{where}: {at}"
-        return failed("ends", text, "fix what does not end there; if rollouts take longer, choose --timeout")
+        return failed("ends", text, _REMEDY_HANG)
     text = f"the process {run.ended}{_at(run.place)}: {at}" + (f" ({run.stderr})" if run.stderr else "")
     return failed("ends", text, "fix it: raise an exception instead; the campaign loses the worker, and stops")
 

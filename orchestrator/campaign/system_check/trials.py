@@ -43,6 +43,8 @@ class Trials:
     variants: tuple[Variant, ...]
     seed: int
     halves: bool = True
+    start: int = 0
+    """Number of the random start at which each process begins."""
 
     @classmethod
     def of(
@@ -76,7 +78,8 @@ class Trials:
     def fresh(self) -> tuple[Trial, ...]:
         """Return the rollouts of a process that runs no other: the start of each variant."""
         return tuple(
-            Trial(request=self._request(START, 0, variant), beginning=self._beginning) for variant in self.variants
+            Trial(request=self._request(START, self.start, variant), beginning=self._beginning)
+            for variant in self.variants
         )
 
     def first(self, seconds: float) -> tuple[Trial, ...]:

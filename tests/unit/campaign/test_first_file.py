@@ -82,6 +82,13 @@ def test_an_option_is_set_by_removing_its_hash(line: str) -> None:
     assert found["system"][name] == next(each.default for each in SPEC.options if each.name == name)
 
 
+def test_a_campaign_for_a_fleet_removes_one_hash() -> None:
+    text = campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text()
+    assert parse_campaign(text.encode(), "c.toml").second_opinion == 0
+    asked = text.replace("\n# second_opinion", "\nsecond_opinion")
+    assert parse_campaign(asked.encode(), "c.toml").second_opinion == 0.02
+
+
 def test_two_problems_carry_a_bound_from_the_nominal_to_the_true_system() -> None:
     text = campaign(nominal=Constants(-2.0, 17.0, 0.0, 0.1), gap=Constants(0.1, 3.0, "derived", 0.1)).text()
     config = parse_campaign(text.encode(), "c.toml")

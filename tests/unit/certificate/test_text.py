@@ -84,9 +84,27 @@ def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
     assert isinstance(console.file, io.StringIO)
     text = console.file.getvalue()
     assert "  certificate  a [red] :x: b/certificate.json\n" in text
-    assert "perfbound verify 'a [red] :x: b'" in text
     assert "signed" not in text, "there is no signature"
     assert "worker [bold]x[/] :x: ended\n" in text
+
+
+def test_a_robustness_has_the_unit_of_its_columns_and_a_column_none() -> None:
+    about_a_column = a_certificate()
+    (claim,) = about_a_column.predicate.claims
+    other = claim.model_copy(update={"quantity": "robustness", "sense": ">=", "bound": 0.25})
+    predicate = about_a_column.predicate.model_copy(update={"claims": (other,)})
+    about_robustness = about_a_column.model_copy(update={"predicate": predicate})
+
+    def head(certificate: Certificate, unit: str) -> str:
+        console = Console(file=io.StringIO(), width=100)
+        summary.first_claim(certificate, console, unit)
+        assert isinstance(console.file, io.StringIO)
+        return console.file.getvalue().splitlines()[1]
+
+    assert head(about_robustness, "m") == "CLAIM  worst robustness over all starts >= 0.2500 m"
+    assert head(about_robustness, "m\n[red]").endswith(r">= 0.2500 m\n[red]")
+    assert head(about_robustness, "") == head(about_robustness, "1") == head(about_robustness, "m").removesuffix(" m")
+    assert head(about_a_column, "m") == head(about_a_column, "")
 
 
 def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
