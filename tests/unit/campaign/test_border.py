@@ -81,9 +81,9 @@ class Odd(Puppets):
         return changed(found, self.value, shift=self.shift)
 
 
-def odd(directory: Path, config: CampaignConfig, **answers: Any) -> Stage:
-    stage = Stage(directory, config, 3)
-    stage.puppets = Odd(stage.journal.header.spec, 3)
+def odd(directory: Path, config: CampaignConfig, workers: int = 3, **answers: Any) -> Stage:
+    stage = Stage(directory, config, workers)
+    stage.puppets = Odd(stage.journal.header.spec, workers)
     for name, each in answers.items():
         setattr(stage.puppets, name, each)
     return stage
@@ -125,6 +125,32 @@ def test_a_rollout_without_an_objective_is_a_failed_attempt(
         assert reason in found[0][0]
         assert found[1:] == [("recorded", None)]
     assert verify(tmp_path / "run") == {}
+
+
+@pytest.mark.parametrize(
+    ("method", "workers", "test"), [("paper", 1, 0), ("paper", 2, 0), ("paper", 3, 3), ("rigorous", 3, 0)]
+)
+def test_the_first_rollout_of_a_pair_is_found_if_its_time_grid_is_another_one(
+    tmp_path: Path, method: str, workers: int, test: int
+) -> None:
+    first = RolloutId("sim_gap", test, "nominal", 0)
+    calm = Stage(tmp_path / "calm", a_pair(method), workers)
+    calm.play()
+    stage = odd(tmp_path / "run", a_pair(method), workers, rollout=str(first), shift=0.001)
+    stage.play()
+    assert stage.ledger.done
+    assert fingerprints(tmp_path / "run") == fingerprints(tmp_path / "calm")
+    (failed,) = [each for each in outcomes(tmp_path / "run", first) if each[0] != "recorded"]
+    assert failed == ("its time grid is that of no other rollout", "system")
+    for each in (calm, stage):
+        each.journal.close()
+
+
+def fingerprints(directory: Path) -> list[tuple[str, int, str]]:
+    """Return the sha256 of every rollout."""
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        query = "SELECT problem, test, variant, sha256 FROM rollouts ORDER BY 1, 2, 3"
+        return connection.execute(query).fetchall()
 
 
 def test_a_rollout_that_always_lacks_its_objective_ends_the_campaign_with_its_history(tmp_path: Path) -> None:
