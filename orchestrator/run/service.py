@@ -240,10 +240,8 @@ class Service:
             case events.Acknowledge(worker, attempt):
                 self._outbox.acknowledge(worker, attempt)
             case events.Fail(worker, attempt, failure):
-                # Else a peer could fill the disk with failures of attempts that it makes up.
-                if self._journal.attempts.worker_of(attempt.rollout, attempt.number) == worker:
-                    self._journal.attempts.ended(attempt, worker, failure)
-                    self._lines.failed(action)
+                self._journal.attempts.ended(attempt, worker, failure)
+                self._lines.failed(action)
             case events.GiveUp(worker):
                 if self._fleet is not None and self._fleet.kill(worker):
                     # Before its token is gone, so that nothing is assigned to it.

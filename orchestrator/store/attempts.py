@@ -59,11 +59,11 @@ class AttemptLog:
         query = sa.select(ended.rollout).where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
         return [RolloutId.parse(row[0]) for row in self._rows.read(query.where(ended.rollout.not_in(others)))]
 
-    def worker_of(self, rollout: RolloutId, attempt: int | None = None) -> str | None:
-        """Return the worker of an attempt, or the one whose result was recorded; inside or outside a transaction."""
-        table = tables.outcomes if attempt is None else tables.attempts
-        which = table.c.outcome == RECORDED if attempt is None else table.c.attempt == attempt
-        rows = self._rows.read(sa.select(table.c.worker).where(table.c.rollout == str(rollout), which))
+    def worker_of(self, rollout: RolloutId) -> str | None:
+        """Return the worker whose result was recorded; inside or outside a transaction."""
+        ended = tables.outcomes.c
+        query = sa.select(ended.worker).where(ended.rollout == str(rollout), ended.outcome == RECORDED)
+        rows = self._rows.read(query)
         return str(rows[0][0]) if rows else None
 
 

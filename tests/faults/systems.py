@@ -32,7 +32,7 @@ def fail_once(scene: Scene) -> None:
 
 
 def odd_result(scene: Scene) -> None:
-    """In some rollouts the system returns huge numbers, a part, or other times, once; then it succeeds with that seed."""
+    """In some rollouts the system returns huge numbers, a part, or other times, once; later it succeeds."""
     scene.irreproducible = True
     _misbehave(scene, ODD[scene.subject.name], alike=False)
 

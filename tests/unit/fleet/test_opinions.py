@@ -151,8 +151,8 @@ def answered(workers: str, *answers: Answer) -> list[object]:
         state, given = dispatch.advance(state, HandOut(1.0))
         ((holder, attempt),) = [(each.worker, each.attempt.number) for each in given if isinstance(each, Start)]
         assert holder == name
-        event = Delivered(1.0, name, Attempt(R0, attempt), None, digest, doubtful=doubtful)
-        state, now = dispatch.advance(state, event)
+        delivered = Delivered(1.0, name, Attempt(R0, attempt), None, digest, doubtful=doubtful)
+        state, now = dispatch.advance(state, delivered)
         check_invariants(state)
         actions += now
     return [each for each in actions if not isinstance(each, Acknowledge | Compared)]
