@@ -148,7 +148,7 @@ class ZenohTransport:
 
     def _close(self) -> None:
         self._sender.finish()
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
         for thread in self._threads:
             thread.join()
 

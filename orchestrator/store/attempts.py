@@ -56,14 +56,20 @@ class AttemptLog:
         if not self._rows.read(outvoted.limit(1)):
             return []
         others = sa.select(seen.rollout).where(seen.kind != "outvoted")
-        query = sa.select(ended.rollout).where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
-        return [RolloutId.parse(row[0]) for row in self._rows.read(query.where(ended.rollout.not_in(others)))]
+        query = sa.select(ended.rollout).distinct().where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
+        found = [RolloutId.parse(row[0]) for row in self._rows.read(query.where(ended.rollout.not_in(others)))]
+        if not found:
+            return []
+        rollouts = tables.rollouts.c
+        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
+        recorded = {RolloutId(row[0], row[1], row[2], row[3]) for row in self._rows.read(sa.select(*columns))}
+        return [each for each in found if each in recorded]  # a discarded one has an attempt, and no row
 
     def worker_of(self, rollout: RolloutId) -> str | None:
-        """Return the worker whose result was recorded; inside or outside a transaction."""
+        """Return the worker whose result was recorded, after a discard the last one; also outside a transaction."""
         ended = tables.outcomes.c
         query = sa.select(ended.worker).where(ended.rollout == str(rollout), ended.outcome == RECORDED)
-        rows = self._rows.read(query)
+        rows = self._rows.read(query.order_by(ended.attempt.desc()).limit(1))
         return str(rows[0][0]) if rows else None
 
 
