@@ -12,6 +12,7 @@ be they of one worker: the system may fail in any process. A result that is not 
 differs from the one that counts is then a failure of the system, and nobody is outvoted.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from ...schemas.failure import Failure
@@ -20,7 +21,7 @@ from .blame import charge
 from .choice import eligible, nearest
 from .events import Action, Compared, Delivered, Fail, GiveUp, Outvoted, Poison, SetAside
 from .retries import SAME_WORKER, Opinion
-from .standing import Place, Standing
+from .standing import Place, Standing, Standings
 from .state import DispatchState
 
 FIRST = 3
@@ -77,6 +78,13 @@ def is_outvoted(state: DispatchState, worker: str) -> bool:
     return state.standings.get(Place("worker", worker), Standing()).until == FOR_GOOD
 
 
+def without(standings: Standings, workers: Iterable[str]) -> Standings:
+    """Return the standings with workers that are set aside for good."""
+    places = [Place("worker", name) for name in workers]
+    banned = {each: replace(standings.get(each, Standing()), last=FOR_GOOD, until=FOR_GOOD) for each in places}
+    return {**standings, **banned}
+
+
 def queued_again(state: DispatchState, rollout: RolloutId) -> DispatchState:
     """Let an open rollout wait for a worker, before all others, unless it waits or is simulated already."""
     if not state.is_undecided(rollout):
@@ -109,9 +117,7 @@ def _agreed(state: DispatchState, rollout: RolloutId, agreeing: list[str], compa
         if each.worker in agreeing or is_outvoted(state, each.worker):
             continue
         place = Place("worker", each.worker)
-        found = state.standings.get(place, Standing())
-        banned = replace(found, last=FOR_GOOD, until=FOR_GOOD)
-        state = replace(state, standings={**state.standings, place: banned})
+        state = replace(state, standings=without(state.standings, [each.worker]))
         reason = f"its trajectory of {rollout} differs from that of two others ({', '.join(agreeing)})"
         actions += [Outvoted(each.worker, each.attempt, each.digest), SetAside(place, FOR_GOOD, reason)]
         actions += [GiveUp(each.worker)] if each.worker in state.workers else []

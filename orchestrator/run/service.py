@@ -20,6 +20,7 @@ from ..fleet import dispatch, events
 from ..fleet.choice import out_of_favour
 from ..fleet.inbox import Inbox
 from ..fleet.limits import Limits
+from ..fleet.opinions import without
 from ..fleet.processes import Fleet
 from ..fleet.state import DispatchState
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
@@ -33,7 +34,7 @@ from .poison import poison_text
 from .results import Results
 from .review import Review
 from .roster import Roster, WorkerRecord
-from .trust import failures_before, note
+from .trust import failures_before, note, still_aside
 
 TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
@@ -121,7 +122,11 @@ class Service:
         limits = _dispatch_limits(ledger.config)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
-        self._state = DispatchState(limits, hold, second_opinion=ledger.config.second_opinion > 0)
+        outvoted = journal.attempts.outvoted()
+        if line := still_aside(outvoted):
+            self._print_line(line)
+        banned = without({}, outvoted)
+        self._state = DispatchState(limits, hold, standings=banned, second_opinion=ledger.config.second_opinion > 0)
 
     def run(self) -> None:
         """Serve until every problem has stopped.

@@ -1,6 +1,6 @@
 """What the run keeps and tells of the trust in its workers and hosts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ...schemas.errors import one_line
@@ -11,6 +11,9 @@ from ..fleet.retries import blames_rollout
 from ..store import read
 from ..store.attempts import AttemptLog
 from .format import duration
+
+MOST_NAMED = 5
+"""Workers in a line."""
 
 
 def note(
@@ -30,6 +33,15 @@ def note(
             log.opinion("outvoted", attempt, worker, digest)
         case events.TakeBack(place):
             log.set_aside(place.kind, place.name, 0.0, "")
+
+
+def still_aside(workers: Sequence[str]) -> str | None:
+    """Return the line about workers that were outvoted in an earlier session; None without one."""
+    if not workers:
+        return None
+    more = f" and {len(workers) - MOST_NAMED} more" if len(workers) > MOST_NAMED else ""
+    names = ", ".join(workers[:MOST_NAMED]) + more
+    return f"outvoted in an earlier session, and still set aside: {names}; a worker that is restarted is compared anew"
 
 
 def failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:

@@ -1,6 +1,7 @@
 """The part of the journal that depends on chance: attempts and their ends, pauses and comparisons of workers."""
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -47,6 +48,14 @@ class AttemptLog:
             row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time()}
             self._rows.add(tables.opinions, attempt_key(attempt) | row)
 
+    def outvoted(self) -> list[str]:
+        """Return the workers that were outvoted, in this session or an earlier one."""
+        if not has_table("opinions", self._version):
+            return []
+        seen = tables.opinions.c
+        query = sa.select(seen.worker).where(seen.kind == "outvoted").group_by(seen.worker)
+        return [str(row[0]) for row in self._rows.read(query.order_by(sa.func.min(seen.entry)))]
+
     def suspects(self) -> list[RolloutId]:
         """Return the rollouts that an outvoted worker recorded and that no other one has simulated."""
         if not has_table("opinions", self._version):
@@ -62,7 +71,8 @@ class AttemptLog:
             return []
         rollouts = tables.rollouts.c
         columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
-        recorded = {RolloutId(row[0], row[1], row[2], row[3]) for row in self._rows.read(sa.select(*columns))}
+        rows: Sequence[Any] = self._rows.read(sa.select(*columns))
+        recorded = {RolloutId(*row) for row in rows}
         return [each for each in found if each in recorded]  # a discarded one has an attempt, and no row
 
     def worker_of(self, rollout: RolloutId) -> str | None:

@@ -4,6 +4,7 @@ The queries go to the SQLite driver directly: loading SQLAlchemy takes longer th
 status` does.
 """
 
+import math
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
@@ -55,7 +56,7 @@ class Pauses:
     name: str
     count: int
     until: float
-    """Unix time of the end of the last one, if the session that began it still runs."""
+    """Unix time of the end of the last one, if the session that began it still runs; those for good have none."""
     reason: str
 
 
@@ -123,7 +124,7 @@ def _pauses(connection: sqlite3.Connection) -> tuple[Pauses, ...]:
     # `seconds` beside max(at) is that of the same row: an extension of SQLite.
     for kind, name, count, at, seconds, current in connection.execute(_SET_ASIDE).fetchall():
         (reason,) = connection.execute(_REASON, [kind, name]).fetchone()
-        found.append(Pauses(kind, name, int(count), at + seconds if current else at, reason))
+        found.append(Pauses(kind, name, int(count), at + seconds if current or seconds == math.inf else at, reason))
     return tuple(found)
 
 
