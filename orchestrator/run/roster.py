@@ -112,7 +112,7 @@ class Roster:
             return f"the worker has no system {spec.name!r}; {remedy}"
         if self._spec_sha256 not in state.systems[spec.name]:
             # Another build may give other trajectories for the same seed; one certificate names one build.
-            what = _difference(spec, state.systems[spec.name])
+            what = _what_differs(spec, state.systems[spec.name])
             return f"the worker's {spec.name!r} has other {what} than the campaign's; use the same on both"
         if self._platform not in (ANY, state.platform):
             return (
@@ -123,7 +123,7 @@ class Roster:
         return None
 
 
-def _difference(spec: SystemSpec, theirs: Container[str]) -> str:
+def _what_differs(spec: SystemSpec, theirs: Container[str]) -> str:
     """Return in what a worker's system of the same name is another one; `theirs` are its identities."""
     # A system has an identity without its files, and one without the versions of its packages.
     if spec.code and spec.model_copy(update={"code": {}}).digest in theirs:

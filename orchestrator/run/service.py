@@ -20,7 +20,6 @@ from ..fleet import dispatch, events
 from ..fleet.choice import out_of_favour
 from ..fleet.inbox import Inbox
 from ..fleet.limits import Limits
-from ..fleet.opinions import without
 from ..fleet.processes import Fleet
 from ..fleet.state import DispatchState
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
@@ -122,10 +121,7 @@ class Service:
         limits = _dispatch_limits(ledger.config)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
-        outvoted = journal.attempts.outvoted()
-        if line := still_aside(outvoted):
-            self._print_line(line)
-        banned = without({}, outvoted)
+        banned = still_aside(journal.attempts, self._print_line)
         self._state = DispatchState(limits, hold, standings=banned, second_opinion=ledger.config.second_opinion > 0)
 
     def run(self) -> None:

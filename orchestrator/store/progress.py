@@ -45,6 +45,7 @@ _SET_ASIDE = """
     GROUP BY kind, name ORDER BY kind, name
 """
 _REASON = "SELECT reason FROM set_aside WHERE kind = ? AND name = ? AND seconds > 0 ORDER BY entry DESC LIMIT 1"
+_OPINIONS = "SELECT kind, count(*) FROM opinions GROUP BY kind ORDER BY kind"
 _SESSIONS = "SELECT count(*) FROM sessions"
 
 
@@ -74,6 +75,8 @@ class CampaignProgress:
     """Failures of the system among them; None if the database does not tell."""
     sessions: int
     pauses: tuple[Pauses, ...]
+    opinions: dict[str, int]
+    """Results that were compared, outvoted and reviewed, by these words."""
     rate: float
     """Rollouts per second over the last minute of work, or over its last thousand rollouts."""
 
@@ -108,6 +111,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
         int(connection.execute(_SESSIONS).fetchone()[0]),
         _pauses(connection) if has_table("set_aside", version) else (),
+        dict(connection.execute(_OPINIONS).fetchall()) if has_table("opinions", version) else {},
         rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])]),
     )
 
