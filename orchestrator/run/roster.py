@@ -127,12 +127,14 @@ def _what_differs(spec: SystemSpec, theirs: Container[str]) -> str:
     """Return in what a worker's system of the same name is another one; `theirs` are its identities."""
     # A system has an identity without its files, and one without the versions of its packages.
     if spec.code and spec.model_copy(update={"code": {}}).digest in theirs:
-        return f"files ({_listed(sorted(spec.code))})"
+        return f"files ({_first_names(sorted(spec.code))})"
     if spec.versions and spec.model_copy(update={"versions": {}}).digest in theirs:
-        return f"versions of packages ({_listed([f'{name} {version}' for name, version in spec.versions.items()])})"
+        return (
+            f"versions of packages ({_first_names([f'{name} {version}' for name, version in spec.versions.items()])})"
+        )
     return "files or versions of packages"
 
 
-def _listed(names: Sequence[str]) -> str:
+def _first_names(names: Sequence[str]) -> str:
     more = len(names) - MOST_NAMED
     return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
