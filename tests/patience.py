@@ -4,5 +4,14 @@ Tests wait for events, never for a time; the limit ends a test that hangs. A bus
 limit is far above what any event takes on one.
 """
 
+import time
+from collections.abc import Callable
+
 PATIENCE = 300.0
 """Seconds."""
+
+
+def patience() -> Callable[[], bool]:
+    """Return whether what begins now has taken longer than any test waits."""
+    end = time.monotonic() + PATIENCE
+    return lambda: time.monotonic() > end

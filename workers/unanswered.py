@@ -29,7 +29,9 @@ def no_link(endpoint: str) -> str:
 def no_orchestrator(endpoint: str, run: str | None, *, strangers: bool, common_name: str) -> str:
     """Return the line for a link without an orchestrator of the run, or with one that does not know the secret."""
     if strangers:
-        return f"the orchestrator at {endpoint} does not know the secret of this worker: {both_ways()}"
+        # One from before the secrets is a stranger as well; a worker from before them cannot be told by anybody.
+        older = "an orchestrator of an older version has none: install the same version on both"
+        return f"the orchestrator at {endpoint} does not know the secret of this worker: {both_ways()}; {older}"
     which = f"run {run}" if run else "any run"
     allowed = f"; one that was started with --allow must list {common_name!r}" if common_name else ""
     return f"connected to {endpoint}, waiting for an orchestrator of {which}{allowed}"

@@ -3,7 +3,6 @@
 from ...schemas.errors import EvidenceError, PerfboundError, UnusableTrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory
-from .admission import admit
 from .ledger import Ledger
 from .objectives import measured
 from .observation import Others
@@ -16,26 +15,25 @@ class Admission:
         self._ledger = ledger
         self.columns = tuple(column.name for column in ledger.header.spec.columns)
 
-    def admit(self, rollout: RolloutId, payload: bytes, sha256: str) -> Trajectory:
-        """Return the trajectory of a result for an open or a damaged rollout.
+    def check(self, rollout: RolloutId, trajectory: Trajectory) -> bool:
+        """Refuse a trajectory from which the objective cannot be computed; see `admit`.
 
-        Raises:
-            EvidenceError: as `admit`.
-            UnusableTrajectoryError: as `admit`, or the objective cannot be computed from it.
-            PerfboundError: the file of another rollout of its test is missing or damaged.
-
+        Return whether it is the first of a pair, so that its time grid has been compared with no other one.
         """
-        trajectory = admit(self._ledger.request(rollout), self.columns, payload, sha256)
-        self.check(rollout, trajectory)
-        return trajectory
-
-    def check(self, rollout: RolloutId, trajectory: Trajectory) -> None:
-        """Refuse a trajectory from which the objective cannot be computed; see `admit`."""
         if self._ledger.restores(rollout):
-            return  # its digest decides: it was recorded, and perhaps observed
-        fault = objective_fault(self._ledger, rollout, trajectory, lambda key: self._others(rollout, key))
+            return False  # its digest decides: it was recorded, and perhaps observed
+        unpaired = False
+
+        def others(key: tuple[str, int]) -> list[Trajectory]:
+            nonlocal unpaired
+            found = self._others(rollout, key)
+            unpaired |= not found
+            return found
+
+        fault = objective_fault(self._ledger, rollout, trajectory, others)
         if fault is not None:
             raise UnusableTrajectoryError(f"the objective cannot be computed: {fault}")
+        return unpaired
 
     def _others(self, rollout: RolloutId, key: tuple[str, int]) -> list[Trajectory]:
         facts = self._ledger.series[rollout.problem].rollouts.get(rollout.test, ())

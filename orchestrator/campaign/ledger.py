@@ -104,7 +104,8 @@ class Ledger:
 
         After a replay those that a crash of the machine may have damaged; `whole` before the certificate, each one.
         """
-        self._restoration = Restoration(self._directory, recorded, whole=whole)
+        discarded = [fact.path for series in self.series.values() for fact in series.discards]
+        self._restoration = Restoration(self._directory, recorded, discarded=discarded, whole=whole)
         return len(self._restoration)
 
     def outstanding(self) -> Work:

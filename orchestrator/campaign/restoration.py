@@ -1,5 +1,6 @@
 """The restoration of trajectory files that a crash of the machine damaged: the same seed gives the same file."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError
@@ -12,8 +13,18 @@ from .ports import FileStore, RecordedRollouts
 class Restoration:
     """The recorded rollouts whose files are missing or damaged, until each is simulated again."""
 
-    def __init__(self, directory: Path, recorded: RecordedRollouts | None = None, *, whole: bool = False) -> None:
-        """Check every recorded file and remove those without a fact; without `recorded`, nothing is damaged."""
+    def __init__(
+        self,
+        directory: Path,
+        recorded: RecordedRollouts | None = None,
+        *,
+        discarded: Iterable[str] = (),
+        whole: bool = False,
+    ) -> None:
+        """Check every recorded file and remove those without a fact; without `recorded`, nothing is damaged.
+
+        `discarded` are the paths of the files that discards have kept.
+        """
         self._directory = directory
         self._damaged: dict[RolloutId, RolloutFact] = {}
         self._starts: dict[tuple[str, int], tuple[float, ...]] = {}
@@ -21,7 +32,7 @@ class Restoration:
             return
         facts = recorded.recorded()
         # A crash between a file and its commit leaves a file that no fact names: its rollout is simulated again.
-        evidence.sweep(directory, {fact.path for fact in facts})
+        evidence.sweep(directory, {fact.path for fact in facts}.union(discarded))
         listed = ((fact.path, fact.size, fact.sha256) for fact in facts)
         paths = set(evidence.damaged(directory, listed, digests=None if whole else evidence.NEWEST))
         self._damaged = {fact.rollout: fact for fact in facts if fact.path in paths}

@@ -205,7 +205,9 @@ def discard(directory: Path, rollout: str, reason: str) -> None:
     from ..run.discard import discard_rollout  # noqa: PLC0415
     from ..run.format import resume_command  # noqa: PLC0415
 
-    found = discard_rollout(directory, rollout, reason)
+    again = shlex.join(["perfbound", "discard", str(directory), rollout, "--reason", reason])
+    with resumable(directory, again):
+        found = discard_rollout(directory, rollout, reason)
     click.echo(f"discarded {found.rollout}; its file is kept in {directory / found.path}")
     click.echo(f"`{resume_command(directory)}` simulates it again")
 

@@ -92,6 +92,8 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
     observations     a row a replicate: its contribution to the test
     counterexamples  those of the rollouts that violate the specification
     failures         a row a failed attempt: its worker, its reason, and whether the system failed
+    opinions         a row a result that was compared, outvoted or simulated again: its worker and digest
+    set_aside        a row a pause of a worker or host: its length and its reason
 
     Without TABLES all are written.
     """

@@ -74,6 +74,9 @@ def _work(progress: CampaignProgress, *, running: bool) -> list[str]:
         lines.append(
             f"{each.kind} {each.name}: set aside {_number(each.count, 'time')}{still}; {one_line(each.reason)}"
         )
+    if progress.opinions:
+        counts = ", ".join(f"{count} {kind}" for kind, count in progress.opinions.items())
+        lines.append(f"results: {counts} (`perfbound export DIR opinions` lists them)")
     of_system = f" ({progress.system_failures} failed in the system)" if progress.system_failures else ""
     lines.append(
         f"{progress.rate:.1f} rollouts/s in the last minute of work; {_number(progress.failures, 'attempt')} without a "

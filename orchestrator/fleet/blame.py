@@ -46,7 +46,7 @@ def take_back(state: DispatchState, workers: Sequence[str], at: float) -> tuple[
     return state, tuple(actions)
 
 
-def forget(state: DispatchState, at: float) -> DispatchState:
+def forget_past(state: DispatchState, at: float) -> DispatchState:
     """Drop failures that are long past, of workers and hosts that are gone."""
     if not state.standings:
         return state

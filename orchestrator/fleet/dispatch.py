@@ -36,7 +36,7 @@ from typing import Literal
 
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
-from .blame import charge, clear, forget, take_back
+from .blame import charge, clear, forget_past, take_back
 from .choice import nearest, pairs
 from .events import (
     Acknowledge,
@@ -255,7 +255,7 @@ def _tick(state: DispatchState, at: float) -> Outcome:
     for name, worker in state.workers.items():
         state, more = _watch(state, name, worker, at)
         actions += more
-    return forget(state, at), tuple(actions)
+    return forget_past(state, at), tuple(actions)
 
 
 def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcome:

@@ -67,6 +67,8 @@ class Delivered:
     failure: Failure | None
     digest: str = ""
     """Of a result."""
+    doubtful: bool = False
+    """Whether something in the result is unlike all others, so that it counts only if it is repeated."""
 
 
 @dataclass(frozen=True, slots=True)

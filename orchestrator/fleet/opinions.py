@@ -6,16 +6,22 @@ another host first (`retries`). Where there is none, its only worker is given up
 fresh process, and simulates it again. Two equal digests agree: the rollout is recorded. Two that differ ask a third
 worker; where there is none, the third attempt of the same ones, in a fresh process where it can be, is the last.
 Whoever differs from two that agree is outvoted: set aside for good. Without a majority the rollout is poisoned.
+
+A *doubtful* result is unlike all others in its form. It is repeated in the same way, and counts once two digests agree,
+be they of one worker: the system may fail in any process. A result that is not doubtful settles the doubt at once. What
+differs from the one that counts is then a failure of the system, and nobody is outvoted.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
+from .blame import charge
 from .choice import eligible, nearest
 from .events import Action, Compared, Delivered, Fail, GiveUp, Outvoted, Poison, SetAside
 from .retries import SAME_WORKER, Opinion
-from .standing import Place, Standing
+from .standing import Place, Standing, Standings
 from .state import DispatchState
 
 FIRST = 3
@@ -23,6 +29,8 @@ FIRST = 3
 MOST = 3
 """Results of a rollout of which two have to agree."""
 FOR_GOOD = float("inf")
+UNLIKE = Failure("system", "its time grid is that of no other rollout")
+"""The failure of a doubtful result that is not repeated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,31 +48,41 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     known = state.open[rollout]
     if is_outvoted(state, name):
         return Decision(queued_again(state, rollout), counts=False)
-    if not (known.compare or known.opinions or _is_first(state, name, event.at)):
-        return Decision(state, counts=True)
+    compared = known.compare or not all(each.doubtful for each in known.opinions) or _is_first(state, name, event.at)
+    if not (compared or event.doubtful):
+        return _settled(state, rollout, event)
     if any(each.attempt == event.attempt for each in known.opinions):
         return Decision(state, counts=False)  # the acknowledgement was lost
     repeats = any(each.worker == name for each in known.opinions)
     if repeats and nearest(state, rollout, event.at) != SAME_WORKER:
         return Decision(queued_again(state, rollout), counts=False)  # an attempt of before, and another worker is there
-    opinion = Opinion(name, state.host(name), event.attempt, event.digest)
+    opinion = Opinion(name, state.host(name), event.attempt, event.digest, doubtful=not compared)
     known = replace(known, opinions=(*known.opinions, opinion))
     state = replace(state, open={**state.open, rollout: known})
-    compared = Compared(name, event.attempt, event.digest)
+    noted = Compared(name, event.attempt, event.digest)
     agreeing = [each.worker for each in known.opinions if each.digest == event.digest]
+    if not compared and len(agreeing) > 1:
+        return _settled(state, rollout, event, noted)
     # A worker that repeats itself says nothing against another one.
     if len(agreeing) > 1 and (len(set(agreeing)) > 1 or {each.worker for each in known.opinions} == {name}):
-        return _agreed(state, rollout, agreeing, compared)
+        return _agreed(state, rollout, agreeing, noted)
     if len(known.opinions) >= MOST:
-        return _divided(state, rollout, compared)
-    alone = nearest(state, rollout, event.at) == SAME_WORKER
+        return _divided(state, rollout, noted)
+    alone = compared and nearest(state, rollout, event.at) == SAME_WORKER
     fresh = (GiveUp(name),) if alone else ()
-    return Decision(queued_again(state, rollout), counts=False, actions=(compared, *fresh))
+    return Decision(queued_again(state, rollout), counts=False, actions=(noted, *fresh))
 
 
 def is_outvoted(state: DispatchState, worker: str) -> bool:
     """Whether a worker has been set aside for good."""
     return state.standings.get(Place("worker", worker), Standing()).until == FOR_GOOD
+
+
+def without(standings: Standings, workers: Iterable[str]) -> Standings:
+    """Return the standings with workers that are set aside for good."""
+    places = [Place("worker", name) for name in workers]
+    banned = {each: replace(standings.get(each, Standing()), last=FOR_GOOD, until=FOR_GOOD) for each in places}
+    return {**standings, **banned}
 
 
 def queued_again(state: DispatchState, rollout: RolloutId) -> DispatchState:
@@ -80,6 +98,17 @@ def _is_first(state: DispatchState, worker: str, at: float) -> bool:
     return any(name != worker for name in eligible(state, at))
 
 
+def _settled(state: DispatchState, rollout: RolloutId, event: Delivered, *noted: Action) -> Decision:
+    """Let a result count, and those before it that differ be failures of the system."""
+    actions: list[Action] = [*noted]
+    for each in state.open[rollout].opinions:
+        if each.digest != event.digest:
+            failed = Fail(each.worker, each.attempt, UNLIKE)
+            state, aside = charge(state, failed, event.at)
+            actions += [failed, *aside]
+    return Decision(state, counts=True, actions=tuple(actions))
+
+
 def _agreed(state: DispatchState, rollout: RolloutId, agreeing: list[str], compared: Compared) -> Decision:
     counts = {name: state.comparisons.get(name, 0) + 1 for name in agreeing if name in state.workers}
     state = replace(state, comparisons={**state.comparisons, **counts})
@@ -88,9 +117,7 @@ def _agreed(state: DispatchState, rollout: RolloutId, agreeing: list[str], compa
         if each.worker in agreeing or is_outvoted(state, each.worker):
             continue
         place = Place("worker", each.worker)
-        found = state.standings.get(place, Standing())
-        banned = replace(found, last=FOR_GOOD, until=FOR_GOOD)
-        state = replace(state, standings={**state.standings, place: banned})
+        state = replace(state, standings=without(state.standings, [each.worker]))
         reason = f"its trajectory of {rollout} differs from that of two others ({', '.join(agreeing)})"
         actions += [Outvoted(each.worker, each.attempt, each.digest), SetAside(place, FOR_GOOD, reason)]
         actions += [GiveUp(each.worker)] if each.worker in state.workers else []

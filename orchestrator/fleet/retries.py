@@ -35,6 +35,8 @@ class Opinion:
     host: str
     attempt: Attempt
     digest: str
+    doubtful: bool = False
+    """Whether it is compared for a doubt alone, and not for the honesty of its worker."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,15 +2,14 @@
 
 import queue
 import threading
-import time
 from collections.abc import Callable
 
 from ...schemas.messages import Request
 
 WAITING = 10_000
 """Messages that wait for the link; above that, new ones are dropped, which the protocol repeats."""
-PATIENCE = 0.5
-"""Seconds for each step of the end: the last messages, the link, its threads."""
+PATIENCE = 1.0
+"""Seconds for the whole end of a link: the last messages, the link, its threads."""
 
 
 class Sender:
@@ -28,9 +27,9 @@ class Sender:
             self._waiting.put((worker, message))
 
     def finish(self) -> None:
-        """Send what waits, as far as peers read it."""
+        """Send what waits, as far as peers read it; half of the time is for what follows."""
         self._waiting.put(None)
-        self._thread.join(PATIENCE)
+        self._thread.join(PATIENCE / 2)
 
     def _work(self) -> None:
         while (message := self._waiting.get()) is not None:
@@ -49,10 +48,3 @@ def within_patience(close: Callable[[], object]) -> None:
     thread = threading.Thread(target=attempt, name="closing", daemon=True)
     thread.start()
     thread.join(PATIENCE)
-
-
-def join_all(threads: list[threading.Thread]) -> None:
-    """Wait for threads, together no longer than `PATIENCE`."""
-    deadline = time.monotonic() + PATIENCE
-    for thread in threads:
-        thread.join(max(0.0, deadline - time.monotonic()))

@@ -18,7 +18,7 @@ from ...schemas.link import Tls, listen_config, password_line, reachable, with_p
 from ...schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState
 from ...schemas.sealed import OrchestratorEnd
 from .inbox import Budget
-from .sender import Sender, join_all, within_patience
+from .sender import Sender, within_patience
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
@@ -142,11 +142,15 @@ class ZenohTransport:
     def close(self) -> None:
         """Send what waits, close the session, and wait for the reader threads (one in recv() at exit aborts).
 
-        A peer that does not read can hold up each of the three, so none is waited for without a limit.
+        A peer that does not read can hold up each of the three, so they have one limit together.
         """
+        within_patience(self._close)
+
+    def _close(self) -> None:
         self._sender.finish()
-        within_patience(self._session.close)
-        join_all(self._threads)
+        self._session.close()  # type: ignore[no-untyped-call]
+        for thread in self._threads:
+            thread.join()
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from ..store.changes import ChangeReader, Changes, rollouts_of
 from . import rollouts, wording
 from .data import Axis, ReportData, RolloutsOfTest, State
 from .problem import ProblemCollector
+from .trust import TrustStatistics
 from .workers import LiveState, WorkerStatistics
 
 WORST_STARTS = 8
@@ -44,7 +45,7 @@ class Collector:
         self._problems: dict[str, ProblemCollector] = {}
         self._checked: dict[tuple[str, int], tuple[float, ...]] = {}
         """The start of each test of a closing check."""
-        self._workers = WorkerStatistics()
+        self._workers, self._trust = WorkerStatistics(), TrustStatistics()
         self._violations: list[RolloutFact] = []
         self._system: str | None = None
         self._code: str | None = None
@@ -113,6 +114,7 @@ class Collector:
                 f"{self.directory}: the facts contradict each other ({error}); restore the database from a copy"
             ) from None
         self._workers.add(changes)
+        self._trust.add(changes)
         # A recheck repeats rollouts that have been counted.
         self._violations += (fact for fact in changes.violations if fact.rollout.problem != RECHECK)
         self._violations.sort(key=lambda fact: (fact.robustness, fact.rollout))
@@ -122,6 +124,7 @@ class Collector:
         results = {each.name: each for each in predicate.problems} if predicate else {}
         problems = tuple(each.data(results.get(each.problem.name)) for each in self._problems.values())
         claims = wording.worded(predicate) if predicate else ()
+        workers, more = self._workers.rows(live, self._trust.workers)
         # Terms without a claim of their own compose to the risk.
         of_risk = any(each.quantity in (None, "rho_star") for each in problems)
         return ReportData(
@@ -159,11 +162,15 @@ class Collector:
             ),
             violations=len(self._violations),
             rollouts=sum(each.rollouts for each in self._problems.values()),
-            workers=self._workers.rows(live),
+            workers=workers,
             throughput=self._workers.throughput(),
             software=header.software,
             resume=resume_command(self.directory),
             failed_attempts=self._workers.failed_attempts(),
+            more_workers=more,
+            compared=self._trust.compared_rows(),
+            compared_results=self._trust.compared,
+            set_aside=self._trust.pause_rows(),
         )
 
     def _start(self, rollout: RolloutId) -> tuple[float, ...]:

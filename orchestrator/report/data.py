@@ -216,6 +216,34 @@ class FailedAttempt:
 
 
 @dataclass(frozen=True, slots=True)
+class ComparedRow:
+    """A result that was compared with another one of its rollout."""
+
+    kind: str
+    """"compared", "outvoted", or "reviewed": simulated again because an outvoted worker had recorded it."""
+    rollout: str
+    attempt: int
+    worker: str
+    sha256: str
+    at: float
+    """Unix time."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetAsideRow:
+    """A worker or host that was set aside."""
+
+    kind: str
+    """"worker" or "host"."""
+    name: str
+    times: int
+    for_good: bool
+    last: float
+    """Unix time at which its last pause began."""
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class ReportData:
     """All data of a campaign's report, at one moment."""
 
@@ -257,6 +285,14 @@ class ReportData:
     """Command that resumes the campaign."""
     failed_attempts: tuple[FailedAttempt, ...] = ()
     """The latest first, at most 50."""
+    more_workers: int = 0
+    """Workers without a row in `workers`, which has at most 100: those set aside, then those with most attempts."""
+    compared: tuple[ComparedRow, ...] = ()
+    """The latest first, those that differ before all others, at most 50."""
+    compared_results: int = 0
+    """Number of all of them."""
+    set_aside: tuple[SetAsideRow, ...] = ()
+    """For good first, then the latest, at most 50."""
 
 
 def to_json(data: ReportData | RolloutsOfTest) -> str:

@@ -2,7 +2,7 @@
 
 from array import array
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
 
@@ -12,6 +12,8 @@ from ..store.progress import RECENT, rate
 from .data import FailedAttempt, Throughput, WorkerRow
 
 MOST_POINTS = 200
+MOST_WORKERS = 100
+"""Workers in the data."""
 MOST_FAILED = 50
 """Failed attempts in the data; the export lists all of them."""
 LONGEST_REASON = 500
@@ -67,16 +69,26 @@ class WorkerStatistics:
                 self._system_failures += outcome.kind == "system"
                 self._failed.append(_failed_attempt(outcome))
 
-    def rows(self, live: Mapping[str, LiveState]) -> tuple[WorkerRow, ...]:
-        """Return every worker by name; the state of one that `live` lacks is unknown."""
-        return tuple(
-            WorkerRow(
-                name=name,
-                host=self._hosts.get(name, ""),
-                **asdict(self._totals.get(name, _Totals())),
-                **live.get(name, LiveState("unknown"))._asdict(),
-            )
-            for name in sorted({*self._totals, *self._hosts, *live})
+    def rows(self, live: Mapping[str, LiveState], aside: Container[str] = ()) -> tuple[tuple[WorkerRow, ...], int]:
+        """Return workers by name, and the number of those that are left out; `aside` are those that were set aside.
+
+        A campaign of weeks has thousands: those that were set aside come first, then those that live, then those with
+        most attempts. The state of a worker that `live` lacks is unknown.
+        """
+        names = {*self._totals, *self._hosts, *live}
+        chosen = sorted(names, key=lambda name: (name not in aside, name not in live, -self._attempts(name), name))
+        return tuple(self._row(name, live) for name in sorted(chosen[:MOST_WORKERS])), len(chosen[MOST_WORKERS:])
+
+    def _attempts(self, name: str) -> int:
+        found = self._totals.get(name)
+        return found.rollouts + found.failures if found else 0
+
+    def _row(self, name: str, live: Mapping[str, LiveState]) -> WorkerRow:
+        return WorkerRow(
+            name=name,
+            host=self._hosts.get(name, ""),
+            **asdict(self._totals.get(name, _Totals())),
+            **live.get(name, LiveState("unknown"))._asdict(),
         )
 
     def throughput(self) -> Throughput:

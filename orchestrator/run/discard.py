@@ -35,9 +35,10 @@ def discard_rollout(directory: Path, name: str, reason: str) -> DiscardFact:
     reason = one_line(reason.strip())
     if not 0 < len(reason) <= LONGEST:
         raise PerfboundError(f"--reason: has {len(reason)} characters; give 1 to {LONGEST}, for the certificate")
-    if files.read(directory) is not None:
-        raise PerfboundError(f"{directory}: the campaign has finished, and its evidence never changes")
     with campaign_lock(directory):
+        # Under the lock: a run that had it may have finished a moment ago.
+        if files.read(directory) is not None:
+            raise PerfboundError(f"{directory}: the campaign has finished, and its evidence never changes")
         with closing(Journal.open(directory)) as journal:
             ledger = Ledger(directory, journal)
             ledger.replay()

@@ -29,8 +29,11 @@ if TYPE_CHECKING:
 
 PERIOD = 1.0
 """Seconds between two messages to the child."""
-GRACE = 7.0
-"""Seconds for the child to show the end of the campaign before it is killed."""
+GRACE = 1.5
+"""Seconds for the child to show the end of the campaign before it is killed, those for the end of the link among them.
+
+With the second of the local workers (`fleet.processes`) these are all waits between the last rollout and the exit.
+"""
 MOST_WORKERS = 500
 """Workers in a message: it is sent whole or not at all, and the kernel takes 200 kB."""
 MOST_OUTPUT = 4096
@@ -109,6 +112,11 @@ class LivePage:
                 f"the live page has ended: {error}. The campaign continues; {page_command(self._directory)} shows it"
             )
 
+    def end(self) -> None:
+        """Let the child show the end of the campaign from now on."""
+        if self._child is not None:
+            self._child.end()
+
     def stop(self) -> None:
         """Close the port; a child that serves shows the end of the campaign first."""
         if self.place is not None:
@@ -125,6 +133,7 @@ class _PageProcess:
     """The process that serves the page, with a socket to its stdin that keeps messages apart."""
 
     def __init__(self, listening: socket.socket, address: Address, directory: Path) -> None:
+        self._ended = 0.0
         self._feed, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._feed.setblocking(False)
         with theirs:
@@ -161,11 +170,16 @@ class _PageProcess:
             self._feed.send(message)
         return lines
 
-    def stop(self, grace: float) -> None:
+    def end(self) -> None:
         """Close the feed, at whose end the child ends."""
         self._feed.close()
+        self._ended = self._ended or time.monotonic()
+
+    def stop(self, grace: float) -> None:
+        """Wait for the child until `grace` s after the end of its feed, then kill it."""
+        self.end()
         try:
-            self._process.wait(grace)
+            self._process.wait(max(0.0, self._ended + grace - time.monotonic()))
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

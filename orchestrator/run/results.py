@@ -15,6 +15,7 @@ from ..fleet import events
 from ..fleet.transport import Result
 from ..store.journal import Journal
 from .decoder import LARGE, Decoded, Decoder
+from .grids import Grids
 from .review import Review
 
 
@@ -25,7 +26,10 @@ class Results:
         self._ledger, self._journal, self._review = ledger, journal, review
         self._admission = Admission(ledger)
         self._decoder = Decoder(self._admission.columns, done)
+        self._grids = Grids()
         self._admitted: dict[Attempt, tuple[Result, Trajectory]] = {}
+        self._doubtful: set[Attempt] = set()
+        """Those of the admitted ones with a time grid that is not known."""
 
     @property
     def undecided_since(self) -> float:
@@ -56,7 +60,8 @@ class Results:
         elif is_open:
             failure = self._admit(attempt, result, decoded)
         # A result that is no longer needed is acknowledged unread, so that the worker drops it.
-        return (events.Delivered(result.at, result.worker, attempt, failure, header.sha256),)
+        doubtful = attempt in self._doubtful
+        return (events.Delivered(result.at, result.worker, attempt, failure, header.sha256, doubtful=doubtful),)
 
     def _admit(self, attempt: Attempt, message: Result, decoded: Trajectory | EvidenceError | None) -> Failure | None:
         """Keep a result until it is decided on; return the failure of the attempt if it is refused."""
@@ -64,16 +69,14 @@ class Results:
             return _refused(decoded)
         rollout, sha256 = attempt.rollout, message.header.sha256
         try:
-            request = self._review.request(rollout)
-            if decoded is None and request is not None:
-                decoded = admit(request, self._admission.columns, message.payload, sha256)
-            elif decoded is None:
-                decoded = self._admission.admit(rollout, message.payload, sha256)
-            elif request is None:
-                self._admission.check(rollout, decoded)
+            if decoded is None:
+                decoded = admit(self.request(rollout), self._admission.columns, message.payload, sha256)
+            first = self._review.request(rollout) is None and self._admission.check(rollout, decoded)
         except EvidenceError as fault:
             return _refused(fault)
         self._admitted[attempt] = message, decoded
+        if first and not self._grids.is_known(decoded, message.worker):
+            self._doubtful.add(attempt)
         return None
 
     def request(self, rollout: RolloutId) -> RolloutRequest:
@@ -88,6 +91,8 @@ class Results:
             self._review.take(worker, attempt, header.sha256)
             return Work()
         outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
+        if attempt in self._doubtful:
+            self._grids.take(trajectory)
         work = self._ledger.record(rollout, message.payload, trajectory, header.sha256)
         self._journal.attempts.ended(attempt, worker, outcome, header.cpu_seconds, header.wall_seconds)
         return work
@@ -102,6 +107,7 @@ class Results:
     def clear(self) -> None:
         """Drop what is decided on."""
         self._admitted.clear()
+        self._doubtful.clear()
 
 
 def _refused(fault: EvidenceError) -> Failure:

@@ -5,6 +5,7 @@ worker that fits the campaign is `up` for the dispatch machine from its first he
 once and then ignored.
 """
 
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 from ...schemas import __version__
@@ -30,6 +31,8 @@ class WorkerRecord:
 
 LIVING = 10_000
 """Workers at a time; tokens above that are ignored."""
+MOST_NAMED = 3
+"""Files or versions in a refusal."""
 DEAD_KEPT = 500
 """Workers whose token is gone: one that returns after a partition is known, older ones are admitted anew."""
 
@@ -109,12 +112,8 @@ class Roster:
             return f"the worker has no system {spec.name!r}; {remedy}"
         if self._spec_sha256 not in state.systems[spec.name]:
             # Another build may give other trajectories for the same seed; one certificate names one build.
-            code = {name: f"sha256 {digest[:12]}..." for name, digest in spec.code.items()}
-            planned = ", ".join(f"{name} {version}" for name, version in (spec.versions | code).items())
-            return (
-                f"the worker's {spec.name!r} differs from the one this campaign was planned for ({planned}); "
-                "use the same files and versions"
-            )
+            what = _what_differs(spec, state.systems[spec.name])
+            return f"the worker's {spec.name!r} has other {what} than the campaign's; use the same on both"
         if self._platform not in (ANY, state.platform):
             return (
                 f"the worker's platform is {state.platform or 'unknown'}, the campaign's {self._platform}, and their "
@@ -122,3 +121,20 @@ class Roster:
                 "(platform)"
             )
         return None
+
+
+def _what_differs(spec: SystemSpec, theirs: Container[str]) -> str:
+    """Return in what a worker's system of the same name is another one; `theirs` are its identities."""
+    # A system has an identity without its files, and one without the versions of its packages.
+    if spec.code and spec.model_copy(update={"code": {}}).digest in theirs:
+        return f"files ({_first_names(sorted(spec.code))})"
+    if spec.versions and spec.model_copy(update={"versions": {}}).digest in theirs:
+        return (
+            f"versions of packages ({_first_names([f'{name} {version}' for name, version in spec.versions.items()])})"
+        )
+    return "files or versions of packages"
+
+
+def _first_names(names: Sequence[str]) -> str:
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

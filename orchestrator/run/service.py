@@ -33,7 +33,7 @@ from .poison import poison_text
 from .results import Results
 from .review import Review
 from .roster import Roster, WorkerRecord
-from .trust import failures_before, note
+from .trust import failures_before, note, still_aside
 
 TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
@@ -121,7 +121,8 @@ class Service:
         limits = _dispatch_limits(ledger.config)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
-        self._state = DispatchState(limits, hold, second_opinion=ledger.config.second_opinion > 0)
+        banned = still_aside(journal.attempts, self._print_line)
+        self._state = DispatchState(limits, hold, standings=banned, second_opinion=ledger.config.second_opinion > 0)
 
     def run(self) -> None:
         """Serve until every problem has stopped.
@@ -240,10 +241,8 @@ class Service:
             case events.Acknowledge(worker, attempt):
                 self._outbox.acknowledge(worker, attempt)
             case events.Fail(worker, attempt, failure):
-                # Else a peer could fill the disk with failures of attempts that it makes up.
-                if self._journal.attempts.worker_of(attempt.rollout, attempt.number) == worker:
-                    self._journal.attempts.ended(attempt, worker, failure)
-                    self._lines.failed(action)
+                self._journal.attempts.ended(attempt, worker, failure)
+                self._lines.failed(action)
             case events.GiveUp(worker):
                 if self._fleet is not None and self._fleet.kill(worker):
                     # Before its token is gone, so that nothing is assigned to it.

@@ -149,6 +149,7 @@ def start_campaign(
         page.start()
         found = replace(options, system=reference)
         _conduct(directory, journal, transport, page, options=found, console=console, resumed=False)
+        page.end()
 
 
 def resume_campaign(directory: Path, options: RunOptions, console: Console) -> bool:
@@ -175,6 +176,7 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console) -> b
             page.start()
             found = replace(options, system=reference)
             _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
+            page.end()
     return True
 
 

@@ -6,11 +6,15 @@ from pathlib import Path
 from ...schemas.errors import one_line
 from ...schemas.ids import RolloutId
 from ..fleet import events
-from ..fleet.opinions import FOR_GOOD
+from ..fleet.opinions import FOR_GOOD, without
 from ..fleet.retries import blames_rollout
+from ..fleet.standing import Standings
 from ..store import read
 from ..store.attempts import AttemptLog
 from .format import duration
+
+MOST_NAMED = 5
+"""Workers in a line."""
 
 
 def note(
@@ -30,6 +34,17 @@ def note(
             log.opinion("outvoted", attempt, worker, digest)
         case events.TakeBack(place):
             log.set_aside(place.kind, place.name, 0.0, "")
+
+
+def still_aside(log: AttemptLog, print_line: Callable[[str], None]) -> Standings:
+    """Return the standings of the workers that were outvoted in earlier sessions; print them in one line."""
+    workers = log.outvoted()
+    if workers:
+        more = f" and {len(workers) - MOST_NAMED} more" if len(workers) > MOST_NAMED else ""
+        names = ", ".join(workers[:MOST_NAMED]) + more
+        remedy = "a worker that is restarted is compared anew"
+        print_line(f"outvoted in an earlier session, and still set aside: {names}; {remedy}")
+    return without({}, workers)
 
 
 def failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:

@@ -1,6 +1,7 @@
 """The part of the journal that depends on chance: attempts and their ends, pauses and comparisons of workers."""
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -47,6 +48,14 @@ class AttemptLog:
             row = {"kind": kind, "worker": worker, "sha256": sha256, "at": time.time()}
             self._rows.add(tables.opinions, attempt_key(attempt) | row)
 
+    def outvoted(self) -> list[str]:
+        """Return the workers that were outvoted, in this session or an earlier one."""
+        if not has_table("opinions", self._version):
+            return []
+        seen = tables.opinions.c
+        query = sa.select(seen.worker).where(seen.kind == "outvoted").group_by(seen.worker)
+        return [str(row[0]) for row in self._rows.read(query.order_by(sa.func.min(seen.entry)))]
+
     def suspects(self) -> list[RolloutId]:
         """Return the rollouts that an outvoted worker recorded and that no other one has simulated."""
         if not has_table("opinions", self._version):
@@ -56,14 +65,21 @@ class AttemptLog:
         if not self._rows.read(outvoted.limit(1)):
             return []
         others = sa.select(seen.rollout).where(seen.kind != "outvoted")
-        query = sa.select(ended.rollout).where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
-        return [RolloutId.parse(row[0]) for row in self._rows.read(query.where(ended.rollout.not_in(others)))]
+        query = sa.select(ended.rollout).distinct().where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
+        found = [RolloutId.parse(row[0]) for row in self._rows.read(query.where(ended.rollout.not_in(others)))]
+        if not found:
+            return []
+        rollouts = tables.rollouts.c
+        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
+        rows: Sequence[Any] = self._rows.read(sa.select(*columns))
+        recorded = {RolloutId(*row) for row in rows}
+        return [each for each in found if each in recorded]  # a discarded one has an attempt, and no row
 
-    def worker_of(self, rollout: RolloutId, attempt: int | None = None) -> str | None:
-        """Return the worker of an attempt, or the one whose result was recorded; inside or outside a transaction."""
-        table = tables.outcomes if attempt is None else tables.attempts
-        which = table.c.outcome == RECORDED if attempt is None else table.c.attempt == attempt
-        rows = self._rows.read(sa.select(table.c.worker).where(table.c.rollout == str(rollout), which))
+    def worker_of(self, rollout: RolloutId) -> str | None:
+        """Return the worker whose result was recorded, after a discard the last one; also outside a transaction."""
+        ended = tables.outcomes.c
+        query = sa.select(ended.worker).where(ended.rollout == str(rollout), ended.outcome == RECORDED)
+        rows = self._rows.read(query.order_by(ended.attempt.desc()).limit(1))
         return str(rows[0][0]) if rows else None
 
 

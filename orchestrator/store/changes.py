@@ -13,7 +13,7 @@ from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, R
 from ...schemas.ranges import within_seconds
 from . import tables
 from .read import read_header, read_version, reading
-from .rows import DATABASE, READERS, SCHEMA_VERSION
+from .rows import DATABASE, READERS, SCHEMA_VERSION, has_table
 
 _SINCE: sa.BindParameter[int] = sa.bindparam("since")
 _rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.attempts.c
@@ -58,6 +58,29 @@ class AttemptOutcome:
     """Of a failure: `schemas.failure.FailureKind`, or None in a database of an earlier schema version."""
 
 
+@dataclass(frozen=True, slots=True)
+class ComparedResult:
+    """A result that was compared, outvoted or reviewed; `at` is Unix time."""
+
+    kind: str
+    rollout: str
+    attempt: int
+    worker: str
+    sha256: str
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
+class PauseChange:
+    """The begin of a pause of a worker or host, or with 0 s its early end; `at` is Unix time, `seconds` may be inf."""
+
+    kind: str
+    name: str
+    at: float
+    seconds: float
+    reason: str
+
+
 _OUTCOME_FIELDS = tuple(each.name for each in fields(AttemptOutcome))
 
 
@@ -72,6 +95,15 @@ def _origin_query(version: int) -> sa.Select[Any]:
     named = {column.name: column for column in tables.readable(tables.sessions, version)}
     newest = sa.select(named["system"], named["revision"]).select_from(tables.sessions)
     return newest.order_by(tables.sessions.c.session.desc()).limit(1)
+
+
+def _after_last(table: sa.Table, row: type) -> sa.Select[Any]:
+    """Return the query of the entries of a table after the last one that was read."""
+    columns = (table.c[each.name] for each in fields(row))
+    return sa.select(table.c.entry, *columns).where(table.c.entry > _SINCE).order_by(table.c.entry)
+
+
+_OPINIONS, _PAUSES = _after_last(tables.opinions, ComparedResult), _after_last(tables.set_aside, PauseChange)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +122,8 @@ class Changes:
     sessions: int
     origin: tuple[str, str | None] | None
     """Reference and revision of a system that is not installed, as the last session had it."""
+    opinions: tuple[ComparedResult, ...] = ()
+    pauses: tuple[PauseChange, ...] = ()
 
 
 class ChangeReader:
@@ -99,7 +133,7 @@ class ChangeReader:
         self._directory = directory
         self._header: Header | None = None
         self._version = SCHEMA_VERSION
-        self._seq = self._ended = self._started = 0
+        self._seq = self._ended = self._started = self._compared = self._paused = 0
 
     def read(self) -> Changes:
         """Return what was added, at one moment in time.
@@ -123,6 +157,10 @@ class ChangeReader:
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
             sessions = connection.execute(_SESSIONS).scalar_one()
             origin = connection.execute(_origin_query(self._version)).first()
+            opinions, pauses = list[Any](), list[Any]()
+            if has_table("opinions", self._version):
+                opinions += connection.execute(_OPINIONS, {"since": self._compared}).all()
+                pauses += connection.execute(_PAUSES, {"since": self._paused}).all()
         decisions.sort(key=lambda pair: pair[0])  # the sequence number is common to all tables of facts
         found = Changes(
             header,
@@ -133,12 +171,16 @@ class ChangeReader:
             {row.worker: row.host for row in hosts},
             sessions,
             None if origin is None or origin.system is None else (origin.system, origin.revision),
+            tuple(ComparedResult(*row[1:]) for row in opinions),
+            tuple(PauseChange(*row[1:]) for row in pauses),
         )
         # Only now: a call that fails half-way is repeated whole.
         self._header = header
         self._seq = max([self._seq, *(number for number, _ in decisions), *(row.seq for row in counts)])
         self._ended = max([self._ended, *(row.rowid for row in outcomes)])
         self._started = max([self._started, *(row.rowid for row in hosts)])
+        self._compared = max([self._compared, *(row.entry for row in opinions)])
+        self._paused = max([self._paused, *(row.entry for row in pauses)])
         return found
 
     def _checked(self, connection: Connection) -> Header:

@@ -7,6 +7,8 @@
 | `observations`    | what one replicate contributed to an observed test                             |
 | `counterexamples` | a rollout with robustness below 0                                              |
 | `failures`        | an attempt that failed, and whether it failed in the system                    |
+| `opinions`        | a result that was compared, outvoted or simulated again                        |
+| `set_aside`       | a pause of a worker or a host, or its early end                                |
 
 Rows are in the order of the facts. Numbers are in the unit of their objective: for sense min they are robustness,
 where the database has J = -robustness, also in the spot check. So `lower` is a bound from below and `upper` one from
@@ -28,8 +30,9 @@ from ...schemas.ids import RECHECK, SPOT_CHECK
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from . import tables
+from .rows import has_table
 
-TABLES = ("tests", "rollouts", "observations", "counterexamples", "failures")
+TABLES = ("tests", "rollouts", "observations", "counterexamples", "failures", "opinions", "set_aside")
 BATCH = 1000
 """Rows that are fetched at a time."""
 
@@ -83,6 +86,10 @@ def export_table(name: str, header: Header, version: int) -> ExportTable:
             return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0, _r.problem != RECHECK))
         case "failures":
             return _failures_table(version)
+        case "opinions":
+            return _as_stored(tables.opinions, _OPINION, version)
+        case "set_aside":
+            return _as_stored(tables.set_aside, _PAUSE, version)
     raise KeyError(name)
 
 
@@ -138,13 +145,23 @@ def _tests_table(header: Header) -> ExportTable:
 _outcome, _tried = tables.outcomes.c, tables.attempts.c
 _ID = _r.problem + "." + sa.cast(_r.test, sa.Text) + "." + _r.variant + "." + sa.cast(_r.replicate, sa.Text)
 _ATTEMPTS = sa.select(sa.func.count()).where(_tried.rollout == _ID).correlate(tables.rollouts).scalar_subquery()
+_earlier = tables.outcomes.alias()
+# After a discard there are two recorded attempts; the present row is of the last one.
+_LAST = (
+    sa.select(sa.func.max(_earlier.c.attempt))
+    .where(_earlier.c.rollout == _ID, _earlier.c.outcome == RECORDED)
+    .correlate(tables.rollouts)
+    .scalar_subquery()
+)
 _ROLLOUTS = (
     sa.select(
         *(_ID.label("id"), tables.rollouts, _t.x),
         *(_outcome.worker, _ATTEMPTS.label("attempts"), _outcome.wall_seconds, _outcome.cpu_seconds),
     )
     .join(tables.tests, (_t.problem == _r.problem) & (_t.test == _r.test))
-    .outerjoin(tables.outcomes, (_outcome.rollout == _ID) & (_outcome.outcome == RECORDED))
+    .outerjoin(
+        tables.outcomes, (_outcome.rollout == _ID) & (_outcome.outcome == RECORDED) & (_outcome.attempt == _LAST)
+    )
     .order_by(_r.seq)
 )
 _ROLLOUT = (
@@ -195,6 +212,35 @@ def _failures_table(version: int) -> ExportTable:
 
 def _failure_row(row: Any) -> Iterator[Row]:
     yield row.rollout, row.attempt, row.worker, row.kind, row.outcome, row.ended
+
+
+# opinions, set_aside
+
+_OPINION = (
+    ExportColumn("kind", "text"),
+    ExportColumn("rollout", "text"),
+    ExportColumn("attempt", "integer"),
+    ExportColumn("worker", "text"),
+    ExportColumn("sha256", "text"),
+    ExportColumn("at", unit="s"),
+)
+_PAUSE = (
+    ExportColumn("kind", "text"),
+    ExportColumn("name", "text"),
+    ExportColumn("session", "integer"),
+    ExportColumn("at", unit="s"),
+    ExportColumn("seconds", unit="s"),
+    ExportColumn("reason", "text"),
+)
+
+
+def _as_stored(table: sa.Table, columns: tuple[ExportColumn, ...], version: int) -> ExportTable:
+    """Return a table of the database as it is; without rows where the database is too old to have it."""
+    if has_table(table.name, version):
+        query = sa.select(*(table.c[each.name] for each in columns)).order_by(table.c.entry)
+    else:
+        query = sa.select(*(sa.null().label(each.name) for each in columns)).where(sa.false())
+    return ExportTable(table.name, columns, query, lambda row: iter([tuple(row)]))
 
 
 # observations

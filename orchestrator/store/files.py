@@ -155,8 +155,8 @@ def damaged(
     return found
 
 
-def sweep(directory: Path, recorded: Set[str]) -> None:
-    """Remove what a crash left: half-written files, and trajectories whose path is not in `recorded`.
+def sweep(directory: Path, named: Set[str]) -> None:
+    """Remove what a crash left: half-written files, and trajectories, also discarded ones, that no fact has `named`.
 
     Raises:
         EvidenceError: a folder of trajectories is a symbolic link, through which other files would be removed.
@@ -169,6 +169,8 @@ def sweep(directory: Path, recorded: Set[str]) -> None:
                 inside(directory, str(place / name / "file"))
         for name in names:
             # Killed between rename and commit: the rollout is simulated again, perhaps under another attempt.
-            orphan = place.parts[:1] == (FOLDER,) and name.endswith(".mcap") and str(place / name) not in recorded
+            # Or a discard was killed before its commit.
+            ours = place.parts[:1] in ((FOLDER,), (DISCARDED,)) and name.endswith(".mcap")
+            orphan = ours and str(place / name) not in named
             if orphan or name.endswith(TEMPORARY):
                 os.unlink(Path(folder) / name)

@@ -4,6 +4,7 @@ The queries go to the SQLite driver directly: loading SQLAlchemy takes longer th
 status` does.
 """
 
+import math
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
@@ -44,6 +45,7 @@ _SET_ASIDE = """
     GROUP BY kind, name ORDER BY kind, name
 """
 _REASON = "SELECT reason FROM set_aside WHERE kind = ? AND name = ? AND seconds > 0 ORDER BY entry DESC LIMIT 1"
+_OPINIONS = "SELECT kind, count(*) FROM opinions GROUP BY kind ORDER BY kind"
 _SESSIONS = "SELECT count(*) FROM sessions"
 
 
@@ -55,7 +57,7 @@ class Pauses:
     name: str
     count: int
     until: float
-    """Unix time of the end of the last one, if the session that began it still runs."""
+    """Unix time of the end of the last one, if the session that began it still runs; those for good have none."""
     reason: str
 
 
@@ -73,6 +75,8 @@ class CampaignProgress:
     """Failures of the system among them; None if the database does not tell."""
     sessions: int
     pauses: tuple[Pauses, ...]
+    opinions: dict[str, int]
+    """Results that were compared, outvoted and reviewed, by these words."""
     rate: float
     """Rollouts per second over the last minute of work, or over its last thousand rollouts."""
 
@@ -107,6 +111,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
         int(connection.execute(_SESSIONS).fetchone()[0]),
         _pauses(connection) if has_table("set_aside", version) else (),
+        dict(connection.execute(_OPINIONS).fetchall()) if has_table("opinions", version) else {},
         rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])]),
     )
 
@@ -123,7 +128,7 @@ def _pauses(connection: sqlite3.Connection) -> tuple[Pauses, ...]:
     # `seconds` beside max(at) is that of the same row: an extension of SQLite.
     for kind, name, count, at, seconds, current in connection.execute(_SET_ASIDE).fetchall():
         (reason,) = connection.execute(_REASON, [kind, name]).fetchone()
-        found.append(Pauses(kind, name, int(count), at + seconds if current else at, reason))
+        found.append(Pauses(kind, name, int(count), at + seconds if current or seconds == math.inf else at, reason))
     return tuple(found)
 
 

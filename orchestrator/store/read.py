@@ -216,7 +216,8 @@ def contradicted(directory: Path) -> list[str]:
             return []
         columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate, rollouts.sha256)
         recorded = {str(RolloutId(*row[:4])): row[4] for row in connection.execute(sa.select(*columns))}
-    return sorted({rollout for rollout, sha256 in reviewed if recorded[rollout] != sha256})
+    # One that was discarded since has no row, and is no part of the evidence.
+    return sorted({rollout for rollout, sha256 in reviewed if recorded.get(rollout, sha256) != sha256})
 
 
 def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:

@@ -6,12 +6,14 @@ from dataclasses import replace
 from perfbound.orchestrator.report.data import (
     Axis,
     Claim,
+    ComparedRow,
     Curve,
     FailedAttempt,
     Problem,
     ReportData,
     Rollout,
     RolloutsOfTest,
+    SetAsideRow,
     Surface,
     TestSeries,
     Throughput,
@@ -155,6 +157,13 @@ def hostile() -> ReportData:
         workers=(WorkerRow(long, script, 1, 1, 1.0, 1.0, STARTED, strange, script, None),),
         software={script: long},
         resume=long,
+        more_workers=1,
+        compared=tuple(ComparedRow(kind, long, 1, script, long, STARTED) for kind in (script, "outvoted")),
+        compared_results=7,
+        set_aside=(
+            SetAsideRow(script, long, 2, True, STARTED, strange),
+            SetAsideRow("host", long, 1, False, STARTED, ""),
+        ),
         failed_attempts=tuple(
             FailedAttempt(script, 1, long, kind, strange, STARTED) for kind in (script, "system", None)
         ),

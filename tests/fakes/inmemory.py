@@ -40,6 +40,7 @@ from perfbound.workers import worker as worker_module
 from perfbound.workers.systems import load_system
 from perfbound.workers.transport import Receiver, Uplink
 from perfbound.workers.worker import WorkerProcess
+from tests.patience import patience
 
 # The network
 
@@ -345,6 +346,7 @@ def serve(
     Raises:
         Stopped: `stop` returned True; called at every tick.
         PerfboundError: as `Service.run`.
+        TimeoutError: the campaign does not end.
 
     """
     with campaign_lock(directory), ExitStack() as stack:
@@ -357,9 +359,14 @@ def serve(
             port = InMemoryTransport(network)
             stack.callback(port.stop)
             server = Service(ledger, journal, port, None, [log], resumed=resumed, drain=drain)
-            log._look = lambda seen: server.inbox.put(Interrupted(2)) if stop(seen) else None
+            late = patience()
+            log._look = lambda seen: server.inbox.put(Interrupted(2)) if stop(seen) or late() else None
             port.start(journal.header.run, server.inbox.put)
-            server.run()
+            try:
+                server.run()
+            finally:
+                if late():
+                    raise TimeoutError(f"the campaign does not end; its last lines: {log.lines[-3:]}")
         assignments.forget(directory)
         found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
         known = {"irreproducible": read.irreproducible(directory) > 0, "contradicted": read.contradicted(directory)}

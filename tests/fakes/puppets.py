@@ -40,6 +40,7 @@ from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory
 from perfbound.schemas.trajectory import encode as encode_file
 from perfbound.workers.systems import load_system
+from tests.patience import patience
 
 RATE = 100
 """Samples of a trajectory per second."""
@@ -169,16 +170,24 @@ class Stage:
         self.clock = Clock()
 
     def play(self, over: Callable[[], bool] = lambda: False) -> None:
-        """Run the campaign to its end, or until it is `over` by the clock."""
+        """Run the campaign to its end, or until it is `over` by the clock.
+
+        Raises:
+            TimeoutError: it is neither.
+
+        """
+        late = patience()
 
         def look() -> None:
-            if over():
+            if over() or late():
                 service.inbox.put(Interrupted(2))
 
         service = Service(self.ledger, self.journal, self.puppets, None, [_Listener(look)], resumed=False)
         self.puppets.start(self.journal.header.run, service.inbox.put)
         with suppress(Stopped), self.clock.running():
             service.run()
+        if late():
+            raise TimeoutError("the campaign does not end")
 
     def per_rollout(self) -> tuple[float, float]:
         """Return wall and CPU seconds a rollout, without what the puppets took."""

@@ -199,6 +199,12 @@ def _late(found: Trajectory) -> Trajectory:
     return replace(found, samples=found.samples + np.array([0.5, 0.0]))
 
 
+def _grid(found: Trajectory) -> Trajectory:
+    times = found.samples[:, 0]
+    inner = (times > 0.0) & (times < times[-1])
+    return replace(found, samples=found.samples + np.outer(0.01 * inner, [1.0, 0.0]))
+
+
 BIG = 3_000_000
 """Samples of a big result: 48 MB."""
 
@@ -216,5 +222,6 @@ AFTER: dict[str, Callable[[Trajectory], Trajectory]] = {
     "huge": _huge,
     "short": _short,
     "late": _late,
+    "grid": _grid,
     "big": _big,
 }

@@ -15,6 +15,9 @@ function workerSection(report) {
     definitions(".facts", facts),
     throughput.seconds.length > 1 ? chartFigure("throughput", "Rollouts recorded over time") : null,
     workers.length ? workerTable(report) : el("p.muted", "No worker has joined yet."),
+    report.more_workers ? el("p.muted", `and ${plural(report.more_workers, "more worker")} with fewer attempts`) : null,
+    report.set_aside.length ? setAsideTable(report.set_aside) : null,
+    report.compared.length ? comparedTable(report) : null,
     report.failed_attempts.length ? failureTable(report) : null,
   );
 }
@@ -36,6 +39,33 @@ function failureTable({ failed_attempts, throughput }) {
     utc(each.ended),
   ]);
   return el("details", el("summary", `Failed attempts: ${shown}`), table(["Rollout", "#Attempt", "Worker", "Kind", "Reason", "#Ended"], rows));
+}
+
+/** Workers and hosts that were set aside. */
+function setAsideTable(found) {
+  const rows = found.map((each) => [
+    short(each.kind, 20),
+    nameElement(each.name, 60),
+    count(each.times),
+    each.for_good ? el("strong.bad", "for good") : "for a pause",
+    utc(each.last),
+    nameElement(each.reason, 120),
+  ]);
+  return el("details", el("summary", `Set aside: ${count(found.length)} of the workers and hosts`), table(["Kind", "Name", "#Times", "How long", "#Last", "Reason"], rows));
+}
+
+/** Results that were compared with others of their rollouts. */
+function comparedTable({ compared, compared_results }) {
+  const shown = compared.length < compared_results ? `${compared.length} of ${count(compared_results)}, the latest` : plural(compared.length, "result");
+  const rows = compared.map((each) => [
+    each.kind === "outvoted" ? el("strong.bad", "outvoted") : short(each.kind, 20),
+    nameElement(each.rollout, 60),
+    count(each.attempt),
+    nameElement(each.worker, 60),
+    el("code", short(each.sha256, 12)),
+    utc(each.at),
+  ]);
+  return el("details", el("summary", `Compared results: ${shown}`), table(["Kind", "Rollout", "#Attempt", "Worker", "sha256", "#Time"], rows));
 }
 
 /** A live page has states, heartbeats and ages; a report, which does not depend on the clock, has times. */

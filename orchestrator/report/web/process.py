@@ -19,7 +19,7 @@ from .server import Server
 
 NICENESS = 10
 """Added to that of the orchestrator: the page must not slow the campaign down."""
-DEADLINE = 6
+DEADLINE = 2
 """Seconds after the end of the feed in which the kernel ends this process."""
 LONGEST = 1024 * 1024
 """Bytes of a message."""

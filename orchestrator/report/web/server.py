@@ -16,7 +16,7 @@ from .snapshots import SnapshotCache
 MOST_CONNECTIONS = 128
 FIRST_REQUEST = 10.0
 """Seconds in which a client must complete its first request."""
-SHUTDOWN = 5
+SHUTDOWN = 1
 """Seconds in which clients may read the last snapshot."""
 
 

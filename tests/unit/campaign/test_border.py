@@ -2,7 +2,8 @@
 
 import json
 import sqlite3
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,14 @@ import pytest
 from perfbound.orchestrator.campaign.ledger import Ledger, observed_discards
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.run import discard as run_discard
 from perfbound.orchestrator.run.certify import certify
 from perfbound.orchestrator.run.discard import discard_rollout
 from perfbound.orchestrator.run.service import Service
+from perfbound.orchestrator.store import discard as store_discard
+from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import PerfboundError
@@ -81,9 +86,9 @@ class Odd(Puppets):
         return changed(found, self.value, shift=self.shift)
 
 
-def odd(directory: Path, config: CampaignConfig, **answers: Any) -> Stage:
-    stage = Stage(directory, config, 3)
-    stage.puppets = Odd(stage.journal.header.spec, 3)
+def odd(directory: Path, config: CampaignConfig, workers: int = 3, **answers: Any) -> Stage:
+    stage = Stage(directory, config, workers)
+    stage.puppets = Odd(stage.journal.header.spec, workers)
     for name, each in answers.items():
         setattr(stage.puppets, name, each)
     return stage
@@ -125,6 +130,32 @@ def test_a_rollout_without_an_objective_is_a_failed_attempt(
         assert reason in found[0][0]
         assert found[1:] == [("recorded", None)]
     assert verify(tmp_path / "run") == {}
+
+
+@pytest.mark.parametrize(
+    ("method", "workers", "test"), [("paper", 1, 0), ("paper", 2, 0), ("paper", 3, 3), ("rigorous", 3, 0)]
+)
+def test_the_first_rollout_of_a_pair_is_found_if_its_time_grid_is_another_one(
+    tmp_path: Path, method: str, workers: int, test: int
+) -> None:
+    first = RolloutId("sim_gap", test, "nominal", 0)
+    calm = Stage(tmp_path / "calm", a_pair(method), workers)
+    calm.play()
+    stage = odd(tmp_path / "run", a_pair(method), workers, rollout=str(first), shift=0.001)
+    stage.play()
+    assert stage.ledger.done
+    assert fingerprints(tmp_path / "run") == fingerprints(tmp_path / "calm")
+    (failed,) = [each for each in outcomes(tmp_path / "run", first) if each[0] != "recorded"]
+    assert failed == ("its time grid is that of no other rollout", "system")
+    for each in (calm, stage):
+        each.journal.close()
+
+
+def fingerprints(directory: Path) -> list[tuple[str, int, str]]:
+    """Return the sha256 of every rollout."""
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        query = "SELECT problem, test, variant, sha256 FROM rollouts ORDER BY 1, 2, 3"
+        return connection.execute(query).fetchall()
 
 
 def test_a_rollout_that_always_lacks_its_objective_ends_the_campaign_with_its_history(tmp_path: Path) -> None:
@@ -230,6 +261,67 @@ def test_a_valid_rollout_is_never_discarded(stuck: Path) -> None:
             discard_rollout(stuck, name, "unwelcome")
     with pytest.raises(PerfboundError, match="--reason: has 0 characters"):
         discard_rollout(stuck, str(ODD), "  ")
+
+
+def test_a_discard_that_is_killed_before_its_commit_leaves_nothing(
+    stuck: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = contents_of(stuck)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as crash:
+        crash.setattr(store_discard, "_unguarded", killed)
+        with pytest.raises(KeyboardInterrupt):
+            discard_rollout(stuck, str(PARTNER), "killed")
+    assert list((stuck / "discarded").iterdir()) != []
+    assert contents_of(stuck) == before
+    kept = discard_rollout(stuck, str(ODD), "then the other one").path
+    resumed(stuck)
+    assert [str(path.relative_to(stuck)) for path in (stuck / "discarded").iterdir()] == [kept]
+    assert verify(stuck) == {}
+
+
+def contents_of(directory: Path) -> list[tuple[Any, ...]]:
+    """Return the rows of the facts that a discard moves, and the triggers that protect them."""
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        queries = ("SELECT * FROM rollouts", "SELECT * FROM discards", "SELECT sql FROM sqlite_master ORDER BY name")
+        return [row for query in queries for row in connection.execute(query).fetchall()]
+
+
+def test_a_discard_refuses_a_campaign_that_runs_and_one_that_finished_meanwhile(
+    stuck: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with campaign_lock(stuck), pytest.raises(PerfboundError, match="another orchestrator is running this campaign"):
+        discard_rollout(stuck, str(ODD), "in mid-run")
+    discard_rollout(stuck, str(ODD), "before the end")
+
+    @contextmanager
+    def at_last(directory: Path) -> Iterator[None]:
+        resumed(directory)
+        yield
+
+    monkeypatch.setattr(run_discard, "campaign_lock", at_last)
+    with pytest.raises(PerfboundError, match="has finished"):
+        discard_rollout(stuck, "sim_gap.0.true.0", "too late")
+
+
+def test_a_rollout_that_is_discarded_is_no_suspect_and_contradicts_nothing(stuck: Path) -> None:
+    with closing(sqlite3.connect(stuck / DATABASE)) as connection, connection:
+        ((liar,),) = connection.execute(
+            "SELECT worker FROM outcomes WHERE outcome = 'recorded' AND rollout = ?", [str(ODD)]
+        ).fetchall()
+        values = [("outvoted", "sim_gap.0.true.0", liar), ("reviewed", str(ODD), "another")]
+        connection.executemany("INSERT INTO opinions VALUES (NULL, ?, ?, 1, ?, 'other', 0.0)", values)
+    assert read.contradicted(stuck) == [str(ODD)]
+    discard_rollout(stuck, str(ODD), "odd")
+    assert read.contradicted(stuck) == []
+    with closing(sqlite3.connect(stuck / DATABASE)) as connection, connection:
+        connection.execute("DROP TRIGGER opinions_no_delete")
+        connection.execute("DELETE FROM opinions WHERE kind = 'reviewed'")
+    with closing(Journal.open(stuck)) as journal:
+        assert ODD not in journal.attempts.suspects()
 
 
 def test_both_rollouts_of_a_pair_may_be_discarded(stuck: Path) -> None:

@@ -9,6 +9,7 @@ from perfbound.orchestrator.fleet.events import (
     Acknowledge,
     Compared,
     Delivered,
+    Fail,
     GiveUp,
     HandOut,
     Poison,
@@ -20,9 +21,11 @@ from perfbound.orchestrator.fleet.events import (
     WorkerUp,
 )
 from perfbound.orchestrator.fleet.limits import Limits
+from perfbound.orchestrator.fleet.opinions import UNLIKE
 from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.fakes.fleets import Behaviour, Fleet, Member
+from tests.fakes.invariants import check_invariants
 
 R0 = RolloutId("p", 0, "true", 0)
 
@@ -128,6 +131,62 @@ def test_a_worker_that_differs_from_itself_is_poison(alone: DispatchState) -> No
     state, _ = deliver(alone, 1, "d")
     state, _ = deliver(state, 2, "e")
     assert any(isinstance(action, Poison) for action in deliver(state, 3, "f")[1])
+
+
+# Doubts
+
+
+Answer = tuple[str, str, bool]
+"""Worker, digest, and whether the result is doubtful."""
+
+
+def answered(workers: str, *answers: Answer) -> list[object]:
+    """Return the last actions of a fleet whose workers answer R0 in this order, whoever got it."""
+    state, attempt, actions = DispatchState(Limits()), 0, list[object]()
+    for name in workers:
+        for event in (WorkerUp(0.0, name, name), Reported(0.0, name, None, 0)):
+            state, _ = dispatch.advance(state, event)
+    state, _ = dispatch.advance(state, Wanted(0.0, ((R0, 0),)))
+    for name, digest, doubtful in answers:
+        state, given = dispatch.advance(state, HandOut(1.0))
+        ((holder, attempt),) = [(each.worker, each.attempt.number) for each in given if isinstance(each, Start)]
+        assert holder == name
+        delivered = Delivered(1.0, name, Attempt(R0, attempt), None, digest, doubtful=doubtful)
+        state, now = dispatch.advance(state, delivered)
+        check_invariants(state)
+        actions += now
+    return [each for each in actions if not isinstance(each, Acknowledge | Compared)]
+
+
+def unlike(worker: str, attempt: int) -> Fail:
+    return Fail(worker, Attempt(R0, attempt), UNLIKE)
+
+
+@pytest.mark.parametrize(
+    ("answers", "expected"),
+    [
+        ([("a", "d", False)], [Record("a", Attempt(R0, 1))]),
+        ([("a", "d", True), ("b", "d", True)], [Record("b", Attempt(R0, 2))]),
+        ([("a", "d", True), ("b", "d", False)], [Record("b", Attempt(R0, 2))]),
+        ([("a", "e", True), ("b", "d", False)], [unlike("a", 1), Record("b", Attempt(R0, 2))]),
+        ([("a", "e", True), ("b", "d", True), ("a", "d", True)], [unlike("a", 1), Record("a", Attempt(R0, 3))]),
+        ([("a", "d", True), ("b", "e", True), ("a", "d", True)], [unlike("b", 2), Record("a", Attempt(R0, 3))]),
+    ],
+)
+def test_a_doubtful_result_counts_once_it_is_repeated_and_nobody_is_outvoted(
+    answers: list[Answer], expected: list[object]
+) -> None:
+    assert answered("ab", *answers) == expected
+
+
+def test_three_doubtful_results_that_differ_are_poison() -> None:
+    *_, last = answered("ab", ("a", "d", True), ("b", "e", True), ("a", "f", True))
+    assert isinstance(last, Poison)
+    assert [each.attempt.number for each in last.failures] == [1, 2, 3]
+
+
+def test_the_only_worker_repeats_a_doubtful_result_without_a_fresh_process() -> None:
+    assert answered("a", ("a", "d", True), ("a", "d", True)) == [Record("a", Attempt(R0, 2))]
 
 
 behaviours = st.sampled_from(["good", "slow", "broken", "silent", "dies", "absent"])

@@ -2,9 +2,16 @@
 
 import threading
 
+import pytest
+
+from perfbound.orchestrator.fleet import processes
 from perfbound.orchestrator.fleet import sender as module
 from perfbound.orchestrator.fleet.sender import Sender, within_patience
+from perfbound.orchestrator.fleet.transport import ZenohTransport
+from perfbound.orchestrator.report.web import server
+from perfbound.orchestrator.run import live_page
 from perfbound.schemas.messages import Ack, Request
+from perfbound.schemas.sealed import OrchestratorEnd
 from tests.patience import PATIENCE
 
 ACKS = [Ack(rollout="maximum.0.true.0", attempt=number) for number in range(1, 101)]
@@ -49,6 +56,41 @@ def test_messages_for_a_peer_that_does_not_read_are_bounded() -> None:
 
 def assert_read(reading: threading.Event) -> None:
     assert reading.wait(PATIENCE)
+
+
+def test_the_end_of_a_link_has_one_limit_whatever_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    over, waited, join = threading.Event(), list[float | None](), threading.Thread.join
+
+    def noted(thread: threading.Thread, timeout: float | None = None) -> None:
+        if threading.current_thread() is threading.main_thread():
+            waited.append(timeout)
+        join(thread, timeout)
+
+    class Stuck:
+        def put(self, *_: object, **__: object) -> None:
+            over.wait(PATIENCE)
+
+        close = put
+
+    link = ZenohTransport(Stuck(), "", None)  # type: ignore[arg-type]
+    link.end = OrchestratorEnd(None, "run")
+    reader = threading.Thread(target=over.wait, args=(PATIENCE,))
+    link._threads.append(reader)
+    reader.start()
+    link.send("w", ACKS[0])
+    monkeypatch.setattr(threading.Thread, "join", noted)
+    link.close()
+    monkeypatch.undo()
+    over.set()
+    reader.join()
+    assert waited == [module.PATIENCE]
+
+
+def test_all_that_is_waited_for_after_the_last_rollout_takes_less_than_three_seconds() -> None:
+    # The end of the link is a part of the page's time.
+    assert module.PATIENCE <= live_page.GRACE
+    assert server.SHUTDOWN < live_page.GRACE
+    assert processes.GRACE + live_page.GRACE <= 2.5
 
 
 def test_an_error_at_the_end_is_none_of_the_campaign() -> None:

@@ -534,6 +534,38 @@ def test_the_latest_failed_attempts_come_with_their_kind(one: Path) -> None:
     assert {len(each.reason) for each in report_data.failed_attempts} == {500}
 
 
+def test_of_a_thousand_workers_those_that_matter_have_rows(one: Path) -> None:
+    for number in range(1000):
+        row = {"rollout": "sim_gap.0.true.0", "worker": f"w{number:03d}", "cpu_seconds": 0, "wall_seconds": 0}
+        for attempt in range(2 if number % 20 == 0 else 1):
+            insert(one, "outcomes", **row, attempt=2 + 2 * number + attempt, ended=1.0, outcome="lost", kind="system")
+    before = collected(one).compared_results
+    pause = {"session": 1, "kind": "worker", "reason": "three in a row"}
+    insert(one, "set_aside", **pause, name="w997", at=2.0, seconds=30.0)
+    insert(one, "set_aside", **pause, name="w997", at=40.0, seconds=60.0)
+    insert(one, "set_aside", **pause, name="w997", at=50.0, seconds=0.0)
+    insert(one, "set_aside", **pause, name="w998", at=3.0, seconds=math.inf)
+    insert(one, "opinions", kind="outvoted", rollout="sim_gap.0.true.0", attempt=1, worker="w999", sha256="f", at=4.0)
+    for number in range(60):
+        row = {"rollout": f"sim_gap.{number}.true.0", "attempt": 1, "worker": "w000", "sha256": "e", "at": 5.0}
+        insert(one, "opinions", kind="compared", **row)
+    collector = Collector(one)
+    found = collector.refresh({"w001": LiveState("idle")})
+    names = [each.name for each in found.workers]
+    known = len({*names, *(f"w{number:03d}" for number in range(1000)), "puppet-00000"})
+    assert (len(names), found.more_workers) == (100, known - 100)
+    assert {"w997", "w998", "w999", "w001", *(f"w{number:03d}" for number in range(0, 1000, 20))} <= set(names)
+    assert [(each.name, each.times, each.for_good, each.last) for each in found.set_aside] == [
+        ("w998", 1, True, 3.0),
+        ("w997", 2, False, 40.0),
+    ]
+    assert found.compared_results == before + 61
+    assert len(found.compared) == 50
+    assert (found.compared[0].kind, found.compared[0].worker) == ("outvoted", "w999")
+    assert found.compared[1].rollout == "sim_gap.59.true.0"
+    assert collector.refresh().compared_results == before + 61, "each is read once"
+
+
 def test_the_live_state_of_workers_is_added(finished: Path) -> None:
     report_data = Collector(finished).refresh(
         {"puppet-00001": LiveState("busy", "sim_gap.3.true.0", 5.0), "new": LiveState("idle")}, 7.0
@@ -554,7 +586,8 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
     assert len(found.seconds) == len(found.recorded) == 200
     assert (found.recorded[0], found.recorded[-1], found.seconds[-1]) == (1, 5000, 4999.0)
     assert found.rate == pytest.approx(1.0)
-    (worker,) = statistics.rows({})
+    ((worker,), more) = statistics.rows({})
+    assert more == 0
     assert (worker.rollouts, worker.failures, worker.busy_seconds, worker.last) == (5000, 1, 5010.0, 5000.0)
 
 

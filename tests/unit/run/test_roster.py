@@ -44,6 +44,30 @@ def test_dead_workers_are_forgotten_the_oldest_first(monkeypatch: pytest.MonkeyP
     assert set(roster.records) == {"alive", "w0", "w97", "w98", "w99"}
 
 
+@pytest.mark.parametrize(
+    ("here", "there", "what"),
+    [
+        ({"code": {"cars.py": "0" * 64}}, {"code": {"cars.py": "1" * 64}}, "files (cars.py)"),
+        (
+            {"versions": dict.fromkeys("abcde", "1.0")},
+            {"versions": {"a": "2.0"}},
+            "versions of packages (a 1.0, b 1.0, c 1.0 and 2 more)",
+        ),
+        ({"max_horizon": 2.0}, {}, "files or versions of packages"),
+    ],
+)
+def test_a_refusal_says_in_one_short_sentence_what_differs(
+    here: dict[str, object], there: dict[str, object], what: str
+) -> None:
+    base = SPEC.model_copy(update={"code": {"cars.py": "0" * 64}, "versions": {"a": "1.0"}})
+    ours, theirs = base.model_copy(update=here), base.model_copy(update=there)
+    roster = Roster(ours, ANY)
+    roster.token(Token(0.0, "w", alive=True))
+    state = state_of("w").model_copy(update={"systems": {SPEC.name: theirs.identities}})
+    reason = roster.refusal(Heartbeat(0.0, "w", state))
+    assert reason == f"the worker's 'test-function' has other {what} than the campaign's; use the same on both"
+
+
 def test_tokens_without_heartbeats_leave_nothing() -> None:
     roster = Roster(SPEC, ANY)
     for number in range(1000):

@@ -115,9 +115,19 @@ def test_of_a_worker_that_lies_from_its_first_result_nothing_is_recorded(tmp_pat
     config, log, directory = a_config(second_opinion=1.0), Log(), tmp_path / "run"
     begin(directory, config)
     liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    later = Log()
     with Network() as network, working(network, run_of(directory), [liar, honest, honest]):
-        found = serve(directory, network, log)
+        with pytest.raises(Stopped):
+            serve(directory, network, log, stop=lambda _: opinions(directory, "outvoted") != [])
+        with closing(sqlite3.connect(directory / DATABASE)) as connection:
+            (before,) = connection.execute("SELECT max(rowid) FROM attempts").fetchone()
+        found = serve(directory, network, later, resumed=True)
     assert found == campaign(tmp_path / "calm", config, workers=2)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        query = "SELECT count(*) FROM attempts WHERE rowid > ? AND worker LIKE 'worker-0-%'"
+        assert connection.execute(query, [before]).fetchone() == (0,), "set aside through the resume"
+    (again,) = [line for line in later.lines if line.startswith("outvoted in an earlier session")]
+    assert again.endswith("; a worker that is restarted is compared anew")
     (line,) = [line for line in log.lines if "set aside for good" in line]
     assert line.startswith("worker worker-0-")
     assert {worker for _, worker in opinions(directory, "outvoted")} == {line.split()[1]}

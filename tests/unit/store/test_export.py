@@ -280,6 +280,16 @@ def test_the_attempt_is_the_one_that_brought_the_result(tmp_path: Path) -> None:
     assert [second[name] for name in attempt] == ["", "0", "", ""]
 
 
+def test_after_a_discard_the_attempt_is_that_of_the_present_row(tmp_path: Path) -> None:
+    journal, which = journal_of(tmp_path, config("segway-paper")), RolloutId("sim_gap", 0, "true", 0)
+    add(journal, ProposalFact("sim_gap", 0, Proposal(7, (1.0, 2.0), None, None, None, None)), rollout("sim_gap", 0, 0))
+    with journal.transaction():
+        for try_ in (1, 2):
+            journal.attempts.ended(Attempt(which, try_), f"w{try_}", RECORDED)
+    journal.close()
+    assert [row["worker"] for row in exported(tmp_path)["rollouts"]] == ["w2"]
+
+
 def test_failures_are_the_attempts_without_a_result(tmp_path: Path) -> None:
     journal, which = journal_of(tmp_path, config("segway-paper")), RolloutId("sim_gap", 0, "true", 0)
     with journal.transaction():
@@ -306,6 +316,31 @@ def test_failures_in_a_database_without_kinds_have_none(tmp_path: Path, name: st
     journal.close()
     (row,) = exported(tmp_path)["failures"]
     assert (row["worker"], row["kind"], row["reason"]) == ("w", "", "it raised")
+
+
+def test_what_was_compared_and_who_was_set_aside(tmp_path: Path) -> None:
+    journal, which = journal_of(tmp_path, config("segway-paper")), RolloutId("sim_gap", 0, "true", 0)
+    with journal.transaction():
+        for number, (kind, worker) in enumerate([("compared", "w1"), ("outvoted", "w2"), ("reviewed", "w3")]):
+            journal.attempts.opinion(kind, Attempt(which, number + 1), worker, worker * 32)
+        journal.attempts.set_aside("worker", "w2", math.inf, "=1+1")
+    journal.close()
+    found = exported(tmp_path)
+    assert [(row["kind"], row["rollout"], row["attempt"], row["worker"]) for row in found["opinions"]] == [
+        ("compared", "sim_gap.0.true.0", "1", "w1"),
+        ("outvoted", "sim_gap.0.true.0", "2", "w2"),
+        ("reviewed", "sim_gap.0.true.0", "3", "w3"),
+    ]
+    assert found["opinions"][1]["sha256"] == "w2" * 32
+    (pause,) = found["set_aside"]
+    assert [pause[name] for name in ("kind", "name", "seconds (s)", "reason")] == ["worker", "w2", "inf", "'=1+1"]
+
+
+@pytest.mark.parametrize("name", ["rules-1/rigorous-pair-stopped", "schema-2"])
+def test_older_databases_have_neither_opinions_nor_pauses(tmp_path: Path, name: str) -> None:
+    shutil.copy(Path(__file__).parents[2] / "fixtures" / name / "campaign.db", tmp_path)
+    found = exported(tmp_path)
+    assert (found["opinions"], found["set_aside"]) == ([], [])
 
 
 # Names and units
@@ -527,10 +562,10 @@ def test_all_tables_show_one_moment(tmp_path: Path) -> None:
             add(journal, rollout("sim_gap", 0, 1), rollout("sim_gap", 0, 2, -0.01))
 
     found = exported(tmp_path, progress=progress)
-    assert [len(found[name]) for name in export.TABLES] == [1, 1, 0, 0, 0]
+    assert [len(found[name]) for name in export.TABLES] == [1, 1, 0, 0, 0, 0, 0]
     again = exported(tmp_path)
     journal.close()
-    assert [len(again[name]) for name in export.TABLES] == [1, 3, 0, 1, 0]
+    assert [len(again[name]) for name in export.TABLES] == [1, 3, 0, 1, 0, 0, 0]
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
@@ -559,13 +594,16 @@ def command(*arguments: str | Path) -> Result:
     return CliRunner().invoke(cli, ["export", *(str(each) for each in arguments)])
 
 
+EMPTY = ("counterexamples", "failures", "opinions", "set_aside")
+
+
 def test_the_command_says_what_it_wrote(campaign: Path) -> None:
     result = command(campaign)
     assert result.exit_code == 0
     assert result.stdout.splitlines() == [
         f"{campaign / 'export' / 'tests.csv'}  {ROLLOUTS // 8} rows",
         *(f"{campaign / 'export' / name}.csv  {ROLLOUTS} rows" for name in ("rollouts", "observations")),
-        *(f"{campaign / 'export' / name}.csv  0 rows" for name in ("counterexamples", "failures")),
+        *(f"{campaign / 'export' / name}.csv  0 rows" for name in EMPTY),
     ]
 
 

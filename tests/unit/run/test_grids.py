@@ -1,0 +1,32 @@
+"""Time grids that are known."""
+
+import numpy as np
+
+from perfbound.orchestrator.run import grids
+from perfbound.orchestrator.run.grids import Grids
+from perfbound.schemas.trajectory import Trajectory
+
+
+def sampled(*times: float) -> Trajectory:
+    return Trajectory(("t", "value"), np.column_stack([times, np.zeros(len(times))]))
+
+
+def test_a_grid_is_known_once_two_workers_have_sent_it() -> None:
+    found = Grids()
+    assert [found.is_known(sampled(0, 1), worker) for worker in ("a", "a", "b", "a")] == [False, False, True, True]
+    assert not found.is_known(sampled(0, 1, 2), "b")
+
+
+def test_the_grid_of_a_recorded_rollout_is_known() -> None:
+    found = Grids()
+    found.take(sampled(0, 1))
+    assert found.is_known(sampled(0, 1), "a")
+
+
+def test_the_oldest_grids_are_forgotten() -> None:
+    found = Grids()
+    found.take(sampled(0, 1))
+    for number in range(grids.MOST):
+        assert not found.is_known(sampled(0, 2 + number), "a")
+        assert found.is_known(sampled(0, 1), "a"), "one that is in use"
+    assert not found.is_known(sampled(0, 2), "b")
