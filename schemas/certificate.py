@@ -7,7 +7,7 @@ from pydantic import Field
 
 from .base import Model
 from .campaign import Rule
-from .problems import ProblemName, Quantity, Sense
+from .problems import MethodName, ProblemName, Quantity, Sense
 from .values import StoppedBy
 
 MAX_CERTIFICATE = 2**24
@@ -76,7 +76,7 @@ class ProblemResult(Model):
 
     name: ProblemName
     objective: str
-    method: str
+    method: MethodName
     sense: Sense
     bound: float
     partner: float | None = Field(

@@ -58,10 +58,12 @@ NAME = 25
 def outward(bound: float, sense: str) -> str:
     """Return a bound with four digits that is no stronger than `bound`.
 
-    >>> outward(0.00019, ">="), outward(-0.00011, ">="), outward(0.00011, "<=")
-    ('0.0001', '-0.0002', '0.0002')
+    >>> outward(0.00019, ">="), outward(-0.00011, ">="), outward(0.00011, "<="), outward(1e305, ">=")
+    ('0.0001', '-0.0002', '0.0002', '1e+305')
     """
     scaled = bound * 10**DIGITS
+    if not math.isfinite(scaled):  # a number of a file that nobody has checked yet
+        return f"{bound:g}"
     nearest = round(scaled)
     # A bound that has four digits, but for the last bits of a float, keeps them.
     if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):

@@ -3,6 +3,7 @@
 Rollouts wait more than they compute, so that two cores are enough for four processes.
 """
 
+import json
 import random
 import signal
 import tempfile
@@ -11,6 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from perfbound.schemas.link import USER
+from perfbound.schemas.seal import link_password
 from perfbound.schemas.secret import VARIABLE
 from tests.benchmarks.report import Row
 from tests.benchmarks.runs import RECORDED
@@ -21,6 +24,7 @@ from tests.faults.scene import Scene
 from tests.faults.subjects import Subject, function_campaign, install
 
 TESTS = 300
+SECRET = 64 * "5"
 NAME = "bad"
 BAD = {"broken": ("lack", 0.0), "silent": ("sleep", 0.0), "lying": ("lie", 1.0)}
 """What the worker does in every rollout, and the share of second opinions."""
@@ -87,14 +91,14 @@ def _hostile(subject: Subject, base: Path) -> list[Row]:
     ]
 
 
-def _fleet(subject: Subject, folder: Path, *, bad: str = "", hostile: bool = False) -> Course:
+def _fleet(subject: Subject, folder: Path, *, bad: str = "", hostile: bool = False, inside: bool = False) -> Course:
     """Run a campaign with two good workers, and perhaps a third one, or a process without the secret."""
     scene = Scene(subject, folder, random.Random(1), remote=True)
-    alone, scene.environment = dict(scene.environment), scene.environment | {VARIABLE: 64 * "5"}
+    alone, scene.environment = dict(scene.environment), scene.environment | {VARIABLE: SECRET}
     try:
         scene.start(workers=0)
         wait_for(lambda: query(scene.directory, "SELECT run FROM campaign"))
-        stop = _disturb(scene, alone) if hostile else lambda: 0
+        stop = _disturb(scene, alone, inside=inside) if hostile else lambda: 0
         if bad:
             scene.join(NAME, **{NODE: bad})
         scene.join()
@@ -111,11 +115,12 @@ def _fleet(subject: Subject, folder: Path, *, bad: str = "", hostile: bool = Fal
         scene.close()
 
 
-def _disturb(scene: Scene, environment: dict[str, str]) -> Callable[[], int]:
+def _disturb(scene: Scene, environment: dict[str, str], *, inside: bool) -> Callable[[], int]:
     """Start a hostile peer at full rate; return what ends it, and counts its messages."""
+    link = {"user": USER, "password": link_password(SECRET.encode())}
     peer = scene.processes.start(
         *("python", "-m", "tests.faults.hostile", scene.listening, scene.directory, "--other", scene.subject.calm),
-        *("--seed", "1", "--rate", "0"),
+        *("--seed", "1", "--rate", "0", *(("--link", json.dumps(link)) if inside else ())),
         **environment,
     )
 
