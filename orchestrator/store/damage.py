@@ -30,10 +30,12 @@ def naming_cause(directory: Path) -> Iterator[None]:
         if isinstance(cause, sqlite3.DatabaseError):
             if _of_the_disk(cause):
                 raise OSError(errno.EIO, str(cause), str(path)) from None
-            raise JournalError(f"{path}: not a campaign database ({cause}); restore it from a copy") from None
-        if not isinstance(error, _UNREADABLE):
+            told = str(cause)
+        elif isinstance(error, _UNREADABLE):
+            told = f"{type(error).__name__}: {error}"
+        else:
             raise
-        told = f"{type(error).__name__}: {one_line(str(error))[:200]}"
+        told = one_line(told)[:200]  # which may quote the file
         raise JournalError(f"{path}: not a campaign database ({told}); restore it from a copy") from None
 
 

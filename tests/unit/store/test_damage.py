@@ -32,6 +32,13 @@ def test_a_damaged_file_is_named_with_the_remedy(tmp_path: Path, error: Exceptio
         raise error
 
 
+def test_a_message_that_quotes_the_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(JournalError) as found, naming_cause(tmp_path):
+        raise sqlite3.DatabaseError("malformed database schema (OT NULL,\n\x1b[2J" + 1000 * "x" + ")")
+    assert str(found.value).isprintable()
+    assert len(str(found.value).removeprefix(str(tmp_path))) < 300
+
+
 def test_what_is_neither_passes(tmp_path: Path) -> None:
     with pytest.raises(InterruptedError), naming_cause(tmp_path):
         raise InterruptedError
