@@ -179,12 +179,13 @@ def recorded(directory: Path) -> int:
 
 
 def under_way(directory: Path) -> list[tuple[object, ...]]:
-    """Return (rollout, attempt, worker, pid) of the attempts that have not ended."""
-    text = (
-        "SELECT rollout, attempt, attempts.worker, pid FROM attempts LEFT JOIN outcomes USING (rollout, attempt) "
-        "WHERE outcomes.rollout IS NULL"
+    """Return (rollout, attempt, worker, pid) of the attempts that have not ended, by an outcome or a comparison."""
+    ended = "SELECT rollout, attempt FROM outcomes"
+    if query(directory, "SELECT name FROM sqlite_master WHERE name = 'opinions'"):
+        ended += " UNION SELECT rollout, attempt FROM opinions"
+    return query(
+        directory, f"SELECT rollout, attempt, worker, pid FROM attempts WHERE (rollout, attempt) NOT IN ({ended})"
     )
-    return query(directory, text)
 
 
 def of_run(directory: Path) -> list[psutil.Process]:

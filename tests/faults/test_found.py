@@ -9,7 +9,6 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
-import sqlalchemy as sa
 
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
@@ -93,7 +92,7 @@ def test_a_full_disk_is_not_taken_for_a_damaged_database(tmp_path: Path) -> None
         Journal.create(disk, header).close()
         with (disk / "ballast").open("wb") as file, suppress(OSError):
             file.write(bytes(2**21))
-        with pytest.raises(sa.exc.OperationalError, match=r"full|disk I/O error"):
+        with pytest.raises(OSError, match=r"full|disk I/O error"):
             Journal.open(disk)
     finally:
         subprocess.run(["umount", "--lazy", disk], check=True)
