@@ -80,14 +80,21 @@ def _beside(name: str, subjects: dict[float, Subject], calm: dict[float, Course]
 def _hostile(subject: Subject, base: Path) -> list[Row]:
     quick = _subject(base / "quick", subject.plugins, pace=0.04)
     quick = replace(quick, calm=subject.calm)
-    alone, beside = _fleet(quick, base / "alone"), _fleet(quick, base / "hostile", hostile=True)
-    label = f"beside a hostile peer, {beside.sent / beside.seconds:.0f} messages/s"
-    rates = TESTS / beside.seconds, TESTS / alone.seconds
+    alone, rows = _fleet(quick, base / "alone"), list[Row]()
+    for inside in (False, True):
+        beside = _fleet(quick, base / f"hostile-{inside}", hostile=True, inside=inside)
+        rows += _against(alone, beside, "with" if inside else "without")
+    return rows
+
+
+def _against(alone: Course, beside: Course, how: str) -> list[Row]:
+    sent = beside.sent / beside.seconds
+    label, peace = f"beside a hostile peer {how} the link's password, {sent:.0f} messages/s", "in peace"
+    rate, usual = TESTS / beside.seconds, TESTS / alone.seconds
+    taken, little = beside.memory / 2**20, alone.memory / 2**20
     return [
-        Row(f"{label}: throughput", rates[0], "tests/s", "in peace", rates[1], ratio_at_least=LEAST_THROUGHPUT),
-        Row(
-            f"{label}: most memory", beside.memory / 2**20, "MB", "in peace", alone.memory / 2**20, at_most=MOST_MEMORY
-        ),
+        Row(f"{label}: throughput", rate, "tests/s", peace, usual, ratio_at_least=LEAST_THROUGHPUT),
+        Row(f"{label}: most memory", taken, "MB", peace, little, at_most=MOST_MEMORY),
     ]
 
 
