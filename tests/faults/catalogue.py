@@ -85,6 +85,7 @@ FAULTS = {
         Fault(nodes.silent_node, ("slow",)),
         Fault(nodes.slow_node, ("slow",)),
         Fault(nodes.lying_node, ("compared",)),
+        Fault(nodes.turning_node, ("sampled",)),
         Fault(deaths.mixed),
     )
 }

@@ -2,8 +2,8 @@
 
 The plan is the folder that FAULTY_PLAN names. A file `<seed>-<number>-<kind>` in it makes the rollout of that seed
 misbehave once: the rollout moves the file to `taken/` first, so that the next attempt finds the next file or none. A
-file `<seed>-always-<kind>` stays. A worker whose FAULTY_NODE names a kind misbehaves so in every rollout. Results never
-depend on any of this.
+file `<seed>-always-<kind>` stays. A worker whose FAULTY_NODE names a kind misbehaves so in every rollout, or,
+if FAULTY_SINCE names a file, in every one since that file is there. Honest results never depend on any of this.
 """
 
 import ctypes
@@ -68,18 +68,28 @@ class FaultyFunction(SystemUnderTest):
 
         """
         pace = float(checked_options(self.spec, x, variant=variant, horizon=horizon, options=options)["pace"])
-        kind = os.environ.get("FAULTY_NODE") or _taken(seed)
+        kind = _of_node() or _taken(seed)
         _last(pace / 2, progress)
         if kind in BEFORE:
             BEFORE[kind](progress)
         _last(pace / 2, progress)
-        noise = 0.001 * np.random.default_rng(seed).standard_normal() if variant == "true" else 0.0
         times = np.linspace(0.0, horizon, 1 + round(10 * horizon))
-        values = (math.sin(x[0]) * math.cos(x[1]) / 2 + noise) * np.exp(-times)
+        values = honest(x, variant, seed) * np.exp(-times)
         found = Trajectory(("t", "value"), np.column_stack([times, values]))
         if kind == "lie":
             return replace(found, samples=found.samples + np.array([0.0, 0.001]))
         return AFTER[kind](found) if kind in AFTER else found
+
+
+def honest(x: Sequence[float], variant: Variant, seed: int) -> float:
+    """Return the value at the beginning of the trajectory."""
+    noise = 0.001 * np.random.default_rng(seed).standard_normal() if variant == "true" else 0.0
+    return math.sin(x[0]) * math.cos(x[1]) / 2 + noise
+
+
+def _of_node() -> str | None:
+    since = os.environ.get("FAULTY_SINCE")
+    return os.environ.get("FAULTY_NODE") if since is None or Path(since).exists() else None
 
 
 def _last(seconds: float, progress: Progress) -> None:

@@ -238,7 +238,7 @@ def main(*, endpoint: str, directory: Path, other: Path, seed: int, link: dict[s
             except zenoh.ZError:  # refused, or the orchestrator is away: this counts, and is tried again
                 peer.leave()
     finally:
-        peer.leave()  # a session that is open would keep the process for ever
+        peer.leave()  # a session that is open would keep the process alive
     click.echo(next(sent))
 
 

@@ -1,10 +1,18 @@
-"""One of three workers that is of no use, or of little, from the start."""
+"""One of three workers that is of no use, or of little."""
 
+import json
+from pathlib import Path
+from typing import Any
+
+from perfbound.schemas.trajectory import read_mcap
 from tests.end_to_end.processes import Process, query, wait_for
+from tests.faults.faulty_function import honest
 from tests.faults.scene import Scene
 
 NODE = "FAULTY_NODE"
 """Variable of a worker that misbehaves in every rollout, with the kind of `faulty_function`."""
+SINCE = "FAULTY_SINCE"
+"""Variable with the file from whose creation on it does."""
 
 
 def broken_node(scene: Scene) -> None:
@@ -42,14 +50,45 @@ def lying_node(scene: Scene) -> None:
     assert not query(scene.directory, "SELECT * FROM outcomes WHERE worker = 'lying' AND outcome = 'recorded'")
 
 
-def _with_two_good(scene: Scene, name: str, kind: str) -> Process:
+def turning_node(scene: Scene) -> None:
+    """A worker begins to lie in mid-run; one rollout in twenty has a second opinion.
+
+    The certificate is the calm one, or refutes that workers are honest, or the share of false rollouts behind it is
+    at most the one which it states.
+    """
+    since = scene.folder / "since"
+    _with_two_good(scene, "turning", "lie", **{SINCE: str(since)})
+    scene.reach(scene.chance.randrange(scene.subject.rollouts // 4, 3 * scene.subject.rollouts // 4))
+    since.touch()
+    scene.did("the worker begins to lie")
+    ended = scene.finish()
+    files = sorted((scene.directory / "trajectories").rglob("*.mcap"))
+    wrong = sum(map(_is_false, files))
+    scene.misled = wrong > 0
+    document = json.loads((scene.directory / "certificate.json").read_bytes())["predicate"]
+    honesty: dict[str, Any] = next(each for each in document["assumptions"] if each["id"] == "workers_honest")
+    caught = "caught, " if "turning is set aside for good" in ended.err else ""
+    scene.did(f"{wrong} of {len(files)} rollouts are false; {caught}{honesty['status']}", fault=False)
+    if honesty["status"] == "refuted":
+        assert wrong, "refuted without a false rollout"
+    else:
+        assert 100 * wrong / len(files) <= honesty["values"]["percent"], f"silent about {wrong} of {len(files)}"
+
+
+def _is_false(file: Path) -> bool:
+    found = read_mcap(file.read_bytes())
+    x, variant, seed = (found.request[key] for key in ("x", "variant", "seed"))
+    return bool(found.trajectory.samples[0, 1] != honest(x, variant, seed))
+
+
+def _with_two_good(scene: Scene, name: str, kind: str, **environment: str) -> Process:
     scene.remote = True
     scene.start(workers=0)
-    scene.join(name, **{NODE: kind})
+    scene.join(name, **{NODE: kind}, **environment)
     bad = scene.fleet[-1]
     scene.join()
     scene.join()
-    scene.did(f"{kind} in every rollout of worker {name}")
+    scene.did(f"{kind} in every rollout of worker {name}{', later' if environment else ''}", fault=not environment)
     return bad
 
 

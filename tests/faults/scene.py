@@ -48,6 +48,8 @@ class Scene:
     """Seconds in which what shall end by itself does so."""
     irreproducible: bool = False
     """Whether a rollout fails in the system and is recorded afterwards."""
+    misled: bool = False
+    """Whether false results were recorded, so that the campaign proposes other starts than the calm one."""
     undo: list[Callable[[], None]] = field(default_factory=list)
     """Actions that remove changes of the machine: mounts, network namespaces."""
 

@@ -131,11 +131,19 @@ LIMITS = {
         "deadline": 30.0,
         "second_opinion": 1.0,
     },
+    "sampled": {
+        "tests": 400,
+        "pace": 0.02,
+        "max_attempts": 50,
+        "hung_after": 60.0,
+        "deadline": 120.0,
+        "second_opinion": 0.05,
+    },
     "brief": {"tests": 16, "pace": 0.08, "max_attempts": 50, "hung_after": 60.0, "deadline": 120.0},
     "gap": {"tests": 6, "pace": 0.08, "max_attempts": 50, "hung_after": 2.0, "deadline": 6.0},
     "brittle": {"tests": 24, "pace": 0.08, "max_attempts": 5, "hung_after": 2.0, "deadline": 4.0},
 }
-"""Of the campaigns on the plug-in; nothing is poison unless it shall be. Patience is short but in `brief`."""
+"""Of the campaigns on the plug-in; nothing is poison unless it shall be. `sampled` and `brief` have patience."""
 NAMES = (*LIMITS, "segway")
 
 

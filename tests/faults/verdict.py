@@ -44,12 +44,14 @@ def judge(scene: Scene, found: Verdict) -> None:
     directory, calm = scene.directory, scene.subject.calm
     rows = query(directory, "SELECT path, sha256, size FROM rollouts")
     found.twice += _twice(directory, rows)
-    found.lost += _lost(directory, calm, rows)
+    found.lost += _lost(directory, rows)
+    if not scene.misled:
+        found.lost += _missing(calm, rows)
     for name in ("certificate.json", "manifest.sha256"):
         path = directory / name
         if not path.exists():
             found.different.append(f"no {name}")
-        elif not _equal(path, calm / name, irreproducible=scene.irreproducible):
+        elif not (scene.misled or _equal(path, calm / name, irreproducible=scene.irreproducible)):
             found.different.append(f"{name} differs from the calm one")
     count = read.irreproducible(directory)
     if bool(count) != scene.irreproducible:
@@ -89,16 +91,21 @@ def _twice(directory: Path, rows: list[tuple[object, ...]]) -> list[str]:
     return found + [f"{count} attempts recorded of {rollout}" for rollout, count in query(directory, text)]
 
 
-def _lost(directory: Path, calm: Path, rows: list[tuple[object, ...]]) -> list[str]:
-    """Return rollouts without their row, or without the file of that sha256."""
+def _lost(directory: Path, rows: list[tuple[object, ...]]) -> list[str]:
+    """Return rollouts without the file that was recorded."""
     found = []
     for path, sha256, size in rows:
         file = directory / str(path)
         data = file.read_bytes() if file.exists() else b""
         if hashlib.sha256(data).hexdigest() != sha256 or len(data) != size:
             found.append(f"{path} is not the file that was recorded")
+    return found
+
+
+def _missing(calm: Path, rows: list[tuple[object, ...]]) -> list[str]:
+    """Return the rollouts of the calm run that have no row."""
     wanted = {line.split()[1] for line in (calm / "manifest.sha256").read_text().splitlines()}
-    return found + [f"{path} has no row" for path in sorted(wanted - {str(row[0]) for row in rows})]
+    return [f"{path} has no row" for path in sorted(wanted - {str(row[0]) for row in rows})]
 
 
 def _orphans(directory: Path, recorded: set[str]) -> list[str]:
