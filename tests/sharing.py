@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 PORTS = range(20_000, 32_000)
-"""Below those that the kernel gives to whoever asks for any port, so that no connection takes one of them."""
+"""Below those that the kernel gives to a process that asks for any port, so that no connection takes one of them."""
 SHARE = 500
 """Ports of one process of the tests."""
 
@@ -39,7 +39,7 @@ def made_once(folder: Path, make: Callable[[Path], object]) -> Path:
 
 
 def own_ports(process: int, start: int) -> Iterator[int]:
-    """Return the ports of a numbered process for ever, from one of them on: another test run may use the first."""
+    """Return the ports of a numbered process over and over, from one of them on: another test run may use the first."""
     own = PORTS[process * SHARE % len(PORTS) :][:SHARE]
     return itertools.cycle([*own[start % SHARE :], *own[: start % SHARE]])
 

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 
 from ...schemas.certificate import Assumption, CompositionTerms
 from ...schemas.problems import Quantity
+from ..store.changes import ComparedResult
 
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
@@ -216,20 +217,6 @@ class FailedAttempt:
 
 
 @dataclass(frozen=True, slots=True)
-class ComparedRow:
-    """A result that was compared with another one of its rollout."""
-
-    kind: str
-    """"compared", "outvoted", or "reviewed": simulated again because an outvoted worker had recorded it."""
-    rollout: str
-    attempt: int
-    worker: str
-    sha256: str
-    at: float
-    """Unix time."""
-
-
-@dataclass(frozen=True, slots=True)
 class SetAsideRow:
     """A worker or host that was set aside."""
 
@@ -287,7 +274,7 @@ class ReportData:
     """The latest first, at most 50."""
     more_workers: int = 0
     """Workers without a row in `workers`, which has at most 100: those set aside, then those with most attempts."""
-    compared: tuple[ComparedRow, ...] = ()
+    compared: tuple[ComparedResult, ...] = ()
     """The latest first, those that differ before all others, at most 50."""
     compared_results: int = 0
     """Number of all of them."""

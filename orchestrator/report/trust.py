@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from ..store.changes import Changes, ComparedResult, PauseChange
-from .data import ComparedRow, SetAsideRow
+from .data import SetAsideRow
 
 MOST = 50
 """Rows of each kind; the export lists all of them."""
@@ -54,13 +54,10 @@ class TrustStatistics:
         paused = {name for kind, name in self._pauses if kind == "worker"}
         return paused | {each.worker for each in self._apart if each.kind == "outvoted"}
 
-    def compared_rows(self) -> tuple[ComparedRow, ...]:
+    def compared_rows(self) -> tuple[ComparedResult, ...]:
         """Return the latest results that were outvoted or reviewed, then the latest that were compared."""
         left = MOST - len(self._apart)
-        chosen = [*reversed(self._apart), *list(reversed(self._equal))[:left]]
-        return tuple(
-            ComparedRow(each.kind, each.rollout, each.attempt, each.worker, each.sha256, each.at) for each in chosen
-        )
+        return (*reversed(self._apart), *list(reversed(self._equal))[:left])
 
     def pause_rows(self) -> tuple[SetAsideRow, ...]:
         """Return the workers and hosts that were set aside: for good first, then the latest."""

@@ -60,9 +60,10 @@ class AttemptOutcome:
 
 @dataclass(frozen=True, slots=True)
 class ComparedResult:
-    """A result that was compared, outvoted or reviewed; `at` is Unix time."""
+    """A result that was compared with another one of its rollout; `at` is Unix time."""
 
     kind: str
+    """"compared", "outvoted", or "reviewed": simulated again because an outvoted worker had recorded it."""
     rollout: str
     attempt: int
     worker: str

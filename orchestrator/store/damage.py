@@ -30,13 +30,13 @@ def naming_cause(directory: Path) -> Iterator[None]:
         if isinstance(cause, sqlite3.DatabaseError):
             if _of_the_disk(cause):
                 raise OSError(errno.EIO, str(cause), str(path)) from None
-            told = str(cause)
+            found = str(cause)
         elif isinstance(error, _UNREADABLE):
-            told = f"{type(error).__name__}: {error}"
+            found = f"{type(error).__name__}: {error}"
         else:
             raise
-        told = one_line(told)[:200]  # which may quote the file
-        raise JournalError(f"{path}: not a campaign database ({told}); restore it from a copy") from None
+        found = one_line(found)[:200]  # which may quote the file
+        raise JournalError(f"{path}: not a campaign database ({found}); restore it from a copy") from None
 
 
 def _of_the_disk(error: sqlite3.Error) -> bool:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from perfbound.orchestrator.report.data import (
     Axis,
     Claim,
-    ComparedRow,
     Curve,
     FailedAttempt,
     Problem,
@@ -19,6 +18,7 @@ from perfbound.orchestrator.report.data import (
     Throughput,
     WorkerRow,
 )
+from perfbound.orchestrator.store.changes import ComparedResult
 from perfbound.schemas.certificate import Assumption, CompositionTerms
 
 AXES = (Axis("x", "m", 0.0, 4.0), Axis("y", "m", 0.0, 3.0))
@@ -158,7 +158,7 @@ def hostile() -> ReportData:
         software={script: long},
         resume=long,
         more_workers=1,
-        compared=tuple(ComparedRow(kind, long, 1, script, long, STARTED) for kind in (script, "outvoted")),
+        compared=tuple(ComparedResult(kind, long, 1, script, long, STARTED) for kind in (script, "outvoted")),
         compared_results=7,
         set_aside=(
             SetAsideRow(script, long, 2, True, STARTED, strange),

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 VARIABLE = "PERFBOUND_FUZZ"
 CHOSEN = VARIABLE in os.environ
-"""Whether somebody asked for an amount; otherwise every run of the tests has the same few inputs."""
+"""Whether an amount was asked for; otherwise every run of the tests has the same few inputs."""
 COUNT = int(os.environ.get(VARIABLE, "100"))
 """Inputs of a border that costs little."""
 LEAST = 10

@@ -141,7 +141,7 @@ Answer = tuple[str, str, bool]
 
 
 def answered(workers: str, *answers: Answer) -> list[object]:
-    """Return the last actions of a fleet whose workers answer R0 in this order, whoever got it."""
+    """Return the last actions of a fleet whose workers answer R0 in this order, to whichever worker it went."""
     state, attempt, actions = DispatchState(Limits()), 0, list[object]()
     for name in workers:
         for event in (WorkerUp(0.0, name, name), Reported(0.0, name, None, 0)):

@@ -34,7 +34,7 @@ SIZES = {"first": 48, "short": 96, "long": 768}
 """Rollouts; the first campaign pays for what is made once."""
 BEATS = 10
 KEPT = 300 if sys.version_info[:2] == (3, 12) else 200
-"""Bytes that a rollout may leave; pathlib of Python 3.12 keeps every name of a file for ever."""
+"""Bytes that a rollout may leave; pathlib of Python 3.12 keeps every name of a file."""
 
 
 @pytest.fixture

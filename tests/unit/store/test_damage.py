@@ -27,8 +27,8 @@ def test_a_full_or_failing_disk_is_no_fault_of_the_file(tmp_path: Path, code: in
 
 @pytest.mark.parametrize("error", [failed(sqlite3.SQLITE_CORRUPT), ValueError("no number"), KeyError("F")])
 def test_a_damaged_file_is_named_with_the_remedy(tmp_path: Path, error: Exception) -> None:
-    told = r"campaign\.db: not a campaign database .*; restore it from a copy"
-    with pytest.raises(JournalError, match=told), naming_cause(tmp_path):
+    line = r"campaign\.db: not a campaign database .*; restore it from a copy"
+    with pytest.raises(JournalError, match=line), naming_cause(tmp_path):
         raise error
 
 
