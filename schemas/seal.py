@@ -18,6 +18,7 @@ import hmac
 import itertools
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 from .errors import SealError
@@ -29,7 +30,9 @@ COUNTER, TAG = 8, 32
 WINDOW = 64
 """Messages of a stream that may overtake one another; an older one counts as a replay (RFC 4303, section 3.4.3)."""
 KNOWN = 10_000
-"""Workers whose counters are kept; the one that has been silent for longest is forgotten first."""
+"""Workers whose counters and keys are kept; the one that has been silent for longest is forgotten first."""
+PROVED = tuple(sorted(set(ResultHeader.model_fields) - {"proof"}))
+"""Fields of a header that its proof covers."""
 
 
 def mac(key: bytes, *parts: bytes) -> bytes:
@@ -38,7 +41,7 @@ def mac(key: bytes, *parts: bytes) -> bytes:
     >>> mac(b"key", b"ab", b"c") == mac(b"key", b"a", b"bc")
     False
     """
-    message = b"".join(len(part).to_bytes(8, "big") + part for part in parts)
+    message = b"".join([len(part).to_bytes(8, "big") + part for part in parts])
     # `hmac.digest` gives up the interpreter's lock each time, for which a busy loop keeps it waiting.
     return hmac.new(key, message, "sha256").digest()
 
@@ -80,8 +83,13 @@ class Stream:
 
     def tag(self, worker: str, counter: bytes, message: bytes) -> bytes:
         """Return the second part of a seal."""
-        names = (self.name, self.run, self.orchestrator, worker)
-        return mac(mac(self.secret, *(name.encode() for name in names)), counter, message)
+        key = _key(self.secret, self.name, self.run, self.orchestrator, worker)
+        return mac(key, counter, message)
+
+
+@lru_cache(maxsize=KNOWN)
+def _key(secret: bytes, *names: str) -> bytes:
+    return mac(secret, *(name.encode() for name in names))
 
 
 class Sealer:
@@ -143,8 +151,7 @@ def assignment_secret(key: bytes, run: str, rollout: str, attempt: int, worker: 
 
 def result_proof(secret: str, header: ResultHeader) -> str:
     """Return the proof that the worker of an assignment made this header; the secret stands for run and attempt."""
-    fields = header.model_dump(exclude={"proof"})
-    return mac(bytes.fromhex(secret), *(f"{name}={fields[name]!r}".encode() for name in sorted(fields))).hex()
+    return mac(bytes.fromhex(secret), *(f"{name}={getattr(header, name)!r}".encode() for name in PROVED)).hex()
 
 
 def is_proved(secret: str, header: ResultHeader) -> bool:
