@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from .base import Model, digest, merged
 from .kernel import MaternKernel, Positive, Weighted
-from .problems import CLAIMS, OBJECTIVES, MethodName, ProblemName, Sense, any_of
+from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, MethodName, ProblemName, Sense, any_of
 from .space import Scenarios, Space, SystemChoice
 
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
@@ -226,6 +226,11 @@ class CampaignConfig(Model):
         description="rule of the first claim: Theorem 2 with multiplied probabilities, or with added failure "
         "probabilities; Bhatia-Davis with two extremes, or pointwise; one problem alone",
     )
+    until_counterexample: bool = Field(
+        default=False,
+        description="end the campaign with the first test, in test order, of which a rollout violates the "
+        "specification; for one problem of the robustness, not with method `paper`",
+    )
     visual: Literal["all", "none"] = Field(
         default="all", description="trajectory files with a visual part, for viewers: all, or none"
     )
@@ -288,6 +293,8 @@ class CampaignConfig(Model):
         for problem in self.problems:
             self._check_objective(problem)
             self._check_method(problem)
+        if self.until_counterexample:
+            self._check_until_counterexample(self.problems[0])
         self._check_composition(set(names), {problem.method for problem in self.problems})
         return self
 
@@ -302,6 +309,22 @@ class CampaignConfig(Model):
             raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
         if objective.measured == "gap" and self.gap_of(problem) is None:
             raise ValueError('gap: required by problem \'sim_gap\', e.g. { kind = "signal_sup", column = "phi" }')
+
+    def _check_until_counterexample(self, problem: Problem) -> None:
+        if len(self.problems) > 1 or problem.name not in OF_ROBUSTNESS:
+            raise ValueError(
+                f"until_counterexample: only for one problem, {any_of(OF_ROBUSTNESS)}; remove this key, or the other "
+                "problems"
+            )
+        if problem.method == "paper":
+            raise ValueError(
+                "until_counterexample: method 'paper' has no bound at a test that depends on the outcomes; choose "
+                "'rigorous' or 'scenario'"
+            )
+        if self.clip is not None and self.clip[0] >= 0:
+            raise ValueError(
+                f"clip: {list(self.clip)} must begin below 0 with until_counterexample, or it hides every violation"
+            )
 
     @staticmethod
     def _check_unclipped(problem: Problem) -> None:

@@ -117,6 +117,17 @@ class CompositionTerms(Model):
     bound: float
 
 
+class Counterexample(Model):
+    """The worst rollout of the test that ended the campaign, because it violates the specification."""
+
+    rollout: str
+    test: int
+    rollouts: int = Field(description="of this test; where nothing is random, one shows the violation for good")
+    start: dict[str, float]
+    seed: int
+    robustness: float = Field(description="below 0; clipped, if the campaign has a clip")
+
+
 class SpotCheckedProblem(Model):
     """The finding of the spot check for the bound of one problem; `limit` is that bound, in its sense."""
 
@@ -204,6 +215,9 @@ class Predicate(Model):
     problems: tuple[ProblemResult, ...]
     composition: CompositionTerms | None
     assumptions: tuple[Assumption, ...]
+    counterexample: Counterexample | None = Field(
+        default=None, description="of a campaign with `until_counterexample` that found one"
+    )
     spot_check: SpotCheck | None = Field(default=None, description="not in older certificates")
     recheck: Recheck | None = Field(default=None, description="not in older certificates")
     evidence: Evidence
@@ -246,7 +260,7 @@ class Certificate(Model):
         # Fields that an earlier perfbound did not have are left out, so that its certificates keep their bytes.
         predicate = value["predicate"]
         for part, key in (
-            *((predicate, key) for key in ("rules", "sensitivity", "spot_check", "recheck")),
+            *((predicate, key) for key in ("rules", "sensitivity", "counterexample", "spot_check", "recheck")),
             (predicate["campaign"], "system_sha256"),
             *((claim, key) for claim in predicate["claims"] for key in SINCE_RULES_2),
             *((problem, "by_clip") for problem in predicate["problems"]),

@@ -72,6 +72,8 @@ OBJECTIVES: Mapping[ProblemName, Objective] = {
 }
 CLAIMS = tuple(name for name, each in OBJECTIVES.items() if each.statement.quantity)
 """The problems whose bound is a claim by itself; the others are terms of a composition."""
+OF_ROBUSTNESS = tuple(name for name in CLAIMS if OBJECTIVES[name].measured == "robustness")
+"""Those of them that say by how much the specification is met."""
 
 
 def rolled_out(name: ProblemName, spec: SystemSpec) -> tuple[Variant, ...]:

@@ -6,8 +6,8 @@ These classes are all that the mathematics imports of perfbound; the facts of a 
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["converged", "refuted"]
-StoppedBy = Literal["converged", "budget", "refuted"]
+Verdict = Literal["converged", "refuted", "counterexample"]
+StoppedBy = Literal["converged", "budget", "refuted", "counterexample"]
 
 
 @dataclass(frozen=True, slots=True)

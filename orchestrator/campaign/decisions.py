@@ -9,6 +9,7 @@ from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Proposal
+from . import counterexample
 from .account import Account
 from .methods import Methods
 from .observation import Observer, Others, Trajectories
@@ -91,6 +92,7 @@ class ProblemDecisions:
         assert series.last_proposal is not None
         with naming(f"problem {fact.problem}, test {fact.test}"):
             bound = self._method.observe(series.last_proposal, fact.observation)
+        bound = counterexample.ended(self._header.config, bound, series.last_rollouts)
         # A method has no budget: its own verdict comes first, also at the last test.
         spent = bound.verdict is None and fact.test + 1 >= self._plan.budget
         return BoundFact(fact.problem, fact.test, bound, budget=spent)

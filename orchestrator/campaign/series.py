@@ -35,6 +35,8 @@ class Series:
     nodes: list[int] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=lambda: {"nominal": 0, "true": 0})
     last_proposal: Proposal | None = None
+    last_rollouts: list[RolloutFact] = field(default_factory=list)
+    """Of the test that was observed last."""
     due: BoundFact | None = None
     """The bound that follows from the last observation, until its fact is there."""
     last_bound: BoundFact | None = None
@@ -63,7 +65,7 @@ class Series:
         if self.next_link(fact.test, found) != fact.chain:
             raise IllegalEvent(f"test {fact.test} of {fact.problem} was changed after it was written (hash chain)")
         self.last_proposal = self.proposals.pop(fact.test).proposal
-        rollouts = self.rollouts.pop(fact.test, [])
+        rollouts = self.last_rollouts = self.rollouts.pop(fact.test, [])
         self.link = fact.chain
         self.files = _files_link(self.files, rollouts)
         self.observations.append(found.y)

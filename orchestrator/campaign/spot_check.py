@@ -18,6 +18,7 @@ from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests
 from ..mathematics.gp.lattice import Lattice
 from . import state
 from .account import Account
+from .counterexample import counterexample
 from .decisions import UNOBSERVABLE, naming
 from .observation import Observer, Others, Trajectories
 from .plan import ProblemPlan
@@ -74,7 +75,12 @@ class SpotCheck:
 
     @classmethod
     def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:
-        """Whether the campaign has a spot check: since rules 2, on a box, where some problem has a bound."""
+        """Whether the campaign has a spot check: since rules 2, on a box, where some problem has a bound.
+
+        A counterexample has answered the question: no further start is simulated.
+        """
+        if any(map(counterexample, accounts.values())):
+            return False
         bounded = any(math.isfinite(_limit(account)) for account in accounts.values())
         return bounded and spot_check_plan(header, [account.plan for account in accounts.values()]) is not None
 

@@ -9,6 +9,7 @@ from ...schemas import certificate as document
 from ...schemas.base import digest
 from ...schemas.facts import DiscardFact, Header
 from ...schemas.ids import RolloutId
+from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
 from .assumptions import assumptions
 from .claims import Results, claims, of_listed_starts
@@ -67,6 +68,7 @@ def issue(
         problems=tuple(results.values()),
         composition=claimed.composition,
         assumptions=tuple(found),
+        counterexample=_counterexample(ledger),
         spot_check=checked,
         recheck=repeated,
         evidence=document.Evidence(
@@ -82,6 +84,20 @@ def issue(
     return document.Certificate(subject=(subject(manifest_sha256),), predicate=predicate)
 
 
+def _counterexample(ledger: Ledger) -> document.Counterexample | None:
+    for account in ledger.accounts.values():
+        if (found := counterexample(account)) is not None and account.last_proposal is not None:
+            return document.Counterexample(
+                rollout=str(found.rollout),
+                test=found.rollout.test,
+                rollouts=len(account.last_rollouts),
+                start=dict(zip(account.plan.parameters, account.last_proposal.x, strict=True)),
+                seed=found.seed,
+                robustness=found.robustness or 0.0,
+            )
+    return None
+
+
 def _listed(evidence: Manifest) -> list[RolloutId]:
     names = [PurePosixPath(line.split()[1]).stem for line in evidence.text.splitlines()]
     return [RolloutId.parse(name) for name in names if name.count(".") == 3]  # a discarded one has its digest, too
@@ -94,8 +110,7 @@ def subject(manifest_sha256: str) -> document.Subject:
 
 def question(header: Header) -> dict[str, object]:
     """Return the keys of the campaign file that the claims are about, so that a reader needs no other file."""
-    return header.config.model_dump(
-        mode="json",
-        exclude_none=True,
-        include={"system", "space", "specification", "clip", "risk_weight", "horizon", "gap", "composition"},
-    )
+    keys = {"system", "space", "specification", "clip", "risk_weight", "horizon", "gap", "composition"}
+    # Left out while it is not set, so that certificates of before keep their bytes.
+    sought = {"until_counterexample"} if header.config.until_counterexample else set()
+    return header.config.model_dump(mode="json", exclude_none=True, include=keys | sought)

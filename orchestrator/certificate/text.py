@@ -17,6 +17,7 @@ from ...schemas.certificate import (
     Certificate,
     CertificateClaim,
     CompositionTerms,
+    Counterexample,
     MostStarts,
     Predicate,
     ProblemResult,
@@ -88,6 +89,8 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
     if broken:
         _heading(console, f"REFUTED, by the data of this campaign or by derivation: {_count(broken)}", "bold red")
         _assumptions(broken, console)
+    if predicate.counterexample is not None:
+        _heading(console, *_counterexample(predicate.counterexample, unit))
     first_claim(certificate, console, unit)
     for number in range(1, len(predicate.claims)):
         _claim("also", certificate, number, console, unit)
@@ -187,6 +190,15 @@ def _bound(claim: CertificateClaim) -> str:
     return outward(claim.bound, claim.sense)
 
 
+def _counterexample(found: Counterexample, unit: str) -> tuple[str, str]:
+    """Return the line on a counterexample, and its style."""
+    start = ", ".join(f"{name} = {value:.7g}" for name, value in found.start.items())
+    margin = f"{outward(found.robustness, '<=')} {one_line(unit)}".removesuffix(" 1").rstrip()
+    others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
+    words = f"COUNTEREXAMPLE  test {found.test} violates the specification: robustness {margin} at {start}"
+    return f"{words}, seed {found.seed} (rollout {found.rollout}{others})", "bold red"
+
+
 def print_files(directory: Path, console: Console) -> None:
     """Print the output files of a run."""
     _heading(console, "Output files", "bold")
@@ -283,6 +295,7 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     end = {
         "converged": f"alpha reached: {left} is at most {alpha}",
         "budget": f"alpha NOT reached: its budget ended at {left}, alpha is {alpha}; {BUDGET[problem.method]}",
+        "counterexample": "it ended with a rollout that violates the specification; the bound is valid at every moment",
         "refuted": "REFUTED: the data contradict the assumptions, so this bound proves nothing",
     }[problem.stopped_by]
     _line(console, f"  {problem.name}", "bold")

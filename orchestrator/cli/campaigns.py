@@ -58,6 +58,11 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 out_option = click.option("--out", type=RUN_DIRECTORY, default=None, help="Run directory.  [default: runs/<name>]")
 seed_option = click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=None, help="Override the file's seed.")
+counterexample_option = click.option(
+    "--until-counterexample",
+    is_flag=True,
+    help="End the campaign with the first test that violates the specification, as the key of the file does.",
+)
 drain_option = click.option(
     "--drain",
     is_flag=True,
@@ -66,6 +71,9 @@ drain_option = click.option(
 strict_option = click.option(
     "--strict", is_flag=True, help="Exit with 3 when an assumption of the first claim is refuted."
 )
+
+
+UNTIL = {"until_counterexample": True}
 
 
 def _log(_context: click.Context, _option: click.Parameter, form: str) -> None:
@@ -97,6 +105,7 @@ def workers_option(least: int) -> Callable[..., Any]:
 @workers_option(1)
 @out_option
 @seed_option
+@counterexample_option
 @signing.sign_option
 @strict_option
 @drain_option
@@ -111,6 +120,7 @@ def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, **o
 @campaign_argument
 @out_option
 @seed_option
+@counterexample_option
 @signing.sign_option
 @strict_option
 @drain_option
@@ -156,6 +166,7 @@ def _run_new(
     out: Path | None,
     seed: int | None,
     *,
+    until_counterexample: bool,
     sign: Path | None,
     strict: bool,
     drain: bool,
@@ -167,7 +178,7 @@ def _run_new(
     key = (
         signing.load_key(sign) if sign else None
     )  # before hours of work: a wrong passphrase must not be noticed at their end
-    overrides = {} if seed is None else {"seed": seed}
+    overrides = ({} if seed is None else {"seed": seed}) | (UNTIL if until_counterexample else {})
     config = load_campaign(campaign, **overrides)
     directory = out or Path("runs") / config.name
     with resumable(directory):

@@ -14,6 +14,7 @@ from ...schemas.facts import Header
 from ...schemas.places import short_path
 from ..certificate import files, text
 from ..fleet.child import in_file
+from ..report.rollouts import replay_command
 from ..run.format import duration, resume_command
 from ..run.table import progress_table, remaining_tests
 from ..store import lock
@@ -53,9 +54,13 @@ def print_result(directory: Path, header: Header, certificate: Certificate, cons
     """Print the certificate of a finished campaign, its files, and what comes next."""
     text.print_certificate(certificate, console, robustness_unit(header.config, header.spec))
     text.print_files(directory, console)
+    reference = system_reference(directory)
+    found = certificate.predicate.counterexample
+    if found and (again := replay_command(directory, header, found.rollout, reference if in_file(reference) else None)):
+        console.print(Text("\nTo repeat the counterexample, with a picture:"))
+        console.print(Text(f"  {again} --out counterexample.png"), soft_wrap=True)
     verify = f"perfbound verify {shlex.quote(str(directory))}"
     if header.spec.repeated == "anywhere":
-        reference = system_reference(directory)
         system = f" --system {shlex.quote(short_path(reference))}" if in_file(reference) else ""
         verify += f" --resimulate 5{system}"
     console.print(Text("\nThe campaign is finished. Its report shows the claim; to check it against the evidence:"))

@@ -156,7 +156,7 @@ class Collector:
                 rollouts.described(
                     fact,
                     self._start(fact.rollout),
-                    rollouts.replay_command(self.directory, header, fact, self._system),
+                    rollouts.replay_command(self.directory, header, str(fact.rollout), self._system),
                 )
                 for fact in self._violations[:MOST_COUNTEREXAMPLES]
             ),

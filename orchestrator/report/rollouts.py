@@ -49,7 +49,7 @@ def of_test(
         traces=tuple(traces),
         limits=tuple(limit for _, limit in limits),
         rollouts=tuple(
-            described(fact, x, replay_command(directory, header, fact, system))
+            described(fact, x, replay_command(directory, header, str(fact.rollout), system))
             for fact in _worst_first(facts)[:MOST_ROLLOUTS]
         ),
         limit_columns=tuple(column for column, _ in limits),
@@ -57,7 +57,7 @@ def of_test(
     )
 
 
-def replay_command(directory: Path, header: Header, fact: RolloutFact, system: str | None) -> str:
+def replay_command(directory: Path, header: Header, rollout: str, system: str | None) -> str:
     """Return the command that simulates a rollout again; empty where no command can.
 
     A system that is not installed is named for the person who runs it: `replay` itself takes none from a run directory.
@@ -65,7 +65,7 @@ def replay_command(directory: Path, header: Header, fact: RolloutFact, system: s
     if header.spec.repeated != "anywhere":
         return ""
     named = ["--system", short_path(system)] if system is not None else []
-    return shlex.join(["perfbound", "replay", str(directory), str(fact.rollout), *named])
+    return shlex.join(["perfbound", "replay", str(directory), rollout, *named])
 
 
 def described(fact: RolloutFact, x: tuple[float, ...], command: str) -> Rollout:

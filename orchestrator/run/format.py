@@ -7,7 +7,12 @@ from ...schemas.problems import OBJECTIVES
 
 MINIMA = tuple(name for name, each in OBJECTIVES.items() if each.sense == "min")
 """Problems whose bound is the negative of the method's."""
-ENDS = {"converged": "alpha reached", "budget": "budget ended", "refuted": "assumptions refuted"}
+ENDS = {
+    "converged": "alpha reached",
+    "budget": "budget ended",
+    "refuted": "assumptions refuted",
+    "counterexample": "counterexample",
+}
 """Reasons why a problem ends. That its data show no more to gain is no proof that it has converged at every start."""
 
 

@@ -22,7 +22,7 @@ CHECKS = {
     "stop": "every problem continues until its rule stops it, and no longer",
     "evidence": "the manifest lists the rollouts of the observed tests, all and no others",
     "chain": "the hash chain over proposals, digests and observations ends in the digest that the certificate names",
-    "problems": "the bounds and parameters of the problems follow from the campaign file and the observations",
+    "problems": "bounds, parameters and the counterexample follow from the campaign file and the observations",
     "probabilities": "the probabilities follow from the campaign file",
     "composition": "the terms of the composition follow from the bounds",
     "spot check": "what fresh starts showed after the campaign follows from their trajectories",
@@ -60,7 +60,7 @@ class CheckFailed(Exception):  # noqa: N818  (an outcome of a verification, and 
 
 @dataclass(slots=True)
 class Checks:
-    """The checks of one verification so far; the first result of a check counts."""
+    """The checks of one verification so far."""
 
     found: dict[str, Check] = field(default_factory=dict)
 
@@ -101,8 +101,10 @@ class Checks:
     def _add(self, check: Check) -> None:
         assert check.name in CHECKS
         # One line: a detail may quote untrusted text, and could forge further lines of the table.
-        # The first result counts: a later part of the same check cannot turn a failure into a pass.
-        self.found.setdefault(check.name, replace(check, detail=one_line(check.detail)))
+        # A check may have several parts: a failure of any of them counts, else the first result.
+        known = self.found.get(check.name)
+        if known is None or (check.status == "failed" and known.status != "failed"):
+            self.found[check.name] = replace(check, detail=one_line(check.detail))
 
     def lines(self) -> tuple[Check, ...]:
         """Return every check in the order of the table; those that were not reached are skipped."""

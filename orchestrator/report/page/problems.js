@@ -4,6 +4,7 @@ const SERIES = ["mean", "lower", "upper"];
 const STOPPED = {
   converged: "stop threshold alpha reached",
   budget: "budget used up, alpha NOT reached",
+  counterexample: "a rollout violated the specification, which ends this campaign",
   refuted: "REFUTED: the data contradict the assumptions",
 };
 const MOST_BARS = 60;

@@ -453,7 +453,7 @@ def test_a_system_that_is_not_installed_is_named_to_simulate_again_and_one_of_a_
 
     def command(found: SystemSpec, system: str | None) -> str:
         header = cast("Header", SimpleNamespace(spec=found))
-        return rollouts.replay_command(Path("run"), header, fact, system)
+        return rollouts.replay_command(Path("run"), header, str(fact.rollout), system)
 
     assert command(spec, None) == "perfbound replay run robustness.0.nominal.0"
     assert command(spec, "/me/cars.py:cars") == "perfbound replay run robustness.0.nominal.0 --system /me/cars.py:cars"
