@@ -2,10 +2,12 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import Connection
+from sqlalchemy.dialects import sqlite
 
 from . import tables
 
@@ -15,6 +17,15 @@ _INSERTS = (
     | {table: table.insert() for table in (tables.set_aside, tables.opinions)}
 )
 """In the order of their foreign keys. An attempt may be written twice (OR IGNORE), a fact never."""
+
+
+@lru_cache
+def _text(table: sa.Table, columns: tuple[str, ...]) -> str:
+    """Return the statement for rows with these columns, which databases of an earlier schema version have fewer of.
+
+    To look it up in SQLAlchemy takes as long as SQLite takes to carry it out.
+    """
+    return str(_INSERTS[table].compile(dialect=sqlite.dialect(paramstyle="named"), column_keys=columns))
 
 
 class PendingRows:
@@ -34,9 +45,9 @@ class PendingRows:
 
     def flush(self) -> None:
         """Write the rows, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
-        for table, insert in _INSERTS.items():
+        for table in _INSERTS:
             if rows := self._rows.pop(table, None):
-                self._connection.execute(insert, rows)
+                self._connection.exec_driver_sql(_text(table, tuple(rows[0])), rows)
 
     def read(self, query: sa.Select[Any]) -> Sequence[sa.Row[Any]]:
         """Return the rows of a query; rows of the open transaction are among them."""

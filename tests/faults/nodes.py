@@ -67,7 +67,8 @@ def turning_node(scene: Scene) -> None:
     scene.misled = wrong > 0
     document = json.loads((scene.directory / "certificate.json").read_bytes())["predicate"]
     honesty: dict[str, Any] = next(each for each in document["assumptions"] if each["id"] == "workers_honest")
-    caught = "caught, " if "turning is set aside for good" in ended.err else ""
+    aside = any("turning" in line and "set aside for good" in line for line in ended.err.splitlines())
+    caught = "caught, " if aside else ""
     scene.did(f"{wrong} of {len(files)} rollouts are false; {caught}{honesty['status']}", fault=False)
     if honesty["status"] == "refuted":
         assert wrong, "refuted without a false rollout"
