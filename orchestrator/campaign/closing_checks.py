@@ -50,7 +50,7 @@ def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:
         least = spot.count(starts)
         more = spot.count(spot.max_tests) - least
         followups = f" and at most {more} that follow up" if more else ""
-        unless = " without a counterexample" if header.config.until_counterexample else ""
+        unless = " (not after a counterexample)" if header.config.until_counterexample else ""
         parts.append(f"a spot check of {starts} starts with {least} rollouts{followups}{unless}")
     if Recheck.wanted(header):
         parts.append(f"a recheck of at most {header.config.recheck} rollouts")
