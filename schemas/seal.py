@@ -83,12 +83,12 @@ class Stream:
 
     def tag(self, worker: str, counter: bytes, message: bytes) -> bytes:
         """Return the second part of a seal."""
-        key = _key(self.secret, self.name, self.run, self.orchestrator, worker)
+        key = _worker_key(self.secret, self.name, self.run, self.orchestrator, worker)
         return mac(key, counter, message)
 
 
 @lru_cache(maxsize=KNOWN)
-def _key(secret: bytes, *names: str) -> bytes:
+def _worker_key(secret: bytes, *names: str) -> bytes:
     return mac(secret, *(name.encode() for name in names))
 
 

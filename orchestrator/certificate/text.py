@@ -90,7 +90,8 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
         _heading(console, f"REFUTED, by the data of this campaign or by derivation: {_count(broken)}", "bold red")
         _assumptions(broken, console)
     if predicate.counterexample is not None:
-        _heading(console, *_counterexample(predicate.counterexample, unit))
+        found = counterexample_words(predicate.counterexample, unit)
+        _heading(console, f"COUNTEREXAMPLE  {found}", "bold red")
     first_claim(certificate, console, unit)
     for number in range(1, len(predicate.claims)):
         _claim("also", certificate, number, console, unit)
@@ -190,13 +191,13 @@ def _bound(claim: CertificateClaim) -> str:
     return outward(claim.bound, claim.sense)
 
 
-def _counterexample(found: Counterexample, unit: str) -> tuple[str, str]:
-    """Return the line on a counterexample, and its style."""
+def counterexample_words(found: Counterexample, unit: str) -> str:
+    """Return what a counterexample is; `unit` is that of the robustness, if it has one."""
     start = ", ".join(f"{name} = {value:.7g}" for name, value in found.start.items())
     margin = f"{outward(found.robustness, '<=')} {one_line(unit)}".removesuffix(" 1").rstrip()
     others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
-    words = f"COUNTEREXAMPLE  test {found.test} violates the specification: robustness {margin} at {start}"
-    return f"{words}, seed {found.seed} (rollout {found.rollout}{others})", "bold red"
+    words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
+    return f"{words} (rollout {found.rollout}{others})"
 
 
 def print_files(directory: Path, console: Console) -> None:

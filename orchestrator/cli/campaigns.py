@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,9 +73,6 @@ strict_option = click.option(
 )
 
 
-UNTIL = {"until_counterexample": True}
-
-
 def _log(_context: click.Context, _option: click.Parameter, form: str) -> None:
     if form == "json":
         STDERR.as_json()
@@ -111,9 +108,11 @@ def workers_option(least: int) -> Callable[..., Any]:
 @drain_option
 @log_option
 @link_options
-def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, **options: Any) -> None:
+def run(
+    *, campaign: Path, workers: int, out: Path | None, seed: int | None, until_counterexample: bool, **options: Any
+) -> None:
     """Run the campaign of a CAMPAIGN file with local workers, and issue its certificate."""
-    _run_new(campaign, workers, out, seed, **options)
+    _run_new(campaign, workers, out, _overrides(seed, until_counterexample=until_counterexample), **options)
 
 
 @cli.command()
@@ -126,9 +125,11 @@ def run(*, campaign: Path, workers: int, out: Path | None, seed: int | None, **o
 @drain_option
 @log_option
 @link_options
-def orchestrate(*, campaign: Path, out: Path | None, seed: int | None, **options: Any) -> None:
+def orchestrate(
+    *, campaign: Path, out: Path | None, seed: int | None, until_counterexample: bool, **options: Any
+) -> None:
     """Run a campaign with the workers that connect, and none of its own."""
-    _run_new(campaign, 0, out, seed, **options)
+    _run_new(campaign, 0, out, _overrides(seed, until_counterexample=until_counterexample), **options)
 
 
 @cli.command()
@@ -164,9 +165,8 @@ def _run_new(
     campaign: Path,
     workers: int,
     out: Path | None,
-    seed: int | None,
+    overrides: Mapping[str, Any],
     *,
-    until_counterexample: bool,
     sign: Path | None,
     strict: bool,
     drain: bool,
@@ -178,13 +178,17 @@ def _run_new(
     key = (
         signing.load_key(sign) if sign else None
     )  # before hours of work: a wrong passphrase must not be noticed at their end
-    overrides = ({} if seed is None else {"seed": seed}) | (UNTIL if until_counterexample else {})
     config = load_campaign(campaign, **overrides)
     directory = out or Path("runs") / config.name
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
         session.start_campaign(config, campaign, directory, options, STDERR.console)
         _finish(directory, key, strict=strict, report=True)
+
+
+def _overrides(seed: int | None, *, until_counterexample: bool) -> dict[str, Any]:
+    """Return the keys of the file that the command line sets."""
+    return ({} if seed is None else {"seed": seed}) | ({"until_counterexample": True} if until_counterexample else {})
 
 
 def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, report: bool) -> None:

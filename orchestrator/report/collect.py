@@ -168,6 +168,7 @@ class Collector:
             resume=resume_command(self.directory),
             failed_attempts=self._workers.failed_attempts(),
             more_workers=more,
+            counterexample=wording.counterexample_sentence(predicate, header),
             compared=self._trust.compared_rows(),
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),

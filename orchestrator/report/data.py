@@ -274,6 +274,8 @@ class ReportData:
     """The latest first, at most 50."""
     more_workers: int = 0
     """Workers without a row in `workers`, which has at most 100: those set aside, then those with most attempts."""
+    counterexample: str | None = None
+    """The rollout that ended the campaign because it violates the specification, in words."""
     compared: tuple[ComparedResult, ...] = ()
     """The latest first, those that differ before all others, at most 50."""
     compared_results: int = 0

@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 
 from ...schemas import certificate as document
+from ...schemas.facts import Header
 from ..campaign.clip import is_vacuous
-from ..certificate.text import VACUOUS, notes, outward, quantity_words
+from ..certificate.text import VACUOUS, counterexample_words, notes, outward, quantity_words
+from ..store.export_tables import robustness_unit
 from .data import Claim, Problem
 
 SIGNS = {">=": "≥", "<=": "≤", " -": " \u2212", "rho*": "ρ*"}
@@ -57,6 +59,14 @@ def current_bound(problems: Sequence[Problem], claims: Sequence[Claim]) -> str:
         return claims[0].sentence
     text = " ".join(map(_problem_bound, problems))
     return text if len(problems) == 1 else f"{text} The composed claim follows when all problems have stopped."
+
+
+def counterexample_sentence(predicate: document.Predicate | None, header: Header) -> str | None:
+    """Return the sentence on the rollout that ended a campaign; None without one."""
+    if predicate is None or predicate.counterexample is None:
+        return None
+    words = counterexample_words(predicate.counterexample, robustness_unit(header.config, header.spec))
+    return typeset(f"{words[0].upper()}{words[1:]}.")
 
 
 def _problem_bound(problem: Problem) -> str:

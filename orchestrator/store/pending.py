@@ -20,7 +20,7 @@ _INSERTS = (
 
 
 @lru_cache
-def _text(table: sa.Table, columns: tuple[str, ...]) -> str:
+def _insert(table: sa.Table, columns: tuple[str, ...]) -> str:
     """Return the statement for rows with these columns, which databases of an earlier schema version have fewer of.
 
     To look it up in SQLAlchemy takes as long as SQLite takes to carry it out.
@@ -47,7 +47,7 @@ class PendingRows:
         """Write the rows, one statement a table: row by row, SQLAlchemy costs more than SQLite."""
         for table in _INSERTS:
             if rows := self._rows.pop(table, None):
-                self._connection.exec_driver_sql(_text(table, tuple(rows[0])), rows)
+                self._connection.exec_driver_sql(_insert(table, tuple(rows[0])), rows)
 
     def read(self, query: sa.Select[Any]) -> Sequence[sa.Row[Any]]:
         """Return the rows of a query; rows of the open transaction are among them."""

@@ -43,6 +43,7 @@ function claimSection(report) {
     "section#verdict",
     { "aria-label": "Claim" },
     refutation(report),
+    counterexample(report),
     el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "Claim") : "Bounds so far"),
     el("p.claim#claim", sentence(first ? first.sentence : report.now)),
     first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
@@ -54,6 +55,12 @@ function claimSection(report) {
 function claimBasis(claim, unit) {
   const rule = claim.rule === "single" ? "" : `, ${words(claim.rule)} rule`;
   return `${unit && `Bound in ${unit}. `}Method ${words(claim.method)}${rule}. Depends on ${plural(claim.assumptions.length, "assumption")}.`;
+}
+
+/** The rollout that ended the campaign; the section of the counterexamples has the command that repeats it. */
+function counterexample(report) {
+  if (report.counterexample === null) return null;
+  return el("div.refuted#counterexample", el("p.shout", "COUNTEREXAMPLE"), el("p", sentence(report.counterexample, 1000)));
 }
 
 /** The refuted assumptions of the first claim; without a claim, all that are refuted. */

@@ -12,6 +12,7 @@ from perfbound.orchestrator.campaign.counterexample import ended
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
+from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.schemas.campaign import CampaignConfig
@@ -121,6 +122,7 @@ def test_the_certificate_is_verified_and_says_it_first(tmp_path: Path) -> None:
     assert verified(tmp_path) == []
     certificate = files.read(tmp_path)
     assert certificate is not None
+    assert certificate.predicate.counterexample is not None
     shown = Console(width=300)
     with shown.capture() as text:
         print_certificate(certificate, shown)
@@ -128,6 +130,9 @@ def test_the_certificate_is_verified_and_says_it_first(tmp_path: Path) -> None:
     assert lines[0].startswith("COUNTEREXAMPLE  test ")
     assert "the worst of its 6 rollouts" in lines[0]
     assert any(line.startswith("CLAIM") for line in lines)
+    page = Collector(tmp_path).refresh()
+    assert page.counterexample is not None
+    assert page.counterexample.startswith(f"Test {certificate.predicate.counterexample.test} violates the spec")
 
 
 def test_another_counterexample_is_not_verified(tmp_path: Path) -> None:
