@@ -194,7 +194,7 @@ def _bound(claim: CertificateClaim) -> str:
 def counterexample_words(found: Counterexample, unit: str) -> str:
     """Return what a counterexample is; `unit` is that of the robustness, if it has one."""
     start = ", ".join(f"{name} = {value:.7g}" for name, value in found.start.items())
-    margin = f"{outward(found.robustness, '<=')} {one_line(unit)}".removesuffix(" 1").rstrip()
+    margin = f"{found.robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()  # a value, no bound
     others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
     words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
     return f"{words} (rollout {found.rollout}{others})"
