@@ -6,8 +6,9 @@ from pydantic import Field, model_validator
 
 from .base import Model, digest, merged
 from .kernel import MaternKernel, Positive, Weighted
+from .method_spaces import check_space, draws_starts
 from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, MethodName, ProblemName, Sense, any_of
-from .space import Scenarios, Space, SystemChoice
+from .space import Space, SystemChoice
 
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
 
@@ -276,7 +277,7 @@ class CampaignConfig(Model):
         default=20, ge=0, le=10_000, description="recorded rollouts that are simulated once more before the certificate"
     )
     system: SystemChoice = Field(description="the system under test")
-    space: Space = Field(description="D, all starting conditions: a range per parameter, or scenarios")
+    space: Space = Field(description="D, all starting conditions: a range per parameter, scenarios, or a table")
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
         min_length=1,
         description="the optimisation problems; without it there is one, `robustness`, and its keys are those of the "
@@ -340,18 +341,15 @@ class CampaignConfig(Model):
 
     def _check_method(self, problem: Problem) -> None:
         where = f"problems.{problem.name}"
-        if problem.method == "scenario" and isinstance(self.space, dict):
-            raise ValueError(f"{where}.method: 'scenario' needs a list of scenarios under [space]")
+        check_space(problem.method, self.space, where)
         if problem.method == "paper":
-            if not isinstance(self.space, dict):
-                raise ValueError(f"{where}.method: 'paper' needs a box under [space]: low and high per parameter")
             if OBJECTIVES[problem.name].risk and self.replicates_of(problem) < 2:
                 raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
             if self.window_of(problem) != 1:
                 raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
             if self.max_tests_of(problem) < 2:
                 raise ValueError(f"{where}.max_tests: method 'paper' gives no bound before the second test")
-        nodes = self.candidates_of(problem)
+        nodes = 0 if draws_starts(problem.method) else self.candidates_of(problem)
         if nodes > MAX_CANDIDATES:
             raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {MAX_CANDIDATES} allowed")
 
@@ -396,9 +394,9 @@ class CampaignConfig(Model):
 
     def candidates_of(self, problem: Problem) -> int:
         """Return how many starting conditions a problem chooses from."""
-        if isinstance(self.space, Scenarios):
-            return len(self.space.scenarios)
-        return int(self.resolution_of(problem) ** len(self.space))
+        if isinstance(self.space, dict):
+            return int(self.resolution_of(problem) ** len(self.space))
+        return len(self.space.rows)
 
     @property
     def digest(self) -> str:

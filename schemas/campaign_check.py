@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from .campaign import CampaignConfig
 from .errors import CampaignError
 from .problems import rolled_out
-from .space import Scenarios
+from .space import Scenarios, StartTable
 from .system import SystemSpec
 
 
@@ -26,8 +26,8 @@ def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
 
 
 def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    if isinstance(config.space, Scenarios):
-        return list(_scenario_faults(config.space, spec))
+    if not isinstance(config.space, dict):
+        return list(_row_faults(config.space, spec))
     known = {parameter.name: parameter for parameter in spec.parameters}
     faults = [
         f"space.{name}: unknown parameter; {spec.name} has {', '.join(known)}" for name in config.space.keys() - known
@@ -47,16 +47,17 @@ def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     return faults
 
 
-def _scenario_faults(space: Scenarios, spec: SystemSpec) -> Iterator[str]:
+def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str]:
     names = [parameter.name for parameter in spec.parameters]
-    for number, scenario in enumerate(space.scenarios):
-        if len(scenario) != len(names):
-            yield f"space.scenarios: entry {number} is {list(scenario)}; {spec.name} takes {', '.join(names)}"
+    where = "space.scenarios: entry" if isinstance(space, Scenarios) else "space.table: row"
+    for number, row in enumerate(space.rows):
+        if len(row) != len(names):
+            yield f"{where} {number} is {list(row)}; {spec.name} takes {', '.join(names)}"
             return
-        for parameter, value in zip(spec.parameters, scenario, strict=True):
+        for parameter, value in zip(spec.parameters, row, strict=True):
             if not parameter.low <= value <= parameter.high:
                 yield (
-                    f"space.scenarios: entry {number}, {parameter.name} = {value:g} leaves "
+                    f"{where} {number}, {parameter.name} = {value:g} leaves "
                     f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}, the range of {spec.name}"
                 )
 

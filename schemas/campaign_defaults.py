@@ -32,6 +32,9 @@ STAND_INS: dict[str, Any] = {
 }
 """Of keys that no description of a system needs."""
 
+ENDS: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+"""JSON Schema of the short form of a range, [low, high]."""
+
 
 def with_stand_ins(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return the table of a file that describes a program, and may have no campaign yet, as that of a campaign.
@@ -51,20 +54,29 @@ def is_description(table: Mapping[str, Any]) -> bool:
 
 
 def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
-    """Return the table of a file with its name, its only problem and its methods; `stem` is the name of the file.
+    """Return the table of a file with its name, its ranges, its only problem and its methods.
+
+    `stem` is the name of the file.
 
     >>> completed({"alpha": 1.0, "space": {}}, "My Cars")
     {'name': 'my-cars', 'space': {}, 'problems': [{'name': 'robustness', 'method': 'rigorous', 'alpha': 1.0}]}
     """
     name = re.sub("[^a-z0-9_]+", "-", stem.lower()).strip("-_")[:64]
     found = {"name": name, **table} if name else dict(table)
+    if isinstance(space := found.get("space"), Mapping):
+        found["space"] = {key: each if key == "scenarios" else _with_ends(each) for key, each in space.items()}
     if leaves_out_problems(table):
         found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
-    space = found.get("space")
     method = METHODS[isinstance(space, Mapping) and "scenarios" in space]
     if isinstance(problems := found.get("problems"), list):
         found["problems"] = [_with_method(each, method) for each in problems]
     return found
+
+
+def _with_ends(value: Any) -> Any:
+    """Return the table of a range in its short form, [low, high]; any other value as it is."""
+    pair = isinstance(value, list) and len(value) == 2 and not any(isinstance(each, list) for each in value)
+    return {"low": value[0], "high": value[1]} if pair else value
 
 
 def _with_method(problem: Any, method: MethodName) -> Any:
@@ -89,5 +101,9 @@ def file_schema() -> dict[str, Any]:
         for key, value in problem["properties"].items():
             # The problem's own model decides which of them go together.
             schema["properties"].setdefault(key, {"description": f"of the only problem: {value.get('description')}"})
+    schema["$defs"]["Range"] = {"anyOf": [ENDS, schema["$defs"]["Range"]]}
+    for name, key in (("Scenarios", "scenarios"), ("StartTable", "table")):
+        rows = schema["$defs"][name]["properties"]
+        rows[key] = {"anyOf": [{"type": "string"}, rows[key]]}
     schema["properties"]["problems"]["items"] = {"anyOf": schema["properties"]["problems"]["items"]["oneOf"]}
     return schema

@@ -2,6 +2,8 @@
 
 import csv
 import difflib
+import io
+import itertools
 import json
 import math
 import re
@@ -20,7 +22,7 @@ from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
 from .outside import read_outside
 from .problems import OBJECTIVES
-from .space import ProgramLimits, Range, Scenarios, SystemChoice
+from .space import MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, SystemChoice
 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""
@@ -31,7 +33,7 @@ _LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
 _WORDS = {
     ("name",): "1 to 64 of a-z, 0-9, '-' and '_', the first a letter or digit",
     ("clip",): "[low, high], two numbers",
-    ("space",): "a table with one entry per parameter: name = { low, high, unit }",
+    ("space",): "a table with one entry per parameter: name = [low, high]",
     ("problems",): "a list of tables, each under [[problems]]",
     ("problems", "paper", "regulariser"): "'1+eta' or a number > 0",
     ("problems", "rigorous", "regulariser"): "a number > 0, or a list of { value, weight }",
@@ -39,6 +41,7 @@ _WORDS = {
     ("problems", "rigorous", "kernel", "length_scale"): _LENGTHS,
     ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
+    ("space", "table"): f"the name of a CSV file with 1 to {MAX_TABLE} rows, or its rows",
     ("system", "program"): 'a list of texts: ["./NAME", "ARGUMENT"]',
     ("system", "columns"): 'a table with the unit of every column in quotes: { distance = "m" }',
     ("system", "noisy"): "true, false, or a list of variants",
@@ -47,14 +50,17 @@ _WORDS = {
     ("system", "limits"): "a table: { memory = 4, cpu = 60 }",
 }
 """Allowed values in words, where those of the schema and of pydantic are no help."""
-_TAGS = {*PROBLEM_MODELS, "box", "scenarios"}
+_RANGE = 'the ends of its range, [0, 5], or a table: { low = 0, high = 5, unit = "m" }'
+_LISTS = {"scenarios": MAX_SCENARIOS, "table": MAX_TABLE}
+"""Keys of `[space]` whose starts may be in a CSV file, and the most rows."""
+_TAGS = {*PROBLEM_MODELS, "box", *_LISTS}
 
 
 Beside = Callable[[str], bytes]
 """Reads a file beside the campaign file; raises OSError."""
 MAX_CAMPAIGN_FILE = 1024 * 1024
 """Bytes of a campaign file."""
-MAX_SCENARIOS = 64 * 2**20
+MAX_STARTS_FILE = 64 * 2**20
 """Bytes of a file of starts."""
 
 
@@ -90,7 +96,7 @@ def _file_and_place(path: Path) -> tuple[bytes, str, Beside]:
         raise CampaignError(f"{path}: {error.strerror}; choose a campaign file, e.g. one of deploy/campaigns") from None
     if len(data) > MAX_CAMPAIGN_FILE:
         raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; choose a campaign file")
-    return data, str(path), lambda name: read_outside(path.parent / name, MAX_SCENARIOS)
+    return data, str(path), lambda name: read_outside(path.parent / name, MAX_STARTS_FILE)
 
 
 def parse_campaign(
@@ -98,8 +104,8 @@ def parse_campaign(
 ) -> CampaignConfig:
     """Read the bytes of a campaign file; `overrides` replace top-level keys.
 
-    `space.scenarios` may name a CSV file, which `beside` reads; the campaign then contains its numbers. A file without
-    `name` has that of `source`; with `whole` false it may be one of `load_description`.
+    `space.scenarios` and `space.table` may name a CSV file, which `beside` reads; the campaign then contains its
+    numbers. A file without `name` has that of `source`; with `whole` false it may be one of `load_description`.
 
     Raises:
         CampaignError: one line with the file, the key and the allowed values.
@@ -117,9 +123,10 @@ def parse_campaign(
         raise CampaignError(f"{source}: the file is empty; see deploy/campaigns for examples")
     if dates:
         raise CampaignError(f"{source}: {dates[0]} is a date or time, which no key takes; put text in quotes")
-    space = table.get("space")
-    if isinstance(space, dict) and isinstance(space.get("scenarios"), str):
-        table["space"] = {**space, "scenarios": _scenarios(space["scenarios"], source, beside)}
+    if isinstance(space := table.get("space"), dict):
+        named = {key: most for key, most in _LISTS.items() if isinstance(space.get(key), str)}
+        rows = {key: _csv_rows(space[key], f"{source}: space.{key}", most, beside) for key, most in named.items()}
+        table["space"] = space | rows
     keys = completed({**(table if whole else with_stand_ins(table)), **overrides}, Path(source).stem)
     try:
         return CampaignConfig.model_validate_json(json.dumps(keys, default=str))
@@ -130,30 +137,36 @@ def parse_campaign(
         raise CampaignError(f"{source}: {fault}") from None
 
 
-def _scenarios(name: str, source: str, beside: Beside | None) -> list[list[float]]:
+def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> list[list[float]]:
     """Return the rows of a CSV file: one start a row, a header of the parameters' names allowed."""
-    where = f"{source}: space.scenarios: {name}"
+    where = f"{key}: {name}"
     if beside is None or "/" in name or "\\" in name or name.startswith("."):
-        raise CampaignError(f"{where!s} is not allowed: name a CSV file beside the campaign file")
+        raise CampaignError(f"{where} is not allowed: name a CSV file beside the campaign file")
     try:
-        lines = beside(name).decode("utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        text = io.StringIO(beside(name).decode("utf-8-sig"), newline="")
+        # One row more than a header and the most starts: all lines of a large file would take thirty times its size.
+        rows = list(itertools.islice(filter(None, csv.reader(text)), most + 2))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8"
+        reason = f"not CSV: {error}" if isinstance(error, csv.Error) else reason
         raise CampaignError(f"{where}: {reason}; name a CSV file beside the campaign file") from None
-    rows = [row for row in csv.reader(lines) if row]
-    if rows and not _all_numbers(rows[0]):
+    # A header has no number at all: a first start with a misspelt one is an error like any other.
+    if rows and not any(map(_is_finite, rows[0])):
         rows = rows[1:]
     for number, row in enumerate(rows):
-        if not _all_numbers(row):
+        if not all(map(_is_finite, row)):
             raise CampaignError(
                 f"{where}: row {number} is {','.join(row)[:80]!r}; allowed are numbers, one start a row"
             )
+    if not 0 < len(rows) <= most:
+        count = f"more than {most} starts" if rows else "no start"
+        raise CampaignError(f"{where}: {count}; allowed are 1 to {most} rows of numbers")
     return [[float(cell) for cell in row] for row in rows]
 
 
-def _all_numbers(row: list[str]) -> bool:
+def _is_finite(cell: str) -> bool:
     try:
-        return all(math.isfinite(float(cell)) for cell in row)
+        return math.isfinite(float(cell))
     except ValueError:
         return False
 
@@ -218,6 +231,9 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
         found = fault["input"].get("method") if isinstance(fault["input"], dict) else fault["input"]
         given = f"{found!r} is not allowed: allowed is" if found is not None else "this key is required:"
         return f"{f'{key}.' if key else ''}method: {given} {choices}"
+    if kind == "extra_forbidden" and location[0] == "space" and fault["loc"][1] in _LISTS:
+        listed = fault["loc"][1]
+        return f"{key}: not allowed beside space.{listed}, which has all parameters; remove one of the two"
     if kind == "extra_forbidden":
         allowed = [*_model_at(location[:-1]).model_fields, *(OF_PROBLEM if one_problem and len(location) == 1 else ())]
         near = difflib.get_close_matches(str(location[-1]), allowed, 1)
@@ -246,6 +262,8 @@ def _allowed(location: Location) -> str:
         names = names[:2]  # an entry of `columns` or of a list
     if names in _WORDS:
         return _WORDS[names]
+    if names[0] == "space" and len(names) == 2:
+        return _RANGE
     if names[0] == "system" and len(names) > 1 and names[1] not in SystemChoice.model_fields:
         return "text or a number, as the system has it: see `perfbound systems`"
     field = _model_at(location[:-1]).model_fields.get(names[-1])
@@ -272,13 +290,13 @@ def _model_at(location: Location) -> type[Model]:
         "regulariser": Weighted,
         "kernel": MaternKernel,
         "gap": Gap,
-        "space": Range,
-        "scenarios": Scenarios,
         "limits": ProgramLimits,
         "system": SystemChoice,
     }
-    if location and location[0] in ("space", "system"):  # whose keys are the user's
-        return models.get(location[-1], models[location[0]])
+    if location[:1] == ("space",):  # a parameter may have the name of a table of the file
+        return Range
+    if location[:1] == ("system",):  # whose keys are the user's
+        return models.get(location[-1], SystemChoice)
     names = [part for part in location if part in models]
     return models[names[-1]] if names else CampaignConfig
 

@@ -1,8 +1,8 @@
 """The reference page of campaign files, generated from the models so that it stays current."""
 
 import json
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Collection, Iterator
+from typing import Any, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
@@ -15,8 +15,9 @@ from .campaign import (
     ScenarioProblem,
 )
 from .kernel import MaternKernel, Weighted
+from .method_spaces import SPACES
 from .problems import OBJECTIVES, Objective
-from .space import ProgramLimits, Range, Scenarios, SystemChoice
+from .space import ProgramLimits, Range, Scenarios, SpaceKind, StartTable, SystemChoice
 
 HEAD = """# Reference: campaign files
 
@@ -24,6 +25,14 @@ This page is generated from `schemas/campaign.py` and `schemas/problems.py` by `
 [JSON Schema](../schemas/json/v1/campaign.json) has the same keys. A campaign file is written in TOML; a file with an
 unknown key is refused. Robustness has the unit of the predicates. [Theory](theory.md) explains the symbols,
 [STL](stl.md) the specifications.
+"""
+METHODS = """
+## Methods and spaces
+
+What each method takes under `[space]`. A distribution or a table needs a method that draws its starts.
+
+| method | ranges | distributions | scenarios | table |
+|---|---|---|---|---|
 """
 PROBLEMS = """
 ## Problems
@@ -38,8 +47,15 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Top level", "", CampaignConfig),
     ("[system]", "The table also takes the options of the system; `perfbound systems` lists them.", SystemChoice),
     ("[system] of a program, limits", "", ProgramLimits),
-    ("[space]", 'One entry per parameter of the system: `x = { low = 0.0, high = 5.0, unit = "m" }`.', Range),
+    (
+        "[space]",
+        'One entry per parameter of the system: `x = [0, 5]`, in full `x = { low = 0.0, high = 5.0, unit = "m" }`, or '
+        'with a distribution `x = { low = 0, high = 5, distribution = "normal", mean = 2, sd = 1 }`. '
+        "[Starting conditions](how-to/space.md) shows each form.",
+        Range,
+    ),
     ("[space], scenarios", "Instead of ranges: `scenarios = [[0.5, 0.5], [1.5, 0.5]]`.", Scenarios),
+    ("[space], table", 'Instead of ranges: `table = "starts.csv"`.', StartTable),
     ("[[problems]], method paper", "One table per optimisation problem; each name at most once.", PaperProblem),
     ("[[problems]], method rigorous", "", RigorousProblem),
     ("[[problems]], method scenario", "`resolution` and `gap` have no effect with this method.", ScenarioProblem),
@@ -49,7 +65,7 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("regulariser, entries of a mixture", "", Weighted),
 )
 ALLOWED = {
-    (CampaignConfig, "space"): "tables, or a list of scenarios",
+    (CampaignConfig, "space"): "ranges, a list of scenarios, or a table of starts",
     (PaperProblem, "window"): "`1`",
     (PaperProblem, "max_tests"): "whole number >= 2 <= 1e+06",
     (PaperProblem, "noise_scale"): "number > 0",
@@ -58,6 +74,7 @@ ALLOWED = {
     ),
     (ScenarioProblem, "sense"): "`min`",
     (Scenarios, "scenarios"): "lists of numbers, or text",
+    (StartTable, "table"): "text, or lists of numbers",
     (SystemChoice, "program"): "list of texts",
     (SystemChoice, "columns"): "table of texts",
     (SystemChoice, "noisy"): "true or false, or list of `nominal`, `true`",
@@ -89,7 +106,13 @@ def page() -> str:
     sections = [
         f"\n## {title}\n\n{note + chr(10) * 2 if note else ''}{_key_table(model)}" for title, note, model in TABLES
     ]
-    return HEAD + "".join(sections) + PROBLEMS + "".join(_problem_row(*row) for row in OBJECTIVES.items())
+    methods = "".join(_method_row(*row) for row in SPACES.items())
+    problems = "".join(_problem_row(*row) for row in OBJECTIVES.items())
+    return HEAD + "".join(sections) + METHODS + methods + PROBLEMS + problems
+
+
+def _method_row(name: str, taken: Collection[SpaceKind]) -> str:
+    return f"| `{name}` | {' | '.join('yes' if each in taken else '-' for each in get_args(SpaceKind))} |\n"
 
 
 def _problem_row(name: str, objective: Objective) -> str:

@@ -1,5 +1,6 @@
 """The system of a campaign file, and its space: all starting conditions of the claim."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +11,8 @@ from .ranges import SEED_BITS
 from .system import OptionValue, Variant
 
 MAX_SCENARIOS = 1000
+MAX_TABLE = 10_000
+"""Rows of a table of starts; the certificate contains them all."""
 SampleFormat = Literal["csv", "f64", "npy"]
 
 
@@ -103,18 +106,87 @@ PROGRAM_KEYS = ("columns", "step", "noisy", "variants", "samples", "seed_bits", 
 """Keys of `[system]` that describe a program."""
 
 
+DistributionName = Literal["uniform", "normal", "lognormal", "triangular", "weibull"]
+DISTRIBUTIONS: Mapping[DistributionName, tuple[str, ...]] = {
+    "uniform": (),
+    "normal": ("mean", "sd"),
+    "lognormal": ("median", "sigma"),
+    "triangular": ("mode",),
+    "weibull": ("shape", "scale"),
+}
+"""The keys that describe each distribution; all of them are required."""
+POSITIVE: frozenset[DistributionName] = frozenset({"lognormal", "weibull"})
+"""Distributions of positive numbers alone."""
+
+
+def _described(text: str, *, gt: float | None = None) -> Any:
+    # Written only where given: the texts of campaigns without distributions stay what they were, to the byte.
+    return Field(default=None, exclude_if=lambda value: value is None, description=text, gt=gt)
+
+
 class Range(Model):
-    """All values of one parameter of the starting condition d."""
+    """All values of one parameter of the starting condition d, and how a drawn start is distributed over them.
+
+    The distribution is that of the keys, truncated to [low, high].
+    """
 
     low: float = Field(description="smallest value")
     high: float = Field(description="largest value")
     unit: str = Field(default="", description="if given, must be that of the system's parameter")
+    distribution: DistributionName = Field(
+        default="uniform",
+        exclude_if=lambda name: name == "uniform",
+        description="of starts that are drawn, truncated to [low, high]; any but `uniform` only with a method that "
+        "draws its starts",
+    )
+    mean: float | None = _described("of `normal`, before the truncation; in the unit of the parameter")
+    sd: float | None = _described(
+        "of `normal`: standard deviation, before the truncation; in the unit of the parameter", gt=0
+    )
+    median: float | None = _described("of `lognormal`, before the truncation; in the unit of the parameter", gt=0)
+    sigma: float | None = _described(
+        "of `lognormal`: standard deviation of the natural logarithm, before the truncation; without unit", gt=0
+    )
+    mode: float | None = _described("of `triangular`: the most frequent value; its ends are `low` and `high`")
+    shape: float | None = _described("of `weibull`: k; 1 is exponential, 2 Rayleigh", gt=0)
+    scale: float | None = _described(
+        "of `weibull`: the value that 63.2 % do not exceed, before the truncation; in the unit of the parameter", gt=0
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> "Range":
         if not self.low < self.high:
             raise ValueError(f"low: {self.low:g} must be less than high = {self.high:g}")
         return self
+
+    @model_validator(mode="after")
+    def _distributed(self) -> "Range":
+        wanted = DISTRIBUTIONS[self.distribution]
+        for name, keys in DISTRIBUTIONS.items():
+            for key in keys:
+                if key not in wanted and getattr(self, key) is not None:
+                    raise ValueError(
+                        f"{key}: belongs to distribution {name!r}, and this one is {self.distribution!r}; "
+                        f'remove this key, or give distribution = "{name}"'
+                    )
+        for key in wanted:
+            if getattr(self, key) is None:
+                raise ValueError(f"{key}: required by distribution {self.distribution!r}; give {' and '.join(wanted)}")
+        if self.distribution in POSITIVE and self.low < 0:
+            raise ValueError(
+                f"low: {self.low:g} is not allowed: distribution {self.distribution!r} has positive values alone; give "
+                "a number >= 0"
+            )
+        if self.mode is not None and not self.low <= self.mode <= self.high:
+            raise ValueError(
+                f"mode: {self.mode:g} is not allowed: allowed is a number in [{self.low:g}, {self.high:g}]"
+            )
+        return self
+
+    @property
+    def described(self) -> dict[str, float]:
+        """The keys of the distribution with their values."""
+        return {key: getattr(self, key) for key in DISTRIBUTIONS[self.distribution]}
 
 
 class Scenarios(Model):
@@ -138,15 +210,62 @@ class Scenarios(Model):
             seen[scenario] = number
         return self
 
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """The starts, parameters in the order of the system."""
+        return self.scenarios
+
+
+class StartTable(Model):
+    """A table of starts, drawn with replacement: a row that is there twice is drawn twice as often."""
+
+    table: tuple[tuple[float, ...], ...] = Field(
+        min_length=1,
+        max_length=MAX_TABLE,
+        description="the name of a CSV file beside this one, or its rows: one number per parameter of the system",
+    )
+
+    @model_validator(mode="after")
+    def _rectangular(self) -> "StartTable":
+        width = len(self.table[0])
+        for number, row in enumerate(self.table):
+            if not row or len(row) != width:
+                raise ValueError(
+                    f"table: row {number} has {len(row)} numbers, the first {width}; give one per parameter in each row"
+                )
+        return self
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """The starts, parameters in the order of the system."""
+        return self.table
+
 
 Box = dict[str, Range]
+SpaceKind = Literal["box", "distributions", "scenarios", "table"]
+"""Ranges alone, ranges of which one has a distribution, a list of all starts, starts to be drawn from."""
 
 
-def _space_kind(value: Any) -> str:
-    return "scenarios" if isinstance(value, Scenarios) or (isinstance(value, dict) and "scenarios" in value) else "box"
+def _space_model(value: Any) -> str:
+    if isinstance(value, Scenarios) or (isinstance(value, dict) and "scenarios" in value):
+        return "scenarios"
+    # A parameter may be called `table`: its value is a range.
+    listed = isinstance(value, dict) and "table" in value and not isinstance(value["table"], dict | Range)
+    return "table" if isinstance(value, StartTable) or listed else "box"
 
 
 Space = Annotated[
-    Annotated[Box, Tag("box"), Field(min_length=1)] | Annotated[Scenarios, Tag("scenarios")],
-    Discriminator(_space_kind),
+    Annotated[Box, Tag("box"), Field(min_length=1)]
+    | Annotated[Scenarios, Tag("scenarios")]
+    | Annotated[StartTable, Tag("table")],
+    Discriminator(_space_model),
 ]
+
+
+def space_kind(space: Space) -> SpaceKind:
+    """Return the kind of a space."""
+    if isinstance(space, Scenarios):
+        return "scenarios"
+    if isinstance(space, StartTable):
+        return "table"
+    return "box" if all(each.distribution == "uniform" for each in space.values()) else "distributions"

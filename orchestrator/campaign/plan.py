@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig, Gap, Problem, RigorousProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Statement, rolled_out
-from ...schemas.space import Scenarios
+from ...schemas.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import linearised_range
@@ -136,6 +136,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
 def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> Lattice | Points:
     if isinstance(config.space, Scenarios):
         return Points(config.space.scenarios)
+    assert not isinstance(config.space, StartTable), "no method takes it that chooses among candidates"
     boxes = [config.space[parameter.name] for parameter in spec.parameters]
     low, high = tuple(box.low for box in boxes), tuple(box.high for box in boxes)
     return Lattice(low, high, config.resolution_of(problem))

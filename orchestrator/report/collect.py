@@ -10,7 +10,6 @@ from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, ProposalFact, RolloutFact
 from ...schemas.ids import CLOSING, RECHECK, RolloutId
-from ...schemas.space import Scenarios
 from ..campaign.plan import plans
 from ..certificate import files
 from ..certificate.text import check_sentences
@@ -206,8 +205,8 @@ class Collector:
 def _axes(header: Header) -> tuple[Axis, ...]:
     """Return the parameters with the ranges of D, in the order of the system."""
     space, parameters = header.config.space, header.spec.parameters
-    if isinstance(space, Scenarios):
-        ranges = [(min(values), max(values)) for values in zip(*space.scenarios, strict=True)]
-    else:
+    if isinstance(space, dict):
         ranges = [(space[each.name].low, space[each.name].high) for each in parameters]
+    else:
+        ranges = [(min(values), max(values)) for values in zip(*space.rows, strict=True)]
     return tuple(Axis(each.name, each.unit, *ends) for each, ends in zip(parameters, ranges, strict=True))

@@ -139,13 +139,5 @@ def _campaign_table(
     if found.spec.repeated == "nowhere":
         table.setdefault("recheck", 0)
     table["system"] = {**found.choice, **options}
-    table["space"] = (
-        {key: _range_table(each) for key, each in space.items()} if isinstance(space, Mapping) else {"scenarios": space}
-    )
+    table["space"] = space if isinstance(space, Mapping) else {"scenarios": space}
     return table
-
-
-def _range_table(value: Any) -> Any:
-    """Return the table of a range that is given as (low, high)."""
-    pair = isinstance(value, tuple | list) and len(value) == 2 and not isinstance(value[0], tuple | list)
-    return {"low": value[0], "high": value[1]} if pair else value

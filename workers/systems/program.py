@@ -23,7 +23,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
 from ...schemas.secret import VARIABLE
-from ...schemas.space import ProgramLimits, SampleFormat, Scenarios, SystemChoice
+from ...schemas.space import ProgramLimits, SampleFormat, SystemChoice
 from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
@@ -264,8 +264,8 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
 
 def _space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
     """Yield the parameters of `[space]`; those of a list of starts are x1, x2, ..., each with its range."""
-    if isinstance(config.space, Scenarios):
-        for k, values in enumerate(zip(*config.space.scenarios, strict=True)):
+    if not isinstance(config.space, dict):
+        for k, values in enumerate(zip(*config.space.rows, strict=True)):
             yield Parameter(name=f"x{k + 1}", low=min(values), high=max(values))
         return
     for name, box in config.space.items():

@@ -1,0 +1,54 @@
+"""The spaces that each method takes: one row for each name.
+
+A method that draws its starts takes distributions and a table; every check of this follows from its row.
+"""
+
+from collections.abc import Mapping
+
+from .problems import MethodName, any_of
+from .space import Space, SpaceKind, space_kind
+
+SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
+    "paper": ("box",),
+    "rigorous": ("box", "scenarios"),
+    "scenario": ("scenarios",),
+}
+"""The kinds of `[space]`; the first one is what an error asks for."""
+NEEDED: Mapping[SpaceKind, str] = {
+    "box": "a box under [space]: low and high per parameter",
+    "distributions": "a box with distributions under [space]",
+    "scenarios": "a list of scenarios under [space]",
+    "table": "a table of starts under [space]",
+}
+
+
+def draws_starts(method: MethodName) -> bool:
+    """Whether the starts of a method are drawn from the distribution that `[space]` declares."""
+    return "distributions" in SPACES[method]
+
+
+def check_space(method: MethodName, space: Space, where: str) -> None:
+    """Refuse a space that the method of the problem at `where` does not take.
+
+    Raises:
+        ValueError: it does not; one line with the key and the remedy.
+
+    """
+    kind = space_kind(space)
+    if kind in SPACES[method]:
+        return
+    drawing = tuple(name for name in SPACES if draws_starts(name))
+    otherwise = f", or choose method {any_of(drawing)}" if drawing else ""
+    if kind == "table":
+        raise ValueError(
+            f"space.table: not allowed with method {method!r}, which draws no starts; give a range per parameter or "
+            f"scenarios instead{otherwise}"
+        )
+    if kind == "distributions" and isinstance(space, dict):
+        name, given = next((name, each) for name, each in space.items() if each.distribution != "uniform")
+        keys = ", ".join(["distribution", *given.described])
+        raise ValueError(
+            f"space.{name}.distribution: {given.distribution!r} is not allowed with method {method!r}, which draws no "
+            f"starts; remove {keys}{otherwise}"
+        )
+    raise ValueError(f"{where}.method: {method!r} needs {NEEDED[SPACES[method][0]]}")
