@@ -3,9 +3,11 @@
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_check import check_against
 from ...schemas.errors import CampaignError
+from ...schemas.space import space_kind
 from ...schemas.system import SystemSpec
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula
+from .draws import check_distributions
 
 
 def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
@@ -19,6 +21,8 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
         raise CampaignError(f"{source}: system.name: is {config.system.name!r}, the system here is {spec.name!r}")
     check_against(config, spec, source)
     _check_specification(config, spec, source)
+    if isinstance(config.space, dict) and space_kind(config.space) == "distributions":
+        check_distributions(config.space, source)
 
 
 def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:

@@ -29,9 +29,14 @@ def first_node(header: Header, problem: str, size: int) -> int:
     return int(np.random.default_rng(_sequence(header, problem)).integers(size))
 
 
-def uniform(header: Header, name: str, shape: tuple[int, ...]) -> Floats:
-    """Return numbers in [0, 1), of the series `name`."""
-    return np.random.default_rng(_sequence(header, name)).random(shape)
+def uniform(header: Header, name: str, rows: range, width: int) -> Floats:
+    """Return numbers in [0, 1), shape (rows, width): rows of the endless table `name`, whichever others are asked for.
+
+    `rows` has no gaps.
+    """
+    generator = np.random.PCG64(_sequence(header, name))
+    generator.advance(rows.start * width)  # one step a number
+    return np.random.Generator(generator).random((len(rows), width))
 
 
 def drawn(header: Header, name: str, evidence: str, size: int, count: int) -> list[int]:

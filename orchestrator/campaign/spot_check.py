@@ -219,5 +219,5 @@ def _starts(header: Header, plans: list[ProblemPlan]) -> list[tuple[float, ...]]
     box = plans[0].candidates
     assert isinstance(box, Lattice)
     low, high = np.array(box.low), np.array(box.high)
-    shares = uniform(header, SPOT_CHECK, (header.config.spot_check, len(low)))
+    shares = uniform(header, SPOT_CHECK, range(header.config.spot_check), len(low))
     return [tuple(float(v) for v in row) for row in low + shares * (high - low)]

@@ -1,0 +1,80 @@
+"""Distributions of one parameter, truncated to a range: the inverse transform of uniform numbers.
+
+| symbol | name     | meaning                                         | shape | unit      |
+|--------|----------|-------------------------------------------------|-------|-----------|
+| u      | `shares` | numbers in [0, 1)                               | (n,)  | -         |
+| F      | `law`    | distribution before the truncation              |       |           |
+| a, b   | `low`, `high` | ends of the range                          | ()    | parameter |
+| x      |          | F^-1(F(a) + u (F(b) - F(a))), clipped to [a, b] | (n,)  | parameter |
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Inverse = Callable[[Floats], Floats]
+LEAST = 1e-9
+"""Least probability of a range: below it the range, or a unit, is a mistake, and F(b) - F(a) loses its digits."""
+
+
+def truncated(name: str, keys: Mapping[str, float], low: float, high: float) -> Inverse:
+    """Return the inverse of the distribution `name` with its `keys`, truncated to [low, high]: shares (n,) to values.
+
+    Raises:
+        ValueError: less than `LEAST` of the distribution is in the range.
+
+    >>> truncated("triangular", {"mode": 5.0}, 0.0, 10.0)(np.array([0.0, 0.125, 0.5])).tolist()
+    [0.0, 2.5, 5.0]
+
+    """
+    if name == "uniform":
+        # Basic arithmetic alone: equal on all machines.
+        return lambda shares: np.clip(low + shares * (high - low), low, high)
+    law = _law(name, keys, low, high)
+    # The upper tail by its own functions: near 1 a probability has no digits left.
+    upper = bool(law.cdf(low) > 0.5)
+    first, last = (law.sf(low), law.sf(high)) if upper else (law.cdf(low), law.cdf(high))
+    inverse = law.isf if upper else law.ppf
+    if not abs(last - first) >= LEAST:
+        raise ValueError(f"less than {LEAST:g} of the distribution is in [{low:g}, {high:g}]")
+    return lambda shares: np.clip(inverse(first + shares * (last - first)), low, high)
+
+
+def to_digits(values: Floats, low: float, high: float, digits: int) -> list[float]:
+    """Return values of [low, high] with `digits` significant digits, still in [low, high].
+
+    The digits are those of the value, or of the width of the range if that is less: a narrow range far from 0 keeps
+    its values apart.
+
+    >>> to_digits(np.array([0.123456789, 123.456789]), 0.0, 200.0, 4)
+    [0.1235, 123.5]
+    >>> to_digits(np.array([1000.123456789]), 1000.0, 1001.0, 4)
+    [1000.1235]
+
+    """
+    return [min(max(_digits_of(value, min(abs(value), high - low), digits), low), high) for value in values.tolist()]
+
+
+def _digits_of(value: float, size: float, digits: int) -> float:
+    # By text: a logarithm would differ in its last bit between machines, and so at a power of ten the exponent.
+    exponent = int(f"{size:.16e}".partition("e")[2])
+    return round(value, digits - 1 - exponent) if size else value
+
+
+def _law(name: str, keys: Mapping[str, float], low: float, high: float) -> Any:
+    """Return the frozen distribution of scipy before the truncation."""
+    from scipy import stats  # noqa: PLC0415  (a second of start-up that few commands need)
+
+    match name:
+        case "normal":
+            return stats.norm(keys["mean"], keys["sd"])
+        case "lognormal":
+            return stats.lognorm(s=keys["sigma"], scale=keys["median"])
+        case "triangular":
+            return stats.triang(c=(keys["mode"] - low) / (high - low), loc=low, scale=high - low)
+        case "weibull":
+            return stats.weibull_min(c=keys["shape"], scale=keys["scale"])
+    raise ValueError(f"there is no distribution {name!r}")
