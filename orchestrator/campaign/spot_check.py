@@ -69,7 +69,7 @@ class SpotCheck:
         noisy = set(header.spec.noisy)
         hypotheses = [_hypothesis(each, _limit(accounts[each.name]), noisy) for each in self._plans]
         self.hypotheses = {each.name: found for each, found in zip(self._plans, hypotheses, strict=True)}
-        self.starts = _starts(header, self._plans)
+        self.starts = _uniform_starts(header, self._plans)
         followups = plan.max_tests - len(self.starts)
         self._tests = SpotTests(self.starts, hypotheses, followups=followups, replicates=self._replicates, delta=LEVEL)
 
@@ -214,7 +214,7 @@ def _range(plan: ProblemPlan) -> tuple[float | None, float | None]:
     return -high, -low
 
 
-def _starts(header: Header, plans: list[ProblemPlan]) -> list[tuple[float, ...]]:
+def _uniform_starts(header: Header, plans: list[ProblemPlan]) -> list[tuple[float, ...]]:
     """Return the starts, uniform over the box, parameters in the order of the system."""
     box = plans[0].candidates
     assert isinstance(box, Lattice)

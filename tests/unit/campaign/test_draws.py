@@ -17,7 +17,7 @@ from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.campaign.draws import BLOCK, Draws, check_distributions
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.campaign.seeds import uniform
-from perfbound.orchestrator.campaign.spot_check import _starts
+from perfbound.orchestrator.campaign.spot_check import _uniform_starts
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.facts import Header
 from perfbound.schemas.space import Box, Range, Scenarios, Space, StartTable
@@ -47,7 +47,7 @@ def fixed(space: Space = BOX) -> Header:
 def test_starts_of_the_spot_check_stay_what_they_were() -> None:
     # A change here refutes every certificate with a spot check.
     found = replace(header(config("segway-paper").space, spot_check=299), config_sha256="1234" * 16)
-    starts = _starts(found, list(plans(found.config, found.spec).values()))
+    starts = _uniform_starts(found, list(plans(found.config, found.spec).values()))
     assert starts[0] == (3.658339854727783, 1.9530640519583016)
     assert hashlib.sha256(repr(starts).encode()).hexdigest().startswith("a811733fe43480a359842503647e691f")
 
