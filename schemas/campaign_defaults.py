@@ -74,9 +74,15 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
 
 
 def _with_ends(value: Any) -> Any:
-    """Return the table of a range in its short form, [low, high]; any other value as it is."""
-    pair = isinstance(value, list) and len(value) == 2 and not any(isinstance(each, list) for each in value)
-    return {"low": value[0], "high": value[1]} if pair else value
+    """Return the table of a range in its short form, [low, high], or of choices; any other value as it is."""
+    if isinstance(value, list) and len(value) == 2 and not any(isinstance(each, list) for each in value):
+        return {"low": value[0], "high": value[1]}
+    if isinstance(value, Mapping) and "choices" in value:
+        given = value["choices"]
+        numbers = [each for each in given if isinstance(each, int | float)] if isinstance(given, list) else []
+        # Of choices that are none any ends: their own fault is the one to report.
+        return {"low": min(numbers, default=0), "high": max(numbers, default=1), **value}
+    return value
 
 
 def _with_method(problem: Any, method: MethodName) -> Any:
@@ -101,7 +107,8 @@ def file_schema() -> dict[str, Any]:
         for key, value in problem["properties"].items():
             # The problem's own model decides which of them go together.
             schema["properties"].setdefault(key, {"description": f"of the only problem: {value.get('description')}"})
-    schema["$defs"]["Range"] = {"anyOf": [ENDS, schema["$defs"]["Range"]]}
+    ends = [{"required": schema["$defs"]["Range"].pop("required")}, {"required": ["choices"]}]
+    schema["$defs"]["Range"] = {"anyOf": [ENDS, schema["$defs"]["Range"] | {"anyOf": ends}]}
     for name, key in (("Scenarios", "scenarios"), ("StartTable", "table")):
         rows = schema["$defs"][name]["properties"]
         rows[key] = {"anyOf": [{"type": "string"}, rows[key]]}

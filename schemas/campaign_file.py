@@ -22,7 +22,7 @@ from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
 from .outside import read_outside
 from .problems import OBJECTIVES
-from .space import MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, SystemChoice
+from .space import MAX_CHOICES, MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, SystemChoice
 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""
@@ -40,6 +40,7 @@ _WORDS = {
     ("problems", "paper", "kernel", "length_scale"): _LENGTHS,
     ("problems", "rigorous", "kernel", "length_scale"): _LENGTHS,
     ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
+    ("space", "choices"): f"a list of 2 to {MAX_CHOICES} numbers",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
     ("space", "table"): f"the name of a CSV file with 1 to {MAX_TABLE} rows, or its rows",
     ("system", "program"): 'a list of texts: ["./NAME", "ARGUMENT"]',
@@ -260,10 +261,12 @@ def _allowed(location: Location) -> str:
     names = tuple(part for part in location if isinstance(part, str))
     if names[0] == "system" and names[1:2] != ("limits",):
         names = names[:2]  # an entry of `columns` or of a list
+    if names[0] == "space" and len(names) == 3:
+        names = ("space", names[2]) if names[2] == "choices" else names
+    elif names[0] == "space" and len(names) == 2 and names[1] not in _LISTS:
+        return _RANGE
     if names in _WORDS:
         return _WORDS[names]
-    if names[0] == "space" and len(names) == 2:
-        return _RANGE
     if names[0] == "system" and len(names) > 1 and names[1] not in SystemChoice.model_fields:
         return "text or a number, as the system has it: see `perfbound systems`"
     field = _model_at(location[:-1]).model_fields.get(names[-1])

@@ -16,7 +16,7 @@ SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
 """The kinds of `[space]`; the first one is what an error asks for."""
 NEEDED: Mapping[SpaceKind, str] = {
     "box": "a box under [space]: low and high per parameter",
-    "distributions": "a box with distributions under [space]",
+    "distributions": "ranges with distributions under [space]",
     "scenarios": "a list of scenarios under [space]",
     "table": "a table of starts under [space]",
 }
@@ -45,10 +45,9 @@ def check_space(method: MethodName, space: Space, where: str) -> None:
             f"scenarios instead{otherwise}"
         )
     if kind == "distributions" and isinstance(space, dict):
-        name, given = next((name, each) for name, each in space.items() if each.distribution != "uniform")
-        keys = ", ".join(["distribution", *given.described])
+        name, given = next((name, each) for name, each in space.items() if each.for_draws)
         raise ValueError(
-            f"space.{name}.distribution: {given.distribution!r} is not allowed with method {method!r}, which draws no "
-            f"starts; remove {keys}{otherwise}"
+            f"space.{name}.{given.for_draws[0]}: not allowed with method {method!r}, which draws no starts; give low "
+            f"and high alone{otherwise}"
         )
     raise ValueError(f"{where}.method: {method!r} needs {NEEDED[SPACES[method][0]]}")

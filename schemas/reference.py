@@ -73,6 +73,7 @@ ALLOWED = {
         f"`{name}`" for name, each in OBJECTIVES.items() if "scenario" in each.methods
     ),
     (ScenarioProblem, "sense"): "`min`",
+    (Range, "choices"): "list of numbers",
     (Scenarios, "scenarios"): "lists of numbers, or text",
     (StartTable, "table"): "text, or lists of numbers",
     (SystemChoice, "program"): "list of texts",
@@ -85,6 +86,8 @@ ALLOWED = {
 DEFAULTS = {
     (CampaignConfig, "name"): "that of the file",
     (CampaignConfig, "problems"): "one, `robustness`",
+    (Range, "low"): "required, but for `choices`",
+    (Range, "high"): "required, but for `choices`",
     (RigorousProblem, "method"): "on a box",
     (ScenarioProblem, "method"): "on scenarios",
 }

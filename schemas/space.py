@@ -13,6 +13,8 @@ from .system import OptionValue, Variant
 MAX_SCENARIOS = 1000
 MAX_TABLE = 10_000
 """Rows of a table of starts; the certificate contains them all."""
+MAX_CHOICES = 1000
+MAX_STEPS = 1_000_000
 SampleFormat = Literal["csv", "f64", "npy"]
 
 
@@ -127,7 +129,8 @@ def _described(text: str, *, gt: float | None = None) -> Any:
 class Range(Model):
     """All values of one parameter of the starting condition d, and how a drawn start is distributed over them.
 
-    The distribution is that of the keys, truncated to [low, high].
+    The distribution is that of the keys, truncated to [low, high]. With steps, each value has the probability of the
+    numbers that are nearer to it than to its neighbours, in a range that is longer by half a step at both ends.
     """
 
     low: float = Field(description="smallest value")
@@ -153,11 +156,44 @@ class Range(Model):
         "of `weibull`: the value that 63.2 % do not exceed, before the truncation; in the unit of the parameter", gt=0
     )
 
+    step: float | None = _described(
+        "drawn values are `low`, `low` + step, ... `high`; 1 for integers; in the unit of the parameter", gt=0
+    )
+    choices: tuple[float, ...] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=2,
+        max_length=MAX_CHOICES,
+        description="all values, instead of `low` and `high`; drawn with equal probabilities",
+    )
+
     @model_validator(mode="after")
     def _ordered(self) -> "Range":
+        if self.choices is not None:
+            self._check_choices(self.choices)
         if not self.low < self.high:
             raise ValueError(f"low: {self.low:g} must be less than high = {self.high:g}")
+        if self.step is not None and not 1 <= self.steps <= MAX_STEPS:
+            raise ValueError(
+                f"step: {self.step:g} is not allowed: allowed are 1 to {MAX_STEPS} steps from {self.low:g} to "
+                f"{self.high:g}"
+            )
+        if self.step is not None and abs(self.steps * self.step - (self.high - self.low)) > 1e-9 * self.step:
+            raise ValueError(
+                f"step: {self.step:g} must divide high - low = {self.high - self.low:g}; choose another step or end"
+            )
         return self
+
+    def _check_choices(self, choices: tuple[float, ...]) -> None:
+        for value in choices:
+            if choices.count(value) > 1:
+                raise ValueError(f"choices: {value:g} is there twice; list each value once")
+        for key, value in (("low", min(choices)), ("high", max(choices))):
+            if getattr(self, key) != value:
+                raise ValueError(f"{key}: follows from choices, {value:g}; remove this key")
+        if self.step is not None or self.distribution != "uniform":
+            other = "step" if self.step is not None else "distribution"
+            raise ValueError(f"choices: not allowed beside {other}; remove one of the two")
 
     @model_validator(mode="after")
     def _distributed(self) -> "Range":
@@ -187,6 +223,17 @@ class Range(Model):
     def described(self) -> dict[str, float]:
         """The keys of the distribution with their values."""
         return {key: getattr(self, key) for key in DISTRIBUTIONS[self.distribution]}
+
+    @property
+    def steps(self) -> int:
+        """Number of steps from `low` to `high`; 0 without steps."""
+        return round((self.high - self.low) / self.step) if self.step else 0
+
+    @property
+    def for_draws(self) -> tuple[str, ...]:
+        """The keys that only a method that draws its starts takes."""
+        given = [key for key in ("step", "choices") if getattr(self, key) is not None]
+        return (*(["distribution", *self.described] if self.distribution != "uniform" else []), *given)
 
 
 class Scenarios(Model):
@@ -243,7 +290,7 @@ class StartTable(Model):
 
 Box = dict[str, Range]
 SpaceKind = Literal["box", "distributions", "scenarios", "table"]
-"""Ranges alone, ranges of which one has a distribution, a list of all starts, starts to be drawn from."""
+"""Ranges alone, ranges of which one has a distribution, steps or choices, a list of all starts, starts to draw from."""
 
 
 def _space_model(value: Any) -> str:
@@ -268,4 +315,4 @@ def space_kind(space: Space) -> SpaceKind:
         return "scenarios"
     if isinstance(space, StartTable):
         return "table"
-    return "box" if all(each.distribution == "uniform" for each in space.values()) else "distributions"
+    return "distributions" if any(each.for_draws for each in space.values()) else "box"

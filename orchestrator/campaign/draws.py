@@ -1,12 +1,13 @@
 """Starts that are drawn from the distribution of `[space]`: a function of the campaign and their number alone."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from ...schemas.errors import CampaignError
 from ...schemas.facts import Header
-from ...schemas.space import Box, StartTable
+from ...schemas.space import Box, Range, StartTable
 from ..mathematics.distributions import to_digits, truncated
 from .seeds import Floats, uniform
 
@@ -16,6 +17,7 @@ BLOCK = 256
 """Starts that are computed together; scipy takes 100 us a call, however many numbers it gets."""
 
 Start = tuple[float, ...]
+Value = TypeVar("Value")
 
 
 class Draws:
@@ -28,7 +30,7 @@ class Draws:
     Drawn numbers are to_digits to `DIGITS` significant digits, of the value or of the width of its range, and stay in
     [low, high]: the logarithms and roots of scipy may differ in their last bits between machines, and starts should
     not. A difference survives where a limit of rounding is between the two: at most one number in a million. A table's
-    rows are taken as they are. Not thread-safe.
+    rows, choices and steps are taken as they are. Not thread-safe.
 
     Raises:
         ValueError: the campaign was not checked: a distribution has almost nothing in its range.
@@ -57,7 +59,8 @@ def _transform(header: Header) -> tuple[int, Callable[[Floats], list[Start]]]:
     """Return how many uniform numbers a start takes, and how starts follow from them, shape (n, width)."""
     space = header.config.space
     if isinstance(space, StartTable):
-        return 1, _of_table(space)
+        row = _chosen(space.rows)
+        return 1, lambda shares: row(shares[:, 0])
     if isinstance(space, dict):
         return len(space), _of_box(space, [parameter.name for parameter in header.spec.parameters])
     raise TypeError("no method that draws its starts takes a list of scenarios")
@@ -76,34 +79,41 @@ def check_distributions(space: Box, source: str) -> None:
         raise CampaignError(f"{source}: {error}") from None
 
 
-def _of_table(space: StartTable) -> Callable[[Floats], list[Start]]:
-    rows = space.table
-
-    def starts(shares: Floats) -> list[Start]:
-        # A share below 1 may become the number of rows: 1 - 2^-53 times 3 rounds to 3.
-        return [rows[min(int(share * len(rows)), len(rows) - 1)] for share in shares[:, 0].tolist()]
-
-    return starts
+def _chosen(values: Sequence[Value]) -> Callable[[Floats], list[Value]]:
+    """Return the choice of one of the values with equal probabilities, for shares (n,)."""
+    # A share below 1 may become the number of values: 1 - 2^-53 times 3 rounds to 3.
+    return lambda shares: [values[min(int(share * len(values)), len(values) - 1)] for share in shares.tolist()]
 
 
 def _of_box(space: Box, names: list[str]) -> Callable[[Floats], list[Start]]:
-    inverses = []
-    for name in names:
-        each = space[name]
-        try:
-            inverses.append(truncated(each.distribution, each.described, each.low, each.high))
-        except ValueError:
-            given = " and ".join(f"{key} {value:g}" for key, value in each.described.items())
-            raise ValueError(
-                f"space.{name}.distribution: almost nothing of {each.distribution!r} with {given} is in "
-                f"[{each.low:g}, {each.high:g}]; fix the unit or the range"
-            ) from None
+    columns = [_of_range(name, space[name]) for name in names]
 
     def starts(shares: Floats) -> list[Start]:
-        columns = [
-            to_digits(inverse(np.ascontiguousarray(shares[:, k])), space[name].low, space[name].high, DIGITS)
-            for k, (name, inverse) in enumerate(zip(names, inverses, strict=True))
-        ]
-        return list(zip(*columns, strict=True))
+        each = [column(np.ascontiguousarray(shares[:, k])) for k, column in enumerate(columns)]
+        return list(zip(*each, strict=True))
 
     return starts
+
+
+def _of_range(name: str, given: Range) -> Callable[[Floats], list[float]]:
+    """Return the values of a parameter for shares (n,)."""
+    if given.choices is not None:
+        return _chosen(given.choices)
+    low, high, step = given.low, given.high, given.step
+    try:
+        inverse = truncated(given.distribution, given.described, low, high, beyond=(step or 0.0) / 2)
+    except ValueError:
+        keys = " and ".join(f"{key} {value:g}" for key, value in given.described.items())
+        raise ValueError(
+            f"space.{name}.distribution: almost nothing of {given.distribution!r} with {keys} is in "
+            f"[{low:g}, {high:g}]; fix the unit or the range"
+        ) from None
+    if step is None:
+        return lambda shares: to_digits(inverse(shares), low, high, DIGITS)
+
+    def stepped(shares: Floats) -> list[float]:
+        numbers = np.clip(np.rint((inverse(shares) - low) / step), 0, given.steps)
+        # 15 digits: 0.1 + 2 * 0.1 is 0.3, as written.
+        return [min(max(float(f"{each:.15g}"), low), high) for each in (low + numbers * step).tolist()]
+
+    return stepped

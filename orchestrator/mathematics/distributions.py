@@ -20,8 +20,10 @@ LEAST = 1e-9
 """Least probability of a range: below it the range, or a unit, is a mistake, and F(b) - F(a) loses its digits."""
 
 
-def truncated(name: str, keys: Mapping[str, float], low: float, high: float) -> Inverse:
+def truncated(name: str, keys: Mapping[str, float], low: float, high: float, *, beyond: float = 0.0) -> Inverse:
     """Return the inverse of the distribution `name` with its `keys`, truncated to [low, high]: shares (n,) to values.
+
+    With `beyond` the range of the truncation, not the distribution, is longer by so much at both ends.
 
     Raises:
         ValueError: less than `LEAST` of the distribution is in the range.
@@ -30,10 +32,11 @@ def truncated(name: str, keys: Mapping[str, float], low: float, high: float) -> 
     [0.0, 2.5, 5.0]
 
     """
-    if name == "uniform":
+    law = None if name == "uniform" else _law(name, keys, low, high)
+    low, high = low - beyond, high + beyond
+    if law is None:
         # Basic arithmetic alone: equal on all machines.
         return lambda shares: np.clip(low + shares * (high - low), low, high)
-    law = _law(name, keys, low, high)
     # The upper tail by its own functions: near 1 a probability has no digits left.
     upper = bool(law.cdf(low) > 0.5)
     first, last = (law.sf(low), law.sf(high)) if upper else (law.cdf(low), law.cdf(high))

@@ -121,6 +121,29 @@ def test_the_last_share_is_the_last_row(monkeypatch: pytest.MonkeyPatch) -> None
     assert Draws(fixed(StartTable(table=((0.0, 0.0), (0.0, 1.0), (0.0, 2.0)))), "a").start(0) == (0.0, 2.0)
 
 
+def counted(given: Range) -> dict[float, int]:
+    """Return how often the values of a parameter are drawn, of 9,000."""
+    drawn = Draws(fixed({"x": given, "y": Range(low=0.0, high=1.0)}), "robustness")
+    return dict(sorted(Counter(drawn.start(j)[0] for j in range(9_000)).items()))
+
+
+def test_choices_and_steps_are_drawn_alike() -> None:
+    choices = counted(Range(low=-1.0, high=7.0, choices=(7.0, -1.0, 0.25)))
+    steps = counted(Range(low=0.1, high=0.5, step=0.1))
+    assert list(choices) == [-1.0, 0.25, 7.0]
+    assert list(steps) == [0.1, 0.2, 0.3, 0.4, 0.5]
+    for counts in (choices, steps):
+        assert stats.chisquare(list(counts.values())).pvalue > 0.001 / 2
+
+
+def test_a_step_has_the_probability_of_the_numbers_around_it() -> None:
+    counts = counted(Range(low=0.0, high=4.0, step=1.0, distribution="normal", mean=1.0, sd=1.0))
+    ends = stats.norm(1.0, 1.0).cdf(np.arange(6) - 0.5)
+    expected = np.diff(ends) / (ends[-1] - ends[0])
+    assert list(counts) == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert stats.chisquare(list(counts.values()), expected * 9_000).pvalue > 0.001
+
+
 def test_a_number_below_0_and_a_list_are_refused() -> None:
     with pytest.raises(IndexError, match="start -1 of a design"):
         Draws(fixed(), "a").start(-1)

@@ -96,7 +96,7 @@ def test_the_short_form_is_the_same_campaign() -> None:
         ("5", "space.gap: 5 is not allowed: allowed is the ends of its range, [0, 5], or"),
         ('"5-60"', "space.gap: '5-60' is not allowed: allowed is the ends of its range, [0, 5], or"),
         ("{}", "space.gap.low: this key is required: a number"),
-        ("{ low = 5, hi = 6 }", "space.gap.hi: unknown key; did you mean 'high'? allowed are distribution, high, low"),
+        ("{ low = 5, hi = 6 }", "space.gap.hi: unknown key; did you mean 'high'? allowed are choices, distribution, h"),
     ],
 )
 def test_a_range_that_is_none(value: str, reason: str) -> None:
@@ -115,6 +115,7 @@ def test_a_space_that_is_none() -> None:
         "gap = [5, 60]",
         "gap = { low = 5, high = 60 }\nspeed = [1, 2]",
         ranged("normal", "mean = 20, sd = 5"),
+        "gap = { choices = [1, 2] }\nspeed = { low = 0, high = 4, step = 1 }",
         'table = "starts.csv"',
         "table = [[1, 2], [3, 4]]",
         "table = [5, 60]",
@@ -126,7 +127,9 @@ def test_the_json_schema_takes_every_form(space: str) -> None:
     jsonschema.validate(tomllib.loads(HEAD + space), file_schema())
 
 
-@pytest.mark.parametrize("space", ["gap = [5]", 'gap = [5, "a"]', "gap = 5", "table = 5", "table = [[1, 2], 3]"])
+@pytest.mark.parametrize(
+    "space", ["gap = [5]", 'gap = [5, "a"]', "gap = 5", "gap = { low = 1 }", "table = 5", "table = [[1, 2], 3]"]
+)
 def test_the_json_schema_refuses_other_forms(space: str) -> None:
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(tomllib.loads(HEAD + space), file_schema())
@@ -226,13 +229,42 @@ def test_each_distribution_is_described_by_its_keys(name: DistributionName) -> N
         ),
         (
             ranged("normal", "mean = 20, std = 1"),
-            "space.gap.std: unknown key; did you mean 'sd'? allowed are distribut",
+            "space.gap.std: unknown key; did you mean 'sd'? allowed are choices",
+        ),
+        ("gap = { low = 0, high = 10, step = 0 }", "space.gap.step: 0 is not allowed: allowed is a number > 0"),
+        ("gap = { low = 0, high = 10, step = 3 }", "space.gap.step: 3 must divide high - low = 10; choose another"),
+        (
+            "gap = { low = 0, high = 10, step = 30 }",
+            "space.gap.step: 30 is not allowed: allowed are 1 to 1000000 steps",
+        ),
+        ("gap = { low = 0, high = 1, step = 1e-7 }", "space.gap.step: 1e-07 is not allowed: allowed are 1 to 1000000"),
+        ("gap = { choices = 3 }", "space.gap.choices: 3 is not allowed: allowed is a list of 2 to 1000 numbers"),
+        ("gap = { choices = [3] }", "space.gap.choices: [3] is not allowed: allowed is a list of 2 to 1000 numbers"),
+        ('gap = { choices = ["dry", 2] }', "space.gap.choices.0: 'dry' is not allowed: allowed is a list of 2 to 1000"),
+        ("gap = { choices = [1, nan] }", "space.gap.choices.1: nan is not allowed: allowed is a list of 2 to 1000"),
+        ("gap = { choices = [3, 4, 3.0] }", "space.gap.choices: 3 is there twice; list each value once"),
+        ("gap = { choices = [3, 3] }", "space.gap.choices: 3 is there twice; list each value once"),
+        ("gap = { choices = [3, 4], low = 2 }", "space.gap.low: follows from choices, 3; remove this key"),
+        ("gap = { choices = [3, 4], step = 1 }", "space.gap.choices: not allowed beside step; remove one of the two"),
+        (
+            ranged("triangular", "mode = 3, choices = [5, 60]"),
+            "space.gap.choices: not allowed beside distribution; rem",
         ),
         ("gap = { distribution = 'normal', mean = 1, sd = 1 }", "space.gap.low: this key is required: a number"),
     ],
 )
 def test_a_distribution_that_is_none(text: str, reason: str) -> None:
     assert fault(text).startswith(reason)
+
+
+@pytest.mark.usefixtures("drawing")
+def test_choices_are_a_range_with_their_ends() -> None:
+    config = parsed("gap = { choices = [3, 1, 2.5] }\nspeed = { low = 0, high = 1, step = 0.1 }")
+    assert (config.space["gap"].low, config.space["gap"].high) == (1.0, 3.0)
+    assert config.space["speed"].steps == 10
+    assert type(config).model_validate_json(config.model_dump_json()) == config
+    assert config.digest != parsed("gap = { choices = [3, 1, 2] }\nspeed = { low = 0, high = 1, step = 0.1 }").digest
+    check_against(config, SPEC, "c.toml")
 
 
 # A table
@@ -331,17 +363,12 @@ def test_a_distribution_is_refused_where_nothing_is_drawn(method: str) -> None:
     head = HEAD
     for key in kernel if method == "scenario" else ():
         head = head.replace(key, "")
+    refused = f"not allowed with method {method!r}, which draws no starts; give"
     for space, reason in (
-        (
-            ranged("normal", "mean = 20, sd = 5"),
-            f"space.gap.distribution: 'normal' is not allowed with method {method!r}, which draws no starts; remove "
-            "distribution, mean, sd",
-        ),
-        (
-            "table = [[1, 2]]",
-            f"space.table: not allowed with method {method!r}, which draws no starts; give a range per parameter or "
-            "scenarios instead",
-        ),
+        (ranged("normal", "mean = 20, sd = 5"), f"space.gap.distribution: {refused} low and high alone"),
+        ("gap = { low = 0, high = 4, step = 1 }", f"space.gap.step: {refused} low and high alone"),
+        ("gap = { choices = [1, 2] }", f"space.gap.choices: {refused} low and high alone"),
+        ("table = [[1, 2]]", f"space.table: {refused} a range per parameter or scenarios instead"),
     ):
         with pytest.raises(CampaignError) as caught:
             parse_campaign((METHODS[method] + head + space).encode(), "c.toml")
@@ -351,7 +378,7 @@ def test_a_distribution_is_refused_where_nothing_is_drawn(method: str) -> None:
 @pytest.mark.usefixtures("drawing")
 def test_the_error_names_the_methods_that_draw() -> None:
     text = METHODS["paper"] + HEAD + ranged("normal", "mean = 20, sd = 5")
-    with pytest.raises(CampaignError, match="remove distribution, mean, sd, or choose method 'rigorous'"):
+    with pytest.raises(CampaignError, match="give low and high alone, or choose method 'rigorous'"):
         parse_campaign(text.encode(), "c.toml")
 
 
