@@ -6,15 +6,27 @@ from typing import Any, get_args
 
 import jsonschema
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
+from perfbound.library.toml import toml
 from perfbound.schemas.campaign import PROBLEM_MODELS
 from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.campaign_defaults import file_schema
 from perfbound.schemas.campaign_file import load_campaign, parse_campaign
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.method_spaces import NEEDED, SPACES
-from perfbound.schemas.space import DISTRIBUTIONS, MAX_TABLE, DistributionName, Space, SpaceKind, StartTable, space_kind
+from perfbound.schemas.space import (
+    DISTRIBUTIONS,
+    MAX_TABLE,
+    DistributionName,
+    Range,
+    Space,
+    SpaceKind,
+    StartTable,
+    space_kind,
+)
 from perfbound.schemas.system import Column, Parameter, SystemSpec
 
 ROOT = Path(__file__).parents[3]
@@ -328,6 +340,42 @@ def test_a_parameter_may_be_called_table() -> None:
     config = parsed("table = [5, 60]")
     assert config == parsed("table = { low = 5, high = 60 }")
     assert type(config).model_validate_json(config.model_dump_json()) == config
+
+
+# Anything
+
+
+VALUES = st.recursive(
+    st.booleans() | st.integers(-3, 3) | st.floats() | st.sampled_from(["uniform", "normal", "a.csv", ""]),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["low", "high", "x"]), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+KEYS = [*Range.model_fields, "scenarios", "table"]
+
+
+@given(
+    space=VALUES
+    | st.dictionaries(
+        st.sampled_from(["gap", "table", "scenarios", "kernel"]),
+        VALUES | st.dictionaries(st.sampled_from(KEYS), VALUES, max_size=5),
+        max_size=3,
+    )
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.usefixtures("drawing")
+def test_any_value_is_a_space_or_one_line(space: Any) -> None:
+    text = toml({**tomllib.loads(HEAD), "space": space}, "here")
+    found: Any = None
+    try:
+        found = parse_campaign(text.encode(), "c.toml", lambda _: b"1,2\n")
+    except CampaignError as error:
+        found = str(error)
+    if isinstance(found, str):
+        assert len(found.splitlines()) == 1
+    else:
+        assert type(found).model_validate_json(found.model_dump_json()) == found
 
 
 # Methods
