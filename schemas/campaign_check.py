@@ -49,15 +49,23 @@ def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
 
 def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str]:
     names = [parameter.name for parameter in spec.parameters]
-    where = "space.scenarios: entry" if isinstance(space, Scenarios) else "space.table: row"
+    key, entry = ("space.scenarios", "entry") if isinstance(space, Scenarios) else ("space.table", "row")
+    for name, column in zip(names, space.header or names, strict=False):
+        # Any other words are a comment; a name in the column of another parameter exchanges their values.
+        if column != name and column in names:
+            yield (
+                f"{key}: the header has {column} in the column of {name}; sort the columns as {spec.name} takes them: "
+                f"{', '.join(names)}"
+            )
+            return
     for number, row in enumerate(space.rows):
         if len(row) != len(names):
-            yield f"{where} {number} is {list(row)}; {spec.name} takes {', '.join(names)}"
+            yield f"{key}: {entry} {number} is {list(row)}; {spec.name} takes {', '.join(names)}"
             return
         for parameter, value in zip(spec.parameters, row, strict=True):
             if not parameter.low <= value <= parameter.high:
                 yield (
-                    f"{where} {number}, {parameter.name} = {value:g} leaves "
+                    f"{key}: {entry} {number}, {parameter.name} = {value:g} leaves "
                     f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}, the range of {spec.name}"
                 )
 

@@ -64,7 +64,9 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     name = re.sub("[^a-z0-9_]+", "-", stem.lower()).strip("-_")[:64]
     found = {"name": name, **table} if name else dict(table)
     if isinstance(space := found.get("space"), Mapping):
-        found["space"] = {key: each if key == "scenarios" else _with_ends(each) for key, each in space.items()}
+        ranges = {key: _with_ends(each) for key, each in space.items()}
+        # A parameter may be called `table`: its value is a range, [0, 5].
+        found["space"] = space if "scenarios" in space or isinstance(ranges.get("table"), list) else ranges
     if leaves_out_problems(table):
         found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
     method = METHODS[isinstance(space, Mapping) and "scenarios" in space]

@@ -126,8 +126,9 @@ def parse_campaign(
         raise CampaignError(f"{source}: {dates[0]} is a date or time, which no key takes; put text in quotes")
     if isinstance(space := table.get("space"), dict):
         named = {key: most for key, most in _LISTS.items() if isinstance(space.get(key), str)}
-        rows = {key: _csv_rows(space[key], f"{source}: space.{key}", most, beside) for key, most in named.items()}
-        table["space"] = space | rows
+        for key, most in named.items():
+            header, rows = _csv_rows(space[key], f"{source}: space.{key}", most, beside)
+            table["space"] = {**table["space"], key: rows, **({"header": header} if header else {})}
     keys = completed({**(table if whole else with_stand_ins(table)), **overrides}, Path(source).stem)
     try:
         return CampaignConfig.model_validate_json(json.dumps(keys, default=str))
@@ -138,8 +139,8 @@ def parse_campaign(
         raise CampaignError(f"{source}: {fault}") from None
 
 
-def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> list[list[float]]:
-    """Return the rows of a CSV file: one start a row, a header of the parameters' names allowed."""
+def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> tuple[list[str], list[list[float]]]:
+    """Return the header of a CSV file, empty if it has none, and its rows: one start a row."""
     where = f"{key}: {name}"
     if beside is None or "/" in name or "\\" in name or name.startswith("."):
         raise CampaignError(f"{where} is not allowed: name a CSV file beside the campaign file")
@@ -152,8 +153,7 @@ def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> list[lis
         reason = f"not CSV: {error}" if isinstance(error, csv.Error) else reason
         raise CampaignError(f"{where}: {reason}; name a CSV file beside the campaign file") from None
     # A header has no number at all: a first start with a misspelt one is an error like any other.
-    if rows and not any(map(_is_finite, rows[0])):
-        rows = rows[1:]
+    header = [cell.strip() for cell in rows.pop(0)] if rows and not any(map(_is_finite, rows[0])) else []
     for number, row in enumerate(rows):
         if not all(map(_is_finite, row)):
             raise CampaignError(
@@ -162,7 +162,7 @@ def _csv_rows(name: str, key: str, most: int, beside: Beside | None) -> list[lis
     if not 0 < len(rows) <= most:
         count = f"more than {most} starts" if rows else "no start"
         raise CampaignError(f"{where}: {count}; allowed are 1 to {most} rows of numbers")
-    return [[float(cell) for cell in row] for row in rows]
+    return header, [[float(cell) for cell in row] for row in rows]
 
 
 def _is_finite(cell: str) -> bool:
@@ -232,8 +232,8 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
         found = fault["input"].get("method") if isinstance(fault["input"], dict) else fault["input"]
         given = f"{found!r} is not allowed: allowed is" if found is not None else "this key is required:"
         return f"{f'{key}.' if key else ''}method: {given} {choices}"
-    if kind == "extra_forbidden" and location[0] == "space" and fault["loc"][1] in _LISTS:
-        listed = fault["loc"][1]
+    listed = fault["loc"][1] if location[:1] == ("space",) and fault["loc"][1:2] else ""
+    if kind == "extra_forbidden" and listed in _LISTS:
         return f"{key}: not allowed beside space.{listed}, which has all parameters; remove one of the two"
     if kind == "extra_forbidden":
         allowed = [*_model_at(location[:-1]).model_fields, *(OF_PROBLEM if one_problem and len(location) == 1 else ())]
@@ -245,7 +245,8 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
         return f"{key}.{reason}" if key else reason
     if kind == "json_invalid":
         return f"not a value that JSON can represent: {message}"
-    allowed_text = _allowed(location) or message.removeprefix("Input should be ").replace("an object", "a table")
+    known = "a list of texts" if listed in _LISTS and location[1:2] == ("header",) else _allowed(location)
+    allowed_text = known or message.removeprefix("Input should be ").replace("an object", "a table")
     if kind == "missing" and isinstance(location[-1], str):
         what = "" if allowed_text == message else f": {allowed_text}"
         return f"{key}: this key is required{what}"

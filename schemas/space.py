@@ -236,6 +236,13 @@ class Range(Model):
         return (*(["distribution", *self.described] if self.distribution != "uniform" else []), *given)
 
 
+Header = Annotated[
+    tuple[str, ...] | None,
+    # No part of the campaign, which is the same one without a header.
+    Field(exclude=True, description="words above the columns; the name of a parameter has to be above its own column"),
+]
+
+
 class Scenarios(Model):
     """Finitely many starting conditions; the claim is about these alone."""
 
@@ -244,6 +251,7 @@ class Scenarios(Model):
         max_length=MAX_SCENARIOS,
         description="starts, one number per parameter of the system; or the name of a CSV file beside this one",
     )
+    header: Header = None
 
     @model_validator(mode="after")
     def _distinct(self) -> "Scenarios":
@@ -271,6 +279,7 @@ class StartTable(Model):
         max_length=MAX_TABLE,
         description="the name of a CSV file beside this one, or its rows: one number per parameter of the system",
     )
+    header: Header = None
 
     @model_validator(mode="after")
     def _rectangular(self) -> "StartTable":

@@ -315,6 +315,8 @@ def test_a_table_is_read_as_scenarios_are_and_keeps_repeated_rows() -> None:
         ('table = "a.csv"', b"1,2\n" * (MAX_TABLE + 1), "space.table: a.csv: more than 10000 starts; allowed are 1 to"),
         ('table = "a.csv"', b'"' + b"1" * 200_000, "space.table: a.csv: not CSV: field larger than field limit"),
         ("table = 5", b"", "space.table: 5 is not allowed: allowed is the name of a CSV file with 1 to 10000 rows"),
+        ("table = [[1, 2]]\nheader = 3", b"", "space.header: 3 is not allowed: allowed is a list of texts"),
+        ("table = [[1, 2]]\nheader = [3]", b"", "space.header.0: 3 is not allowed: allowed is a list of texts"),
         ("table = []", b"", "space.table: [] is not allowed: allowed is the name of a CSV file with 1 to 10000 rows"),
         ("table = [[]]", b"", "space.table: row 0 has 0 numbers, the first 0; give one per parameter in each row"),
         ('table = [["a"]]', b"", "space.table.0.0: 'a' is not allowed: allowed is the name of a CSV file"),
@@ -334,6 +336,22 @@ def test_a_table_of_another_system() -> None:
     ):
         with pytest.raises(CampaignError, match=f"c.toml: {reason}"):
             check_against(parsed(f"table = {rows}"), SPEC, "c.toml")
+
+
+@pytest.mark.usefixtures("drawing")
+@pytest.mark.parametrize("key", ["table", "scenarios"])
+def test_a_header_that_exchanges_parameters_is_refused(key: str) -> None:
+    text = f'method = "rigorous"\n{HEAD}{key} = "a.csv"'.encode()
+
+    def read(header: bytes) -> Any:
+        return parse_campaign(text, "c.toml", lambda _: header + b"1,2\n")
+
+    for header in (b"speed,gap\n", b"speed,gap [m]\n", b"time, gap\n"):
+        with pytest.raises(CampaignError, match=rf"space\.{key}: the header has \w+ in the column of \w+; sort the"):
+            check_against(read(header), SPEC, "c.toml")
+    for header in (b"gap,speed\n", b" gap , speed \n", b"gap [m],speed [m/s]\n", b"first,second\n", b"a\n"):
+        check_against(read(header), SPEC, "c.toml")
+        assert read(header).digest == read(b"").digest
 
 
 def test_a_parameter_may_be_called_table() -> None:
