@@ -6,14 +6,12 @@ from pydantic import Field, model_validator
 
 from .base import Model, digest, merged
 from .kernel import MaternKernel, Positive, Weighted
-from .method_spaces import check_space, draws_starts
+from .method_spaces import check_space
 from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, MethodName, ProblemName, Sense, any_of
 from .space import Space, SystemChoice
 
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
 
-MAX_CANDIDATES = 100_000
-"""Nodes of the largest lattice; memory is O(tests x nodes)."""
 MAX_NU = 40
 
 DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline", "platform", "second_opinion"}
@@ -341,7 +339,7 @@ class CampaignConfig(Model):
 
     def _check_method(self, problem: Problem) -> None:
         where = f"problems.{problem.name}"
-        check_space(problem.method, self.space, where)
+        check_space(problem.method, self.space, self.resolution_of(problem), where)
         if problem.method == "paper":
             if OBJECTIVES[problem.name].risk and self.replicates_of(problem) < 2:
                 raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
@@ -349,9 +347,6 @@ class CampaignConfig(Model):
                 raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
             if self.max_tests_of(problem) < 2:
                 raise ValueError(f"{where}.max_tests: method 'paper' gives no bound before the second test")
-        nodes = 0 if draws_starts(problem.method) else self.candidates_of(problem)
-        if nodes > MAX_CANDIDATES:
-            raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {MAX_CANDIDATES} allowed")
 
     def _check_composition(self, names: set[ProblemName], methods: set[MethodName]) -> None:
         rule = self.composition
@@ -391,12 +386,6 @@ class CampaignConfig(Model):
     def max_tests_of(self, problem: Problem) -> int:
         """Return the budget of one problem."""
         return problem.max_tests or self.max_tests
-
-    def candidates_of(self, problem: Problem) -> int:
-        """Return how many starting conditions a problem chooses from."""
-        if isinstance(self.space, dict):
-            return int(self.resolution_of(problem) ** len(self.space))
-        return len(self.space.rows)
 
     @property
     def digest(self) -> str:

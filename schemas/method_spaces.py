@@ -14,6 +14,8 @@ SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
     "scenario": ("scenarios",),
 }
 """The kinds of `[space]`; the first one is what an error asks for."""
+MAX_CANDIDATES = 100_000
+"""Nodes of the largest lattice; memory is O(tests x nodes)."""
 NEEDED: Mapping[SpaceKind, str] = {
     "box": "a box under [space]: low and high per parameter",
     "distributions": "ranges with distributions under [space]",
@@ -27,14 +29,22 @@ def draws_starts(method: MethodName) -> bool:
     return "distributions" in SPACES[method]
 
 
-def check_space(method: MethodName, space: Space, where: str) -> None:
-    """Refuse a space that the method of the problem at `where` does not take.
+def candidates(space: Space, resolution: int) -> int:
+    """Return how many starts a method that draws none chooses from, with so many lattice nodes per parameter."""
+    return int(resolution ** len(space)) if isinstance(space, dict) else len(space.rows)
+
+
+def check_space(method: MethodName, space: Space, resolution: int, where: str) -> None:
+    """Refuse a space that the method of the problem at `where` does not take, or a lattice that is too large.
 
     Raises:
         ValueError: it does not; one line with the key and the remedy.
 
     """
     kind = space_kind(space)
+    nodes = 0 if draws_starts(method) else candidates(space, resolution)
+    if kind in SPACES[method] and nodes > MAX_CANDIDATES:
+        raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {MAX_CANDIDATES} allowed")
     if kind in SPACES[method]:
         return
     drawing = tuple(name for name in SPACES if draws_starts(name))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig, Rule
+from ...schemas.method_spaces import candidates
 from ...schemas.problems import ProblemName, Quantity
 from ..campaign.methods import Methods
 from ..campaign.plan import Plans
@@ -91,7 +92,8 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     if methods != {"rigorous"}:
         return ("sum",)
     # Pointwise subtracts one band from the other, start by start: both need the same candidates.
-    same = len({config.candidates_of(problem) for problem in config.problems if problem.name in PAIR}) == 1
+    resolutions = {config.resolution_of(problem) for problem in config.problems if problem.name in PAIR}
+    same = len({candidates(config.space, each) for each in resolutions}) == 1
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 
