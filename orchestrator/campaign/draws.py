@@ -27,7 +27,7 @@ class Draws:
     which starts are asked for nor workers and restarts change it. Of ranges each parameter takes one uniform number
     through the inverse of its distribution; of a table a start takes one, for its row.
 
-    Drawn numbers are to_digits to `DIGITS` significant digits, of the value or of the width of its range, and stay in
+    Drawn numbers are rounded to `DIGITS` significant digits, of the value or of the width of its range, and stay in
     [low, high]: the logarithms and roots of scipy may differ in their last bits between machines, and starts should
     not. A difference survives where a limit of rounding is between the two: at most one number in a million. A table's
     rows, choices and steps are taken as they are. Not thread-safe.
