@@ -8,8 +8,9 @@ from ...schemas.problems import OBJECTIVES, ProblemName
 from ..campaign.ledger import Ledger
 from ..campaign.objectives import mean
 from ..campaign.spot_check import LEVEL, SpotCheck, SpotSeries, tested_variant
+from ..mathematics.bounds.predictable import CvarSequence, sample_quantile
 from ..mathematics.bounds.rounding import round_down, round_up
-from ..mathematics.bounds.share import AllButShare, clopper_pearson_upper, quantile_rank, unseen_share
+from ..mathematics.bounds.share import clopper_pearson_upper, quantile_rank, unseen_share
 from ..mathematics.bounds.spot_check import SpotFinding
 
 SHARE = 0.1
@@ -61,7 +62,7 @@ def _mean_of_most(robustness: Sequence[tuple[float, ...]], clip: tuple[float, fl
     """Return a bound of the means of noisy values; None without a clip, and where no more than the clip is proven."""
     if clip is None:
         return None
-    bound = AllButShare(SHARE, clip, delta=LEVEL)
+    bound = CvarSequence(SHARE, clip, delta=LEVEL, choice=sample_quantile)
     for values in robustness:
         # A mean of clipped values may leave the clip by round-off.
         bound.add(min(max(mean(values), clip[0]), clip[1]))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import cauchy, norm
 
 CLIP, RISK_WEIGHT, CONSTANTS = (-0.05, 0.75), 0.2, (0.6, 0.1)
 
@@ -76,3 +76,58 @@ def draw_extremes(rng: np.random.Generator, mean: float, count: int) -> Floats:
     """Return `count` rollouts of that law."""
     low, high = CLIP
     return np.asarray(np.where(rng.random(count) < (mean - low) / (high - low), high, low), dtype=np.float64)
+
+
+class Sampled(NamedTuple):
+    """A law of the robustness of a random start: a sampler and what is true of it."""
+
+    draw: Draw
+    failure: float
+    """P(v < 0)."""
+    tenth: float
+    """inf{t: P(v <= t) >= .1}."""
+    atoms: Floats | None = None
+    weights: Floats | None = None
+    """Of a law on the clip; None for one without bounds."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the law is on the clip, so that it has a CVaR and a risk."""
+        return self.atoms is not None
+
+    def cvar(self, share: float) -> float:
+        """Return the mean of the worst share, the largest t - E[(t - v)^+]/share; it is attained at an atom."""
+        assert self.atoms is not None
+        assert self.weights is not None
+        short = np.maximum(self.atoms[:, None] - self.atoms, 0) @ self.weights
+        return float((self.atoms - short / share).max())
+
+    def risk(self, risk_weight: float) -> float:
+        """Return E - r sd."""
+        assert self.atoms is not None
+        assert self.weights is not None
+        mean = self.weights @ self.atoms
+        return float(mean - risk_weight * np.sqrt(self.weights @ (self.atoms - mean) ** 2))
+
+
+def on_the_clip(places: list[float], chances: list[float]) -> Sampled:
+    """Return a law on finitely many values in ascending order, with all that is true of it."""
+    law = discrete(places, chances)
+    reached = np.cumsum(law.weights) >= 0.1 - 1e-12
+    return Sampled(
+        law.draw, float(law.weights[law.atoms < 0].sum()), float(law.atoms[reached][0]), law.atoms, law.weights
+    )
+
+
+FINE = np.linspace(*CLIP, 401)
+
+SAMPLED: dict[str, Sampled] = {
+    "uniform, fine atoms": on_the_clip(FINE.tolist(), [1 / 401] * 401),
+    "heavy atoms": on_the_clip([-0.05, 0.3, 0.62, 0.7], [0.03, 0.1, 0.3, 0.57]),
+    "a jump at the tenth": on_the_clip([-0.02, 0.6], [0.1, 0.9]),
+    "rare failures": on_the_clip([-0.05, 0.7], [0.002, 0.998]),
+    "nearly always failing": on_the_clip([-0.05, 0.75], [0.99, 0.01]),
+    "two points": on_the_clip([-0.05, 0.75], [0.5, 0.5]),
+    "normal": Sampled(lambda rng, n: rng.normal(1, 1, n), float(norm.cdf(-1)), float(norm.ppf(0.1, 1, 1))),
+    "Cauchy": Sampled(lambda rng, n: 3 + rng.standard_cauchy(n), float(cauchy.cdf(-3)), float(cauchy.ppf(0.1, 3))),
+}

@@ -22,6 +22,7 @@ FIGURE = "images/coverage-audit.png"
 JUDGED: dict[str, tuple[str, ...]] = {
     "rigorous": ("failed",),
     "scenario": ("ell", "each", "upper"),
+    "sampling": ("false",),
     "composition": ("failed",),
     "audit": ("refuted", "spread"),
     "paper": (),
@@ -133,6 +134,20 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
             ("converged", _sum("converged")),
             ("mean tests", _mean("tests", 1)),
             ("mean loss of ell", _mean("width", 3)),
+        ],
+    ),
+    "sampling": (
+        "Method `sample`: campaigns in which a bound was ever false, or false at its fixed number of samples",
+        [
+            ("claim", lambda found: found.row.claim),
+            ("distribution", lambda found: found.row.law),
+            ("share", lambda found: f"{found.row.share:g}" if found.row.claim.startswith(("qu", "CV")) else "-"),
+            ("samples", _of("samples")),
+            ("claimed delta", _claimed),
+            CAMPAIGNS,
+            ("false", _sum("false")),
+            *RULED,
+            ("median loss", lambda found: f"{np.median(found.results['width']):.3g}"),
         ],
     ),
     "composition": (
@@ -249,6 +264,7 @@ NAMES = {
     ("scenario", "ell"): "ell",
     ("scenario", "each"): "a bound of one start",
     ("scenario", "upper"): "bound on the limit of ell",
+    ("sampling", "false"): "bound",
     ("composition", "failed"): "any rule, or refutation",
     ("audit", "refuted"): "false alarm about B",
     ("audit", "spread"): "false alarm about R",

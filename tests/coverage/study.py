@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.coverage import composition, paper, rigorous, scenario
+from tests.coverage import composition, paper, rigorous, sampling, scenario
 from tests.coverage.records import Chunk, Row, digest
 
 CHUNK = 50
@@ -14,6 +14,7 @@ CHUNK = 50
 CAMPAIGNS: dict[str, Callable[[Any, np.random.Generator], dict[str, float]]] = {
     "rigorous": rigorous.campaign,
     "scenario": scenario.campaign,
+    "sampling": sampling.campaign,
     "composition": composition.campaign,
     "audit": rigorous.audited,
     "paper": paper.campaign,
@@ -22,7 +23,7 @@ CAMPAIGNS: dict[str, Callable[[Any, np.random.Generator], dict[str, float]]] = {
 
 def all_rows() -> list[Row]:
     """Return every row, kind by kind."""
-    makers = (rigorous.rows, scenario.rows, composition.rows, rigorous.audits, paper.rows)
+    makers = (rigorous.rows, scenario.rows, sampling.rows, composition.rows, rigorous.audits, paper.rows)
     return [row for rows in makers for row in rows()]
 
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from perfbound.orchestrator.mathematics.bounds.share import AllButShare
+from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, sample_quantile
 from perfbound.orchestrator.mathematics.bounds.spot_check import Hypothesis, SpotTests
 from perfbound.orchestrator.mathematics.bounds.stationarity import LEVEL, AdaptiveOrderTest, PlannedOrderTest
 from tests.statistical.vectorised import SpotChecks, cvar_wealth
@@ -114,7 +114,7 @@ class TestAllButShare:
         values = rng.uniform(0, 1, (5, 60))
         found = cvar_wealth(values, 0.2, 0.125)
         for run, row in enumerate(values):
-            bound = AllButShare(0.2, (0.0, 1.0), delta=1e-299)
+            bound = CvarSequence(0.2, (0.0, 1.0), delta=1e-299, choice=sample_quantile)
             for value in row:
                 bound.add(float(value))
             assert bound._wealth[:, 512].sum() == pytest.approx(found[run, -1], rel=1e-9)
@@ -140,7 +140,7 @@ class TestAllButShare:
         rng, false = np.random.default_rng(5), 0
         for _ in range(laws):
             means, weights = a_law(rng)
-            bound = AllButShare(0.1, (0.0, 1.0), delta=DELTA)
+            bound = CvarSequence(0.1, (0.0, 1.0), delta=DELTA)
             for value in rng.binomial(4, rng.choice(means, n, p=weights)) / 4:
                 bound.add(float(value))
             false += is_false(means, weights, bound.lower(), 0.1)

@@ -1,15 +1,18 @@
-"""Wealth of many runs at once: the rules of spot check and CVaR a second time, compared with the classes by a test."""
+"""Wealth of many runs at once: the rules of the betting bounds a second time, compared with the classes by tests."""
 
 import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betainc, betaincc, betaln
 
-from perfbound.orchestrator.mathematics.bounds.betting import ROUND_OFF
+from perfbound.orchestrator.mathematics.bounds.betting import BOLD_AND_CAREFUL, ROUND_OFF
+from perfbound.orchestrator.mathematics.bounds.predictable import LEAST_SPREAD, RENEWAL, STRATEGIES
 from perfbound.orchestrator.mathematics.bounds.rollout_spread import BORROWED
-from perfbound.orchestrator.mathematics.bounds.share import RENEWAL, STRATEGIES
 from perfbound.orchestrator.mathematics.bounds.spot_check import CAP, DEFICITS, EXPLORE, OUTSIDE, SUSPICIOUS
+
+DELTA = 0.05
 
 Floats = NDArray[np.float64]
 Marks = NDArray[np.bool_]
@@ -83,33 +86,96 @@ class SpotChecks:
         self.within[run] += square
 
 
-def cvar_wealth(values: Floats, share: float, m: float, *, late: bool = False) -> Floats:
-    """Return the wealth at the candidate m after each of the values (R, n) in [0, 1], shape (R, n).
+class CvarReading:
+    """CVaR with t the sample quantile, of R runs with values in [0, 1]."""
 
-    `late` is a mistake: t comes from all values, those to come included.
-    """
+    strategies = STRATEGIES
+
+    def __init__(self, share: float, runs: int) -> None:
+        self.share, self.bar = share, np.zeros(runs)
+
+    def renew(self, past: Floats) -> None:
+        n = past.shape[1]
+        self.bar = np.sort(past, axis=1)[:, max(math.ceil(self.share * n) - 1, 0)]
+
+    def x(self, values: Floats) -> Floats:
+        """Return x (R, ..) of values (R, ..)."""
+        bar = self.bar.reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(bar - np.maximum(bar - values, 0) / self.share)
+
+    def least(self) -> Floats:
+        return self.bar - self.bar / self.share
+
+
+class RiskReading:
+    """The linearised risk with c and s from the past, of R runs with values in [0, 1]; r = 0 is the mean."""
+
+    strategies = BOLD_AND_CAREFUL
+
+    def __init__(self, risk_weight: float, delta: float, runs: int) -> None:
+        self.risk_weight, self.delta = risk_weight, delta
+        self.centre, self.spread = np.full(runs, 0.5), np.full(runs, 0.5)
+
+    def renew(self, past: Floats) -> None:
+        self.centre = past.mean(axis=1)
+        farther = np.maximum(self.centre, 1 - self.centre)
+        least = farther**2 * math.log(1 / self.delta) / past.shape[1]
+        self.spread = np.maximum(np.sqrt(past.var(axis=1) + least), LEAST_SPREAD)
+
+    def x(self, values: Floats) -> Floats:
+        """Return x (R, ..) of values (R, ..)."""
+        c, s = (each.reshape(-1, *[1] * (values.ndim - 1)) for each in (self.centre, self.spread))
+        return np.asarray(values - 0.5 * self.risk_weight * ((values - c) ** 2 / s + s))
+
+    def least(self) -> Floats:
+        return np.minimum(self.x(np.zeros(len(self.centre))), self.x(np.ones(len(self.centre))))
+
+
+def predictable_wealth(values: Floats, reading: CvarReading | RiskReading, m: float) -> Floats:
+    """Return the wealth at the candidate m after each of the values (R, n) in [0, 1], shape (R, n)."""
     runs, n = values.shape
-    wealth = np.repeat([[each.share] for each in STRATEGIES], runs, axis=1)
+    wealth = np.repeat([[each.share] for each in reading.strategies], runs, axis=1)
     found = np.empty((runs, n))
-    bar, renewal = np.zeros(runs), 1.0
-    past = np.zeros((runs, 0))
-    final = np.sort(values, axis=1)[:, max(math.ceil(share * n) - 1, 0)]
+    renewal, mean, variance = 1.0, np.zeros(runs), np.zeros(runs)
     for j in range(n):
-        if late:
-            bar = final
-        x = bar - np.maximum(bar - values[:, j], 0) / share
+        x = reading.x(values[:, j])
         if j:
-            shortfalls = bar[:, None] - np.maximum(bar[:, None] - past, 0) / share
-            mean, variance = shortfalls.mean(axis=1), shortfalls.var(axis=1)
-            room = np.maximum(m - (bar - bar / share), 1e-9)
-            for s, strategy in enumerate(STRATEGIES):
+            past = reading.x(values[:, :j])
+            mean, variance = past.mean(axis=1), past.var(axis=1)
+            room = np.maximum(m - reading.least(), 1e-9)
+            for s, strategy in enumerate(reading.strategies):
                 edge = np.maximum(mean + strategy.optimism * np.sqrt(variance / j) - m, 0)
                 spread = variance + edge * edge
                 kelly = np.divide(edge, spread, out=np.zeros(runs), where=spread > 0)
                 wealth[s] *= 1 + np.minimum(kelly, strategy.cap / room) * (x - m)
-        past = values[:, : j + 1]
         if j + 1 >= renewal:
             renewal = RENEWAL * (j + 1)
-            bar = np.sort(past, axis=1)[:, max(math.ceil(share * (j + 1)) - 1, 0)]
+            reading.renew(values[:, : j + 1])
         found[:, j] = wealth.sum(axis=0)
     return found
+
+
+def cvar_wealth(values: Floats, share: float, m: float) -> Floats:
+    """Return the wealth against CVaR <= m after each of the values (R, n) in [0, 1], shape (R, n)."""
+    return predictable_wealth(values, CvarReading(share, len(values)), m)
+
+
+def risk_wealth(values: Floats, risk_weight: float, m: float) -> Floats:
+    """Return the wealth against risk <= m after each of the values (R, n) in [0, 1], shape (R, n)."""
+    return predictable_wealth(values, RiskReading(risk_weight, DELTA, len(values)), m)
+
+
+def mixture_wealth(failed: Marks, p: float, *, above: bool = True) -> Floats:
+    """Return ln W against P >= p (or P <= p) after each of the samples (R, n), shape (R, n): a second formula.
+
+    With the integrals over theta in place of u, by scipy.special.betaln; a record without a failure has no W below.
+    """
+    runs, last = failed.shape
+    # Many runs share their counts: each pair is computed once.
+    pairs, place = np.unique(np.cumsum(failed, axis=1) * (last + 1) + np.arange(1, last + 1), return_inverse=True)
+    k, n = np.divmod(pairs.astype(float), last + 1)
+    a = k + 0.5 if above else np.maximum(k, 1) - 0.5
+    with np.errstate(divide="ignore"):
+        tail = np.log((betainc if above else betaincc)(a, n - k + 1, p))
+    found = betaln(a, n - k + 1) + tail - math.log(2) - a * math.log(p) - (n - k) * math.log1p(-p)
+    return np.asarray(np.where((k > 0) | above, found, -np.inf)[place].reshape(runs, last))

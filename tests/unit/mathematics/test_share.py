@@ -1,4 +1,4 @@
-"""Shares of a distribution of starts: Clopper-Pearson, quantiles and CVaR against exact small cases."""
+"""Shares of a distribution for a number of samples that is fixed beforehand, against exact small cases."""
 
 import itertools
 import math
@@ -11,9 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.mathematics.bounds.share import (
-    AllButShare,
+    clopper_pearson_lower,
     clopper_pearson_upper,
+    next_rollout_probability,
+    next_rollout_rank,
     quantile_rank,
+    shifted_failure_upper,
+    shifted_share,
 )
 
 
@@ -39,10 +43,29 @@ class TestClopperPearson:
     def test_all_failed(self) -> None:
         assert clopper_pearson_upper(5, 5, 0.05) == 1.0
 
+    @given(st.integers(1, 40), st.floats(0, 1), st.sampled_from([0.05, 0.01, 0.5]))
+    @settings(max_examples=50, deadline=None)
+    def test_the_lower_one_is_exact_and_rounded_down(self, count: int, part: float, delta: float) -> None:
+        failures = 1 + int(part * (count - 1))
+        p = Fraction(repr(clopper_pearson_lower(failures, count, delta)))
+        assert 1 - at_most(failures - 1, count, p) <= Fraction(repr(delta))
+        assert 1 - at_most(failures - 1, count, p + Fraction(3, 10**9)) > Fraction(repr(delta))
+
+    @given(st.integers(1, 300), st.floats(0, 1))
+    @settings(max_examples=50, deadline=None)
+    def test_failures_and_successes_change_places(self, count: int, part: float) -> None:
+        failures = int(part * count)
+        lower, upper = (
+            clopper_pearson_lower(failures, count, 0.05),
+            clopper_pearson_upper(count - failures, count, 0.05),
+        )
+        assert lower == pytest.approx(1 - upper, abs=3e-9)
+
     @pytest.mark.parametrize("given", [(-1, 5, 0.05), (6, 5, 0.05), (0, 0, 0.05), (0, 5, 0.0), (0, 5, 1.0)])
-    def test_bad_input(self, given: tuple[int, int, float]) -> None:
+    @pytest.mark.parametrize("bound", [clopper_pearson_lower, clopper_pearson_upper])
+    def test_bad_input(self, bound: Callable[..., float], given: tuple[int, int, float]) -> None:
         with pytest.raises(ValueError, match="must be"):
-            clopper_pearson_upper(*given)
+            bound(*given)
 
 
 class TestQuantile:
@@ -60,73 +83,65 @@ class TestQuantile:
             quantile_rank(*given)
 
 
-def of(values: list[float], share: float = 0.25, delta: float = 0.05) -> AllButShare:
-    bound = AllButShare(share, (0.0, 1.0), delta=delta)
-    for value in values:
-        bound.add(value)
-    return bound
+class TestNextRollout:
+    @given(st.integers(1, 500), st.floats(0.001, 0.999))
+    def test_the_rank_is_the_largest_that_holds(self, count: int, delta: float) -> None:
+        rank, level = next_rollout_rank(count, delta), Fraction(repr(delta))
+        assert Fraction(rank or 0, count + 1) <= level < Fraction((rank or 0) + 1, count + 1)
+
+    @pytest.mark.parametrize("atoms", [(0, 1, 2, 3), (0, 0, 1, 1), (0, 1)])
+    def test_the_exact_probability_over_all_draws(self, atoms: tuple[int, ...]) -> None:
+        """Five values and the next one, ties included: equality without ties alone."""
+        for rank in range(1, 6):
+            draws = list(itertools.product(atoms, repeat=6))
+            share = Fraction(sum(next_one >= sorted(first)[rank - 1] for *first, next_one in draws), len(draws))
+            assert share >= Fraction(repr(next_rollout_probability(rank, 5)))
+
+    def test_without_ties_it_is_exact(self) -> None:
+        draws = list(itertools.permutations(range(6)))
+        for rank in range(1, 6):
+            share = Fraction(sum(next_one >= sorted(first)[rank - 1] for *first, next_one in draws), len(draws))
+            assert share == 1 - Fraction(rank, 6)
+            assert 0 <= share - Fraction(repr(next_rollout_probability(rank, 5))) <= Fraction(1, 10**9)
+
+    def test_bad_input(self) -> None:
+        for rank in (0, 6):
+            with pytest.raises(ValueError, match="must be"):
+                next_rollout_probability(rank, 5)
+        with pytest.raises(ValueError, match="must be"):
+            next_rollout_rank(0, 0.05)
 
 
-class TestAllButShare:
-    @pytest.mark.parametrize("p", [0.25, 0.5])
-    def test_the_exact_failure_probability_is_below_delta(self, p: float) -> None:
-        """Every path of 8 two-point values with the bad one at .2: CVaR_(1/4) is .2, as p >= 1/4."""
-        failure = 0.0
-        for path in itertools.product((0, 1), repeat=8):
-            bound, wrong = AllButShare(0.25, (0.0, 1.0), delta=0.3), False
-            for bad in path:
-                bound.add(0.2 if bad else 1.0)
-                wrong = wrong or bound.lower() > 0.2
-            failure += p ** sum(path) * (1 - p) ** (8 - sum(path)) * wrong
-        assert failure <= 0.3
-
-    @pytest.mark.parametrize("p", [0.25, 0.5])
-    def test_the_mean_wealth_is_at_most_one_from_the_truth_on(self, p: float) -> None:
-        total = np.zeros(4096)
-        for path in itertools.product((0, 1), repeat=8):
-            bound = of([0.2 if bad else 1.0 for bad in path], delta=1e-299)
-            assert (bound._wealth > 0).all()
-            total += p ** sum(path) * (1 - p) ** (8 - sum(path)) * bound._wealth.sum(axis=0)
-        assert (total[math.ceil(0.2 * 4096) :] <= 1 + 1e-12).all()
-
-    @given(st.lists(st.floats(0, 1), max_size=40))
-    @settings(max_examples=30, deadline=None)
-    def test_the_bound_never_falls_and_stays_in_the_range(self, values: list[float]) -> None:
-        bound, last = of([]), 0.0
-        for value in values:
-            bound.add(value)
-            assert last <= bound.lower() <= 1.0
-            last = bound.lower()
-
-    @given(st.lists(st.floats(0, 1), min_size=2, max_size=60))
-    @settings(max_examples=30, deadline=None)
-    def test_the_moments_are_those_of_all_values_at_the_current_bar(self, values: list[float]) -> None:
-        bound = of(values)
-        x = [bound._shortfall(value) for value in values]
-        assert bound._weight == len(values)
-        assert bound._mean == pytest.approx(np.mean(x), abs=1e-9)
-        assert bound._squares == pytest.approx(np.var(x) * len(x), abs=1e-9)
-
-    def test_constant_values_lead_to_the_constant(self) -> None:
-        found = [of([0.5] * n, 0.1).lower() for n in (100, 1000)]
-        assert found[0] < found[1] <= 0.5
-        assert found[1] > 0.48
-
-    def test_a_smaller_share_has_a_lower_bound(self) -> None:
-        values = list(np.random.default_rng(0).uniform(0.3, 0.9, 500))
-        found = [of(values, share).lower() for share in (0.05, 0.1, 0.2, 0.5)]
-        assert found == sorted(found)
-
-    @pytest.mark.parametrize(
-        "call",
-        [
-            lambda: AllButShare(0.0, (0.0, 1.0), delta=0.05),
-            lambda: AllButShare(0.1, (0.0, 1.0), delta=1.0),
-            lambda: AllButShare(0.1, (1.0, 1.0), delta=0.05),
-            lambda: of([1.5]),
-            lambda: of([math.nan]),
-        ],
+class TestShift:
+    @given(
+        st.lists(st.tuples(st.floats(0, 1), st.floats(0.01, 1), st.floats(0, 1)), min_size=1, max_size=8),
+        st.floats(1, 20),
     )
-    def test_bad_input(self, call: Callable[[], object]) -> None:
-        with pytest.raises(ValueError, match=r"must|clip"):
-            call()
+    def test_every_shifted_law_keeps_both_bounds(self, law: list[tuple[float, float, float]], ratio: float) -> None:
+        """A density between 0 and Lambda on finitely many starts; a start fails if its value is below 1/2."""
+        values, weights = (np.array(each) for each in zip(*((v, w) for v, w, _ in law), strict=True))
+        weights = weights / weights.sum()
+        density = np.array([tilt for *_, tilt in law]) + 1e-9
+        density = np.minimum(density / (weights @ density), ratio)
+        density += (ratio - density) * (1 - weights @ density) / max(ratio - weights @ density, 1e-12)
+        shifted = weights * density
+        q = shifted_share(ratio)
+        cvar = max(t - weights @ np.maximum(t - values, 0) / q for t in values)
+        assert shifted @ values >= cvar - 1e-9
+        bad = values < 0.5
+        assert shifted[bad].sum() <= shifted_failure_upper(min(float(weights[bad].sum()), 1.0), ratio) + 1e-9
+
+    @given(st.floats(1, 1e6))
+    def test_the_share_is_not_above_the_inverse(self, ratio: float) -> None:
+        assert Fraction(shifted_share(ratio)) * Fraction(repr(ratio)) <= 1
+        assert shifted_share(ratio) >= (1 / ratio) * (1 - 1e-15)
+
+    def test_one_is_no_shift(self) -> None:
+        assert (shifted_share(1.0), shifted_failure_upper(0.3, 1.0), shifted_failure_upper(0.3, 9.0)) == (1.0, 0.3, 1.0)
+
+    def test_bad_input(self) -> None:
+        for ratio in (0.5, math.inf, math.nan):
+            with pytest.raises(ValueError, match="must be"):
+                shifted_share(ratio)
+        with pytest.raises(ValueError, match="must be"):
+            shifted_failure_upper(1.5, 2.0)
