@@ -15,12 +15,13 @@ from threadpoolctl import threadpool_limits
 import perfbound.orchestrator.mathematics.bounds.candidate_band
 from perfbound.orchestrator.mathematics.bounds.composition import compose_mean
 from perfbound.orchestrator.mathematics.bounds.confidence import scales_squared
-from tests.coverage import composition, rigorous, scenario
+from tests.coverage import composition, rigorous, sampling, scenario
 from tests.coverage.composition import Composition
 from tests.coverage.oracle import allowed
 from tests.coverage.page import Found
 from tests.coverage.records import Row
 from tests.coverage.rigorous import Audit, Rigorous
+from tests.coverage.sampling import Sampling
 from tests.coverage.scenario import Scenario
 from tests.coverage.study import all_rows, one_chunk
 
@@ -79,6 +80,24 @@ def test_an_understated_delta_of_a_confidence_set_is_noticed() -> None:
 def test_an_understated_delta_of_scenarios_is_noticed() -> None:
     row = Scenario("skewed", size=1)
     assert together(scenario.campaign, row, 100, told=0.9)["ell"] > allowed(100, row.claimed)
+
+
+@pytest.mark.parametrize(
+    ("law", "claim", "samples"),
+    [
+        ("two points", "failures, upper", 300),
+        ("uniform, fine atoms", "failures, lower", 300),
+        ("two points", "failures, fixed n, upper", 300),
+        ("normal", "quantile", 300),
+        ("normal", "next rollout", 100),
+        ("a jump at the tenth", "CVaR", 100),
+        ("two points", "mean", 100),
+        ("two points", "risk", 100),
+    ],
+)
+def test_an_understated_delta_of_samples_is_noticed(law: str, claim: str, samples: int) -> None:
+    row = Sampling(law, claim, samples, delta=0.9)
+    assert together(sampling.campaign, row, 50)["false"] > allowed(50, 0.05)
 
 
 def test_a_composition_that_forgets_most_of_the_gap_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

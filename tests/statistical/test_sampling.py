@@ -296,10 +296,11 @@ def mean_lower(make: Callable[[], PredictableSequence], campaigns: Floats) -> fl
     return float(np.mean([lower_of(make(), values) for values in campaigns]))
 
 
-@pytest.mark.parametrize("seeds", [1, pytest.param(20, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    "law", ["uniform", "Beta", "heavy atoms", "an atom and a density", "two points", "a jump at q"]
-)
+FAST, SLOW = ("an atom and a density", "a jump at q"), ("uniform", "Beta", "heavy atoms", "two points", "rare falls")
+MANY = [pytest.param(law, 20, marks=pytest.mark.slow) for law in (*FAST, *SLOW)]
+
+
+@pytest.mark.parametrize(("law", "seeds"), [*((law, 1) for law in FAST), *MANY])
 class TestPower:
     """Bounds after 1,600 values are within 5 % of those with the best fixed parameters, chosen with the law known.
 

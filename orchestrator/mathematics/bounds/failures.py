@@ -86,8 +86,8 @@ def beta_mixture_upper(failures: int, count: int, delta: float) -> float:
 
     Formula: the least multiple p of 1e-9 whose W, against P >= p, is at least 1/delta; 1 without one. W rises in p, so
     that every larger one is rejected too. A ROUND_OFF above 1/delta decides, so that no error of the special functions
-    does. Assumes independent samples that fail with one probability; n may depend on outcomes, if it depends on nothing
-    that comes after the n-th sample.
+    does. Assumes independent samples that fail with one probability, each entered whatever its outcome; n may depend on
+    the outcomes up to the n-th.
 
     Raises:
         ValueError: `failures` is outside [0, count], there is no sample, or delta is outside (0, 1).
