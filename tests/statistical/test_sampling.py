@@ -23,7 +23,12 @@ from perfbound.orchestrator.mathematics.bounds.failures import (
     log_wealth_below,
 )
 from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, PredictableSequence, RiskSequence
-from perfbound.orchestrator.mathematics.bounds.share import clopper_pearson_lower, clopper_pearson_upper, quantile_rank
+from perfbound.orchestrator.mathematics.bounds.share import (
+    clopper_pearson_lower,
+    clopper_pearson_upper,
+    next_rollout_rank,
+    quantile_rank,
+)
 from tests.statistical.vectorised import DELTA, cvar_wealth, mixture_wealth, risk_wealth
 
 Floats = NDArray[np.float64]
@@ -155,12 +160,12 @@ class TestQuantile:
 
 
 def test_next_rollout_is_missed_as_often_as_stated() -> None:
-    """Exactly k/(n + 1) without ties; a rank too large by half is caught."""
+    """Exactly k/(n + 1) without ties; a rank that is twice too large is caught."""
     values = np.random.default_rng(11).standard_cauchy((RUNS, 100))
-    past = np.sort(values[:, :99], axis=1)
-    assert np.count_nonzero(values[:, 99] < past[:, 4]) <= ALLOWED
-    assert np.count_nonzero(values[:, 99] < past[:, 4]) > RUNS * DELTA / 10
-    assert np.count_nonzero(values[:, 99] < past[:, 9]) > ALLOWED
+    past, rank = np.sort(values[:, :99], axis=1), next_rollout_rank(99, DELTA)
+    assert rank is not None
+    assert RUNS * DELTA / 10 < np.count_nonzero(values[:, 99] < past[:, rank - 1]) <= ALLOWED
+    assert np.count_nonzero(values[:, 99] < past[:, 2 * rank - 1]) > ALLOWED
 
 
 Draw = Callable[[np.random.Generator, tuple[int, ...]], Floats]
