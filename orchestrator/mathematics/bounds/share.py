@@ -176,7 +176,9 @@ def shifted_share(ratio: float) -> float:
     """
     _check_ratio(ratio)
     share = 1.0 / ratio
-    return share if Fraction(share) * decimal(ratio) <= 1 else math.nextafter(share, 0.0)
+    while Fraction(share) * decimal(ratio) > 1:
+        share = math.nextafter(share, 0.0)
+    return share
 
 
 def _check_ratio(ratio: float) -> None:
