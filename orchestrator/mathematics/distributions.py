@@ -55,7 +55,7 @@ def to_digits(values: Floats, low: float, high: float, digits: int) -> list[floa
     >>> to_digits(np.array([0.123456789, 123.456789]), 0.0, 200.0, 4)
     [0.1235, 123.5]
     >>> to_digits(np.array([1000.123456789]), 1000.0, 1001.0, 4)
-    [1000.1235]
+    [1000.123]
 
     """
     return [min(max(_digits_of(value, min(abs(value), high - low), digits), low), high) for value in values.tolist()]
