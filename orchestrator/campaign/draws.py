@@ -48,7 +48,7 @@ class Draws:
         if number < 0:
             raise IndexError(f"start {number} of a design; the first one is 0")
         block, row = divmod(number, BLOCK)
-        # Whole blocks alone, from multiples of their size: each number is computed among the same others, whoever asks.
+        # Whole blocks alone, from multiples of their size: each number is computed among the same others, in any order.
         if self._block[0] != block:
             rows = range(block * BLOCK, (block + 1) * BLOCK)
             self._block = block, self._starts(uniform(self._header, self._series, rows, self._width))

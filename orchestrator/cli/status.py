@@ -14,8 +14,7 @@ from ...schemas.facts import Header
 from ...schemas.places import short_path
 from ..certificate import files, text
 from ..fleet.child import in_file
-from ..report.rollouts import replay_command
-from ..run.format import duration, resume_command
+from ..run.format import duration, replay_command, resume_command
 from ..run.table import progress_table, remaining_tests
 from ..store import lock
 from ..store.export_tables import robustness_unit

@@ -13,7 +13,7 @@ from ...schemas.ids import CLOSING, RECHECK, RolloutId
 from ..campaign.plan import plans
 from ..certificate import files
 from ..certificate.text import check_sentences
-from ..run.format import resume_command
+from ..run.format import replay_command, resume_command
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, rollouts_of
 from . import rollouts, wording
@@ -155,7 +155,7 @@ class Collector:
                 rollouts.described(
                     fact,
                     self._start(fact.rollout),
-                    rollouts.replay_command(self.directory, header, str(fact.rollout), self._system),
+                    replay_command(self.directory, header, str(fact.rollout), self._system),
                 )
                 for fact in self._violations[:MOST_COUNTEREXAMPLES]
             ),

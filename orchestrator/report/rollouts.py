@@ -1,14 +1,13 @@
 """The rollouts of one test as curves, from their files."""
 
-import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from ...schemas.campaign import Problem
 from ...schemas.errors import EvidenceError, PerfboundError, TrajectoryError
 from ...schemas.facts import Header, RolloutFact
-from ...schemas.places import short_path
 from ...schemas.trajectory import File, read_mcap
+from ..run.format import replay_command
 from ..store import files
 from . import curves
 from .data import Curve, Rollout, RolloutsOfTest
@@ -55,17 +54,6 @@ def of_test(
         limit_columns=tuple(column for column, _ in limits),
         error="; ".join(errors) or None,
     )
-
-
-def replay_command(directory: Path, header: Header, rollout: str, system: str | None) -> str:
-    """Return the command that simulates a rollout again; empty where no command can.
-
-    A system that is not installed is named for the person who runs it: `replay` itself takes none from a run directory.
-    """
-    if header.spec.repeated != "anywhere":
-        return ""
-    named = ["--system", short_path(system)] if system is not None else []
-    return shlex.join(["perfbound", "replay", str(directory), rollout, *named])
 
 
 def described(fact: RolloutFact, x: tuple[float, ...], command: str) -> Rollout:

@@ -3,6 +3,8 @@
 import shlex
 from pathlib import Path
 
+from ...schemas.facts import Header
+from ...schemas.places import short_path
 from ...schemas.problems import OBJECTIVES
 
 MINIMA = tuple(name for name, each in OBJECTIVES.items() if each.sense == "min")
@@ -38,3 +40,14 @@ def duration(seconds: float) -> str:
 def resume_command(directory: Path) -> str:
     """Return the command that continues a campaign."""
     return f"perfbound resume {shlex.quote(str(directory))}"
+
+
+def replay_command(directory: Path, header: Header, rollout: str, system: str | None) -> str:
+    """Return the command that simulates a rollout again; empty where no command can.
+
+    A system that is not installed is named for the person who runs it: `replay` itself takes none from a run directory.
+    """
+    if header.spec.repeated != "anywhere":
+        return ""
+    named = ["--system", short_path(system)] if system is not None else []
+    return shlex.join(["perfbound", "replay", str(directory), rollout, *named])

@@ -16,6 +16,7 @@ from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
+from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
@@ -162,3 +163,9 @@ def predicate(text: str | None) -> dict[str, Any]:
 def statuses(text: str | None) -> dict[str, str]:
     """Return the status of every assumption of a certificate."""
     return {each["id"]: each["status"] for each in predicate(text)["assumptions"]}
+
+
+def verified(directory: Path) -> list[str]:
+    """Return the checks of a finished campaign that fail."""
+    checks = verify_certificate(directory, key=None, again=0, report=lambda *_: None).checks
+    return [line.name for line in checks.lines() if line.status == "failed"]

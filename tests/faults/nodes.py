@@ -73,6 +73,7 @@ def turning_node(scene: Scene) -> None:
     if honesty["status"] == "refuted":
         assert wrong, "refuted without a false rollout"
     else:
+        assert not (aside and wrong), f"{wrong} false rollouts of an outvoted worker, and nothing refuted"
         assert 100 * wrong / len(files) <= honesty["values"]["percent"], f"silent about {wrong} of {len(files)}"
 
 

@@ -11,7 +11,6 @@ from rich.console import Console
 from perfbound.orchestrator.campaign.counterexample import ended
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
-from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
@@ -21,7 +20,7 @@ from perfbound.schemas.facts import RolloutFact
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.values import Bound, Verdict
-from tests.fakes.simulators import noise, predicate, robustness, simulate
+from tests.fakes.simulators import noise, predicate, robustness, simulate, verified
 
 EXACT = {
     "method": "rigorous",
@@ -56,12 +55,6 @@ def recorded(directory: Path) -> list[RolloutFact]:
     with read.reading(directory) as connection:
         facts = [fact for fact in read.read_facts(connection) if isinstance(fact, RolloutFact)]
     return [fact for fact in facts if fact.rollout.problem == "robustness"]
-
-
-def verified(directory: Path) -> list[str]:
-    """Return the checks that fail."""
-    checks = verify_certificate(directory, key=None, again=0, report=lambda *_: None).checks
-    return [line.name for line in checks.lines() if line.status == "failed"]
 
 
 def noisy_list(**changes: Any) -> CampaignConfig:

@@ -15,7 +15,6 @@ from rich.console import Console
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
-from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.report.wording import worded
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.journal import Journal
@@ -25,7 +24,7 @@ from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import SimulationError
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RolloutRequest
-from tests.fakes.simulators import Function, Stop, noise, predicate, robustness, simulate, statuses
+from tests.fakes.simulators import Function, Stop, noise, predicate, robustness, simulate, statuses, verified
 
 KERNEL = {"nu": 2.5, "length_scale": 1.0}
 EXACT = {
@@ -336,12 +335,6 @@ def test_where_no_more_than_the_clip_is_proven_nothing_is_said_of_most_starts(tm
 
 
 # Verification, resumes and workers
-
-
-def verified(directory: Path) -> list[str]:
-    """Return the checks that fail."""
-    checks = verify_certificate(directory, key=None, again=0, report=lambda *_: None).checks
-    return [line.name for line in checks.lines() if line.status == "failed"]
 
 
 def edit(directory: Path, change: Callable[[Any], object]) -> None:

@@ -22,6 +22,7 @@ from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import Problem, ReportData, Surface, to_json
 from perfbound.orchestrator.report.workers import MOST_FAILED, LiveState, WorkerStatistics
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.run.format import replay_command
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes
 from perfbound.orchestrator.store.export_tables import unit
@@ -453,7 +454,7 @@ def test_a_system_that_is_not_installed_is_named_to_simulate_again_and_one_of_a_
 
     def command(found: SystemSpec, system: str | None) -> str:
         header = cast("Header", SimpleNamespace(spec=found))
-        return rollouts.replay_command(Path("run"), header, str(fact.rollout), system)
+        return replay_command(Path("run"), header, str(fact.rollout), system)
 
     assert command(spec, None) == "perfbound replay run robustness.0.nominal.0"
     assert command(spec, "/me/cars.py:cars") == "perfbound replay run robustness.0.nominal.0 --system /me/cars.py:cars"
