@@ -9,7 +9,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from .campaign import PROBLEM_MODELS, CampaignConfig
+from .campaign import CampaignConfig
+from .problem_models import PROBLEM_MODELS
 from .problems import MethodName, ProblemName
 from .system import ASSUMED_HORIZON
 

@@ -16,11 +16,12 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 
 from .base import Model
-from .campaign import PROBLEM_MODELS, CampaignConfig, Gap, Linearised
+from .campaign import CampaignConfig
 from .campaign_defaults import OF_CAMPAIGN, OF_PROBLEM, completed, is_description, leaves_out_problems, with_stand_ins
 from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
 from .outside import read_outside
+from .problem_models import PROBLEM_MODELS, Gap, Linearised
 from .problems import OBJECTIVES
 from .space import MAX_CHOICES, MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, SystemChoice
 

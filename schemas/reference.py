@@ -6,16 +6,10 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
-from .campaign import (
-    CampaignConfig,
-    Gap,
-    Linearised,
-    PaperProblem,
-    RigorousProblem,
-    ScenarioProblem,
-)
+from .campaign import CampaignConfig
 from .kernel import MaternKernel, Weighted
 from .method_spaces import SPACES
+from .problem_models import Gap, Linearised, PaperProblem, RigorousProblem, ScenarioProblem
 from .problems import OBJECTIVES, Objective
 from .space import ProgramLimits, Range, Scenarios, SpaceKind, StartTable, SystemChoice
 

@@ -1,6 +1,7 @@
 """What the clip alone proves, before any rollout: no bound is worth more attention that says no more."""
 
-from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.campaign import CampaignConfig
+from ...schemas.problem_models import Problem
 from ...schemas.problems import OBJECTIVES
 from ..mathematics.bounds.risk import RiskReading
 from ..mathematics.bounds.rounding import round_down, round_up

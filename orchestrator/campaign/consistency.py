@@ -6,7 +6,7 @@ Every function is pure: of the plan alone before the start, of the plan and the 
 import math
 from collections.abc import Iterator, Sequence
 
-from ...schemas.campaign import PaperProblem, Problem, RigorousProblem
+from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.audit import replicate_spread

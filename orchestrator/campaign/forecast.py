@@ -3,7 +3,8 @@
 import math
 from typing import TYPE_CHECKING
 
-from ...schemas.campaign import CampaignConfig, PaperProblem, Problem, RigorousProblem
+from ...schemas.campaign import CampaignConfig
+from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem
 from ...schemas.values import Bound
 
 if TYPE_CHECKING:

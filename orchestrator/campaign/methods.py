@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from ...schemas.campaign import PaperProblem, RigorousProblem, ScenarioProblem
 from ...schemas.errors import CampaignError
+from ...schemas.problem_models import PaperProblem, RigorousProblem, ScenarioProblem
 from ..mathematics.bounds.confidence import Premises, mixture
 from ..mathematics.bounds.paper import PaperMethod
 from ..mathematics.bounds.paper_formulas import PaperParameters

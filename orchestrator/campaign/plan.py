@@ -4,7 +4,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ...schemas.campaign import CampaignConfig, Gap, Problem, RigorousProblem, ScenarioProblem
+from ...schemas.campaign import CampaignConfig
+from ...schemas.problem_models import Gap, Problem, RigorousProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Statement, rolled_out
 from ...schemas.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...schemas.campaign import RigorousProblem
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import SPOT_CHECK, RolloutId
+from ...schemas.problem_models import RigorousProblem
 from ...schemas.problems import ProblemName
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation

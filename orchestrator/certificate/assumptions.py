@@ -4,8 +4,8 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator
 
-from ...schemas.campaign import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
 from ...schemas.certificate import Assumption, Recheck, SpotCheck, Status
+from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
 from ..campaign.account import Account
 from ..campaign.copies import copies
 from ..campaign.ledger import Ledger, observed_discards

@@ -3,7 +3,7 @@
 from typing import Literal
 
 from ...schemas import certificate as document
-from ...schemas.campaign import PaperProblem, Problem, RigorousProblem
+from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem
 from ...schemas.problems import OBJECTIVES
 from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from ...schemas import certificate as document
-from ...schemas.campaign import CampaignConfig, PaperProblem, RigorousProblem
+from ...schemas.campaign import CampaignConfig
+from ...schemas.problem_models import PaperProblem, RigorousProblem
 from ..campaign.account import Account
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk
 from ..campaign.methods import Methods, ProblemMethod, method

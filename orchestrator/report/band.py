@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.campaign import PaperProblem, Problem, RigorousProblem, ScenarioProblem
+from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem, ScenarioProblem
 from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.campaign import Problem
 from ...schemas.facts import Header
+from ...schemas.problem_models import Problem
 from ...schemas.trajectory import Trajectory
 from ..mathematics.stl.parser import FormulaError, parse_formula
 from ..mathematics.stl.tree import (

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
-from ...schemas.campaign import Problem
 from ...schemas.errors import EvidenceError, PerfboundError, TrajectoryError
 from ...schemas.facts import Header, RolloutFact
+from ...schemas.problem_models import Problem
 from ...schemas.trajectory import File, read_mcap
 from ..run.format import replay_command
 from ..store import files

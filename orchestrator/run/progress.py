@@ -8,7 +8,8 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.campaign import CampaignConfig
+from ...schemas.problem_models import Problem
 from ...schemas.values import ProblemProgress
 from .format import ENDS, duration, figure
 from .json_lines import JsonLines

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
-from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.campaign import CampaignConfig
 from ...schemas.ids import RECHECK, SPOT_CHECK
+from ...schemas.problem_models import Problem
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
 from ..campaign.clip import by_clip, floored

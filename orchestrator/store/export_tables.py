@@ -24,9 +24,10 @@ from typing import Any, Literal
 import sqlalchemy as sa
 from sqlalchemy import Connection
 
-from ...schemas.campaign import CampaignConfig, Problem
+from ...schemas.campaign import CampaignConfig
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.ids import RECHECK, SPOT_CHECK
+from ...schemas.problem_models import Problem
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from . import tables

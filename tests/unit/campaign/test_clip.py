@@ -8,8 +8,8 @@ import pytest
 from perfbound.orchestrator.campaign.checks import check, check_new
 from perfbound.orchestrator.campaign.clip import by_clip, least_risk
 from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis
-from perfbound.schemas.campaign import Gap
 from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.problem_models import Gap
 from perfbound.workers.systems.test_function import TestFunctionSystem
 from tests.campaigns import config
 from tests.fakes.finished import a_pair

@@ -12,8 +12,8 @@ from perfbound.orchestrator.campaign.forecast import warnings
 from perfbound.orchestrator.campaign.pilot import NU, Constants
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.run.first_campaign import _reachable
-from perfbound.schemas.campaign import RigorousProblem
 from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.problem_models import RigorousProblem
 from perfbound.schemas.problems import ProblemName
 from perfbound.schemas.space import SystemChoice
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec

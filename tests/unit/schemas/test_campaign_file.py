@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perfbound.schemas.campaign import CampaignConfig, PaperProblem
+from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.problem_models import PaperProblem
 from perfbound.schemas.problems import CLAIMS, OBJECTIVES
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
 from tests.campaigns import FOLDER, config, table

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from perfbound.library.toml import toml
-from perfbound.schemas.campaign import PROBLEM_MODELS
 from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.campaign_defaults import file_schema
 from perfbound.schemas.campaign_file import load_campaign, parse_campaign
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.method_spaces import NEEDED, SPACES
+from perfbound.schemas.problem_models import PROBLEM_MODELS
 from perfbound.schemas.space import (
     DISTRIBUTIONS,
     MAX_TABLE,

@@ -1,0 +1,178 @@
+"""The keys of a problem in a campaign file, by method: unit, range and meaning of each."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from .base import Model
+from .kernel import MaternKernel, Positive, Weighted
+from .problems import OBJECTIVES, MethodName, ProblemName, Sense, any_of
+
+MAX_NU = 40
+
+
+class Gap(Model):
+    """Comparison of nominal and true trajectory."""
+
+    kind: Literal["signal_sup", "predicate_sup", "robustness"] = Field(
+        default="signal_sup",
+        description="`signal_sup`: largest difference over time in one column; `predicate_sup`: in any predicate of "
+        "the specification; `robustness`: robustness of the nominal minus that of the true trajectory",
+    )
+    column: str | None = Field(default=None, description="`signal_sup` only, required: a column of the trajectory")
+    lipschitz: float = Field(
+        default=1.0,
+        gt=0,
+        description="L: robustness changes by at most L times the gap; must be 1 except for `signal_sup`",
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Gap":
+        if (self.column is None) == (self.kind == "signal_sup"):
+            needed = "required by" if self.kind == "signal_sup" else "not allowed for"
+            raise ValueError(f"column: {needed} kind {self.kind!r}")
+        if self.kind != "signal_sup" and self.lipschitz != 1:
+            raise ValueError(f"lipschitz: {self.lipschitz:g} must be 1, or be left out, for kind {self.kind!r}")
+        return self
+
+
+class Linearised(Model):
+    """E rho - r sd(rho) >= E[X], X = rho - (r/2) ((rho - centre)^2 / spread + spread)."""
+
+    centre: float = Field(description="choose about the mean robustness at the worst start")
+    spread: float = Field(
+        gt=0, description="choose about the standard deviation there; a larger one loses less by rare falls"
+    )
+
+
+class _Problem(Model):
+    """The keys of every optimisation problem."""
+
+    name: ProblemName = Field(description="which objective")
+    sense: Sense | None = Field(default=None, description="follows from the name; may be left out")
+    column: str | None = Field(
+        default=None, description="`maximum` only, required: the column whose expected peak is maximised"
+    )
+    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the confidence band")
+    alpha: float = Field(gt=0, description="tolerance at which the problem stops; unit of the objective")
+    window: int | None = Field(default=None, ge=1, le=10_000, description="overrides the campaign's")
+    replicates: int | None = Field(default=None, ge=1, le=100_000, description="overrides the campaign's")
+    resolution: int | None = Field(default=None, ge=2, description="overrides the campaign's")
+    max_tests: int | None = Field(default=None, ge=1, le=1_000_000, description="overrides the campaign's")
+    gap: Gap | None = Field(default=None, description="overrides the campaign's")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "_Problem":
+        sense, of_column = OBJECTIVES[self.name].sense, OBJECTIVES[self.name].measured == "column"
+        if self.sense not in (None, sense):
+            raise ValueError(f"sense: {self.sense!r} must be {sense!r} for {self.name}, or be left out")
+        if self.column is not None and not of_column:
+            raise ValueError(f"column: only problem 'maximum' has one, not {self.name!r}")
+        if self.column is None and of_column:
+            raise ValueError("column: required by problem 'maximum': the column whose expectation is maximised")
+        return self
+
+
+class _KernelProblem(_Problem):
+    """The keys of methods with a Gaussian process."""
+
+    rkhs_norm: float = Field(gt=0, description="B: bound on the norm of J - m0 in the space of the kernel")
+    prior_mean: float = Field(
+        default=0.0, description="m0: the Gaussian process models J - m0; J is the maximised objective"
+    )
+    kernel: MaternKernel = Field(description="Matern kernel of unit amplitude; B sets the scale")
+
+
+class PaperProblem(_KernelProblem):
+    """Algorithm 1 of the paper, as printed."""
+
+    method: Literal["paper"] = Field(description="Algorithm 1 as printed")
+    c: float = Field(gt=0, description="margin for the noise of the last observation; unit of the objective")
+    noise_scale: float = Field(
+        ge=0,
+        description="R: sub-Gaussian scale of the noise of one rollout; for `true_risk`, of one observation",
+    )
+    regulariser: Literal["1+eta"] | Positive = Field(
+        default="1+eta", description="lambda, added to the diagonal of K; eta = 2/i"
+    )
+    sigma: Literal["variance", "std"] = Field(
+        default="variance", description="reading of sigma: posterior variance or standard deviation"
+    )
+    tail: Literal["gaussian", "sub-gaussian"] = Field(
+        default="gaussian", description="tail of the noise in the probability Delta"
+    )
+    refine: bool = Field(default=False, description="search around the best node as well, to 1/16 of a cell")
+
+    @model_validator(mode="after")
+    def _noisy(self) -> "PaperProblem":
+        if self.refine and self.kernel.nu > MAX_NU:
+            raise ValueError(f"kernel.nu: {self.kernel.nu:g} must be at most {MAX_NU} with refine = true")
+        if self.noise_scale == 0:
+            raise ValueError("noise_scale: 0 has no meaning in method 'paper': allowed is a number > 0")
+        return self
+
+
+class RigorousProblem(_KernelProblem):
+    """An anytime bound from one confidence set."""
+
+    method: Literal["rigorous"] = Field(description="bounds that are valid at any time; may be left out on a box")
+    noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] = Field(
+        description="R: sub-Gaussian scale of the noise of one rollout; `derived`: from the clip (Hoeffding); 0: none"
+    )
+    regulariser: Annotated[float, Field(ge=1e-9)] | tuple[Weighted, ...] | None = Field(
+        default=None, description="lambda, or a mixture of several; by default four values from R and B"
+    )
+    misspecification: float = Field(
+        default=0.0, ge=0, description="tau: largest difference between J - m0 and a function of norm B"
+    )
+    round_off: float = Field(default=1e-9, gt=0, description="tau0: round-off of a simulator without noise")
+    slack: float | None = Field(
+        default=None, gt=0, description="tolerance of the maximum over a box; at most alpha, default alpha/4"
+    )
+    linearised: Linearised | None = Field(
+        default=None, description="`true_risk` only, required: constants of an expectation that bounds the risk"
+    )
+
+    @model_validator(mode="after")
+    def _rigorous(self) -> "RigorousProblem":
+        if (self.linearised is None) == OBJECTIVES[self.name].risk:
+            raise ValueError("linearised: required by problem 'true_risk' with method 'rigorous', and only there")
+        if isinstance(self.regulariser, tuple) and sum(each.weight for each in self.regulariser) > 1 + 1e-12:
+            raise ValueError("regulariser: the weights must sum to at most 1")
+        if self.kernel.nu > MAX_NU:
+            raise ValueError(f"kernel.nu: {self.kernel.nu:g} must be at most {MAX_NU} in method 'rigorous'")
+        if self.noise_scale == "derived" and OBJECTIVES[self.name].measured == "column":
+            raise ValueError("noise_scale: 'derived' needs a clipped objective, which 'maximum' has not: give a number")
+        if self.slack is not None and self.slack > self.alpha:
+            raise ValueError(f"slack: {self.slack:g} must be at most alpha = {self.alpha:g}")
+        return self
+
+
+class ScenarioProblem(_Problem):
+    """Betting bounds on finitely many starts, without a kernel."""
+
+    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the bound")
+    method: Literal["scenario"] = Field(
+        description="finitely many starts, no kernel; may be left out on a list of scenarios"
+    )
+    linearised: Linearised | None = Field(
+        default=None,
+        description="`true_risk` only: constants of an expectation that bounds the risk; without them, Bhatia-Davis",
+    )
+
+    @model_validator(mode="after")
+    def _direct(self) -> "ScenarioProblem":
+        allowed = tuple(name for name, each in OBJECTIVES.items() if "scenario" in each.methods)
+        if self.name not in allowed:
+            raise ValueError(f"name: method 'scenario' bounds {any_of(allowed)}, not {self.name!r}")
+        if self.linearised is not None and not OBJECTIVES[self.name].risk:
+            raise ValueError(f"linearised: only problem 'true_risk' has it, not {self.name!r}; remove this key")
+        return self
+
+
+Problem = PaperProblem | RigorousProblem | ScenarioProblem
+PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
+    "paper": PaperProblem,
+    "rigorous": RigorousProblem,
+    "scenario": ScenarioProblem,
+}
