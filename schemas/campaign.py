@@ -5,9 +5,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from .base import Model, digest, merged
+from .claims import SAMPLED, UP_TO_CHANCE, Claim, fewest_samples
 from .method_spaces import check_space
-from .problem_models import Gap, Problem, RigorousProblem
-from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, MethodName, ProblemName, any_of
+from .problem_models import Gap, Problem, RigorousProblem, SampleProblem
+from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, MethodName, ProblemName, Sense, any_of
 from .space import Space, SystemChoice
 
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
@@ -112,6 +113,13 @@ class CampaignConfig(Model):
         description="the optimisation problems; without it there is one, `robustness`, and its keys are those of the "
         "top level",
     )
+    claims: tuple[Claim, ...] = Field(
+        default=(),
+        max_length=100,
+        exclude_if=lambda claims: claims == (),
+        description="what is claimed of drawn starts, the answer to the question of the file first; method `sample` "
+        "alone, where the default is `failure_probability`",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "CampaignConfig":
@@ -126,6 +134,7 @@ class CampaignConfig(Model):
         if self.until_counterexample:
             self._check_until_counterexample(self.problems[0])
         self._check_composition(set(names), {problem.method for problem in self.problems})
+        self._check_claims()
         return self
 
     def _check_objective(self, problem: Problem) -> None:
@@ -161,6 +170,8 @@ class CampaignConfig(Model):
         """Refuse a robustness without a range where a mean, or a difference, has to be bounded."""
         if not OBJECTIVES[problem.name].static:
             raise ValueError(f"clip: required by problem {problem.name!r}")
+        if isinstance(problem, SampleProblem):
+            return  # its claims decide: most of them are about values of any range
         # Without noise an observation is the value itself, and no mean of a bounded variable.
         if not isinstance(problem, RigorousProblem) or problem.noise_scale != 0:
             raise ValueError(
@@ -197,6 +208,54 @@ class CampaignConfig(Model):
         resolutions = {self.resolution_of(problem) for problem in self.problems if problem.name in pair}
         if rule == "pointwise" and len(resolutions) != 1:
             raise ValueError("composition: 'pointwise' needs one resolution for both problems")
+
+    def _check_claims(self) -> None:
+        sampled = [problem for problem in self.problems if isinstance(problem, SampleProblem)]
+        if self.claims and not sampled:
+            raise ValueError("claims: only method 'sample' claims anything of drawn starts; choose it, or remove this")
+        for number, claim in enumerate(self.claims if sampled else ()):
+            self._check_claim(f"claims.{number}", claim, sampled[0])
+            if claim in self.claims[:number]:
+                raise ValueError(f"claims.{number}: is there twice; list every claim once")
+        if sampled and self.clip is not None and self.clip[0] >= 0:
+            raise ValueError(f"clip: {list(self.clip)} must begin below 0, or it hides every violation")
+
+    def _check_claim(self, where: str, claim: Claim, problem: SampleProblem) -> None:
+        if self.clip is None and SAMPLED[claim.quantity].clip:
+            raise ValueError(f"clip: required by {where}, the bound of a mean: give [low, high]")
+        if problem.jointly and (claim.delta or claim.quantity in UP_TO_CHANCE):
+            raise ValueError(f"jointly: {where} has a failure probability of its own; remove one of the two")
+        ordered = claim.quantity in {"quantile", "next_rollout"}
+        # With `until_counterexample` their number depends on the outcomes.
+        if self.until_counterexample and claim.quantity in UP_TO_CHANCE:
+            raise ValueError(
+                f"{where}.quantity: {claim.quantity!r} needs a number of samples that is fixed beforehand; remove this "
+                "claim, or until_counterexample"
+            )
+        if self.until_counterexample and ordered and self.clip is None:
+            raise ValueError(f"clip: required by {where} with until_counterexample: give [low, high]")
+        least = fewest_samples(claim, self.delta_of(problem, claim)) if ordered else 1
+        if self.max_tests_of(problem) < least:
+            raise ValueError(f"max_tests: {where} needs at least {least} samples, not {self.max_tests_of(problem)}")
+
+    def claims_of(self, problem: Problem) -> tuple[Claim, ...]:
+        """Return what is claimed of drawn starts, the first claim first; empty for a problem that draws none."""
+        if not isinstance(problem, SampleProblem):
+            return ()
+        return self.claims or (Claim(quantity="failure_probability"),)
+
+    def delta_of(self, problem: Problem, claim: Claim) -> float:
+        """Return the failure probability of one claim about drawn starts."""
+        if claim.quantity in UP_TO_CHANCE and claim.level is not None:
+            return claim.level
+        parts = len(self.claims_of(problem)) if isinstance(problem, SampleProblem) and problem.jointly else 1
+        return claim.delta or problem.delta / parts
+
+    def sense_of(self, problem: Problem) -> Sense:
+        """Return whether a problem bounds a minimum from below or a maximum from above."""
+        for claim in self.claims_of(problem)[:1]:
+            return "min" if SAMPLED[claim.quantity].sense == ">=" else "max"
+        return OBJECTIVES[problem.name].sense
 
     def gap_of(self, problem: Problem) -> Gap | None:
         """Return the gap of one problem; None for one that compares no trajectories."""

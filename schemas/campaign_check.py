@@ -3,7 +3,9 @@
 from collections.abc import Iterator
 
 from .campaign import CampaignConfig
+from .claims import fewest_samples
 from .errors import CampaignError
+from .problem_models import PaperProblem, Problem, RigorousProblem
 from .problems import rolled_out
 from .space import Scenarios, StartTable
 from .system import SystemSpec
@@ -73,7 +75,7 @@ def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str
 def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
     names = {parameter.name for parameter in spec.parameters}
     for problem in config.problems:
-        lengths = None if problem.method == "scenario" else problem.kernel.length_scale
+        lengths = problem.kernel.length_scale if isinstance(problem, PaperProblem | RigorousProblem) else None
         if isinstance(lengths, dict) and lengths.keys() != names:
             given = ", ".join(lengths)
             where = f"problems.{problem.name}.kernel.length_scale"
@@ -101,6 +103,18 @@ def _in_limits(value: float, low: float | None, high: float | None) -> bool:
     return (low is None or low <= value) and (high is None or value <= high)
 
 
+def _claim_faults(config: CampaignConfig, problem: Problem, *, noisy: bool) -> Iterator[str]:
+    """Yield what a claim about most starts lacks: where values are noisy it is one of means, else one of a quantile."""
+    for number, claim in enumerate(config.claims_of(problem)):
+        if claim.quantity != "share_of_starts":
+            continue
+        where, tests = f"claims.{number}", config.max_tests_of(problem)
+        if (noisy or config.until_counterexample) and config.clip is None:
+            yield f"clip: required by {where}, the bound of a mean: give [low, high]"
+        elif not noisy and tests < (least := fewest_samples(claim, config.delta_of(problem, claim))):
+            yield f"max_tests: {where} needs at least {least} samples, not {tests}"
+
+
 def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     columns = [column.name for column in spec.columns]
     faults = []
@@ -116,11 +130,12 @@ def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         if missing:
             faults.append(f"problems.{problem.name}: {spec.name} has no variant {', '.join(sorted(missing))}")
         noisy = variants & set(spec.noisy)
-        if problem.method == "rigorous" and problem.noise_scale == 0 and noisy:
+        if isinstance(problem, RigorousProblem) and problem.noise_scale == 0 and noisy:
             faults.append(
                 f"problems.{problem.name}.noise_scale: 0 has no meaning for the {' and '.join(sorted(noisy))} variant "
                 f"of {spec.name}, whose rollouts depend on the seed: allowed is 'derived' or a number > 0"
             )
+        faults += _claim_faults(config, problem, noisy=bool(noisy))
     chosen = {"gap.column": config.gap.column if config.gap else None}
     for problem in config.problems:
         chosen[f"problems.{problem.name}.gap.column"] = problem.gap.column if problem.gap else None

@@ -19,8 +19,9 @@ ONLY_PROBLEM: ProblemName = "robustness"
 OF_CAMPAIGN = frozenset(CampaignConfig.model_fields)
 OF_PROBLEM = frozenset({name for model in PROBLEM_MODELS.values() for name in model.model_fields} - OF_CAMPAIGN)
 """Keys of problems alone; those that a campaign has too mean the same in both places."""
-METHODS: dict[bool, MethodName] = {False: "rigorous", True: "scenario"}
-"""The method of a problem that names none, on a box and on a list of starts."""
+
+FOR_DRAWS = frozenset({"distribution", "step", "choices"})
+"""Keys of a range that only a method that draws its starts takes."""
 
 STAND_INS: dict[str, Any] = {
     "horizon": ASSUMED_HORIZON,
@@ -70,7 +71,7 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
         found["space"] = space if "scenarios" in space or isinstance(ranges.get("table"), list) else ranges
     if leaves_out_problems(table):
         found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
-    method = METHODS[isinstance(space, Mapping) and "scenarios" in space]
+    method = _method(found)
     if isinstance(problems := found.get("problems"), list):
         found["problems"] = [_with_method(each, method) for each in problems]
     return found
@@ -86,6 +87,24 @@ def _with_ends(value: Any) -> Any:
         # Of choices that are none any ends: their own fault is the one to report.
         return {"low": min(numbers, default=0), "high": max(numbers, default=1), **value}
     return value
+
+
+def _method(table: Mapping[str, Any]) -> MethodName:
+    """Return the method of a problem that names none: by the space, or by claims that a method that draws makes."""
+    space = table.get("space")
+    if isinstance(space, Mapping) and "scenarios" in space:
+        return "scenario"
+    if "claims" in table or (isinstance(space, Mapping) and _is_drawn(space)):
+        return "sample"
+    return "rigorous"
+
+
+def _is_drawn(space: Mapping[str, Any]) -> bool:
+    rows = space.get("table")
+    # A parameter may be called `table`: its value is a range.
+    if isinstance(rows, str) or (isinstance(rows, list) and any(isinstance(each, list) for each in rows)):
+        return True
+    return any(isinstance(each, Mapping) and each.keys() & FOR_DRAWS for each in space.values())
 
 
 def _with_method(problem: Any, method: MethodName) -> Any:

@@ -15,8 +15,8 @@ MAX_CERTIFICATE = 2**24
 STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certificate:v1"
 
-SINCE_RULES_2 = ("starts", "by_clip", "without_data", "vacuous")
-"""Keys of a claim."""
+OPTIONAL_IN_CLAIM = ("starts", "by_clip", "without_data", "vacuous", "subject", "level", "factor", "samples")
+"""Keys of a claim that are left out where they have no value, as in certificates from before they existed."""
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
 
 
@@ -61,6 +61,19 @@ class CertificateClaim(Model):
     vacuous: bool | None = Field(
         default=None,
         description="whether the clip alone proves `bound`, so that it shows nothing; since rules 2",
+    )
+    subject: str | None = Field(
+        default=None, description="the quantity in words, with its level; null where `quantity` says it"
+    )
+    level: float | None = Field(default=None, description="of a quantile, CVaR, share or next rollout")
+    factor: float | None = Field(
+        default=None,
+        description="the claim holds for every distribution with at most so many times the declared density",
+    )
+    samples: int | None = Field(
+        default=None,
+        description="number of samples, fixed beforehand, at which the bound is claimed; null where it is valid after "
+        "every sample",
     )
 
 
@@ -262,7 +275,7 @@ class Certificate(Model):
         for part, key in (
             *((predicate, key) for key in ("rules", "sensitivity", "counterexample", "spot_check", "recheck")),
             (predicate["campaign"], "system_sha256"),
-            *((claim, key) for claim in predicate["claims"] for key in SINCE_RULES_2),
+            *((claim, key) for claim in predicate["claims"] for key in OPTIONAL_IN_CLAIM),
             *((problem, "by_clip") for problem in predicate["problems"]),
             *((assumption, "values") for assumption in predicate["assumptions"]),
         ):

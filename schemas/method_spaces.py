@@ -12,6 +12,7 @@ SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
     "paper": ("box",),
     "rigorous": ("box", "scenarios"),
     "scenario": ("scenarios",),
+    "sample": ("box", "distributions", "table"),
 }
 """The kinds of `[space]`; the first one is what an error asks for."""
 MAX_CANDIDATES = 100_000

@@ -46,7 +46,7 @@ class Linearised(Model):
 
 
 class _Problem(Model):
-    """The keys of every optimisation problem."""
+    """The keys of every problem."""
 
     name: ProblemName = Field(description="which objective")
     sense: Sense | None = Field(default=None, description="follows from the name; may be left out")
@@ -54,7 +54,6 @@ class _Problem(Model):
         default=None, description="`maximum` only, required: the column whose expected peak is maximised"
     )
     delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the confidence band")
-    alpha: float = Field(gt=0, description="tolerance at which the problem stops; unit of the objective")
     window: int | None = Field(default=None, ge=1, le=10_000, description="overrides the campaign's")
     replicates: int | None = Field(default=None, ge=1, le=100_000, description="overrides the campaign's")
     resolution: int | None = Field(default=None, ge=2, description="overrides the campaign's")
@@ -73,7 +72,13 @@ class _Problem(Model):
         return self
 
 
-class _KernelProblem(_Problem):
+class _OptimisedProblem(_Problem):
+    """The keys of methods that search the worst start."""
+
+    alpha: float = Field(gt=0, description="tolerance at which the problem stops; unit of the objective")
+
+
+class _KernelProblem(_OptimisedProblem):
     """The keys of methods with a Gaussian process."""
 
     rkhs_norm: float = Field(gt=0, description="B: bound on the norm of J - m0 in the space of the kernel")
@@ -148,7 +153,7 @@ class RigorousProblem(_KernelProblem):
         return self
 
 
-class ScenarioProblem(_Problem):
+class ScenarioProblem(_OptimisedProblem):
     """Betting bounds on finitely many starts, without a kernel."""
 
     delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the bound")
@@ -170,9 +175,42 @@ class ScenarioProblem(_Problem):
         return self
 
 
-Problem = PaperProblem | RigorousProblem | ScenarioProblem
+class SampleProblem(_Problem):
+    """Bounds from starts that are drawn, without a kernel and in any dimension."""
+
+    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of each claim")
+    method: Literal["sample"] = Field(
+        description="starts drawn from the distribution under [space]; may be left out beside distributions, a table "
+        "or [[claims]]"
+    )
+    jointly: bool = Field(
+        default=False,
+        description="whether all claims together fail with probability `delta`: each then has its equal part of it",
+    )
+
+    @model_validator(mode="after")
+    def _sampled(self) -> "SampleProblem":
+        if "sample" not in OBJECTIVES[self.name].methods:
+            allowed = tuple(name for name, each in OBJECTIVES.items() if "sample" in each.methods)
+            raise ValueError(f"name: method 'sample' is for {any_of(allowed)}, not {self.name!r}")
+        for key in WITHOUT_MEANING:
+            if getattr(self, key) is not None:
+                raise ValueError(f"{key}: has no meaning in method 'sample'; remove this key")
+        return self
+
+    @property
+    def alpha(self) -> None:
+        """None: the number of tests is fixed, and no tolerance ends them."""
+        return None
+
+
+WITHOUT_MEANING = ("sense", "resolution", "window", "gap")
+"""Keys of every problem that method `sample` refuses: nothing is optimised, and no start depends on a rollout."""
+
+Problem = PaperProblem | RigorousProblem | ScenarioProblem | SampleProblem
 PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
     "paper": PaperProblem,
     "rigorous": RigorousProblem,
     "scenario": ScenarioProblem,
+    "sample": SampleProblem,
 }

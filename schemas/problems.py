@@ -11,12 +11,24 @@ from typing import Literal
 from .system import SystemSpec, Variant
 
 ProblemName = Literal["nominal_robustness", "sim_gap", "true_risk", "robustness", "maximum"]
-MethodName = Literal["paper", "rigorous", "scenario"]
+MethodName = Literal["paper", "rigorous", "scenario", "sample"]
 Sense = Literal["min", "max"]
 Measured = Literal["robustness", "gap", "column"]
 """The number of one rollout, or of a pair: of the specification, of the comparison, or of one column."""
-Quantity = Literal["rho_star", "J_star", "robustness", "expected_robustness"]
-"""The subject of a claim."""
+Quantity = Literal[
+    "rho_star",
+    "J_star",
+    "robustness",
+    "expected_robustness",
+    "failure_probability",
+    "quantile",
+    "cvar",
+    "mean",
+    "risk",
+    "share_of_starts",
+    "next_rollout",
+]
+"""The subject of a claim; those from `failure_probability` on are of drawn starts, see `claims`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +76,7 @@ OBJECTIVES: Mapping[ProblemName, Objective] = {
         "min",
         "robustness",
         Statement("min over d of E[robustness]", "expected_robustness"),
-        methods=("paper", "rigorous", "scenario"),
+        methods=("paper", "rigorous", "scenario", "sample"),
         static=True,
         exact=Statement("min over d of robustness", "robustness"),
     ),
@@ -84,7 +96,7 @@ def rolled_out(name: ProblemName, spec: SystemSpec) -> tuple[Variant, ...]:
 
 def replicates_are_robustness(name: ProblemName, method: MethodName) -> bool:
     """Return whether the replicates of an observation are robustness and not J, see `values.Observation`."""
-    return method == "scenario" or (method == "paper" and OBJECTIVES[name].risk)
+    return method in {"scenario", "sample"} or (method == "paper" and OBJECTIVES[name].risk)
 
 
 def any_of(names: tuple[str, ...]) -> str:

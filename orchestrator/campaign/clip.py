@@ -1,6 +1,7 @@
 """What the clip alone proves, before any rollout: no bound is worth more attention that says no more."""
 
 from ...schemas.campaign import CampaignConfig
+from ...schemas.claims import Claim
 from ...schemas.problem_models import Problem
 from ...schemas.problems import OBJECTIVES
 from ..mathematics.bounds.risk import RiskReading
@@ -20,6 +21,8 @@ def by_clip(config: CampaignConfig, problem: Problem) -> float | None:
 
     A lower bound for sense min, an upper one for sense max.
     """
+    for claim in config.claims_of(problem)[:1]:
+        return of_drawn_starts(config, claim)
     if config.clip is None or OBJECTIVES[problem.name].measured == "column":
         return None  # a column has no clip
     low, high = config.clip
@@ -32,6 +35,15 @@ def by_clip(config: CampaignConfig, problem: Problem) -> float | None:
     if gap is None or (problem.method == "paper" and gap.kind != "robustness"):
         return None
     return round_up((high - low) / gap.lipschitz)
+
+
+def of_drawn_starts(config: CampaignConfig, claim: Claim) -> float | None:
+    """Return what is proven of a claim about drawn starts without any rollout; None where nothing is."""
+    if claim.quantity == "failure_probability":
+        return 1.0
+    if claim.quantity == "risk":
+        return least_risk(config)
+    return None if config.clip is None else round_down(config.clip[0])
 
 
 def floored(bound: float, sense: str, limit: float | None) -> float:

@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem
+from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem, SampleProblem
 from ...schemas.values import Bound
 
 if TYPE_CHECKING:
@@ -18,6 +18,8 @@ def distance(problem: Problem, last_f: float | None, bound: Bound | None) -> flo
     """Return the number that has to fall to alpha: F_i in method paper, else upper - lower; None before the first."""
     if isinstance(problem, PaperProblem):
         return last_f
+    if isinstance(problem, SampleProblem):
+        return None  # its number of tests is fixed
     return None if bound is None or bound.upper is None or bound.lower is None else bound.upper - bound.lower
 
 
@@ -27,6 +29,8 @@ def tests_left(config: CampaignConfig, problem: Problem, now: float | None, test
     The distance falls roughly like a power of the number of tests; the power is taken from the start until now.
     """
     budget = config.max_tests_of(problem) - tests
+    if isinstance(problem, SampleProblem):
+        return budget
     start = _start(config, problem)
     if now is None or tests < FEWEST or not 0 < now < start:
         return None
@@ -44,7 +48,7 @@ def warnings(plans: "Plans") -> list[str]:
 def out_of_reach(plan: "ProblemPlan") -> str | None:
     """Return a sentence if the budget of a `rigorous` problem cannot reach alpha, however the tests are placed."""
     problem, tests, least = plan.problem, plan.budget, least_distance(plan)
-    if least <= problem.alpha:
+    if problem.alpha is None or least <= problem.alpha:
         return None
     return (
         f"{problem.name}: {tests} tests cannot be expected to reach alpha = {problem.alpha:g}: even with all tests "

@@ -47,7 +47,7 @@ class Ledger:
         self.header = header = store.header
         self.config: CampaignConfig = header.config
         self.plans = plans(header.config, header.spec)
-        self.methods = methods(self.plans)
+        self.methods = methods(self.plans, header)
         self.accounts = {name: Account(first_link(header, name), plan=plan) for name, plan in self.plans.items()}
         self.series: dict[str, Series] = dict(self.accounts)
         """The accounts of the problems, then the closing checks that have begun."""

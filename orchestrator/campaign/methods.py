@@ -3,28 +3,31 @@
 from collections.abc import Mapping
 
 from ...schemas.errors import CampaignError
-from ...schemas.problem_models import PaperProblem, RigorousProblem, ScenarioProblem
+from ...schemas.facts import Header
+from ...schemas.problem_models import PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
 from ..mathematics.bounds.confidence import Premises, mixture
 from ..mathematics.bounds.paper import PaperMethod
 from ..mathematics.bounds.paper_formulas import PaperParameters
 from ..mathematics.bounds.rigorous import RigorousMethod
+from ..mathematics.bounds.sample import SampleMethod, Terms
 from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
-from .plan import Plans, ProblemPlan
+from .draws import Draws
+from .plan import UNBOUNDED, AskedClaim, Plans, ProblemPlan
 
-ProblemMethod = PaperMethod | RigorousMethod | ScenarioMethod
+ProblemMethod = PaperMethod | RigorousMethod | ScenarioMethod | SampleMethod
 Methods = Mapping[str, ProblemMethod]
 """The method of each problem, by name."""
 
 
-def methods(plans: Plans) -> Methods:
+def methods(plans: Plans, header: Header) -> Methods:
     """Return the method of every problem, before its first observation; raises as `method`."""
-    return {name: method(plan) for name, plan in plans.items()}
+    return {name: method(plan, header) for name, plan in plans.items()}
 
 
-def method(plan: ProblemPlan) -> ProblemMethod:
-    """Return the method of one problem, before its first observation.
+def method(plan: ProblemPlan, header: Header) -> ProblemMethod:
+    """Return the method of one problem, before its first observation; the header decides the starts that are drawn.
 
     Raises:
         ValueError: a parameter is outside the range of the method.
@@ -32,42 +35,14 @@ def method(plan: ProblemPlan) -> ProblemMethod:
     """
     problem = plan.problem
     match problem:
-        case PaperProblem():
-            parameters = PaperParameters(
-                rkhs_norm=problem.rkhs_norm,
-                noise_scale=plan.noise,
-                delta=problem.delta,
-                alpha=problem.alpha,
-                c=problem.c,
-                prior_mean=problem.prior_mean,
-                regulariser=problem.regulariser,
-                sigma=problem.sigma,
-                tail=problem.tail,
-            )
-            return PaperMethod(_lattice(plan), kernel(plan, problem), parameters, refine=problem.refine)
-        case RigorousProblem():
-            premises = Premises(
-                rkhs_norm=problem.rkhs_norm,
-                noise_scale=plan.noise,
-                delta=problem.delta,
-                regularisers=_mixture(problem, plan.noise),
-                tau=problem.misspecification,
-                round_off=problem.round_off,
-            )
-            return RigorousMethod(
-                plan.candidates,
-                kernel(plan, problem),
-                premises,
-                alpha=problem.alpha,
-                prior_mean=problem.prior_mean,
-                slack=problem.slack,
-            )
+        case PaperProblem() | RigorousProblem():
+            return kernel_method(plan)
         # Of a risk without constants the method bounds the mean, and [BD] the variance: no risk is observed.
         case ScenarioProblem():
             constants = problem.linearised
             of_risk: Risk = "bhatia-davis" if constants is None else "linearised"
             return ScenarioMethod(
-                plan.candidates,
+                plan.chosen_from,
                 clip=plan.clip,
                 risk_weight=plan.risk_weight,
                 delta=problem.delta,
@@ -75,6 +50,48 @@ def method(plan: ProblemPlan) -> ProblemMethod:
                 risk=of_risk if plan.objective.risk else "mean",
                 constants=None if constants is None else (constants.centre, constants.spread),
             )
+        case SampleProblem():
+            return SampleMethod(
+                [_terms(plan, claim) for claim in plan.claims],
+                Draws(header, plan.name).start,
+                fixed=None if plan.until_counterexample else plan.budget,
+                largest=plan.sense == "max",
+            )
+
+
+def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod:
+    """Return the method of a problem with a kernel; raises as `method`."""
+    problem = plan.problem
+    if isinstance(problem, PaperProblem):
+        parameters = PaperParameters(
+            rkhs_norm=problem.rkhs_norm,
+            noise_scale=plan.noise,
+            delta=problem.delta,
+            alpha=problem.alpha,
+            c=problem.c,
+            prior_mean=problem.prior_mean,
+            regulariser=problem.regulariser,
+            sigma=problem.sigma,
+            tail=problem.tail,
+        )
+        return PaperMethod(_lattice(plan), kernel(plan, problem), parameters, refine=problem.refine)
+    assert isinstance(problem, RigorousProblem)
+    premises = Premises(
+        rkhs_norm=problem.rkhs_norm,
+        noise_scale=plan.noise,
+        delta=problem.delta,
+        regularisers=_mixture(problem, plan.noise),
+        tau=problem.misspecification,
+        round_off=problem.round_off,
+    )
+    return RigorousMethod(
+        plan.chosen_from,
+        kernel(plan, problem),
+        premises,
+        alpha=problem.alpha,
+        prior_mean=problem.prior_mean,
+        slack=problem.slack,
+    )
 
 
 def kernel(plan: ProblemPlan, problem: PaperProblem | RigorousProblem) -> Matern:
@@ -83,6 +100,19 @@ def kernel(plan: ProblemPlan, problem: PaperProblem | RigorousProblem) -> Matern
     if isinstance(length, dict):
         return Matern(problem.kernel.nu, tuple(length[name] for name in plan.parameters))
     return Matern(problem.kernel.nu, length)
+
+
+def _terms(plan: ProblemPlan, claim: AskedClaim) -> Terms:
+    asked = claim.asked
+    return Terms(
+        quantity=asked.quantity,
+        delta=claim.delta,
+        level=1.0 if asked.level is None else asked.level,
+        ratio=asked.factor,
+        clip=None if plan.clip == UNBOUNDED else plan.clip,
+        risk_weight=plan.risk_weight,
+        deterministic=plan.deterministic,
+    )
 
 
 def _lattice(plan: ProblemPlan) -> Lattice:

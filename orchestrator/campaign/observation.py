@@ -5,7 +5,8 @@ from weakref import WeakKeyDictionary
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import CampaignError
-from ...schemas.problems import OBJECTIVES
+from ...schemas.problem_models import RigorousProblem
+from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Observation
@@ -98,8 +99,10 @@ class Observer:
 
     def _robustness(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         values = self._scores(trajectories)
-        # Method `scenario` takes the robustness: it mirrors its bounds and not its data.
-        if plan.problem.method == "scenario":
+        # Some methods take the robustness: they mirror their bounds and not their data.
+        if plan.sense == "max":
+            return Observation(float(values[0] < 0), tuple(values))  # of the probability of a violation
+        if replicates_are_robustness(plan.name, plan.problem.method):
             return Observation(-objectives.mean(values), tuple(values))
         return _mean([-value for value in values])
 
@@ -109,7 +112,7 @@ class Observer:
         if problem.method == "paper":
             return Observation(-objectives.risk(values, weight), tuple(values))
         # Bounded below by an expectation whose samples are centred; method `scenario` linearises inside its own bet.
-        if problem.linearised is not None and problem.method == "rigorous":
+        if isinstance(problem, RigorousProblem) and problem.linearised is not None:
             constants = problem.linearised
             return _mean([-linearised(value, weight, constants.centre, constants.spread) for value in values])
         return Observation(-objectives.mean(values), tuple(values))

@@ -5,12 +5,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import Gap, Problem, RigorousProblem, ScenarioProblem
-from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Statement, rolled_out
+from ...schemas.claims import Claim, words
+from ...schemas.problem_models import Gap, Problem, RigorousProblem, SampleProblem, ScenarioProblem
+from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
 from ...schemas.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import linearised_range
+from ..mathematics.bounds.rounding import round_down
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
 
@@ -18,6 +20,21 @@ UNBOUNDED = (-math.inf, math.inf)
 """The clip of a campaign that has none."""
 NO_GAP = Gap(kind="robustness")
 """The gap of a problem that compares no trajectories, where nothing reads it."""
+DRAWN_WINDOW = 256
+"""Tests in flight where starts are drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class AskedClaim:
+    """A claim about drawn starts, with its failure probability."""
+
+    asked: Claim
+    delta: float
+
+    @property
+    def probability(self) -> float:
+        """Probability with which it is valid, rounded down."""
+        return round_down(1.0 - self.delta)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +44,8 @@ class ProblemPlan:
     problem: Problem
     variants: tuple[Variant, ...]
     """Rolled out by every replicate of a test."""
-    candidates: Lattice | Points
-    """The starting conditions that tests are chosen from; parameters in the order of the system."""
+    candidates: Lattice | Points | None
+    """The starts that tests are chosen from, parameters in the order of the system; None where they are drawn."""
     parameters: tuple[str, ...]
     """The names of the parameters, in this order."""
     window: int
@@ -47,6 +64,12 @@ class ProblemPlan:
     gap: Gap
     shared: frozenset[str]
     """Variants of which the replicates of a test share one rollout, because it does not depend on the seed."""
+    sense: Sense
+    claims: tuple[AskedClaim, ...] = ()
+    """What is claimed of drawn starts, the first claim first; empty where none are drawn."""
+    deterministic: bool = False
+    """Whether no rollout of its variants depends on the seed."""
+    until_counterexample: bool = False
 
     @property
     def name(self) -> ProblemName:
@@ -64,6 +87,12 @@ class ProblemPlan:
         return self.candidates.size if isinstance(self.candidates, Points) else None
 
     @property
+    def chosen_from(self) -> Lattice | Points:
+        """The candidates of a method that chooses among them."""
+        assert self.candidates is not None, "starts that are drawn have no candidates"
+        return self.candidates
+
+    @property
     def exact(self) -> bool:
         """Whether an observation is the objective itself: R = 0, which method `rigorous` alone has."""
         return isinstance(self.problem, RigorousProblem) and self.noise == 0
@@ -71,7 +100,15 @@ class ProblemPlan:
     @property
     def statement(self) -> Statement:
         """The subject of the bound: the value itself where the claim lists that nothing is random, else a mean."""
+        for claim in self.claims[:1]:
+            return self.statement_of(claim)
         return (self.objective.exact if self.exact else None) or self.objective.statement
+
+    def statement_of(self, claim: AskedClaim) -> Statement:
+        """Return the subject of a claim about drawn starts."""
+        value = "robustness" if self.deterministic else "expected robustness"
+        clip = None if self.clip == UNBOUNDED else self.clip
+        return Statement(words(claim.asked, value, clip), claim.asked.quantity)
 
     @property
     def rollouts(self) -> tuple[tuple[str, int], ...]:
@@ -107,10 +144,10 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
     clip, gap = config.clip or UNBOUNDED, config.gap_of(problem) or NO_GAP
     replicates, tests = config.replicates_of(problem), config.max_tests_of(problem)
     objective, variants = OBJECTIVES[problem.name], rolled_out(problem.name, spec)
-    candidates = _candidates(config, spec, problem)
+    candidates = None if isinstance(problem, SampleProblem) else _candidates(config, spec, problem)
     hoeffding = _hoeffding(config, spec, problem, clip, gap)
     noise = _noise(problem, hoeffding)
-    if isinstance(problem, RigorousProblem) and noise == 0:
+    if isinstance(problem, RigorousProblem) and noise == 0 and candidates is not None:
         tests = min(tests, candidates.size)  # without noise a second test at a candidate adds nothing
     # A deterministic variant gives one trajectory for every seed: one rollout serves all replicates of a test.
     common = objective.measured == "gap" and problem.method == "rigorous"
@@ -121,7 +158,8 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         variants=variants,
         candidates=candidates,
         parameters=tuple(parameter.name for parameter in spec.parameters),
-        window=config.window_of(problem),
+        # A start that is drawn depends on no rollout, so that tests in flight change nothing.
+        window=config.window_of(problem) if candidates is not None else min(tests, DRAWN_WINDOW),
         replicates=replicates,
         budget=tests,
         noise=noise / math.sqrt(replicates) if mean else noise,
@@ -131,6 +169,10 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         risk_weight=config.risk_weight,
         gap=gap,
         shared=frozenset(variants) - set(spec.noisy) if common else frozenset(),
+        sense=config.sense_of(problem),
+        claims=tuple(AskedClaim(each, config.delta_of(problem, each)) for each in config.claims_of(problem)),
+        deterministic=not set(variants) & set(spec.noisy),
+        until_counterexample=config.until_counterexample,
     )
 
 
@@ -144,7 +186,7 @@ def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> L
 
 
 def _noise(problem: Problem, hoeffding: float) -> float:
-    if isinstance(problem, ScenarioProblem):
+    if isinstance(problem, ScenarioProblem | SampleProblem):
         return hoeffding  # not used: the bound depends on the clip alone
     return hoeffding if problem.noise_scale == "derived" else problem.noise_scale
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from ...schemas.certificate import Assumption, Recheck, SpotCheck, Status
-from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
+from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
 from ..campaign.account import Account
 from ..campaign.copies import copies
 from ..campaign.ledger import Ledger, observed_discards
@@ -111,12 +111,15 @@ def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     compared, copied = copies(account, noisy, ledger.recorded.trajectory)
     values = {"rollouts": sum(account.counts[variant] for variant in noisy), "compared": compared, "copies": copied}
     yield assumption(f"independent_rollouts/{name}", "refuted" if copied else "assumed", values)
-    # A list of starts is fixed beforehand; on a box nobody knows how many candidates are tested twice.
-    order = AdaptiveOrderTest(starts=plan.listed)
+    # A list of starts is fixed beforehand; on a box nobody knows how many candidates are tested twice. Drawn starts are
+    # one column: where start and rollout have one law, so have the values.
+    drawn = plan.candidates is None
+    order = AdaptiveOrderTest(starts=1 if drawn else plan.listed)
     for test, (node, each) in enumerate(zip(account.nodes, account.each, strict=True)):
-        for value in each:
-            order.observe(node, test, value)
-    yield assumption(f"one_law_per_start/{name}", *order.finding())
+        for value in each[:1] if drawn else each:
+            order.observe(0 if drawn else node, test, value)
+    form = "one_law" if drawn else None
+    yield assumption(f"one_law_per_start/{name}", *order.finding(), form=form)
 
 
 def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bool) -> Assumption:
@@ -143,6 +146,8 @@ def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assu
             return _rigorous(account, problem, method)
         case ScenarioProblem():
             return _scenario(account, problem, rules)
+        case SampleProblem():
+            return _sample(account, problem)
 
 
 def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
@@ -248,6 +253,14 @@ def _scenario(account: Account, problem: ScenarioProblem, rules: int) -> Iterato
         yield _linearised(name, problem.linearised)
 
 
+def _sample(account: Account, problem: SampleProblem) -> Iterator[Assumption]:
+    """Yield what claims about drawn starts rest on: the distribution, and that nothing chose a start by its outcome."""
+    tests = len(account.observations)
+    yield assumption(f"declared_distribution/{problem.name}", "assumed")
+    form = "drawn_at_every_moment" if account.plan.until_counterexample else "drawn_fixed"
+    yield assumption(f"drawn_starts/{problem.name}", "derived", {"samples": tests}, form=form)
+
+
 def _mean_noise(account: Account) -> Assumption:
     plan = account.plan
     values = {"noise_scale": plan.noise, "replicates": plan.replicates}
@@ -255,7 +268,7 @@ def _mean_noise(account: Account) -> Assumption:
 
 
 def _listed(account: Account) -> Assumption:
-    return assumption(f"finite_space/{account.plan.name}", "derived", {"starts": account.plan.candidates.size})
+    return assumption(f"finite_space/{account.plan.name}", "derived", {"starts": account.plan.chosen_from.size})
 
 
 def _linearised(name: str, constants: Linearised) -> Assumption:

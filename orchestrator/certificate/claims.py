@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig, Rule
+from ...schemas.claims import SAMPLED
 from ...schemas.method_spaces import candidates
 from ...schemas.problems import ProblemName, Quantity
 from ..campaign.methods import Methods
@@ -19,6 +20,7 @@ from ..mathematics.bounds.composition import (
 )
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.bounds.rounding import round_down, round_up
+from ..mathematics.bounds.sample import SampleMethod
 
 Results = Mapping[str, document.ProblemResult]
 PAIR: tuple[ProblemName, ProblemName] = ("nominal_robustness", "sim_gap")
@@ -32,6 +34,8 @@ class Basis:
 
     rule: Rule
     problems: tuple[ProblemName, ...]
+    drawn: int | None = None
+    """The place of a claim about drawn starts among those of its problem; None for every other claim."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +52,11 @@ def bases(config: CampaignConfig) -> tuple[Basis, ...]:
     found: list[Basis] = []
     if set(PAIR) <= set(names):
         found += [Basis(rule, PAIR) for rule in _rules(config)]
-    found += [Basis("single", (name,)) for name in names if name not in PAIR]
+    for problem in config.problems:
+        if problem.name in PAIR:
+            continue
+        drawn = range(len(config.claims_of(problem)))
+        found += [Basis("single", (problem.name,), place) for place in drawn] or [Basis("single", (problem.name,))]
     # Stable. First comes the claim that was fixed beforehand: to pick the best afterwards costs the sum.
     found.sort(key=lambda basis: basis.rule != config.composition)
     return tuple(found)
@@ -61,11 +69,41 @@ def claims(
 
     Each has its own probability; the failure probability of several together is at most their sum.
     """
-    found = []
+    found: list[tuple[document.CertificateClaim, document.CompositionTerms | None]] = []
     for basis in bases(config):
+        if basis.drawn is not None:
+            found.append((_of_drawn_starts(basis, plans, results, methods, assumptions), None))
+            continue
         composed = None if basis.rule == "single" else terms(plans, results, methods, basis.rule)
         found.append((_claim(basis, _quantity(basis, plans), results, composed, assumptions), composed))
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
+
+
+def _of_drawn_starts(
+    basis: Basis, plans: Plans, results: Results, methods: Methods, assumptions: Sequence[document.Assumption]
+) -> document.CertificateClaim:
+    """Return one of the claims that the samples of a problem make."""
+    (name,), place = basis.problems, basis.drawn
+    plan, method = plans[name], methods[name]
+    assert place is not None
+    assert isinstance(method, SampleMethod)
+    claim, bound = plan.claims[place], method.found(place)
+    assert bound is not None, "the campaign file is checked for samples enough"
+    used, refuted = _resting_on(assumptions, basis)
+    return document.CertificateClaim(
+        quantity=claim.asked.quantity,
+        sense=SAMPLED[claim.asked.quantity].sense,
+        bound=bound,
+        probability=claim.probability,
+        rule=basis.rule,
+        method=results[name].method,
+        assumptions=used,
+        refuted=refuted,
+        subject=plan.statement_of(claim).words,
+        level=claim.asked.level,
+        factor=None if claim.asked.factor == 1 else claim.asked.factor,
+        samples=results[name].tests if method.is_exact else None,
+    )
 
 
 def of_listed_starts(
@@ -111,7 +149,7 @@ def _claim(
 ) -> document.CertificateClaim:
     first = results[basis.problems[0]]
     minimum = composed is not None or first.sense == "min"
-    used = _rests_on(assumptions, set(basis.problems), basis.rule)
+    used, refuted = _resting_on(assumptions, basis)
     return document.CertificateClaim(
         quantity=quantity,
         sense=">=" if minimum else "<=",
@@ -119,8 +157,8 @@ def _claim(
         probability=first.probability if composed is None else _probability(results, basis.rule),
         rule=basis.rule,
         method=" + ".join(dict.fromkeys(results[name].method for name in basis.problems)),
-        assumptions=tuple(each.id for each in used),
-        refuted=tuple(each.id for each in used if each.status == "refuted"),
+        assumptions=used,
+        refuted=refuted,
     )
 
 
@@ -178,19 +216,19 @@ def _pointwise(plans: Plans, methods: Methods, extremes: float) -> float:
         clip=plan.clip,
         lipschitz=plan.gap.lipschitz,
         # The default of the cover of a problem, for the tighter of the two tolerances.
-        slack=min(plans[name].problem.alpha for name in PAIR) / 4,
+        slack=min(alpha for name in PAIR if (alpha := plans[name].problem.alpha)) / 4,
         extremes=extremes,
     )
 
 
-def _rests_on(
-    assumptions: Sequence[document.Assumption], problems: set[ProblemName], rule: Rule
-) -> list[document.Assumption]:
-    """Return the assumptions of a claim: those of its problems, its rule and the campaign."""
+def _resting_on(assumptions: Sequence[document.Assumption], basis: Basis) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the assumptions of a claim, and those of them that are refuted: of its problems, rule and campaign."""
+    problems, rule = set(basis.problems), basis.rule
     # A claim that adds failures needs no independence, a single one needs neither.
     others = {"product": {ADDED}, "single": {ADDED, MULTIPLIED}}.get(rule, {MULTIPLIED})
-    return [
+    used = [
         each
         for each in assumptions
         if each.id not in others and ("/" not in each.id or each.id.split("/")[1] in problems)
     ]
+    return tuple(each.id for each in used), tuple(each.id for each in used if each.status == "refuted")

@@ -3,8 +3,8 @@
 from typing import Literal
 
 from ...schemas import certificate as document
-from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem
-from ...schemas.problems import OBJECTIVES
+from ...schemas.problem_models import PaperProblem, RigorousProblem, ScenarioProblem
+from ...schemas.problems import Sense
 from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.paper_formulas import Tail, mills_probability
@@ -26,7 +26,7 @@ def result(account: Account, rules: int) -> document.ProblemResult:
     upper, lower = last.bound.upper, last.bound.lower
     assert upper is not None
     assert last.stopped_by is not None
-    problem, sense = plan.problem, plan.objective.sense
+    problem, sense = plan.problem, plan.sense
     minimum = sense == "min"
     # The method bounds J, and J = -rho for a minimum: its upper bound is a lower one of the objective.
     partner = None if lower is None else round_up(-lower) if minimum else round_down(lower)
@@ -36,7 +36,7 @@ def result(account: Account, rules: int) -> document.ProblemResult:
         objective=objective(plan, rules),
         method=problem.method,
         sense=sense,
-        bound=in_sense(problem, upper),
+        bound=in_sense(sense, upper),
         partner=partner,
         probability=chances[problem.tail] if isinstance(problem, PaperProblem) else chances["bound"],
         probabilities=chances,
@@ -48,9 +48,9 @@ def result(account: Account, rules: int) -> document.ProblemResult:
     )
 
 
-def in_sense(problem: Problem, upper: float) -> float:
+def in_sense(sense: Sense, upper: float) -> float:
     """Return the bound of the objective that follows from an upper bound of J, rounded outward to 1e-9."""
-    return round_down(-upper) if OBJECTIVES[problem.name].sense == "min" else round_up(upper)
+    return round_down(-upper) if sense == "min" else round_up(upper)
 
 
 def objective(plan: ProblemPlan, rules: int) -> str:
@@ -60,7 +60,7 @@ def objective(plan: ProblemPlan, rules: int) -> str:
     # A reader takes "over d" for the box. Rules 1: the words are those that a certificate was issued with.
     if rules > 1 and plan.listed is not None:
         text = text.replace("over d", f"over the {plan.listed} listed starts", 1)
-    linear = not isinstance(problem, PaperProblem) and problem.linearised is not None
+    linear = isinstance(problem, RigorousProblem | ScenarioProblem) and problem.linearised is not None
     return f"{text}, through the expectation that bounds it" if linear else text
 
 
@@ -68,6 +68,8 @@ def _probabilities(plan: ProblemPlan) -> dict[Literal["gaussian", "sub-gaussian"
     problem = plan.problem
     if isinstance(problem, PaperProblem):
         return {tail: round_down(mills_probability(problem.c, problem.delta, plan.noise, tail)) for tail in TAILS}
+    for claim in plan.claims[:1]:
+        return {"bound": claim.probability}
     # Without noise no delta is spent: given B, the bound is certain.
     return {"bound": 1.0 if plan.exact else round_down(1.0 - problem.delta)}
 
@@ -79,9 +81,10 @@ def _parameters(plan: ProblemPlan) -> dict[str, object]:
     found |= {
         "window": plan.window,
         "replicates": plan.replicates,
-        "candidates": plan.candidates.size,
         "max_tests": plan.budget,
     }
+    if plan.candidates is not None:
+        found["candidates"] = plan.candidates.size
     if isinstance(problem, PaperProblem | RigorousProblem):
         found["noise_scale_per_test"] = plan.noise
     # The file says "derived": the certificate has the number.

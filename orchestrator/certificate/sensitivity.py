@@ -12,11 +12,10 @@ from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig
 from ...schemas.problem_models import PaperProblem, RigorousProblem
 from ..campaign.account import Account
-from ..campaign.clip import by_clip, floored, is_vacuous, least_risk
-from ..campaign.methods import Methods, ProblemMethod, method
+from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
+from ..campaign.methods import Methods, ProblemMethod, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
 from ..mathematics.bounds.rounding import decimal
-from ..mathematics.bounds.scenario import ScenarioMethod
 from .claims import Basis, Results, bases, bound
 from .problem_results import in_sense
 
@@ -101,15 +100,14 @@ def _varied(accounts: Mapping[str, Account], results: Results, constant: Constan
         tests = account.closed
         # A kernel can be out of the range of the mathematics with another constant; then it gives no bound.
         try:
-            fresh = method(changed)
-            assert not isinstance(fresh, ScenarioMethod)
+            fresh = kernel_method(changed)
             again = fresh.bound_after(tests)
         except ValueError:
             continue
         if again.upper is None or again.verdict == "refuted":
             continue
         methods[name] = fresh
-        found[name] = results[name].model_copy(update={"bound": in_sense(changed.problem, again.upper)})
+        found[name] = results[name].model_copy(update={"bound": in_sense(changed.sense, again.upper)})
     return Varied(found, methods)
 
 
@@ -131,12 +129,18 @@ def _without_data(plan: ProblemPlan, otherwise: float) -> float:
         return otherwise
     tau = problem.misspecification if isinstance(problem, RigorousProblem) else 0.0
     # k(z, z) = 1: no |J - m0| exceeds the norm bound. Summed as printed: .05 + .1 is .15.
-    return in_sense(problem, float(sum(map(decimal, (problem.prior_mean, problem.rkhs_norm, tau)))))
+    return in_sense(plan.sense, float(sum(map(decimal, (problem.prior_mean, problem.rkhs_norm, tau)))))
 
 
 def _limit(basis: Basis, config: CampaignConfig, results: Results) -> float | None:
     """Return what the clip alone proves of the quantity of a claim; a composition is about the risk."""
-    return results[basis.problems[0]].by_clip if basis.rule == "single" else least_risk(config)
+    if basis.rule != "single":
+        return least_risk(config)
+    name = basis.problems[0]
+    if basis.drawn is None:
+        return results[name].by_clip
+    problem = next(each for each in config.problems if each.name == name)
+    return of_drawn_starts(config, config.claims_of(problem)[basis.drawn])
 
 
 def _from_kernels(basis: Basis, plans: Plans) -> bool:

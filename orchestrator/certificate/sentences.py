@@ -158,6 +158,24 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "against {threshold}, {values} values at {starts} starts); a slow drift can pass.",
         "assumed": "no start was tested twice, so nothing shows whether the simulator drifts during the campaign.",
     },
+    "one_law": {
+        "refuted": "later rollouts rank above or below earlier ones (evidence {e_value} against {threshold}, a false "
+        "alarm of probability {level}): the simulator drifts, so its rollouts have no single law.",
+        "not refuted": "later rollouts do not rank above or below earlier ones (evidence {e_value} against "
+        "{threshold}, {values} values); a slow drift can pass.",
+    },
+    "declared_distribution": {
+        "assumed": "the claims are about starts that are distributed as [space] declares; that operation meets such "
+        "starts, with such frequencies, is assumed.",
+    },
+    "drawn_fixed": {
+        "derived": "the {samples} starts follow from the seed and their numbers alone, and their number was fixed "
+        "beforehand: none was proposed, dropped or repeated because of an outcome.",
+    },
+    "drawn_at_every_moment": {
+        "derived": "the {samples} starts follow from the seed and their numbers alone; the last one depends on the "
+        "outcomes, and the bounds are valid after every sample.",
+    },
     "limit_agrees": {
         "refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence: they contradict "
         "each other, so the rollouts of one start do not have one law.",

@@ -25,6 +25,7 @@ from ...schemas.certificate import (
     SpotCheck,
     SpotCheckedProblem,
 )
+from ...schemas.claims import PROBABILITIES
 from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
@@ -48,7 +49,7 @@ LISTED: dict[Quantity, str] = {
 
 VALID = "the bound is valid at every moment"
 BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
-"""The reason, by method, why a problem that ended by its budget has a bound."""
+"""The reason, by method, why a problem has a bound that ended by its budget and not by its tolerance."""
 VACUOUS = "It shows nothing: the clip alone proves it."
 VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
 """Names of the variations of the sensitivity."""
@@ -79,6 +80,11 @@ def quantity_words(quantity: Quantity, starts: int | None) -> str:
     ('worst robustness over all starts', 'robustness at the worst of the 25 listed starts')
     """
     return QUANTITIES[quantity] if starts is None else LISTED[quantity].format(starts)
+
+
+def claim_words(claim: CertificateClaim) -> str:
+    """Return the subject of a claim in words."""
+    return claim.subject or quantity_words(claim.quantity, claim.starts)
 
 
 def print_certificate(certificate: Certificate, console: Console, unit: str = "") -> None:
@@ -218,11 +224,11 @@ def print_files(directory: Path, console: Console) -> None:
 def _claim(title: str, certificate: Certificate, number: int, console: Console, unit: str) -> None:
     predicate = certificate.predicate
     claim = predicate.claims[number]
-    of_robustness = claim.quantity != "J_star"  # the other one is about a column
+    of_robustness = claim.quantity not in {"J_star", *PROBABILITIES}
     shown = f"{_bound(claim)} {one_line(unit)}" if of_robustness and unit not in {"", "1"} else _bound(claim)
-    _heading(console, f"{title}  {quantity_words(claim.quantity, claim.starts)} {claim.sense} {shown}", "bold")
+    _heading(console, f"{title}  {claim_words(claim)} {claim.sense} {shown}", "bold")
     rule = "" if claim.rule == "single" else f"{claim.rule} rule, "
-    source = f"method {claim.method}, {rule}{_count(claim.assumptions)}"
+    source = f"method {claim.method}, {rule}{_validity(claim)}{_count(claim.assumptions)}"
     _line(console, f"       with probability at least {outward(claim.probability, '>=')} ({source})")
     # The terms of a composition are those of the first claim; the others have none in the certificate.
     if predicate.composition is not None and number == 0:
@@ -234,6 +240,13 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
     # Beside every claim as well: a reader may copy these lines alone.
     if claim.refuted:
         _line(console, f"       It rests on {_count(claim.refuted)} REFUTED: do not rely on it.", "bold red")
+
+
+def _validity(claim: CertificateClaim) -> str:
+    """Return for which number of samples a claim about drawn starts holds; empty for every other claim."""
+    if claim.subject is None:
+        return ""
+    return "valid after every sample, " if claim.samples is None else f"for exactly {claim.samples} samples, "
 
 
 def _composition(claim: CertificateClaim, composition: CompositionTerms, console: Console) -> None:
@@ -291,14 +304,7 @@ def _signed_term(term: float) -> str:
 
 def _problem(problem: ProblemResult, console: Console) -> None:
     sense = ">=" if problem.sense == "min" else "<="
-    alpha = problem.parameters.get("alpha")
-    left = _left(problem)
-    end = {
-        "converged": f"alpha reached: {left} is at most {alpha}",
-        "budget": f"alpha NOT reached: its budget ended at {left}, alpha is {alpha}; {BUDGET[problem.method]}",
-        "counterexample": "it ended with a rollout that violates the specification; the bound is valid at every moment",
-        "refuted": "REFUTED: the data contradict the assumptions, so this bound proves nothing",
-    }[problem.stopped_by]
+    end = _end(problem)
     _line(console, f"  {problem.name}", "bold")
     shown = floored(problem.bound, sense, problem.by_clip)
     alone = " (the clip alone proves it)" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
@@ -306,7 +312,22 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     _line(console, f"    {problem.objective} {sense} {bound}{alone}, probability {probability}")
     rollouts = f"{problem.rollouts.nominal} nominal and {problem.rollouts.true} true rollouts"
     _line(console, f"    {problem.tests} tests with {rollouts}")
-    _line(console, f"    {end}", "" if problem.stopped_by == "converged" else "yellow")
+    as_planned = problem.stopped_by == "converged" or problem.method == "sample"
+    _line(console, f"    {end}", "" if as_planned else "yellow")
+
+
+def _end(problem: ProblemResult) -> str:
+    """Return why a problem ended, and what that means for its bound."""
+    if problem.stopped_by == "counterexample":
+        return "it ended with a rollout that violates the specification; the bound is valid at every moment"
+    if problem.method == "sample":
+        return "all its samples were drawn"
+    alpha, left = problem.parameters.get("alpha"), _left(problem)
+    if problem.stopped_by == "converged":
+        return f"alpha reached: {left} is at most {alpha}"
+    if problem.stopped_by == "budget":
+        return f"alpha NOT reached: its budget ended at {left}, alpha is {alpha}; {BUDGET[problem.method]}"
+    return "REFUTED: the data contradict the assumptions, so this bound proves nothing"
 
 
 def _left(problem: ProblemResult) -> str:

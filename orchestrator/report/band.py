@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem, ScenarioProblem
+from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem, SampleProblem, ScenarioProblem
 from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan
@@ -26,12 +26,12 @@ def surface(plan: ProblemPlan, method: ProblemMethod, bound: Bound) -> Surface:
         ValueError: the method has no observation, or its kernel matrix is singular.
 
     """
-    problem, space, found = plan.problem, plan.candidates, method.band(bound)
+    problem, space, found = plan.problem, plan.chosen_from, method.band(bound)
     band = _Arrays(*map(np.array, (found.mean, found.lower, found.upper, found.possible)))
     shape = None
     if isinstance(space, Lattice):
         band, shape = _thinned(_projected(band, space))
-    minimum = plan.objective.sense == "min"
+    minimum = plan.sense == "min"
     mean, lower, upper = (_series(each, minimum=minimum) for each in (band.mean, band.lower, band.upper))
     return Surface(
         shape=shape,
@@ -55,6 +55,8 @@ def _meaning(problem: Problem, method: ProblemMethod) -> str:
             )
         case RigorousProblem():
             return f"at all candidates at once with probability at least {method.probability:g}"
+        case SampleProblem():
+            return ""  # it has no candidates
         case ScenarioProblem():
             mean = "robustness" if problem.linearised is None else "linearised risk"
             return (

@@ -99,7 +99,8 @@ class Problem:
     unit: str
     distance: str
     """Name of `TestSeries.distance`: "F_i" or "U - L"."""
-    alpha: float
+    alpha: float | None
+    """The tolerance; None where the number of tests is fixed."""
     delta: float
     bound: float | None
     partner: float | None

@@ -106,6 +106,7 @@ def draw_problem_decay(figure: Figure, problem: Problem) -> Axes:
     axes = figure.subplots()
     found = [pair for pair in zip(problem.tests.test, problem.tests.distance, strict=True) if pair[1]]
     axes.plot(*zip(*found, strict=True), color=BLUE, linewidth=THICK)
+    assert problem.alpha is not None, "what has a distance has a tolerance"
     style.draw_tolerance(axes, problem.alpha, RED, rf"tolerance $\alpha = {problem.alpha:g}$")
     axes.set_title(_title(problem))
     style.decay_axes(axes, style.with_unit(DISTANCES[problem.distance], problem.unit))

@@ -34,10 +34,12 @@ def posterior(directory: Path, problem: str | None, x: Floats) -> tuple[Floats, 
     if name not in found:
         raise PerfboundError(f"{directory}: no problem {name!r}; choose one of {', '.join(found)}")
     plan, tests = found[name], read.history(directory)[name]
+    if plan.candidates is None:
+        raise PerfboundError(f"{directory}: method {plan.problem.method!r} has no band: it draws its starts")
     if not tests:
         raise PerfboundError(f"{directory}: problem {name} has no observation yet; retry later")
     _check_starts(plan, x)
-    fed = method(plan)
+    fed = method(plan, header)
     fed.recall([(each.proposal, each.observation) for each in tests])
     bound = tests[-1].bound
     if isinstance(fed, RigorousMethod) and isinstance(plan.candidates, Lattice):
@@ -45,21 +47,21 @@ def posterior(directory: Path, problem: str | None, x: Floats) -> tuple[Floats, 
     else:
         mean, lower, upper = _at_candidates(fed.band(bound), plan, x)
     # The facts are about J = -objective for a minimum.
-    return (mean, lower, upper) if plan.objective.sense == "max" else (0.0 - mean, 0.0 - upper, 0.0 - lower)
+    return (mean, lower, upper) if plan.sense == "max" else (0.0 - mean, 0.0 - upper, 0.0 - lower)
 
 
 def _check_starts(plan: ProblemPlan, x: Floats) -> None:
     names = plan.parameters
     if x.ndim != 2 or x.shape[1] != len(names):
         raise PerfboundError(f"x has the shape {x.shape}; give one row a start, with {', '.join(names)}")
-    nodes = plan.candidates.nodes
+    nodes = plan.chosen_from.nodes
     outside = ~((x >= nodes.min(axis=0)) & (x <= nodes.max(axis=0))).all(axis=1)  # also NaN
     if outside.any():
         raise PerfboundError(f"x: {x[int(np.argmax(outside))].tolist()} is outside the space of the campaign")
 
 
 def _at_candidates(band: Band, plan: ProblemPlan, x: Floats) -> tuple[Floats, Floats, Floats]:
-    nodes = plan.candidates.nodes
+    nodes = plan.chosen_from.nodes
     span = np.maximum(nodes.max(axis=0) - nodes.min(axis=0), 1e-300)
     distance = np.max(np.abs(x[:, None, :] - nodes[None, :, :]) / span, axis=2)  # (N, m)
     index = np.argmin(distance, axis=1)
@@ -77,7 +79,7 @@ def _anywhere(fed: RigorousMethod, bound: Bound, plan: ProblemPlan, x: Floats) -
     envelope = fed.envelope
     upper, lower = envelope.at(x)
     # The mean at one a for all starts: that of the band over the candidates.
-    mu, sd = envelope.moments_at(plan.candidates.nodes)
+    mu, sd = envelope.moments_at(plan.chosen_from.nodes)
     column = int(np.argmin(np.max(mu + envelope.g * sd, axis=0)))
     mean = np.clip(envelope.prior_mean + envelope.moments_at(x)[0][:, column], lower, upper)
     if bound.verdict == "refuted":  # refuted premises have no band

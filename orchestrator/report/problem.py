@@ -31,8 +31,8 @@ class ProblemCollector:
         self.starts: list[tuple[float, ...]] = []
         """z of every proposed test."""
         self.observed: list[ObservedTest] = []
-        self._plan, self._method, self._header = plan, method(plan), header
-        self._sense = plan.objective.sense
+        self._plan, self._method, self._header = plan, method(plan, header), header
+        self._sense = plan.sense
         self._proposals: dict[int, ProposalFact] = {}
         self._values: dict[int, ObservationFact] = {}
         self._pending: list[tuple[Proposal, Observation]] = []
@@ -104,9 +104,13 @@ class ProblemCollector:
     def worst_tests(self, number: int) -> list[int]:
         """Return the worst test of each of the worst `number` starts, the worst first."""
         found: dict[tuple[float, ...], int] = {}
-        for each in sorted(self.observed, key=lambda each: (-each.observation.y, each.test)):  # J is maximised
+        for each in sorted(self.observed, key=lambda each: (-self._badness(each.observation), each.test)):
             found.setdefault(each.proposal.x, each.test)
         return list(islice(found.values(), number))
+
+    def _badness(self, observation: Observation) -> float:
+        """Return J, which is maximised; of a violation by how much."""
+        return -min(observation.each) if self._plan.candidates is None else observation.y
 
     def _probability(self, last: ObservedTest | None) -> float | None:
         """Return the probability of the current bound; None where there is no valid one."""

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 
 from ...schemas import certificate as document
+from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
 from ..campaign.clip import is_vacuous
-from ..certificate.text import VACUOUS, counterexample_words, notes, outward, quantity_words
+from ..certificate.text import VACUOUS, claim_words, counterexample_words, notes, outward, quantity_words
 from ..store.export_tables import robustness_unit
 from .data import Claim, Problem
 
@@ -44,7 +45,7 @@ def claim_sentence(claim: document.CertificateClaim) -> str:
     ...                                 rule="single", method="paper", assumptions=(), refuted=()))
     'J* (maximum of the expectation) ≤ 0.5124 with probability at least 0.9876'
     """
-    text = _statement(quantity_words(claim.quantity, claim.starts), claim.bound, claim.sense, claim.probability)
+    text = _statement(claim_words(claim), claim.bound, claim.sense, claim.probability)
     if claim.vacuous:
         text += f". {VACUOUS.removesuffix('.')}"
     if claim.refuted:
@@ -72,7 +73,8 @@ def counterexample_sentence(predicate: document.Predicate | None, header: Header
 def _problem_bound(problem: Problem) -> str:
     sense = ">=" if problem.sense == "min" else "<="
     objective = problem.objective.partition(", through")[0]
-    quantity = quantity_words(problem.quantity, problem.starts) if problem.quantity else objective
+    drawn = problem.quantity is None or is_sampled(problem.quantity)
+    quantity = objective if drawn or problem.quantity is None else quantity_words(problem.quantity, problem.starts)
     if problem.stopped_by == "refuted":
         return f"{problem.name}: its assumptions are refuted, so its bound is worth nothing."
     if problem.bound is None:

@@ -5,10 +5,7 @@ from pathlib import Path
 
 from ...schemas.facts import Header
 from ...schemas.places import short_path
-from ...schemas.problems import OBJECTIVES
 
-MINIMA = tuple(name for name, each in OBJECTIVES.items() if each.sense == "min")
-"""Problems whose bound is the negative of the method's."""
 ENDS = {
     "converged": "alpha reached",
     "budget": "budget ended",

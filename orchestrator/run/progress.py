@@ -88,8 +88,8 @@ class Plain:
         if self._json is None:
             name = "F" if problem.method == "paper" else "upper - lower"
             end = f"; {ENDS[progress.stopped_by]}" if progress.stopped_by else ""
-            numbers = f"{name} {figure(away)} (alpha {problem.alpha:g}), bound so far {figure(bound, 3)}"
-            self.print_line(f"{problem.name}: test {progress.tests}, {numbers}{end}")
+            distance = "" if problem.alpha is None else f"{name} {figure(away)} (alpha {problem.alpha:g}), "
+            self.print_line(f"{problem.name}: test {progress.tests}, {distance}bound so far {figure(bound, 3)}{end}")
             return
         self._json.line(
             "problem ended" if progress.stopped_by else "progress",

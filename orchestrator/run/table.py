@@ -10,7 +10,7 @@ from ...schemas.problem_models import Problem
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
 from ..campaign.clip import by_clip, floored
-from .format import ENDS, MINIMA, figure
+from .format import ENDS, figure
 
 
 def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
@@ -18,8 +18,8 @@ def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemPr
     upper = progress.bound.upper if progress.bound else None
     if upper is None:
         return None
-    minimum = problem.name in MINIMA
-    return floored(-upper if minimum else upper, "min" if minimum else "max", by_clip(config, problem))
+    sense = config.sense_of(problem)
+    return floored(-upper if sense == "min" else upper, sense, by_clip(config, problem))
 
 
 def remaining_distance(problem: Problem, progress: ProblemProgress) -> float | None:
@@ -49,7 +49,7 @@ def progress_table(
             problem.name,
             f"{progress.tests} of {config.max_tests_of(problem)}",
             figure(remaining_distance(problem, progress)),
-            f"{problem.alpha:g}",
+            figure(problem.alpha) if problem.alpha is None else f"{problem.alpha:g}",
             figure(bound_in_sense(config, problem, progress)),
             str(progress.rollouts),
             ENDS[progress.stopped_by] if progress.stopped_by else left,

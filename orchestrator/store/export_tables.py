@@ -25,10 +25,11 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ...schemas.campaign import CampaignConfig
+from ...schemas.claims import PROBABILITIES
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.ids import RECHECK, SPOT_CHECK
 from ...schemas.problem_models import Problem
-from ...schemas.problems import OBJECTIVES, replicates_are_robustness
+from ...schemas.problems import replicates_are_robustness
 from ...schemas.system import SystemSpec
 from . import tables
 from .rows import has_table
@@ -104,6 +105,8 @@ def robustness_unit(config: CampaignConfig, spec: SystemSpec) -> str:
 
 def unit(problem: Problem, config: CampaignConfig, spec: SystemSpec) -> str:
     """Return the unit of a problem's objective, or nothing if it is not known."""
+    for claim in config.claims_of(problem)[:1]:
+        return "" if claim.quantity in PROBABILITIES else robustness_unit(config, spec)
     gap = config.gap_of(problem)
     column = gap.column if gap else problem.column
     units = {each.name: each.unit for each in spec.columns}
@@ -272,7 +275,7 @@ def _objectives(header: Header) -> dict[str, tuple[str, str]]:
     its observations are J, and a recheck has no objective.
     """
     found = {
-        problem.name: (OBJECTIVES[problem.name].sense, unit(problem, header.config, header.spec))
+        problem.name: (header.config.sense_of(problem), unit(problem, header.config, header.spec))
         for problem in header.config.problems
     }
     same = set(found.values())

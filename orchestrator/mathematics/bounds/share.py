@@ -160,25 +160,26 @@ def shifted_failure_upper(p: float, ratio: float) -> float:
     return min(1.0, -floor_to_step(-decimal(p) * decimal(ratio)))
 
 
-def shifted_share(ratio: float) -> float:
-    """Return the share q whose CVaR_q of P bounds the mean under every P' with dP'/dP <= `ratio` from below.
+def shifted_share(ratio: float, share: float = 1.0) -> float:
+    """Return the share q/Lambda of P that is below what is below the share q of every P' with dP'/dP <= `ratio`.
     Implements eq. (shift) of [PB].
 
-    Formula: q = 1/Lambda, rounded down to a double, so that CVaR_q is not above it; E'[v] >= CVaR_(1/Lambda)(v), with
-    equality for the P' that has Lambda times the density on the worst share. Every Lambda is a claim of its own.
+    Formula: q/Lambda, rounded down to a double, so that a quantile or CVaR at it is not above it; E'[v] >=
+    CVaR_(1/Lambda)(v), with equality for the P' that has Lambda times the density on the worst share. Every Lambda is a
+    claim of its own.
 
     Raises:
         ValueError: Lambda is below 1 or infinite.
 
-    >>> shifted_share(1.0), shifted_share(4.0)
-    (1.0, 0.25)
+    >>> shifted_share(1.0), shifted_share(4.0), shifted_share(2.0, 0.1)
+    (1.0, 0.25, 0.05)
 
     """
     _check_ratio(ratio)
-    share = 1.0 / ratio
-    while Fraction(share) * decimal(ratio) > 1:
-        share = math.nextafter(share, 0.0)
-    return share
+    found = share / ratio
+    while Fraction(found) * decimal(ratio) > Fraction(share):
+        found = math.nextafter(found, 0.0)
+    return found
 
 
 def _check_ratio(ratio: float) -> None:

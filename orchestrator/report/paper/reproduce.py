@@ -74,5 +74,6 @@ def _decays(campaigns: Sequence[Planned], wanted: Sequence[tuple[Preset, str]]) 
         if members:
             alpha = next(each.alpha for each in members[0].config.problems if each.name == problem)
             runs = {each.config.seed: read.history(each.directory)[problem] for each in members}
+            assert alpha is not None, "the presets search the worst start"
             found.append(figures.Decay(problem, alpha, runs))
     return found

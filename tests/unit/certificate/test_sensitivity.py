@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from sklearn.gaussian_process.kernels import Matern
 
-from perfbound.orchestrator.campaign.methods import method
+from perfbound.orchestrator.campaign.methods import kernel_method
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.sensitivity import VARIATIONS
 from perfbound.orchestrator.certificate.text import notes
@@ -110,7 +110,7 @@ def test_the_bound_of_method_rigorous_follows_from_all_tests_at_once(tmp_path: P
     assert isinstance(account.plan.problem, RigorousProblem)
     for row, factor in zip(rows, (2.0, 4.0), strict=False):
         problem = account.plan.problem.model_copy(update={"rkhs_norm": factor * 0.3})
-        one_by_one = method(replace(account.plan, problem=problem))
+        one_by_one = kernel_method(replace(account.plan, problem=problem))
         bounds = [one_by_one.observe(*test).upper for test in account.closed]
         assert row.bound is not None
         assert min(bound for bound in bounds if bound is not None) <= row.bound <= factor * 0.3

@@ -40,10 +40,10 @@ def test_what_a_run_has(run: Run) -> None:
 
 def test_the_posterior_at_the_candidates_is_the_band_of_the_method(run: Run) -> None:
     for name, plan in plans(run.header.config, run.header.spec).items():
-        fed, tests = method(plan), read.history(run.directory)[name]
+        fed, tests = method(plan, run.header), read.history(run.directory)[name]
         fed.recall([(each.proposal, each.observation) for each in tests])
         band = fed.band(tests[-1].bound)
-        found = run.posterior(plan.candidates.nodes, name)
+        found = run.posterior(plan.chosen_from.nodes, name)
         mean, lower, upper = map(np.array, (band.mean, band.lower, band.upper))
         if plan.objective.sense == "min":
             mean, lower, upper = -mean, -upper, -lower

@@ -229,7 +229,7 @@ def test_the_worst_start_is_where_the_band_is_worst(finished: Path) -> None:
 def test_the_band_of_method_paper_is_the_one_that_its_proposals_were_chosen_by(one: Path) -> None:
     added, bands = ChangeReader(one).read(), dict[str, Band]()
     proposals, checked = dict[str, Proposal](), 0
-    own = methods(plans(added.header.config, added.header.spec))
+    own = methods(plans(added.header.config, added.header.spec), added.header)
     for fact in added.decisions:
         match fact:
             case ProposalFact(proposal=Proposal(beta=float()) as chosen):

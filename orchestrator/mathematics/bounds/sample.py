@@ -1,0 +1,326 @@
+"""Method `sample`: claims about rollouts at starts that are drawn from one distribution, in any dimension.
+
+| symbol | name       | meaning                                                                     | shape | unit |
+|--------|------------|-----------------------------------------------------------------------------|-------|------|
+| n      | `count`    | samples so far: one start each, with its rollouts                           | ()    | -    |
+| v      | `values`   | robustness of the rollouts of one start, the first one read where one counts | (b,) | v    |
+| v-bar  |            | their mean                                                                  | ()    | v    |
+| q      | `share`    | level of a claim, divided by Lambda                                         | ()    | -    |
+| Lambda | `ratio`    | dP'/dP <= Lambda for every distribution P' that the claim covers            | ()    | -    |
+| delta  | `delta`    | failure probability of one claim                                            | ()    | -    |
+
+Every claim has a bound that is valid after each sample, and at a number of samples that was fixed beforehand some have
+a better one: the exact bound of `share`. A start depends on its number alone, so the samples are independent whatever
+the order of the rollouts, and nothing that was chosen by its outcome enters.
+
+Shift. dP'/dP <= Lambda makes P'(A) <= Lambda P(A) for every set A of starts, so that Q'_q >= Q_(q/Lambda) and CVaR'_q
+>= CVaR_(q/Lambda): the worst share q under P' has at most Lambda/q times the density of P. The mean is CVaR_1. Given
+its start, a rollout has one law under both.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from ....schemas.values import Band, Bound, Observation, Proposal
+from .failures import FailureSequence, QuantileSequence
+from .method import Method
+from .predictable import CvarSequence, PredictableSequence, RiskSequence
+from .rounding import round_down
+from .share import (
+    clopper_pearson_lower,
+    clopper_pearson_upper,
+    next_rollout_rank,
+    quantile_rank,
+    shifted_failure_upper,
+    shifted_share,
+)
+
+STEPS = 1000
+"""Candidates of a quantile between the ends of the clip, where it is bounded after every sample."""
+SAME_START = 1e-8
+"""Of a start, relative to its size: another machine draws it within this distance, see `campaign.draws`."""
+
+Quantity = Literal["failure_probability", "quantile", "cvar", "mean", "risk", "share_of_starts", "next_rollout"]
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """One claim, and what its bound follows from; `level` is 1 for a quantity without one."""
+
+    quantity: Quantity
+    delta: float
+    level: float = 1.0
+    ratio: float = 1.0
+    clip: tuple[float, float] | None = None
+    risk_weight: float = 0.0
+    deterministic: bool = False
+    """Whether the robustness follows from the start alone."""
+
+
+class Estimate(ABC):
+    """The bounds of one claim; samples enter in test order."""
+
+    @abstractmethod
+    def add(self, values: Sequence[float]) -> None:
+        """Add the robustness of the rollouts of the next start."""
+
+    @abstractmethod
+    def anytime(self) -> float | None:
+        """Return the bound that is valid after every sample; None where there is none."""
+
+    def exact(self) -> float | None:
+        """Return the best bound at a number of samples that was fixed beforehand."""
+        return self.anytime()
+
+    def partner(self, *, fixed: bool) -> float | None:  # noqa: ARG002
+        """Return a bound from the other side, with its own 1 - delta; None where there is none."""
+        return None
+
+
+class FailureEstimate(Estimate):
+    """P'(v < 0) for every P' at once, from the first rollout of each start."""
+
+    def __init__(self, terms: Terms) -> None:
+        self._sequence, self._delta, self._ratio = FailureSequence(delta=terms.delta), terms.delta, terms.ratio
+
+    def add(self, values: Sequence[float]) -> None:
+        """Count the next start."""
+        self._sequence.add(values[0] < 0.0)
+
+    def anytime(self) -> float | None:
+        """Return Lambda times the bound of the beta mixture."""
+        return shifted_failure_upper(self._sequence.upper(), self._ratio)
+
+    def exact(self) -> float | None:
+        """Return Lambda times the bound of Clopper and Pearson."""
+        counts = self._sequence.failures, self._sequence.count
+        return shifted_failure_upper(clopper_pearson_upper(*counts, self._delta), self._ratio)
+
+    def partner(self, *, fixed: bool) -> float | None:
+        """Return a lower bound of P(v < 0), of the declared distribution alone."""
+        if self._ratio != 1.0:
+            return None
+        if not fixed:
+            return self._sequence.lower()
+        return clopper_pearson_lower(self._sequence.failures, self._sequence.count, self._delta)
+
+
+class QuantileEstimate(Estimate):
+    """Q_q of the first rollouts; of a deterministic system also the robustness on all starts but a share q."""
+
+    def __init__(self, terms: Terms) -> None:
+        self._share, self._delta, self._values = shifted_share(terms.ratio, terms.level), terms.delta, array("d")
+        self._least = None if terms.clip is None else terms.clip[0]
+        self._sequence = None
+        if terms.clip is not None:
+            low, high = terms.clip
+            grid = [low + (high - low) * step / STEPS for step in range(1, STEPS + 1)]
+            self._sequence = QuantileSequence(self._share, grid, delta=terms.delta)
+
+    def add(self, values: Sequence[float]) -> None:
+        """Add the next value."""
+        self._values.append(values[0])
+        if self._sequence is not None:
+            self._sequence.add(values[0])
+
+    def anytime(self) -> float | None:
+        """Return the bound on the grid; without a clip there is none."""
+        if self._sequence is None or self._least is None:
+            return None
+        found = self._sequence.lower()
+        return round_down(self._least if found is None else found)
+
+    def exact(self) -> float | None:
+        """Return the value with the rank that the number of samples allows."""
+        rank = quantile_rank(len(self._values), self._share, self._delta)
+        return self._least if rank is None else round_down(sorted(self._values)[rank - 1])
+
+
+class NextEstimate(Estimate):
+    """The robustness of the next rollout, from a number of samples that was fixed beforehand; nothing before."""
+
+    def __init__(self, terms: Terms) -> None:
+        self._chance, self._values = shifted_share(terms.ratio, terms.level), array("d")
+
+    def add(self, values: Sequence[float]) -> None:
+        """Add the next value."""
+        self._values.append(values[0])
+
+    def anytime(self) -> float | None:
+        """Return None."""
+        return None
+
+    def exact(self) -> float | None:
+        """Return the value with the rank that the number of samples allows."""
+        rank = next_rollout_rank(len(self._values), self._chance)
+        return None if rank is None else round_down(sorted(self._values)[rank - 1])
+
+
+class MeanEstimate(Estimate):
+    """A bound by betting on bounded values: CVaR, mean or risk."""
+
+    def __init__(self, sequence: PredictableSequence, read: Callable[[Sequence[float]], float]) -> None:
+        self._sequence, self._read = sequence, read
+
+    def add(self, values: Sequence[float]) -> None:
+        """Add the next value."""
+        self._sequence.add(self._read(values))
+
+    def anytime(self) -> float | None:
+        """Return the bound; that of no evidence is what the clip proves."""
+        return self._sequence.lower()
+
+
+def _first(values: Sequence[float]) -> float:
+    return values[0]
+
+
+def _average(terms: Terms) -> Callable[[Sequence[float]], float]:
+    low, high = _clip(terms)
+    # A mean of clipped values may leave the clip by round-off.
+    return lambda values: min(max(math.fsum(values) / len(values), low), high)
+
+
+def _cvar(terms: Terms) -> Estimate:
+    share = shifted_share(terms.ratio, terms.level)
+    return MeanEstimate(CvarSequence(share, _clip(terms), delta=terms.delta), _first)
+
+
+def _mean(terms: Terms) -> Estimate:
+    share = shifted_share(terms.ratio)
+    return MeanEstimate(CvarSequence(share, _clip(terms), delta=terms.delta), _average(terms))
+
+
+def _risk(terms: Terms) -> Estimate:
+    return MeanEstimate(RiskSequence(terms.risk_weight, _clip(terms), delta=terms.delta), _first)
+
+
+def _share_of_starts(terms: Terms) -> Estimate:
+    # Of a value that its start decides, a quantile says it of the value itself.
+    if terms.deterministic:
+        return QuantileEstimate(terms)
+    share = shifted_share(terms.ratio, terms.level)
+    return MeanEstimate(CvarSequence(share, _clip(terms), delta=terms.delta), _average(terms))
+
+
+def _clip(terms: Terms) -> tuple[float, float]:
+    if terms.clip is None:
+        raise ValueError(f"clip: required by a bound of {terms.quantity!r}")
+    return terms.clip
+
+
+ESTIMATES: Mapping[Quantity, Callable[[Terms], Estimate]] = {
+    "failure_probability": FailureEstimate,
+    "quantile": QuantileEstimate,
+    "cvar": _cvar,
+    "mean": _mean,
+    "risk": _risk,
+    "share_of_starts": _share_of_starts,
+    "next_rollout": NextEstimate,
+}
+"""The estimate of each quantity."""
+
+
+class SampleMethod(Method):
+    """Claims about drawn starts; the first one is the bound of the problem.
+    Implements eq. (failure probability), (quantile), (CVaR) and (shift) of [PB].
+
+    `start` returns the start with a number (p,). `fixed` is the number of samples at which exact bounds are claimed,
+    fixed beforehand; None where the end depends on outcomes. `largest` says whether the first claim bounds its quantity
+    from above; the bound of J is then that bound, and else its negative.
+
+    Raises:
+        ValueError: a claim has no bound with these terms.
+
+    >>> terms = Terms("failure_probability", 0.05)
+    >>> method = SampleMethod([terms], lambda number: (float(number),), fixed=299, largest=True)
+    >>> for _ in range(299):
+    ...     bound = method.observe(method.propose(), Observation(-1.0, (1.0,)))
+    >>> method.propose().x, bound.upper, method.found(0), method.is_exact
+    ((299.0,), 0.009969147, 0.009969147, True)
+
+    """
+
+    def __init__(
+        self,
+        claims: Sequence[Terms],
+        start: Callable[[int], tuple[float, ...]],
+        *,
+        fixed: int | None,
+        largest: bool,
+    ) -> None:
+        self._claims, self._estimates = tuple(claims), [ESTIMATES[each.quantity](each) for each in claims]
+        self._start, self._fixed, self._largest = start, fixed, largest
+        self._count = 0
+
+    @property
+    def size(self) -> int:
+        """1: a drawn start has no number among candidates."""
+        return 1
+
+    @property
+    def probability(self) -> float:
+        """1 - delta of the first claim."""
+        return 1.0 - self._claims[0].delta
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the number of samples is the one that was fixed beforehand."""
+        return self._count == self._fixed
+
+    def found(self, claim: int) -> float | None:
+        """Return the bound of a claim by its place, in the unit of its quantity; None while there is none."""
+        estimate = self._estimates[claim]
+        return estimate.exact() if self.is_exact else estimate.anytime()
+
+    def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:  # noqa: ARG002
+        """Return the next start; it depends on the number of tests so far alone."""
+        number = self._count + len(pending)
+        return Proposal(number, self._start(number), None, None, None, None)
+
+    def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
+        """Return the proposal of `x` (p,) if another machine could have drawn it."""
+        number = self._count + len(pending)
+        own = self._start(number)
+        if any(abs(a - b) > SAME_START * max(abs(a), abs(b)) for a, b in zip(own, x, strict=True)):
+            return None
+        return Proposal(number, tuple(x), None, None, None, None)
+
+    def observe(self, proposal: Proposal, observation: Observation) -> Bound:
+        """Add the rollouts of the next start, and return the bound of the first claim; on an error nothing changes.
+
+        Raises:
+            ValueError: there is no value, or one is outside the clip or not finite.
+
+        """
+        self.recall([(proposal, observation)])
+        found = self.found(0)
+        if found is None:
+            return Bound(None, None, None)
+        partner = self._estimates[0].partner(fixed=self.is_exact)
+        if self._largest:
+            return Bound(found, partner, None)
+        return Bound(-found, None if partner is None else -partner, None)
+
+    def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
+        """Add observations; raises as `observe`."""
+        for _, observation in tests:
+            _check(observation.each, self._claims[0].clip)
+            for estimate in self._estimates:
+                estimate.add(observation.each)
+            self._count += 1
+
+    def band(self, bound: Bound) -> Band:  # noqa: ARG002
+        """Return an empty band: there are no candidates."""
+        return Band((), (), (), ())
+
+
+def _check(values: Sequence[float], clip: tuple[float, float] | None) -> None:
+    # Before the first bet: half a sample would change the state.
+    low, high = clip or (float("-inf"), float("inf"))
+    if not values or not all(low <= value <= high for value in values):
+        raise ValueError(f"a sample needs values within the clip [{low}, {high}], not {list(values)}")
