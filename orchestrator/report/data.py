@@ -86,8 +86,30 @@ class TestSeries:
 
 
 @dataclass(frozen=True, slots=True)
+class Mark:
+    """A bound on the axis of a histogram."""
+
+    name: str
+    value: float
+    sense: str
+    """">=" or "<="."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """The robustness at drawn starts, the first rollout of each: a histogram, and the bounds so far."""
+
+    edges: tuple[float, ...]
+    """Of the bars; 0 is one of them where it is inside."""
+    counts: tuple[int, ...]
+    violations: int
+    unit: str
+    marks: tuple[Mark, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Problem:
-    """One optimisation problem."""
+    """One problem."""
 
     name: str
     objective: str
@@ -118,6 +140,8 @@ class Problem:
     """Constants that contradict each other or the data, in sentences."""
     starts: int | None = None
     """Number of listed starts, since rules 2; None on a box."""
+    drawn: Drawn | None = None
+    """Where starts are drawn: `tests.y` is then the robustness, in the unit of this, whatever is bounded."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """The maps and decays of a report as files, in the style of the paper's figures; equal data give equal bytes."""
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,11 +13,12 @@ from matplotlib.patches import Patch
 
 from ..mathematics.gp.kernels import Floats
 from . import style
-from .data import Axis, Problem, ReportData, Series, Surface
+from .data import Axis, Drawn, Problem, ReportData, Series, Surface
 from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
 MAP_HEIGHT, DECAY_HEIGHT = 2.8, 1.8
 """Inches."""
+DASHES = ("--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
 DISTANCES = {"F_i": "$F_i$", "U - L": "$U - L$"}
 
 
@@ -29,6 +31,10 @@ def figures(data: ReportData) -> Iterator[tuple[str, bytes]]:
 
 
 def _figures_of(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:
+    if problem.drawn is not None:
+        with style.new_figure(DECAY_HEIGHT) as figure:
+            draw_histogram(figure, problem, problem.drawn)
+        yield "histogram", figure
     if problem.surface is not None:
         with style.new_figure(MAP_HEIGHT) as figure:
             draw_problem_map(figure, data.axes, problem)
@@ -99,6 +105,23 @@ def _scattered(axes: Axes, surface: Surface) -> tuple[Any, list[Artist]]:
     drawn = axes.scatter(z1, z2, 60, c=_array(surface.mean), cmap=GREYS, edgecolor=edges, linewidth=THICK, zorder=3)
     key = Line2D([], [], linestyle="", marker="o", color="white", markeredgecolor=RED, label="may be the worst start")
     return drawn, [key]
+
+
+def draw_histogram(figure: Figure, problem: Problem, drawn: Drawn) -> Axes:
+    """Draw the robustness at drawn starts, violations in red, with the bounds of the claims."""
+    axes = figure.subplots()
+    edges, counts = np.array(drawn.edges), np.array(drawn.counts)
+    colours = [RED if right <= 0 else BLUE for right in edges[1:]]
+    axes.bar(edges[:-1], counts, np.diff(edges), align="edge", color=colours, linewidth=0)
+    for mark, dashes in zip(drawn.marks, itertools.cycle(DASHES)):
+        axes.axvline(mark.value, color="black", linestyle=dashes, linewidth=THICK, label=style.plain_text(mark.name))
+    if edges[0] < 0 < edges[-1]:
+        axes.axvline(0.0, color=RED, linewidth=THIN)
+    axes.set(title=_title(problem), xlabel=style.with_unit("robustness", drawn.unit), ylabel="rollouts")
+    axes.spines[["top", "right"]].set_visible(False)
+    if drawn.marks:
+        axes.legend(loc="upper right", borderaxespad=0)
+    return axes
 
 
 def draw_problem_decay(figure: Figure, problem: Problem) -> Axes:

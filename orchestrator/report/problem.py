@@ -14,11 +14,13 @@ from ..campaign.clip import by_clip, floored
 from ..campaign.methods import method
 from ..campaign.plan import ProblemPlan
 from ..certificate.problem_results import objective
+from ..mathematics.bounds.sample import SampleMethod
 from ..store.changes import Decision
-from ..store.export_tables import unit
+from ..store.export_tables import robustness_unit, unit
 from ..store.read import ObservedTest
 from . import band
-from .data import Problem, Surface, TestSeries
+from .data import Drawn, Problem, Surface, TestSeries
+from .drawn import drawn
 from .wording import typeset
 
 
@@ -38,6 +40,7 @@ class ProblemCollector:
         self._pending: list[tuple[Proposal, Observation]] = []
         """Observations not yet passed to the method."""
         self._surface: Surface | None = None
+        self._drawn: Drawn | None = None
         self._tests = self._columns()
         self._warnings = self._contradictions()
 
@@ -70,7 +73,11 @@ class ProblemCollector:
         if last and len(self._tests.test) != len(self.observed):
             self._method.recall(self._pending)
             self._pending.clear()
-            self._surface, self._tests = band.surface(self._plan, self._method, last.bound), self._columns()
+            if isinstance(self._method, SampleMethod):
+                self._drawn = self._histogram(self._method)
+            else:
+                self._surface = band.surface(self._plan, self._method, last.bound)
+            self._tests = self._columns()
             self._warnings = self._contradictions()
         stopped_by = last.stopped_by if last else None
         bound = result.bound if result else signed(last.bound.upper if last else None, self._sense)
@@ -99,6 +106,7 @@ class ProblemCollector:
             by_clip=limit,
             warnings=self._warnings,
             starts=self._plan.listed if rules > 1 else None,
+            drawn=self._drawn,
         )
 
     def worst_tests(self, number: int) -> list[int]:
@@ -109,8 +117,13 @@ class ProblemCollector:
         return list(islice(found.values(), number))
 
     def _badness(self, observation: Observation) -> float:
-        """Return J, which is maximised; of a violation by how much."""
+        """Return J, which is maximised; where starts are drawn the worst robustness, whatever is bounded."""
         return -min(observation.each) if self._plan.candidates is None else observation.y
+
+    def _histogram(self, method: SampleMethod) -> Drawn:
+        header = self._header
+        values = [test.observation.each[0] for test in self.observed]
+        return drawn(self._plan, method, values, robustness_unit(header.config, header.spec))
 
     def _probability(self, last: ObservedTest | None) -> float | None:
         """Return the probability of the current bound; None where there is no valid one."""
@@ -133,6 +146,10 @@ class ProblemCollector:
         left = forecast.tests_left(self._header.config, self.problem, now, len(self.observed))
         return None if left is None else f"about {left} test{'' if left == 1 else 's'}"
 
+    @property
+    def _observed_sense(self) -> str:
+        return "min" if self._plan.candidates is None else self._sense
+
     def _columns(self) -> TestSeries:
         tests, sense = self.observed, self._sense
         upper = tuple(signed(each.bound.upper, sense) for each in tests)
@@ -140,7 +157,7 @@ class ProblemCollector:
         return TestSeries(
             test=tuple(each.test for each in tests),
             x=tuple(each.proposal.x for each in tests),
-            y=tuple(signed(each.observation.y, sense) for each in tests),
+            y=tuple(signed(self._badness(each.observation), self._observed_sense) for each in tests),
             distance=tuple(forecast.distance(self.problem, each.proposal.F, each.bound) for each in tests),
             lower=upper if sense == "min" else lower,
             upper=lower if sense == "min" else upper,

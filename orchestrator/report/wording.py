@@ -29,7 +29,7 @@ def worded(predicate: document.Predicate) -> tuple[Claim, ...]:
     """Return the claims of a certificate with their sentences."""
     return tuple(
         Claim(
-            **claim.model_dump(exclude={"starts", "by_clip", "without_data"}),
+            **claim.model_dump(exclude={"starts", "by_clip", "without_data", "subject", "level", "factor", "samples"}),
             sentence=claim_sentence(claim),
             notes=tuple(map(typeset, notes(predicate, number))),
         )

@@ -25,8 +25,9 @@ const charts = new Map(); // element -> {plot, key}
  * Draw a chart in its element. A present chart of the same spec and colours gets the new data only.
  * @param {HTMLElement} host
  * @param {{height: number, x: string, y: {label: string, log?: boolean},
- *   series: Array<{label: string, colour: string, dash?: number[], width?: number, points?: boolean, unit?: string, sense?: string}>,
- *   legend?: boolean}} spec colours are names of the theme
+ *   series: Array<{label: string, colour: string, dash?: number[], width?: number, points?: boolean, bars?: boolean, unit?: string, sense?: string}>,
+ *   legend?: boolean, range?: [number, number], lines?: Array<{value: number, colour: string, label?: string}>}} spec colours are
+ *   names of the theme; `range` is that of x, `lines` are drawn upright at values of x
  * @param {Array<Array<number|null>>} data x first
  * @param {(plot: object) => void} [onPointer] called when the pointer moves
  */
@@ -39,7 +40,7 @@ function chart(host, spec, data, onPointer) {
     return;
   }
   present?.plot.destroy();
-  const plot = new uPlot({ ...chartOptions(host, spec, colours), hooks: { setCursor: onPointer ? [onPointer] : [] } }, data, host);
+  const plot = new uPlot({ ...chartOptions(host, spec, colours), hooks: { setCursor: onPointer ? [onPointer] : [], draw: [(drawn) => drawLines(drawn, spec.lines ?? [], colours)] } }, data, host);
   charts.set(host, { plot, key });
 }
 
@@ -54,7 +55,7 @@ function chartOptions(host, spec, colours) {
     height: spec.height,
     cursor: { drag: { x: false, y: false }, points: { size: 7 } },
     legend: { show: spec.legend !== false },
-    scales: { x: { time: false }, y: { distr: spec.y.log ? 3 : 1 } },
+    scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1 } },
     axes: [axis({ label: spec.x, size: 30, values: names }), axis({ label: spec.y.label, size: 52, values: names })],
     series: [{ label: spec.x, colour: "ink" }, ...spec.series].map((each) => chartSeries(each, colours)),
   };
@@ -67,10 +68,39 @@ function chartSeries(each, colours) {
     width: each.width ?? 1.5,
     dash: each.dash,
     spanGaps: true,
-    paths: each.points ? () => null : undefined,
+    paths: each.points ? () => null : each.bars ? uPlot.paths.bars({ size: [0.96, Infinity] }) : undefined,
+    fill: each.bars ? colours[each.colour] : undefined,
     points: { show: each.points === true, size: 3, width: 0, fill: colours[each.colour] },
     value: (plot, value, k, row) => legendText(row === null || row === undefined ? plot.data[k].at(-1) : value, each),
   };
+}
+
+/** Upright lines at values of x, over the chart. */
+function drawLines(plot, lines, colours) {
+  const { ctx, bbox } = plot;
+  ctx.save();
+  ctx.font = `${12 * uPlot.pxRatio}px system-ui, sans-serif`;
+  ctx.textAlign = "center";
+  let last = -Infinity; // of the labels: close ones go below each other
+  let row = 0;
+  for (const { value, colour, label } of [...lines].sort((a, b) => a.value - b.value)) {
+    const x = Math.round(plot.valToPos(value, "x", true)) + 0.5;
+    if (x < bbox.left || x > bbox.left + bbox.width) continue;
+    ctx.strokeStyle = colours[colour];
+    ctx.fillStyle = colours[colour];
+    if (label) {
+      row = x - last < 12 * uPlot.pxRatio ? row + 1 : 0;
+      last = x;
+      ctx.fillText(label, x + 6 * uPlot.pxRatio, bbox.top + (12 + 13 * row) * uPlot.pxRatio);
+    }
+    ctx.setLineDash([5 * uPlot.pxRatio, 3 * uPlot.pxRatio]);
+    ctx.lineWidth = uPlot.pxRatio;
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+  }
+  ctx.restore();
 }
 
 /** The value at the pointer, without a pointer the last one; that of a bound is rounded to the safe side. */

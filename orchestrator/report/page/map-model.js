@@ -10,7 +10,7 @@ const MARGIN = { left: 44, top: 24, bottom: 40, right: 12, bar: 74 }; // pixels;
 
 /** Rows of the observed tests, the worst first. */
 function worstFirst(report, problem) {
-  const sign = problem.sense === "max" ? -1 : 1;
+  const sign = problem.sense === "max" && !problem.drawn ? -1 : 1;
   const withCurves = new Set(report.scenes.filter((each) => each.problem === problem.name).map((each) => each.test));
   const { test, y } = problem.tests;
   return test

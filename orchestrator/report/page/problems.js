@@ -23,15 +23,20 @@ function problemSection(report, index, series, selected) {
     problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
-      el("div", kind === null ? null : mapFigure(report, index, kind, series), bars),
+      el("div", problem.drawn ? histogramFigure(problem, index) : null, kind === null ? null : mapFigure(report, index, kind, series), bars),
       el(
         "div",
-        chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`),
-        chartFigure(`bound-${index}`, `Bounds on the ${problem.sense === "max" ? "maximum" : "minimum"} after each test`),
+        problem.alpha === null ? null : chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`),
+        chartFigure(`bound-${index}`, boundTitle(problem)),
         worstTests(report, problem, selected),
       ),
     ),
   );
+}
+
+function boundTitle(problem) {
+  if (problem.drawn) return "The bound of the first claim after each sample";
+  return `Bounds on the ${problem.sense === "max" ? "maximum" : "minimum"} after each test`;
 }
 
 /** The key numbers of a problem. */
@@ -44,12 +49,18 @@ function problemFacts(problem) {
     ["Probability", bounded(problem.probability, ">=", "")],
     ["Tests", `${count(problem.tests.test.length)} of at most ${count(problem.budget)}`],
     ["Rollouts", count(problem.rollouts)],
-    ["Stop threshold alpha", quantity(problem.alpha, problem.unit)],
+    ["Samples that violate the specification", problem.drawn ? `${count(problem.drawn.violations)} of ${count(problem.tests.test.length)}` : null],
+    ["Stop threshold alpha", problem.alpha === null ? null : quantity(problem.alpha, problem.unit)],
     ["Failure probability delta", num(problem.delta)],
-    ["Stopped", problem.stopped_by === null ? null : STOPPED[problem.stopped_by] ?? short(problem.stopped_by)],
+    ["Stopped", problem.stopped_by === null ? null : stoppedText(problem)],
     ["Tests left (forecast)", problem.left === null ? null : short(problem.left, 200)],
   ];
   return definitions(".facts", facts, { "data-stopped": problem.stopped_by });
+}
+
+function stoppedText(problem) {
+  if (problem.drawn && problem.stopped_by === "budget") return "all samples were drawn";
+  return STOPPED[problem.stopped_by] ?? short(problem.stopped_by);
 }
 
 function mapFigure(report, index, kind, series) {
@@ -58,7 +69,7 @@ function mapFigure(report, index, kind, series) {
   const id = `map-${index}`;
   return el(
     "figure.map",
-    el("figcaption", title, kind === "profile" ? null : seriesSwitch(problem, series)),
+    el("figcaption", title, kind === "profile" || problem.surface === null ? null : seriesSwitch(problem, series)),
     el(`canvas#${id}`, { "data-keep": true, "data-index": index, tabindex: 0, role: "img", "aria-describedby": `read-${index}`, "aria-label": `${title} of ${words(problem.name)}. Arrow keys move between tests, Enter selects one.` }),
     el(`p.readout#read-${index}`, { "data-keep": true }, "Point at the map to read values; select a test to plot its rollouts."),
     mapLegend(report, problem, kind),
@@ -89,7 +100,7 @@ function mapLegend(report, problem, kind) {
     worst.some(Boolean) && !excludesNone ? legendItem(`mark.region-${kind}`, "possible worst start") : null,
     kind === "profile" ? legendItem("mark.band", "mean and band") : null,
     excludesNone ? el("li", "every start is a possible worst start so far") : null,
-    report.axes.length > 2 ? el("li", "worst value over the other parameters") : null,
+    report.axes.length > 2 && problem.surface ? el("li", "worst value over the other parameters") : null,
   );
 }
 
@@ -148,7 +159,7 @@ function worstTests(report, problem, selected) {
       el(
         "button",
         { "data-test": id, "data-select": id, "aria-current": current ? "true" : null },
-        el("b", quantity(y[rows[0]], problem.unit)), el("span", `test ${test[rows[0]]}`), el("span.muted", place(x, report.axes) + more),
+        el("b", quantity(y[rows[0]], observedUnit(problem))), el("span", `test ${test[rows[0]]}`), el("span.muted", place(x, report.axes) + more),
       ),
     );
   };
@@ -156,9 +167,20 @@ function worstTests(report, problem, selected) {
   return el("div.worst", el("h3", "Worst tests, one per start"), list.length ? el("ol", list) : el("p.muted", "No test observed yet."));
 }
 
+/** The unit of what a test observes, which is not that of its bound where that is a probability. */
+function observedUnit(problem) {
+  return problem.drawn ? problem.drawn.unit : problem.unit;
+}
+
 /** Draw the charts of a problem into their elements. */
 function drawProblemCharts(problem, index) {
-  const { test, distance, lower, upper, y } = problem.tests;
+  if (problem.drawn) drawHistogram(problem, index);
+  if (problem.alpha !== null) drawDecay(problem, index);
+  drawBounds(problem, index);
+}
+
+function drawDecay(problem, index) {
+  const { test, distance } = problem.tests;
   const { unit } = problem;
   const positive = extent(distance.filter((value) => value > 0), [problem.alpha]);
   const log = problem.alpha > 0 && positive[1] > 20 * positive[0];
@@ -171,8 +193,15 @@ function drawProblemCharts(problem, index) {
     },
     [test, distance.map((value) => (log && value <= 0 ? null : value)), test.map(() => problem.alpha)],
   );
+}
+
+function drawBounds(problem, index) {
+  const { test, lower, upper, y } = problem.tests;
+  const { unit } = problem;
+  // A probability has another axis than the robustness that is observed.
+  const observed = problem.drawn && problem.unit !== problem.drawn.unit ? y.map(() => null) : y;
   const bounds = [
-    [{ label: "observed", colour: "muted", points: true, unit }, y],
+    [{ label: "observed", colour: "muted", points: true, unit }, observed],
     [{ label: "lower bound", colour: "blue", unit, sense: ">=" }, lower],
     [{ label: problem.method === "scenario" ? "limit of the bound" : "upper bound", colour: "red", unit, sense: "<=" }, upper],
   ].filter(([, values]) => values.some((value) => value !== null));
