@@ -20,9 +20,6 @@ OF_CAMPAIGN = frozenset(CampaignConfig.model_fields)
 OF_PROBLEM = frozenset({name for model in PROBLEM_MODELS.values() for name in model.model_fields} - OF_CAMPAIGN)
 """Keys of problems alone; those that a campaign has too mean the same in both places."""
 
-FOR_DRAWS = frozenset({"distribution", "step", "choices"})
-"""Keys of a range that only a method that draws its starts takes."""
-
 STAND_INS: dict[str, Any] = {
     "horizon": ASSUMED_HORIZON,
     "specification": "",
@@ -104,7 +101,8 @@ def _is_drawn(space: Mapping[str, Any]) -> bool:
     # A parameter may be called `table`: its value is a range.
     if isinstance(rows, str) or (isinstance(rows, list) and any(isinstance(each, list) for each in rows)):
         return True
-    return any(isinstance(each, Mapping) and each.keys() & FOR_DRAWS for each in space.values())
+    ranges = [each for each in space.values() if isinstance(each, Mapping)]
+    return any(each.get("distribution", "uniform") != "uniform" or each.keys() & {"step", "choices"} for each in ranges)
 
 
 def _with_method(problem: Any, method: MethodName) -> Any:

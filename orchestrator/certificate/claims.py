@@ -102,7 +102,7 @@ def _of_drawn_starts(
         subject=plan.statement_of(claim).words,
         level=claim.asked.level,
         factor=None if claim.asked.factor == 1 else claim.asked.factor,
-        samples=results[name].tests if method.is_exact else None,
+        samples=results[name].tests if method.needs_fixed_number(place) else None,
     )
 
 

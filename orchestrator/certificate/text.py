@@ -51,6 +51,7 @@ VALID = "the bound is valid at every moment"
 BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
 """The reason, by method, why a problem has a bound that ended by its budget and not by its tolerance."""
 VACUOUS = "It shows nothing: the clip alone proves it."
+CERTAIN = "It shows nothing: every probability is at most 1."
 VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
 """Names of the variations of the sensitivity."""
 NAME = 25
@@ -82,6 +83,11 @@ def quantity_words(quantity: Quantity, starts: int | None) -> str:
     return QUANTITIES[quantity] if starts is None else LISTED[quantity].format(starts)
 
 
+def nothing_shown(quantity: Quantity | None) -> str:
+    """Return the sentence beside a bound that holds without any rollout."""
+    return CERTAIN if quantity in PROBABILITIES else VACUOUS
+
+
 def claim_words(claim: CertificateClaim) -> str:
     """Return the subject of a claim in words."""
     return claim.subject or quantity_words(claim.quantity, claim.starts)
@@ -103,8 +109,8 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
         _claim("also", certificate, number, console, unit)
     if len(predicate.claims) > 1:
         console.print()
-        _line(console, "The first claim was chosen beforehand. Each has its own probability; if you pick the best")
-        _line(console, "claim afterwards, its failure probability is the sum of all their failure probabilities.")
+        for line in _on_several(predicate):
+            _line(console, line)
     if sentences := check_sentences(predicate):
         _heading(console, "After the campaign", "bold")
     for sentence in sentences:
@@ -114,6 +120,19 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
         _problem(problem, console)
     _heading(console, "Assumptions that are not refuted", "bold")
     _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
+
+
+def _on_several(predicate: Predicate) -> tuple[str, ...]:
+    """Return what holds of several claims together."""
+    if predicate.problems[0].parameters.get("jointly"):
+        together = 1.0 - sum(1.0 - claim.probability for claim in predicate.claims)
+        return (
+            f"All {len(predicate.claims)} claims hold together with probability at least {outward(together, '>=')}.",
+        )
+    return (
+        "The first claim was chosen beforehand. Each has its own probability; if you pick the best",
+        "claim afterwards, its failure probability is the sum of all their failure probabilities.",
+    )
 
 
 def print_assumptions(certificate: Certificate, console: Console) -> None:
@@ -234,7 +253,7 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
     if predicate.composition is not None and number == 0:
         _composition(claim, predicate.composition, console)
     if claim.vacuous:
-        _line(console, f"       {VACUOUS}", "bold red")
+        _line(console, f"       {nothing_shown(claim.quantity)}", "bold red")
     for note in notes(predicate, number):
         _hanging(console, Text("       "), note)
     # Beside every claim as well: a reader may copy these lines alone.
@@ -246,7 +265,7 @@ def _validity(claim: CertificateClaim) -> str:
     """Return for which number of samples a claim about drawn starts holds; empty for every other claim."""
     if claim.subject is None:
         return ""
-    return "valid after every sample, " if claim.samples is None else f"for exactly {claim.samples} samples, "
+    return "valid after every sample, " if claim.samples is None else f"{claim.samples} samples, fixed beforehand, "
 
 
 def _composition(claim: CertificateClaim, composition: CompositionTerms, console: Console) -> None:

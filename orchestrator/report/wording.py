@@ -6,7 +6,7 @@ from ...schemas import certificate as document
 from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
 from ..campaign.clip import is_vacuous
-from ..certificate.text import VACUOUS, claim_words, counterexample_words, notes, outward, quantity_words
+from ..certificate.text import claim_words, counterexample_words, notes, nothing_shown, outward, quantity_words
 from ..store.export_tables import robustness_unit
 from .data import Claim, Problem
 
@@ -47,7 +47,7 @@ def claim_sentence(claim: document.CertificateClaim) -> str:
     """
     text = _statement(claim_words(claim), claim.bound, claim.sense, claim.probability)
     if claim.vacuous:
-        text += f". {VACUOUS.removesuffix('.')}"
+        text += f". {nothing_shown(claim.quantity).removesuffix('.')}"
     if claim.refuted:
         number = len(claim.refuted)
         text += f". It rests on {number} assumption{'' if number == 1 else 's'} that the data refute: do not rely on it"
@@ -85,7 +85,7 @@ def _problem_bound(problem: Problem) -> str:
             f"{problem.name}: not yet a bound. Method {problem.method} claims one only where it stops; if its budget "
             f"ended here, it would be {would_be}."
         )
-    vacuous = f" {VACUOUS}" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
+    vacuous = f" {nothing_shown(problem.quantity)}" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
     return f"{_statement(quantity, problem.bound, sense, problem.probability)}.{vacuous}"
 
 

@@ -64,6 +64,9 @@ class Terms:
 class Estimate(ABC):
     """The bounds of one claim; samples enter in test order."""
 
+    better_when_fixed = True
+    """Whether a number of samples that was fixed beforehand has a bound of its own."""
+
     @abstractmethod
     def add(self, values: Sequence[float]) -> None:
         """Add the robustness of the rollouts of the next start."""
@@ -72,9 +75,9 @@ class Estimate(ABC):
     def anytime(self) -> float | None:
         """Return the bound that is valid after every sample; None where there is none."""
 
+    @abstractmethod
     def exact(self) -> float | None:
         """Return the best bound at a number of samples that was fixed beforehand."""
-        return self.anytime()
 
     def partner(self, *, fixed: bool) -> float | None:  # noqa: ARG002
         """Return a bound from the other side, with its own 1 - delta; None where there is none."""
@@ -163,6 +166,8 @@ class NextEstimate(Estimate):
 class MeanEstimate(Estimate):
     """A bound by betting on bounded values: CVaR, mean or risk."""
 
+    better_when_fixed = False
+
     def __init__(self, sequence: PredictableSequence, read: Callable[[Sequence[float]], float]) -> None:
         self._sequence, self._read = sequence, read
 
@@ -172,6 +177,10 @@ class MeanEstimate(Estimate):
 
     def anytime(self) -> float | None:
         """Return the bound; that of no evidence is what the clip proves."""
+        return self._sequence.lower()
+
+    def exact(self) -> float | None:
+        """Return the same bound."""
         return self._sequence.lower()
 
 
@@ -271,6 +280,10 @@ class SampleMethod(Method):
     def is_exact(self) -> bool:
         """Whether the number of samples is the one that was fixed beforehand."""
         return self._count == self._fixed
+
+    def needs_fixed_number(self, claim: int) -> bool:
+        """Whether the bound of a claim, by its place, is valid because the number of samples was fixed beforehand."""
+        return self.is_exact and self._estimates[claim].better_when_fixed
 
     def found(self, claim: int) -> float | None:
         """Return the bound of a claim by its place, in the unit of its quantity; None while there is none."""

@@ -24,7 +24,7 @@ const charts = new Map(); // element -> {plot, key}
 /**
  * Draw a chart in its element. A present chart of the same spec and colours gets the new data only.
  * @param {HTMLElement} host
- * @param {{height: number, x: string, y: {label: string, log?: boolean},
+ * @param {{height: number, x: string, y: {label: string, log?: boolean, fromZero?: boolean},
  *   series: Array<{label: string, colour: string, dash?: number[], width?: number, points?: boolean, bars?: boolean, unit?: string, sense?: string}>,
  *   legend?: boolean, range?: [number, number], lines?: Array<{value: number, colour: string, label?: string}>}} spec colours are
  *   names of the theme; `range` is that of x, `lines` are drawn upright at values of x
@@ -55,7 +55,7 @@ function chartOptions(host, spec, colours) {
     height: spec.height,
     cursor: { drag: { x: false, y: false }, points: { size: 7 } },
     legend: { show: spec.legend !== false },
-    scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1 } },
+    scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1, range: spec.y.fromZero ? (plot, low, high) => [0, 1.05 * high] : undefined } },
     axes: [axis({ label: spec.x, size: 30, values: names }), axis({ label: spec.y.label, size: 52, values: names })],
     series: [{ label: spec.x, colour: "ink" }, ...spec.series].map((each) => chartSeries(each, colours)),
   };

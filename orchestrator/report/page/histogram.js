@@ -26,7 +26,7 @@ function drawHistogram(problem, index) {
   chart(
     document.getElementById(`histogram-${index}`),
     {
-      height: 230, x: withUnit("robustness", unit), y: { label: "rollouts" }, legend: false,
+      height: 230, x: withUnit("robustness", unit), y: { label: "rollouts", fromZero: true }, legend: false,
       range: [edges[0], edges.at(-1)],
       lines: [...marks.map(({ value }, k) => ({ value, colour: "ink", label: letter(k) })), { value: 0, colour: "red" }],
       series: [

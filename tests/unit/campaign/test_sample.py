@@ -1,0 +1,283 @@
+"""Campaigns of method `sample`: what a file may ask, what is claimed, and what changes nothing."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from rich.console import Console
+
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.text import print_certificate
+from perfbound.orchestrator.mathematics.bounds.failures import beta_mixture_upper
+from perfbound.orchestrator.mathematics.bounds.share import clopper_pearson_upper, quantile_rank
+from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import read
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.certificate import Certificate, CertificateClaim
+from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.facts import ProposalFact, RolloutFact
+from perfbound.schemas.rollout import RolloutRequest
+from tests.fakes.simulators import noise, robustness, simulate, verified
+
+SAMPLE = {"method": "sample"}
+CLIP = (-1.0, 1.0)
+LEVELS: list[dict[str, Any]] = [
+    {"quantity": "failure_probability"},
+    {"quantity": "quantile", "level": 0.1},
+    {"quantity": "cvar", "level": 0.1},
+    {"quantity": "share_of_starts", "level": 0.1},
+    {"quantity": "mean", "factor": 2.0},
+    {"quantity": "risk"},
+    {"quantity": "next_rollout", "level": 0.05},
+]
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    monkeypatch.setattr(service, "TICK", 0.01)
+
+
+def shaky(request: RolloutRequest) -> float:
+    return 0.6 - 0.5 * request.x[0] + 0.2 * noise(request.seed)
+
+
+def plane(request: RolloutRequest) -> float:
+    return 0.7 - 0.5 * request.x[0] - 0.3 * request.x[1]
+
+
+def sampled(**changes: Any) -> CampaignConfig:
+    """Return a campaign of 60 samples on the unit square."""
+    return robustness(
+        {**SAMPLE, **changes.pop("problem", {})}, **{"max_tests": 60, "clip": CLIP, "recheck": 3} | changes
+    )
+
+
+def certificate(directory: Path) -> Certificate:
+    found = files.read(directory)
+    assert found is not None
+    return found
+
+
+def claims(directory: Path) -> tuple[CertificateClaim, ...]:
+    return certificate(directory).predicate.claims
+
+
+def values(directory: Path) -> list[float]:
+    """Return the robustness of every rollout in test order."""
+    with read.reading(directory) as connection:
+        facts = [fact for fact in read.read_facts(connection) if isinstance(fact, RolloutFact)]
+    own = [fact for fact in facts if fact.rollout.problem == "robustness"]
+    return [fact.robustness or 0.0 for fact in sorted(own, key=lambda fact: fact.rollout)]
+
+
+def starts(directory: Path) -> list[tuple[float, ...]]:
+    with read.reading(directory) as connection:
+        facts = read.read_facts(connection)
+        return [fact.proposal.x for fact in facts if isinstance(fact, ProposalFact) and fact.problem == "robustness"]
+
+
+# What is claimed
+
+
+def test_the_claims_are_those_of_the_file_in_their_order(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(claims=LEVELS), shaky, noisy=True)
+    found = claims(tmp_path)
+    observed = values(tmp_path)
+    rank = quantile_rank(60, 0.1, 0.05)
+    assert rank is not None
+    assert [each.quantity for each in found] == [each["quantity"] for each in LEVELS]
+    assert found[0].bound == clopper_pearson_upper(sum(value < 0 for value in observed), 60, 0.05)
+    assert found[0].samples == 60
+    assert found[1].bound == pytest.approx(sorted(observed)[rank - 1], abs=1e-8)
+    assert [each.level for each in found] == [None, 0.1, 0.1, 0.1, None, None, 0.05]
+    assert [each.factor for each in found] == [None, None, None, None, 2.0, None, None]
+    assert [each.probability for each in found] == [0.95] * 6 + [0.95]
+    assert [each.samples for each in found] == [60, 60, None, None, None, None, 60]
+    assert [each.sense for each in found] == ["<="] + [">="] * 6
+    result = certificate(tmp_path).predicate.problems[0]
+    assert (result.bound, result.sense, result.tests) == (found[0].bound, "max", 60)
+    assert certificate(tmp_path).predicate.spot_check is None
+    assert not verified(tmp_path)
+
+
+def test_of_a_deterministic_system_most_starts_keep_a_value_and_not_a_mean(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(claims=LEVELS[3:4], clip=None), plane, noisy=False)
+    (found,) = claims(tmp_path)
+    rank = quantile_rank(60, 0.1, 0.05)
+    assert rank is not None
+    assert found.bound == pytest.approx(sorted(values(tmp_path))[rank - 1], abs=1e-8)
+    assert found.subject == "robustness on all starts but 10 %"
+
+
+def test_without_claims_it_is_the_failure_probability(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(), shaky, noisy=True)
+    assert [each.quantity for each in claims(tmp_path)] == ["failure_probability"]
+
+
+def test_jointly_each_claim_has_its_part_of_delta(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(claims=LEVELS[:2], problem={"jointly": True, "delta": 0.1}), shaky, noisy=True)
+    assert [each.probability for each in claims(tmp_path)] == [0.95, 0.95]
+    console = Console(record=True, width=300)
+    print_certificate(certificate(tmp_path), console)
+    assert "All 2 claims hold together with probability at least 0.9000." in console.export_text()
+
+
+def test_a_stop_that_looks_at_outcomes_has_betting_bounds(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(until_counterexample=True, claims=LEVELS[:2]), shaky, noisy=True)
+    found, count = certificate(tmp_path).predicate, len(values(tmp_path)) - 0
+    assert found.counterexample is not None
+    tests = found.problems[0].tests
+    assert found.counterexample.test == tests - 1 < 59
+    assert found.claims[0].bound == pytest.approx(
+        min(beta_mixture_upper(int(n == tests), n, 0.05) for n in range(1, tests + 1)), abs=2e-9
+    )
+    assert found.claims[0].samples is None
+    assert count >= tests
+    assert not verified(tmp_path)
+
+
+def test_a_stop_that_may_look_at_outcomes_has_betting_bounds_at_its_budget_too(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(until_counterexample=True), lambda _: 0.5, noisy=True)
+    (found,) = claims(tmp_path)
+    assert (found.samples, found.bound) == (None, beta_mixture_upper(0, 60, 0.05))
+
+
+def test_six_parameters_are_no_more_than_two(tmp_path: Path) -> None:
+    table = {"table": [[0.1, 0.9], [0.5, 0.5], [0.5, 0.5]]}
+    simulate(tmp_path, sampled(space=table), shaky, noisy=True)
+    drawn = starts(tmp_path)
+    assert set(drawn) == {(0.1, 0.9), (0.5, 0.5)}
+    assert drawn.count((0.5, 0.5)) > drawn.count((0.1, 0.9))
+
+
+# What changes nothing
+
+
+def test_workers_and_a_stop_in_between_change_no_byte(tmp_path: Path) -> None:
+    config = sampled(claims=LEVELS)
+    for name, workers in (("one", 1), ("five", 5)):
+        simulate(tmp_path / name, config, shaky, noisy=True, workers=workers)
+    cut = 0
+
+    def stop(_: RolloutRequest) -> bool:
+        nonlocal cut
+        cut += 1
+        return cut == 25
+
+    simulate(tmp_path / "cut", config, shaky, noisy=True, stop=stop)
+    simulate(tmp_path / "cut", config, shaky, noisy=True)
+    texts = {(tmp_path / name / "certificate.json").read_bytes() for name in ("one", "five", "cut")}
+    assert len(texts) == 1
+
+
+def test_claims_are_part_of_the_identity_and_their_absence_is_not() -> None:
+    assert sampled().digest != sampled(claims=LEVELS[:2]).digest
+    assert "claims" not in sampled().model_dump_json()
+
+
+def test_a_drifting_simulator_refutes_the_one_law(tmp_path: Path) -> None:
+    count = 0
+
+    def drifting(request: RolloutRequest) -> float:
+        nonlocal count
+        count += 1
+        return min(0.1 * noise(request.seed) + 0.002 * count, 1.0)
+
+    simulate(tmp_path, sampled(max_tests=300, recheck=0), drifting, noisy=True, workers=1)
+    (found,) = claims(tmp_path)
+    assert "one_law_per_start/robustness" in found.refuted
+
+
+def test_the_report_shows_the_robustness_and_the_bounds(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(claims=LEVELS), shaky, noisy=True)
+    (problem,) = Collector(tmp_path).refresh().problems
+    assert problem.drawn is not None
+    observed = values(tmp_path)
+    assert sum(problem.drawn.counts) == 60
+    assert problem.drawn.violations == sum(value < 0 for value in observed)
+    negative = sum(n for n, right in zip(problem.drawn.counts, problem.drawn.edges[1:], strict=True) if right <= 0)
+    assert negative == problem.drawn.violations
+    assert [mark.name for mark in problem.drawn.marks] == [
+        "quantile 10 %",
+        "cvar 10 %",
+        "share of starts 10 %",
+        "mean, factor 2",
+        "risk",
+        "next rollout 5 %",
+    ]
+    assert problem.tests.y == tuple(pytest.approx(value) for value in observed)
+    assert problem.alpha is None
+
+
+# What a file may ask
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"claims": [{"quantity": "quantile"}]}, "level: required by 'quantile'"),
+        ({"claims": [{"quantity": "mean", "level": 0.1}]}, "level: only 'quantile', 'cvar', 'share_of_starts' or"),
+        ({"claims": [{"quantity": "risk", "factor": 2.0}]}, "factor: no bound of 'risk'"),
+        ({"claims": [{"quantity": "next_rollout", "level": 0.1, "delta": 0.1}]}, "delta: the level of 'next_rollout'"),
+        (
+            {"claims": [{"quantity": "quantile", "level": 0.01}]},
+            "max_tests: claims.0 needs at least 299 samples, not 60",
+        ),
+        ({"claims": [{"quantity": "next_rollout", "level": 0.01}]}, "max_tests: claims.0 needs at least 99 samples"),
+        ({"claims": [LEVELS[0], LEVELS[0]]}, "claims.1: is there twice"),
+        ({"clip": None, "claims": [{"quantity": "mean"}]}, "clip: required by claims.0"),
+        ({"clip": (0.0, 1.0)}, "clip: \\[0.0, 1.0\\] must begin below 0"),
+        (
+            {"problem": {"jointly": True}, "claims": LEVELS[-1:]},
+            "jointly: claims.0 has a failure probability of its own",
+        ),
+        ({"until_counterexample": True, "claims": LEVELS[-1:]}, "claims.0.quantity: 'next_rollout' needs a number"),
+        ({"until_counterexample": True, "clip": None, "claims": LEVELS[1:2]}, "clip: required by claims.0 with until"),
+        ({"problem": {"resolution": 5}}, "resolution: has no meaning in method 'sample'"),
+        ({"problem": {"sense": "min"}}, "sense: has no meaning in method 'sample'"),
+    ],
+)
+def test_what_cannot_be_claimed_is_refused(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValidationError, match=reason):
+        sampled(**changes)
+
+
+def test_claims_about_drawn_starts_need_a_method_that_draws() -> None:
+    rigorous = {
+        "method": "rigorous",
+        "alpha": 0.1,
+        "rkhs_norm": 1.0,
+        "noise_scale": 0.1,
+        "kernel": {"length_scale": 1.0},
+    }
+    with pytest.raises(ValidationError, match="claims: only method 'sample'"):
+        robustness(rigorous, claims=LEVELS[:1], clip=CLIP)
+
+
+def test_most_starts_of_a_noisy_system_need_a_clip(tmp_path: Path) -> None:
+    with pytest.raises(CampaignError, match=r"clip: required by claims\.0, the bound of a mean"):
+        simulate(tmp_path, sampled(clip=None, claims=LEVELS[3:4]), shaky, noisy=True)
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        '[space]\ngap = { low = 5, high = 60, distribution = "normal", mean = 30, sd = 8 }',
+        "[space]\ngap = { choices = [1, 2] }",
+        "[space]\ntable = [[1.0], [2.0]]",
+        '[space]\ngap = [5, 60]\n[[claims]]\nquantity = "failure_probability"',
+    ],
+)
+def test_a_file_that_draws_needs_no_method_and_twelve_lines(space: str) -> None:
+    text = f'specification = "always(distance > 0)"\nhorizon = 5\nsystem.name = "cars"\n{space}\n'
+    assert len(text.splitlines()) <= 12
+    found = parse_campaign(text.encode(), "braking.toml")
+    assert [problem.method for problem in found.problems] == ["sample"]
+    assert [json.loads(each.model_dump_json())["quantity"] for each in found.claims_of(found.problems[0])] == [
+        "failure_probability"
+    ]
