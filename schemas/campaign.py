@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from .base import Model, digest, merged
-from .claims import SAMPLED, UP_TO_CHANCE, Claim, fewest_samples
-from .method_spaces import check_space
-from .problem_models import Gap, Problem, RigorousProblem, SampleProblem
-from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, MethodName, ProblemName, Sense, any_of
+from .campaign_rules import check_consistent
+from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest
+from .problem_models import Gap, Problem, SampleProblem
+from .problems import OBJECTIVES, Sense
 from .space import Space, SystemChoice
 
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
@@ -113,7 +113,7 @@ class CampaignConfig(Model):
         description="the optimisation problems; without it there is one, `robustness`, and its keys are those of the "
         "top level",
     )
-    claims: tuple[Claim, ...] = Field(
+    claims: tuple[ClaimRequest, ...] = Field(
         default=(),
         max_length=100,
         exclude_if=lambda claims: claims == (),
@@ -123,128 +123,16 @@ class CampaignConfig(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> "CampaignConfig":
-        names = [problem.name for problem in self.problems]
-        for repeated in {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
-        if self.clip is not None and not self.clip[0] < self.clip[1]:
-            raise ValueError(f"clip: {list(self.clip)} must be [low, high] with low < high")
-        for problem in self.problems:
-            self._check_objective(problem)
-            self._check_method(problem)
-        if self.until_counterexample:
-            self._check_until_counterexample(self.problems[0])
-        self._check_composition(set(names), {problem.method for problem in self.problems})
-        self._check_claims()
+        check_consistent(self)
         return self
 
-    def _check_objective(self, problem: Problem) -> None:
-        objective = OBJECTIVES[problem.name]
-        if objective.measured != "column":
-            if self.specification is None:
-                raise ValueError(f"specification: required by problem {problem.name!r}")
-            if self.clip is None:
-                self._check_unclipped(problem)
-        if self.horizon == 0 and not objective.static:
-            raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
-        if objective.measured == "gap" and self.gap_of(problem) is None:
-            raise ValueError('gap: required by problem \'sim_gap\', e.g. { kind = "signal_sup", column = "phi" }')
-
-    def _check_until_counterexample(self, problem: Problem) -> None:
-        if len(self.problems) > 1 or problem.name not in OF_ROBUSTNESS:
-            raise ValueError(
-                f"until_counterexample: only for one problem, {any_of(OF_ROBUSTNESS)}; remove this key, or the other "
-                "problems"
-            )
-        if problem.method == "paper":
-            raise ValueError(
-                "until_counterexample: method 'paper' has no bound at a test that depends on the outcomes; choose "
-                "'rigorous' or 'scenario'"
-            )
-        if self.clip is not None and self.clip[0] >= 0:
-            raise ValueError(
-                f"clip: {list(self.clip)} must begin below 0 with until_counterexample, or it hides every violation"
-            )
-
-    @staticmethod
-    def _check_unclipped(problem: Problem) -> None:
-        """Refuse a robustness without a range where a mean, or a difference, has to be bounded."""
-        if not OBJECTIVES[problem.name].static:
-            raise ValueError(f"clip: required by problem {problem.name!r}")
-        if isinstance(problem, SampleProblem):
-            return  # its claims decide: most of them are about values of any range
-        # Without noise an observation is the value itself, and no mean of a bounded variable.
-        if not isinstance(problem, RigorousProblem) or problem.noise_scale != 0:
-            raise ValueError(
-                f"clip: required by problem {problem.name!r} with noise; give [low, high], or choose method 'rigorous' "
-                "with noise_scale = 0 for rollouts that do not depend on the seed"
-            )
-
-    def _check_method(self, problem: Problem) -> None:
-        where = f"problems.{problem.name}"
-        check_space(problem.method, self.space, self.resolution_of(problem), where)
-        if problem.method == "paper":
-            if OBJECTIVES[problem.name].risk and self.replicates_of(problem) < 2:
-                raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
-            if self.window_of(problem) != 1:
-                raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
-            if self.max_tests_of(problem) < 2:
-                raise ValueError(f"{where}.max_tests: method 'paper' gives no bound before the second test")
-
-    def _check_composition(self, names: set[ProblemName], methods: set[MethodName]) -> None:
-        rule = self.composition
-        pair = {"nominal_robustness", "sim_gap"}
-        if rule == "single":
-            if len(names) != 1:
-                raise ValueError("composition: 'single' is for one problem; allowed here: 'product', 'sum'")
-            if names & pair:
-                raise ValueError(f"composition: 'single' makes a claim of {any_of(CLAIMS)} only")
-            return
-        if not pair <= names:
-            raise ValueError(f"composition: {rule!r} needs the problems 'nominal_robustness' and 'sim_gap'")
-        if rule == "product" and methods != {"paper"}:
-            raise ValueError("composition: 'product' is for method 'paper'; 'sum' holds for every method")
-        if rule in ("bhatia-davis", "pointwise") and methods != {"rigorous"}:
-            raise ValueError(f"composition: {rule!r} needs method 'rigorous' in both problems")
-        resolutions = {self.resolution_of(problem) for problem in self.problems if problem.name in pair}
-        if rule == "pointwise" and len(resolutions) != 1:
-            raise ValueError("composition: 'pointwise' needs one resolution for both problems")
-
-    def _check_claims(self) -> None:
-        sampled = [problem for problem in self.problems if isinstance(problem, SampleProblem)]
-        if self.claims and not sampled:
-            raise ValueError("claims: only method 'sample' claims anything of drawn starts; choose it, or remove this")
-        for number, claim in enumerate(self.claims if sampled else ()):
-            self._check_claim(f"claims.{number}", claim, sampled[0])
-            if claim in self.claims[:number]:
-                raise ValueError(f"claims.{number}: is there twice; list every claim once")
-        if sampled and self.clip is not None and self.clip[0] >= 0:
-            raise ValueError(f"clip: {list(self.clip)} must begin below 0, or it hides every violation")
-
-    def _check_claim(self, where: str, claim: Claim, problem: SampleProblem) -> None:
-        if self.clip is None and SAMPLED[claim.quantity].clip:
-            raise ValueError(f"clip: required by {where}, the bound of a mean: give [low, high]")
-        if problem.jointly and (claim.delta or claim.quantity in UP_TO_CHANCE):
-            raise ValueError(f"jointly: {where} has a failure probability of its own; remove one of the two")
-        ordered = claim.quantity in {"quantile", "next_rollout"}
-        # With `until_counterexample` their number depends on the outcomes.
-        if self.until_counterexample and claim.quantity in UP_TO_CHANCE:
-            raise ValueError(
-                f"{where}.quantity: {claim.quantity!r} needs a number of samples that is fixed beforehand; remove this "
-                "claim, or until_counterexample"
-            )
-        if self.until_counterexample and ordered and self.clip is None:
-            raise ValueError(f"clip: required by {where} with until_counterexample: give [low, high]")
-        least = fewest_samples(claim, self.delta_of(problem, claim)) if ordered else 1
-        if self.max_tests_of(problem) < least:
-            raise ValueError(f"max_tests: {where} needs at least {least} samples, not {self.max_tests_of(problem)}")
-
-    def claims_of(self, problem: Problem) -> tuple[Claim, ...]:
+    def claims_of(self, problem: Problem) -> tuple[ClaimRequest, ...]:
         """Return what is claimed of drawn starts, the first claim first; empty for a problem that draws none."""
         if not isinstance(problem, SampleProblem):
             return ()
-        return self.claims or (Claim(quantity="failure_probability"),)
+        return self.claims or (ClaimRequest(quantity="failure_probability"),)
 
-    def delta_of(self, problem: Problem, claim: Claim) -> float:
+    def delta_of(self, problem: Problem, claim: ClaimRequest) -> float:
         """Return the failure probability of one claim about drawn starts."""
         if claim.quantity in UP_TO_CHANCE and claim.level is not None:
             return claim.level

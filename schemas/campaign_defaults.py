@@ -68,9 +68,8 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
         found["space"] = space if "scenarios" in space or isinstance(ranges.get("table"), list) else ranges
     if leaves_out_problems(table):
         found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
-    method = _method(found)
     if isinstance(problems := found.get("problems"), list):
-        found["problems"] = [_with_method(each, method) for each in problems]
+        found["problems"] = [_with_method(each, found) for each in problems]
     return found
 
 
@@ -86,12 +85,13 @@ def _with_ends(value: Any) -> Any:
     return value
 
 
-def _method(table: Mapping[str, Any]) -> MethodName:
-    """Return the method of a problem that names none: by the space, or by claims that a method that draws makes."""
+def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
+    """Return the method of a problem that names none: by the space, or by claims about drawn starts."""
     space = table.get("space")
     if isinstance(space, Mapping) and "scenarios" in space:
         return "scenario"
-    if "claims" in table or (isinstance(space, Mapping) and _is_drawn(space)):
+    # Every other method has a tolerance: where it is given, the space is at fault and not the method.
+    if "alpha" not in problem and ("claims" in table or (isinstance(space, Mapping) and _is_drawn(space))):
         return "sample"
     return "rigorous"
 
@@ -105,11 +105,11 @@ def _is_drawn(space: Mapping[str, Any]) -> bool:
     return any(each.get("distribution", "uniform") != "uniform" or each.keys() & {"step", "choices"} for each in ranges)
 
 
-def _with_method(problem: Any, method: MethodName) -> Any:
+def _with_method(problem: Any, table: Mapping[str, Any]) -> Any:
     if not isinstance(problem, Mapping) or "method" in problem:
         return problem
     name = {"name": problem["name"]} if "name" in problem else {}
-    return {**name, "method": method, **problem}
+    return {**name, "method": _method(problem, table), **problem}
 
 
 def leaves_out_problems(table: Mapping[str, Any]) -> bool:

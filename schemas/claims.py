@@ -12,8 +12,7 @@ from pydantic import Field, model_validator
 
 from .base import Model
 from .problems import Quantity, any_of
-
-SampledQuantity = Literal["failure_probability", "quantile", "cvar", "mean", "risk", "share_of_starts", "next_rollout"]
+from .values import SampledQuantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ UP_TO_CHANCE: frozenset[SampledQuantity] = frozenset({"next_rollout"})
 """Quantities whose level is the failure probability of the claim, over the samples and what follows them."""
 
 
-class Claim(Model):
+class ClaimRequest(Model):
     """A claim that is asked for."""
 
     quantity: SampledQuantity = Field(description="what is bounded, of rollouts at drawn starts")
@@ -86,7 +85,7 @@ class Claim(Model):
     )
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Claim":
+    def _consistent(self) -> "ClaimRequest":
         row = SAMPLED[self.quantity]
         if row.level and self.level is None:
             raise ValueError(f"level: required by {self.quantity!r}: {row.level}, in (0, 1)")
@@ -100,10 +99,10 @@ class Claim(Model):
         return self
 
 
-def words(claim: Claim, value: str, clip: tuple[float, float] | None) -> str:
+def words(claim: ClaimRequest, value: str, clip: tuple[float, float] | None) -> str:
     """Return the subject of a claim; `value` is what a start has, its robustness or the expectation of it.
 
-    >>> words(Claim(quantity="cvar", level=0.01), "robustness", (-1.0, 2.0))
+    >>> words(ClaimRequest(quantity="cvar", level=0.01), "robustness", (-1.0, 2.0))
     'mean of the worst 1 % of the robustness at drawn starts (CVaR), clipped to [-1, 2]'
     """
     clipped = "" if clip is None else f", clipped to [{clip[0]:g}, {clip[1]:g}]"
@@ -114,14 +113,14 @@ def words(claim: Claim, value: str, clip: tuple[float, float] | None) -> str:
     return f"{text}, for every distribution with at most {claim.factor:g} times the declared density"
 
 
-def fewest_samples(claim: Claim, delta: float) -> int:
+def fewest_samples(claim: ClaimRequest, delta: float) -> int:
     """Return the least number of samples, fixed beforehand, with which a claim about the order of values has a bound.
 
     Formula: (1 - q)^n <= delta with q = level/factor for a quantile, 1/(n + 1) <= q for the next rollout.
 
-    >>> fewest_samples(Claim(quantity="quantile", level=0.05), 0.05)
+    >>> fewest_samples(ClaimRequest(quantity="quantile", level=0.05), 0.05)
     59
-    >>> fewest_samples(Claim(quantity="next_rollout", level=0.05), 0.05)
+    >>> fewest_samples(ClaimRequest(quantity="next_rollout", level=0.05), 0.05)
     19
     """
     share = (claim.level or 1.0) / claim.factor

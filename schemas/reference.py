@@ -7,9 +7,18 @@ from typing import Any, get_args
 from pydantic import BaseModel, TypeAdapter
 
 from .campaign import CampaignConfig
+from .claims import ClaimRequest
 from .kernel import MaternKernel, Weighted
 from .method_spaces import SPACES
-from .problem_models import Gap, Linearised, PaperProblem, RigorousProblem, ScenarioProblem
+from .problem_models import (
+    WITHOUT_MEANING,
+    Gap,
+    Linearised,
+    PaperProblem,
+    RigorousProblem,
+    SampleProblem,
+    ScenarioProblem,
+)
 from .problems import OBJECTIVES, Objective
 from .space import ProgramLimits, Range, Scenarios, SpaceKind, StartTable, SystemChoice
 
@@ -53,6 +62,13 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("[[problems]], method paper", "One table per optimisation problem; each name at most once.", PaperProblem),
     ("[[problems]], method rigorous", "", RigorousProblem),
     ("[[problems]], method scenario", "`resolution` and `gap` have no effect with this method.", ScenarioProblem),
+    (
+        "[[problems]], method sample",
+        "Starts that are drawn from the distribution under `[space]`; `max_tests` is the number of samples. "
+        "[Bound how often it fails](how-to/failure-probability.md) has examples.",
+        SampleProblem,
+    ),
+    ("[[claims]]", "What method `sample` claims, the answer to the question of the file first.", ClaimRequest),
     ("kernel", "", MaternKernel),
     ("gap", "", Gap),
     ("linearised", "", Linearised),
@@ -67,6 +83,7 @@ ALLOWED = {
         f"`{name}`" for name, each in OBJECTIVES.items() if "scenario" in each.methods
     ),
     (ScenarioProblem, "sense"): "`min`",
+    (SampleProblem, "name"): ", ".join(f"`{name}`" for name, each in OBJECTIVES.items() if "sample" in each.methods),
     (Range, "choices"): "list of numbers",
     (Scenarios, "scenarios"): "lists of numbers, or text",
     (Scenarios, "header"): "list of texts",
@@ -86,9 +103,14 @@ DEFAULTS = {
     (Range, "high"): "required, but for `choices`",
     (RigorousProblem, "method"): "on a box",
     (ScenarioProblem, "method"): "on scenarios",
+    (SampleProblem, "method"): "where starts are drawn",
+    (ClaimRequest, "delta"): "that of the problem",
+    (CampaignConfig, "claims"): "`failure_probability` with method `sample`",
 }
 """Defaults that follow from the rest of the file."""
-OMITTED = {(ScenarioProblem, name) for name in ("column", "resolution", "gap")}
+OMITTED = {(ScenarioProblem, name) for name in ("column", "resolution", "gap")} | {
+    (SampleProblem, name) for name in ("column", *WITHOUT_MEANING)
+}
 """Keys that a method inherits and refuses or ignores."""
 SECTIONS = {
     "SystemChoice": "system",
@@ -96,6 +118,7 @@ SECTIONS = {
     "MaternKernel": "kernel",
     "Gap": "gap",
     "Linearised": "linearised",
+    "ClaimRequest": "claims",
 }
 """The section of this page that describes a table, by the name of its model."""
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Verdict = Literal["converged", "refuted", "counterexample"]
+SampledQuantity = Literal["failure_probability", "quantile", "cvar", "mean", "risk", "share_of_starts", "next_rollout"]
+"""The subject of a claim about drawn starts."""
 StoppedBy = Literal["converged", "budget", "refuted", "counterexample"]
 
 

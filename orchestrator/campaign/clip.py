@@ -1,7 +1,7 @@
 """What the clip alone proves, before any rollout: no bound is worth more attention that says no more."""
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.claims import Claim
+from ...schemas.claims import ClaimRequest
 from ...schemas.problem_models import Problem
 from ...schemas.problems import OBJECTIVES
 from ..mathematics.bounds.risk import RiskReading
@@ -37,7 +37,7 @@ def by_clip(config: CampaignConfig, problem: Problem) -> float | None:
     return round_up((high - low) / gap.lipschitz)
 
 
-def of_drawn_starts(config: CampaignConfig, claim: Claim) -> float | None:
+def of_drawn_starts(config: CampaignConfig, claim: ClaimRequest) -> float | None:
     """Return what is proven of a claim about drawn starts without any rollout; None where nothing is."""
     if claim.quantity == "failure_probability":
         return 1.0

@@ -14,7 +14,7 @@ from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
 from .draws import Draws
-from .plan import UNBOUNDED, AskedClaim, Plans, ProblemPlan
+from .plan import UNBOUNDED, DrawnClaim, Plans, ProblemPlan
 
 ProblemMethod = PaperMethod | RigorousMethod | ScenarioMethod | SampleMethod
 Methods = Mapping[str, ProblemMethod]
@@ -102,7 +102,7 @@ def kernel(plan: ProblemPlan, problem: PaperProblem | RigorousProblem) -> Matern
     return Matern(problem.kernel.nu, length)
 
 
-def _terms(plan: ProblemPlan, claim: AskedClaim) -> Terms:
+def _terms(plan: ProblemPlan, claim: DrawnClaim) -> Terms:
     asked = claim.asked
     return Terms(
         quantity=asked.quantity,

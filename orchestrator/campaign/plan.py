@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.claims import Claim, words
+from ...schemas.claims import ClaimRequest, words
 from ...schemas.problem_models import Gap, Problem, RigorousProblem, SampleProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
 from ...schemas.space import Scenarios, StartTable
@@ -25,10 +25,10 @@ DRAWN_WINDOW = 256
 
 
 @dataclass(frozen=True, slots=True)
-class AskedClaim:
+class DrawnClaim:
     """A claim about drawn starts, with its failure probability."""
 
-    asked: Claim
+    asked: ClaimRequest
     delta: float
 
     @property
@@ -65,7 +65,7 @@ class ProblemPlan:
     shared: frozenset[str]
     """Variants of which the replicates of a test share one rollout, because it does not depend on the seed."""
     sense: Sense
-    claims: tuple[AskedClaim, ...] = ()
+    claims: tuple[DrawnClaim, ...] = ()
     """What is claimed of drawn starts, the first claim first; empty where none are drawn."""
     deterministic: bool = False
     """Whether no rollout of its variants depends on the seed."""
@@ -104,7 +104,7 @@ class ProblemPlan:
             return self.statement_of(claim)
         return (self.objective.exact if self.exact else None) or self.objective.statement
 
-    def statement_of(self, claim: AskedClaim) -> Statement:
+    def statement_of(self, claim: DrawnClaim) -> Statement:
         """Return the subject of a claim about drawn starts."""
         value = "robustness" if self.deterministic else "expected robustness"
         clip = None if self.clip == UNBOUNDED else self.clip
@@ -170,7 +170,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         gap=gap,
         shared=frozenset(variants) - set(spec.noisy) if common else frozenset(),
         sense=config.sense_of(problem),
-        claims=tuple(AskedClaim(each, config.delta_of(problem, each)) for each in config.claims_of(problem)),
+        claims=tuple(DrawnClaim(each, config.delta_of(problem, each)) for each in config.claims_of(problem)),
         deterministic=not set(variants) & set(spec.noisy),
         until_counterexample=config.until_counterexample,
     )

@@ -323,7 +323,7 @@ def _signed_term(term: float) -> str:
 
 def _problem(problem: ProblemResult, console: Console) -> None:
     sense = ">=" if problem.sense == "min" else "<="
-    end = _end(problem)
+    end = _ending(problem)
     _line(console, f"  {problem.name}", "bold")
     shown = floored(problem.bound, sense, problem.by_clip)
     alone = " (the clip alone proves it)" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
@@ -335,7 +335,7 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     _line(console, f"    {end}", "" if as_planned else "yellow")
 
 
-def _end(problem: ProblemResult) -> str:
+def _ending(problem: ProblemResult) -> str:
     """Return why a problem ended, and what that means for its bound."""
     if problem.stopped_by == "counterexample":
         return "it ended with a rollout that violates the specification; the bound is valid at every moment"

@@ -15,7 +15,7 @@ NEAR = 0.5
 """The axis begins at 0 where the least value is at most this share of the spread above it."""
 
 
-def drawn(plan: ProblemPlan, method: SampleMethod, values: Sequence[float], unit: str) -> Drawn:
+def histogram(plan: ProblemPlan, method: SampleMethod, values: Sequence[float], unit: str) -> Drawn:
     """Return the histogram of `values`, the robustness of the first rollout of each start; there is at least one."""
     low, high = min(values), max(values)
     # The requirement is at 0: worth showing where it is near.

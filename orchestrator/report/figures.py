@@ -11,14 +11,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from ..certificate.text import outward
 from ..mathematics.gp.kernels import Floats
 from . import style
 from .data import Axis, Drawn, Problem, ReportData, Series, Surface
 from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
-MAP_HEIGHT, DECAY_HEIGHT = 2.8, 1.8
+MAP_HEIGHT, DECAY_HEIGHT, HISTOGRAM_HEIGHT = 2.8, 1.8, 2.4
 """Inches."""
-DASHES = ("--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
+DASHES = ("--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), "-", (0, (1, 3)), (0, (8, 3)))
 DISTANCES = {"F_i": "$F_i$", "U - L": "$U - L$"}
 
 
@@ -32,7 +33,7 @@ def figures(data: ReportData) -> Iterator[tuple[str, bytes]]:
 
 def _figures_of(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:
     if problem.drawn is not None:
-        with style.new_figure(DECAY_HEIGHT) as figure:
+        with style.new_figure(HISTOGRAM_HEIGHT) as figure:
             draw_histogram(figure, problem, problem.drawn)
         yield "histogram", figure
     if problem.surface is not None:
@@ -112,15 +113,16 @@ def draw_histogram(figure: Figure, problem: Problem, drawn: Drawn) -> Axes:
     axes = figure.subplots()
     edges, counts = np.array(drawn.edges), np.array(drawn.counts)
     colours = [RED if right <= 0 else BLUE for right in edges[1:]]
-    axes.bar(edges[:-1], counts, np.diff(edges), align="edge", color=colours, linewidth=0)
+    axes.bar(edges[:-1], counts, np.diff(edges), align="edge", color=colours, linewidth=0, alpha=0.6)
     for mark, dashes in zip(drawn.marks, itertools.cycle(DASHES)):
-        axes.axvline(mark.value, color="black", linestyle=dashes, linewidth=THICK, label=style.plain_text(mark.name))
+        label = f"{style.plain_text(mark.name)}: {outward(mark.value, mark.sense)}"
+        axes.axvline(mark.value, color="black", linestyle=dashes, linewidth=THICK, label=label)
     if edges[0] < 0 < edges[-1]:
         axes.axvline(0.0, color=RED, linewidth=THIN)
     axes.set(title=_title(problem), xlabel=style.with_unit("robustness", drawn.unit), ylabel="rollouts")
     axes.spines[["top", "right"]].set_visible(False)
     if drawn.marks:
-        axes.legend(loc="upper right", borderaxespad=0)
+        figure.legend(loc="outside lower center", ncols=2, borderaxespad=0)
     return axes
 
 

@@ -20,7 +20,7 @@ from ..store.export_tables import robustness_unit, unit
 from ..store.read import ObservedTest
 from . import band
 from .data import Drawn, Problem, Surface, TestSeries
-from .drawn import drawn
+from .drawn import histogram
 from .wording import typeset
 
 
@@ -123,7 +123,7 @@ class ProblemCollector:
     def _histogram(self, method: SampleMethod) -> Drawn:
         header = self._header
         values = [test.observation.each[0] for test in self.observed]
-        return drawn(self._plan, method, values, robustness_unit(header.config, header.spec))
+        return histogram(self._plan, method, values, robustness_unit(header.config, header.spec))
 
     def _probability(self, last: ObservedTest | None) -> float | None:
         """Return the probability of the current bound; None where there is no valid one."""

@@ -23,9 +23,8 @@ from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
-from ....schemas.values import Band, Bound, Observation, Proposal
+from ....schemas.values import Band, Bound, Observation, Proposal, SampledQuantity
 from .failures import FailureSequence, QuantileSequence
 from .method import Method
 from .predictable import CvarSequence, PredictableSequence, RiskSequence
@@ -44,14 +43,12 @@ STEPS = 1000
 SAME_START = 1e-8
 """Of a start, relative to its size: another machine draws it within this distance, see `campaign.draws`."""
 
-Quantity = Literal["failure_probability", "quantile", "cvar", "mean", "risk", "share_of_starts", "next_rollout"]
-
 
 @dataclass(frozen=True, slots=True)
 class Terms:
     """One claim, and what its bound follows from; `level` is 1 for a quantity without one."""
 
-    quantity: Quantity
+    quantity: SampledQuantity
     delta: float
     level: float = 1.0
     ratio: float = 1.0
@@ -189,23 +186,23 @@ def _first(values: Sequence[float]) -> float:
 
 
 def _average(terms: Terms) -> Callable[[Sequence[float]], float]:
-    low, high = _clip(terms)
+    low, high = _clip_of(terms)
     # A mean of clipped values may leave the clip by round-off.
     return lambda values: min(max(math.fsum(values) / len(values), low), high)
 
 
 def _cvar(terms: Terms) -> Estimate:
     share = shifted_share(terms.ratio, terms.level)
-    return MeanEstimate(CvarSequence(share, _clip(terms), delta=terms.delta), _first)
+    return MeanEstimate(CvarSequence(share, _clip_of(terms), delta=terms.delta), _first)
 
 
-def _mean(terms: Terms) -> Estimate:
+def _of_means(terms: Terms) -> Estimate:
     share = shifted_share(terms.ratio)
-    return MeanEstimate(CvarSequence(share, _clip(terms), delta=terms.delta), _average(terms))
+    return MeanEstimate(CvarSequence(share, _clip_of(terms), delta=terms.delta), _average(terms))
 
 
 def _risk(terms: Terms) -> Estimate:
-    return MeanEstimate(RiskSequence(terms.risk_weight, _clip(terms), delta=terms.delta), _first)
+    return MeanEstimate(RiskSequence(terms.risk_weight, _clip_of(terms), delta=terms.delta), _first)
 
 
 def _share_of_starts(terms: Terms) -> Estimate:
@@ -213,20 +210,20 @@ def _share_of_starts(terms: Terms) -> Estimate:
     if terms.deterministic:
         return QuantileEstimate(terms)
     share = shifted_share(terms.ratio, terms.level)
-    return MeanEstimate(CvarSequence(share, _clip(terms), delta=terms.delta), _average(terms))
+    return MeanEstimate(CvarSequence(share, _clip_of(terms), delta=terms.delta), _average(terms))
 
 
-def _clip(terms: Terms) -> tuple[float, float]:
+def _clip_of(terms: Terms) -> tuple[float, float]:
     if terms.clip is None:
         raise ValueError(f"clip: required by a bound of {terms.quantity!r}")
     return terms.clip
 
 
-ESTIMATES: Mapping[Quantity, Callable[[Terms], Estimate]] = {
+ESTIMATES: Mapping[SampledQuantity, Callable[[Terms], Estimate]] = {
     "failure_probability": FailureEstimate,
     "quantile": QuantileEstimate,
     "cvar": _cvar,
-    "mean": _mean,
+    "mean": _of_means,
     "risk": _risk,
     "share_of_starts": _share_of_starts,
     "next_rollout": NextEstimate,
@@ -236,7 +233,7 @@ ESTIMATES: Mapping[Quantity, Callable[[Terms], Estimate]] = {
 
 class SampleMethod(Method):
     """Claims about drawn starts; the first one is the bound of the problem.
-    Implements eq. (failure probability), (quantile), (CVaR) and (shift) of [PB].
+    Implements eq. (shift) of [PB].
 
     `start` returns the start with a number (p,). `fixed` is the number of samples at which exact bounds are claimed,
     fixed beforehand; None where the end depends on outcomes. `largest` says whether the first claim bounds its quantity
@@ -322,7 +319,7 @@ class SampleMethod(Method):
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations; raises as `observe`."""
         for _, observation in tests:
-            _check(observation.each, self._claims[0].clip)
+            _check_values(observation.each, self._claims[0].clip)
             for estimate in self._estimates:
                 estimate.add(observation.each)
             self._count += 1
@@ -332,7 +329,7 @@ class SampleMethod(Method):
         return Band((), (), (), ())
 
 
-def _check(values: Sequence[float], clip: tuple[float, float] | None) -> None:
+def _check_values(values: Sequence[float], clip: tuple[float, float] | None) -> None:
     # Before the first bet: half a sample would change the state.
     low, high = clip or (float("-inf"), float("inf"))
     if not values or not all(low <= value <= high for value in values):

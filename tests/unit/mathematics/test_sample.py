@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.mathematics.bounds.failures import beta_mixture_upper
 from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, RiskSequence
-from perfbound.orchestrator.mathematics.bounds.sample import ESTIMATES, Quantity, SampleMethod, Terms
+from perfbound.orchestrator.mathematics.bounds.sample import ESTIMATES, SampleMethod, Terms
 from perfbound.orchestrator.mathematics.bounds.share import clopper_pearson_lower, clopper_pearson_upper, quantile_rank
 from perfbound.schemas.claims import SAMPLED
-from perfbound.schemas.values import Bound, Observation
+from perfbound.schemas.values import Bound, Observation, SampledQuantity
 
 CLIP = (-1.0, 1.0)
 EVERY = [
@@ -43,7 +43,7 @@ def drawn(count: int, seed: int = 1) -> list[float]:
 
 
 def test_every_quantity_of_the_file_has_an_estimate() -> None:
-    assert set(SAMPLED) == set(ESTIMATES) == set(get_args(Quantity))
+    assert set(SAMPLED) == set(ESTIMATES) == set(get_args(SampledQuantity))
 
 
 def test_samples_without_a_failure_prove_one_per_cent() -> None:

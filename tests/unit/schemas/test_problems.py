@@ -5,6 +5,7 @@ from typing import get_args
 import pytest
 
 from perfbound.orchestrator.certificate.text import QUANTITIES
+from perfbound.schemas.claims import SAMPLED
 from perfbound.schemas.problems import CLAIMS, OBJECTIVES, Measured, MethodName, ProblemName, Quantity, rolled_out
 from perfbound.schemas.system import Column, Parameter, SystemSpec, Variant
 
@@ -22,10 +23,11 @@ def system(*variants: Variant) -> SystemSpec:
 
 def test_every_problem_and_every_quantity_has_its_row() -> None:
     assert tuple(OBJECTIVES) == get_args(ProblemName)
-    assert tuple(QUANTITIES) == get_args(Quantity)
+    assert {*QUANTITIES, *SAMPLED} == {*get_args(Quantity)}
     claimed = {each.statement.quantity for each in OBJECTIVES.values()}
     claimed |= {each.exact.quantity for each in OBJECTIVES.values() if each.exact}
-    assert claimed == {*get_args(Quantity), None}
+    assert {*claimed, *SAMPLED} == {*get_args(Quantity), None}
+    assert claimed.isdisjoint(SAMPLED)
 
 
 def test_the_rows_are_consistent() -> None:

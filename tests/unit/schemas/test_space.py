@@ -438,13 +438,13 @@ def test_a_distribution_is_refused_where_nothing_is_drawn(method: str) -> None:
     ):
         with pytest.raises(CampaignError) as caught:
             parse_campaign((METHODS[method] + head + space).encode(), "c.toml")
-        assert str(caught.value) == f"c.toml: {reason}"
+        assert str(caught.value) == f"c.toml: {reason}, or choose method 'sample'"
 
 
 @pytest.mark.usefixtures("drawing")
 def test_the_error_names_the_methods_that_draw() -> None:
     text = METHODS["paper"] + HEAD + ranged("normal", "mean = 20, sd = 5")
-    with pytest.raises(CampaignError, match="give low and high alone, or choose method 'rigorous'"):
+    with pytest.raises(CampaignError, match="give low and high alone, or choose method 'rigorous' or 'sample'"):
         parse_campaign(text.encode(), "c.toml")
 
 

@@ -1,0 +1,141 @@
+"""Which keys of a campaign go together: every rule that two of them or more have to keep."""
+
+from typing import TYPE_CHECKING
+
+from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, fewest_samples
+from .method_spaces import check_space
+from .problem_models import Problem, RigorousProblem, SampleProblem
+from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, any_of
+
+if TYPE_CHECKING:
+    from .campaign import CampaignConfig
+
+
+def check_consistent(config: "CampaignConfig") -> None:
+    """Refuse keys that do not go together.
+
+    Raises:
+        ValueError: one line with the key and the remedy.
+
+    """
+    names = [problem.name for problem in config.problems]
+    for repeated in {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
+    if config.clip is not None and not config.clip[0] < config.clip[1]:
+        raise ValueError(f"clip: {list(config.clip)} must be [low, high] with low < high")
+    for problem in config.problems:
+        _check_objective(config, problem)
+        _check_method(config, problem)
+    if config.until_counterexample:
+        _check_until_counterexample(config, config.problems[0])
+    _check_composition(config)
+    _check_claims(config)
+
+
+def _check_objective(config: "CampaignConfig", problem: Problem) -> None:
+    objective = OBJECTIVES[problem.name]
+    if objective.measured != "column":
+        if config.specification is None:
+            raise ValueError(f"specification: required by problem {problem.name!r}")
+        if config.clip is None:
+            _check_unclipped(problem)
+    if config.horizon == 0 and not objective.static:
+        raise ValueError(f"horizon: problem {problem.name!r} needs a rollout longer than 0 s")
+    if objective.measured == "gap" and config.gap_of(problem) is None:
+        raise ValueError('gap: required by problem \'sim_gap\', e.g. { kind = "signal_sup", column = "phi" }')
+
+
+def _check_until_counterexample(config: "CampaignConfig", problem: Problem) -> None:
+    if len(config.problems) > 1 or problem.name not in OF_ROBUSTNESS:
+        raise ValueError(
+            f"until_counterexample: only for one problem, {any_of(OF_ROBUSTNESS)}; remove this key, or the other "
+            "problems"
+        )
+    if problem.method == "paper":
+        raise ValueError(
+            "until_counterexample: method 'paper' has no bound at a test that depends on the outcomes; choose "
+            "'rigorous' or 'scenario'"
+        )
+    if config.clip is not None and config.clip[0] >= 0:
+        raise ValueError(
+            f"clip: {list(config.clip)} must begin below 0 with until_counterexample, or it hides every violation"
+        )
+
+
+def _check_unclipped(problem: Problem) -> None:
+    """Refuse a robustness without a range where a mean, or a difference, has to be bounded."""
+    if not OBJECTIVES[problem.name].static:
+        raise ValueError(f"clip: required by problem {problem.name!r}")
+    if isinstance(problem, SampleProblem):
+        return  # its claims decide: most of them are about values of any range
+    # Without noise an observation is the value itself, and no mean of a bounded variable.
+    if not isinstance(problem, RigorousProblem) or problem.noise_scale != 0:
+        raise ValueError(
+            f"clip: required by problem {problem.name!r} with noise; give [low, high], or choose method 'rigorous' "
+            "with noise_scale = 0 for rollouts that do not depend on the seed"
+        )
+
+
+def _check_method(config: "CampaignConfig", problem: Problem) -> None:
+    where = f"problems.{problem.name}"
+    check_space(problem.method, config.space, config.resolution_of(problem), where)
+    if problem.method == "paper":
+        if OBJECTIVES[problem.name].risk and config.replicates_of(problem) < 2:
+            raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
+        if config.window_of(problem) != 1:
+            raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
+        if config.max_tests_of(problem) < 2:
+            raise ValueError(f"{where}.max_tests: method 'paper' gives no bound before the second test")
+
+
+def _check_composition(config: "CampaignConfig") -> None:
+    names = {problem.name for problem in config.problems}
+    methods = {problem.method for problem in config.problems}
+    rule = config.composition
+    pair = {"nominal_robustness", "sim_gap"}
+    if rule == "single":
+        if len(names) != 1:
+            raise ValueError("composition: 'single' is for one problem; allowed here: 'product', 'sum'")
+        if names & pair:
+            raise ValueError(f"composition: 'single' makes a claim of {any_of(CLAIMS)} only")
+        return
+    if not pair <= names:
+        raise ValueError(f"composition: {rule!r} needs the problems 'nominal_robustness' and 'sim_gap'")
+    if rule == "product" and methods != {"paper"}:
+        raise ValueError("composition: 'product' is for method 'paper'; 'sum' holds for every method")
+    if rule in ("bhatia-davis", "pointwise") and methods != {"rigorous"}:
+        raise ValueError(f"composition: {rule!r} needs method 'rigorous' in both problems")
+    resolutions = {config.resolution_of(problem) for problem in config.problems if problem.name in pair}
+    if rule == "pointwise" and len(resolutions) != 1:
+        raise ValueError("composition: 'pointwise' needs one resolution for both problems")
+
+
+def _check_claims(config: "CampaignConfig") -> None:
+    sampled = [problem for problem in config.problems if isinstance(problem, SampleProblem)]
+    if config.claims and not sampled:
+        raise ValueError("claims: only method 'sample' claims anything of drawn starts; choose it, or remove this")
+    for number, claim in enumerate(config.claims if sampled else ()):
+        _check_claim(config, f"claims.{number}", claim, sampled[0])
+        if claim in config.claims[:number]:
+            raise ValueError(f"claims.{number}: is there twice; list every claim once")
+    if sampled and config.clip is not None and config.clip[0] >= 0:
+        raise ValueError(f"clip: {list(config.clip)} must begin below 0, or it hides every violation")
+
+
+def _check_claim(config: "CampaignConfig", where: str, claim: ClaimRequest, problem: SampleProblem) -> None:
+    if config.clip is None and SAMPLED[claim.quantity].clip:
+        raise ValueError(f"clip: required by {where}, the bound of a mean: give [low, high]")
+    if problem.jointly and (claim.delta or claim.quantity in UP_TO_CHANCE):
+        raise ValueError(f"jointly: {where} has a failure probability of its own; remove one of the two")
+    ordered = claim.quantity in {"quantile", "next_rollout"}
+    # With `until_counterexample` their number depends on the outcomes.
+    if config.until_counterexample and claim.quantity in UP_TO_CHANCE:
+        raise ValueError(
+            f"{where}.quantity: {claim.quantity!r} needs a number of samples that is fixed beforehand; remove this "
+            "claim, or until_counterexample"
+        )
+    if config.until_counterexample and ordered and config.clip is None:
+        raise ValueError(f"clip: required by {where} with until_counterexample: give [low, high]")
+    least = fewest_samples(claim, config.delta_of(problem, claim)) if ordered else 1
+    if config.max_tests_of(problem) < least:
+        raise ValueError(f"max_tests: {where} needs at least {least} samples, not {config.max_tests_of(problem)}")
