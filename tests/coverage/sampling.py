@@ -1,28 +1,28 @@
-"""Campaigns of method `sample`: independent draws from a law with a known truth, and one bound of it.
+"""Campaigns of method `sample`: independent draws from a law with a known truth, and one claim about it.
 
 All anytime bounds are running extremes, so that a claim failed at some time if and only if it fails at the end: no stop
 that depends on outcomes can be worse. Bounds for a fixed number of samples are judged at this number.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from perfbound.orchestrator.mathematics.bounds.failures import FailureSequence, QuantileSequence
-from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, RiskSequence
-from perfbound.orchestrator.mathematics.bounds.share import (
-    clopper_pearson_lower,
-    clopper_pearson_upper,
-    next_rollout_rank,
-    quantile_rank,
-)
-from tests.coverage.laws import CLIP, RISK_WEIGHT, SAMPLED, Floats, Sampled
+from perfbound.orchestrator.mathematics.bounds.sample import SampleMethod, Terms
+from perfbound.schemas.values import Observation, Proposal, SampledQuantity
+from tests.coverage.laws import CLIP, RISK_WEIGHT, SAMPLED, Floats
 from tests.coverage.oracle import ROUNDING
 
-GRID = tuple((np.arange(-400, 201) / 20).tolist())
+WIDE = (-20.0, 10.0)
+"""The clip of laws without bounds, where a quantile is bounded after every sample."""
+STARTS = np.array([0.1, 0.45, 0.6])
+"""Means of the rollouts at three kinds of starts, whose shares are .1, .3 and .6."""
+SHARES = (0.1, 0.3, 0.6)
+ROLLOUTS = 4
+"""Of one start, each at an end of the clip: no law with its mean has more noise."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ class Sampling:
     law: str
     claim: str
     samples: int
-    share: float = 0.1
+    level: float = 0.1
+    ratio: float = 1.0
     delta: float = 0.05
 
     @property
@@ -42,90 +43,105 @@ class Sampling:
         return self.delta
 
 
+QUANTITIES: dict[str, SampledQuantity] = {
+    "failures": "failure_probability",
+    "quantile": "quantile",
+    "next rollout": "next_rollout",
+    "CVaR": "cvar",
+    "mean": "mean",
+    "risk": "risk",
+    "share of starts": "share_of_starts",
+}
+
+
 def rows() -> Iterator[Sampling]:
-    """Every claim with the laws that are hard for it."""
+    """Every claim with the laws that are hard for it; those with `fixed n` are judged at their number alone."""
     for law in ("uniform, fine atoms", "rare failures", "nearly always failing", "two points"):
         for claim in ("failures, upper", "failures, lower", "failures, fixed n, upper", "failures, fixed n, lower"):
             yield Sampling(law, claim, 600)
     for law in ("uniform, fine atoms", "heavy atoms", "a jump at the tenth", "normal", "Cauchy"):
-        for claim in ("quantile", "quantile, fixed n", "next rollout"):
+        for claim in ("quantile", "quantile, fixed n", "next rollout, fixed n"):
             yield Sampling(law, claim, 600)
+        yield Sampling(law, "share of starts, fixed n", 600)
+    yield Sampling("three kinds of starts", "share of starts", 150)
+    yield Sampling("a jump at the tenth", "quantile, fixed n", 600, level=0.2, ratio=2.0)
     for law, sampled in SAMPLED.items():
         if sampled.bounded:
             yield Sampling(law, "CVaR", 150)
-            yield Sampling(law, "CVaR", 150, share=0.5)
+            yield Sampling(law, "CVaR", 150, level=0.5)
             yield Sampling(law, "mean", 150)
+            yield Sampling(law, "mean", 150, ratio=2.0)
             yield Sampling(law, "risk", 150)
 
 
 def campaign(row: Sampling, rng: np.random.Generator) -> dict[str, float]:
     """Run one campaign; `width` is the distance of the bound from the truth, infinite without a bound."""
-    law = SAMPLED[row.law]
-    values = law.draw(rng, row.samples + 1)
-    bound, truth, upper = CLAIMS[row.claim](row, law, values)
+    values = _values(row, rng)
+    upper = row.claim.endswith("upper")
+    bound, truth = _bound(row, values[:-1]), _truth(row, values)
     loss = (bound - truth) if upper else (truth - bound)
     return {"false": loss < -ROUNDING, "width": loss}
 
 
-Outcome = tuple[float, float, bool]
-"""The bound, the truth, and whether the bound is an upper one."""
+def _values(row: Sampling, rng: np.random.Generator) -> Floats:
+    """Return the robustness of every start and of one more, (n + 1, b)."""
+    if row.law in SAMPLED:
+        return SAMPLED[row.law].draw(rng, row.samples + 1)[:, None]
+    means = rng.choice(STARTS, row.samples + 1, p=SHARES)
+    low, high = CLIP
+    at_high = rng.uniform(size=(row.samples + 1, ROLLOUTS)) < ((means - low) / (high - low))[:, None]
+    return np.where(at_high, high, low)
 
 
-def _failures(row: Sampling, law: Sampled, values: Floats, *, upper: bool) -> Outcome:
-    bounds = FailureSequence(delta=row.delta)
-    for value in values[:-1].tolist():
-        bounds.add(value < 0)
-    return (bounds.upper() if upper else bounds.lower()), law.failure, upper
+def _bound(row: Sampling, values: Floats) -> float:
+    name, _, form = row.claim.partition(", ")
+    fixed = form.startswith("fixed n")
+    unbounded = row.law in SAMPLED and not SAMPLED[row.law].bounded
+    # An exact quantile needs no clip; every other value is clipped.
+    clip = (None if fixed else WIDE) if unbounded else CLIP
+    if clip is not None:
+        values = np.clip(values, *clip)
+    terms = Terms(
+        QUANTITIES[name],
+        row.delta,
+        level=_level(row),
+        ratio=row.ratio,
+        clip=clip,
+        risk_weight=RISK_WEIGHT,
+        deterministic=row.law in SAMPLED,
+    )
+    number = len(values) if fixed else None
+    method = SampleMethod([terms], lambda _: (0.0,), fixed=number, largest=name == "failures")
+    start = Proposal(0, (0.0,), None, None, None, None)
+    tests = [(start, Observation(0.0, tuple(map(float, each)))) for each in values]
+    method.recall(tests[:-1])
+    last = method.observe(*tests[-1])
+    found = last.lower if form.endswith("lower") else method.found(0)
+    return -math.inf if found is None else found
 
 
-def _fixed_failures(row: Sampling, law: Sampled, values: Floats, *, upper: bool) -> Outcome:
-    bound = clopper_pearson_upper if upper else clopper_pearson_lower
-    return bound(int((values[:-1] < 0).sum()), row.samples, row.delta), law.failure, upper
+def _level(row: Sampling) -> float:
+    if row.claim in {"mean", "risk"} or row.claim.startswith("failures"):
+        return 1.0
+    return row.delta if row.claim.startswith("next rollout") else row.level
 
 
-def _quantile(row: Sampling, law: Sampled, values: Floats) -> Outcome:
-    bound = QuantileSequence(row.share, GRID, delta=row.delta)
-    for value in values[:-1].tolist():
-        bound.add(value)
-    found = bound.lower()
-    return (-math.inf if found is None else found), law.tenth, False
-
-
-def _fixed_quantile(row: Sampling, law: Sampled, values: Floats) -> Outcome:
-    rank = quantile_rank(row.samples, row.share, row.delta)
-    assert rank is not None
-    return float(np.sort(values[:-1])[rank - 1]), law.tenth, False
-
-
-def _next_rollout(row: Sampling, law: Sampled, values: Floats) -> Outcome:
-    rank = next_rollout_rank(row.samples, row.delta)
-    assert rank is not None
-    return float(np.sort(values[:-1])[rank - 1]), float(values[-1]), False
-
-
-def _cvar(row: Sampling, law: Sampled, values: Floats) -> Outcome:
-    bound = CvarSequence(row.share, CLIP, delta=row.delta)
-    for value in values[:-1].tolist():
-        bound.add(value)
-    return bound.lower(), law.cvar(row.share), False
-
-
-def _risk(row: Sampling, law: Sampled, values: Floats, *, risk_weight: float) -> Outcome:
-    bound = RiskSequence(risk_weight, CLIP, delta=row.delta)
-    for value in values[:-1].tolist():
-        bound.add(value)
-    return bound.lower(), law.risk(risk_weight), False
-
-
-CLAIMS: dict[str, Callable[[Sampling, Sampled, Floats], Outcome]] = {
-    "failures, upper": lambda *given: _failures(*given, upper=True),
-    "failures, lower": lambda *given: _failures(*given, upper=False),
-    "failures, fixed n, upper": lambda *given: _fixed_failures(*given, upper=True),
-    "failures, fixed n, lower": lambda *given: _fixed_failures(*given, upper=False),
-    "quantile": _quantile,
-    "quantile, fixed n": _fixed_quantile,
-    "next rollout": _next_rollout,
-    "CVaR": _cvar,
-    "mean": lambda *given: _risk(*given, risk_weight=0.0),
-    "risk": lambda *given: _risk(*given, risk_weight=RISK_WEIGHT),
-}
+def _truth(row: Sampling, values: Floats) -> float:
+    """Return what the claim is about; of a factor that of the worst distribution within it."""
+    if row.law not in SAMPLED:
+        # A bound up to the second mean is right: only the share .1 of the starts is below it.
+        return float(STARTS[1])
+    law, name = SAMPLED[row.law], row.claim.partition(",")[0]
+    match name:
+        case "failures":
+            return law.failure
+        case "next rollout":
+            return float(values[-1, 0])
+        case "CVaR":
+            return law.cvar(row.level)
+        case "mean":
+            return law.cvar(1 / row.ratio)
+        case "risk":
+            return law.risk(RISK_WEIGHT)
+        case _:
+            return law.tenth  # also of the level .2 within the factor 2
