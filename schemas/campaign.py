@@ -6,9 +6,10 @@ from pydantic import Field, model_validator
 
 from .base import Model, digest, merged
 from .campaign_rules import check_consistent
-from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest
+from .claims import SAMPLED, ClaimRequest, DrawnClaim
 from .problem_models import Gap, Problem, SampleProblem
 from .problems import OBJECTIVES, Sense
+from .requirements import MOST, Requirement, conjunction
 from .space import Space, SystemChoice
 
 Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
@@ -48,6 +49,12 @@ class CampaignConfig(Model):
         default=None,
         max_length=10_000,
         description="STL formula over trajectory columns; required by every problem but `maximum`",
+    )
+    specifications: tuple[Requirement, ...] = Field(
+        default=(),
+        max_length=MOST,
+        exclude_if=lambda requirements: requirements == (),
+        description="several requirements instead of `specification`, one table each; method `sample` alone",
     )
     gap: Gap | None = Field(
         default=None, description="how `sim_gap` compares two trajectories; required by it, here or in the problem"
@@ -126,23 +133,31 @@ class CampaignConfig(Model):
         check_consistent(self)
         return self
 
-    def claims_of(self, problem: Problem) -> tuple[ClaimRequest, ...]:
-        """Return what is claimed of drawn starts, the first claim first; empty for a problem that draws none."""
+    @property
+    def formula(self) -> str | None:
+        """The specification; of several requirements that every one of them holds."""
+        return conjunction(self.specifications) if self.specifications else self.specification
+
+    def claims_of(self, problem: Problem) -> tuple[DrawnClaim, ...]:
+        """Return what is claimed of drawn starts, the first claim first; empty for a problem that draws none.
+
+        What is asked is claimed of the whole specification, then of each requirement.
+        """
         if not isinstance(problem, SampleProblem):
             return ()
-        return self.claims or (ClaimRequest(quantity="failure_probability"),)
-
-    def delta_of(self, problem: Problem, claim: ClaimRequest) -> float:
-        """Return the failure probability of one claim about drawn starts."""
-        if claim.quantity in UP_TO_CHANCE and claim.level is not None:
-            return claim.level
-        parts = len(self.claims_of(problem)) if isinstance(problem, SampleProblem) and problem.jointly else 1
-        return claim.delta or problem.delta / parts
+        asked = self.claims or (ClaimRequest(quantity="failure_probability"),)
+        names = (None, *(each.name for each in self.specifications))
+        share = problem.delta / (len(asked) * len(names) if problem.jointly else 1)
+        return tuple(
+            DrawnClaim(each, each.failure_probability or share, name, place)
+            for each in asked
+            for place, name in enumerate(names)
+        )
 
     def sense_of(self, problem: Problem) -> Sense:
         """Return whether a problem bounds a minimum from below or a maximum from above."""
         for claim in self.claims_of(problem)[:1]:
-            return "min" if SAMPLED[claim.quantity].sense == ">=" else "max"
+            return "min" if SAMPLED[claim.asked.quantity].sense == ">=" else "max"
         return OBJECTIVES[problem.name].sense
 
     def gap_of(self, problem: Problem) -> Gap | None:

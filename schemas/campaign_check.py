@@ -105,13 +105,13 @@ def _in_limits(value: float, low: float | None, high: float | None) -> bool:
 
 def _claim_faults(config: CampaignConfig, problem: Problem, *, noisy: bool) -> Iterator[str]:
     """Yield what a claim about most starts lacks: where values are noisy it is one of means, else one of a quantile."""
-    for number, claim in enumerate(config.claims_of(problem)):
-        if claim.quantity != "share_of_starts":
+    for claim in config.claims_of(problem):
+        if claim.asked.quantity != "share_of_starts":
             continue
-        where, tests = f"claims.{number}", config.max_tests_of(problem)
+        where, tests = f"claims.{config.claims.index(claim.asked)}", config.max_tests_of(problem)
         if (noisy or config.until_counterexample) and config.clip is None:
             yield f"clip: required by {where}, the bound of a mean: give [low, high]"
-        elif not noisy and tests < (least := fewest_samples(claim, config.delta_of(problem, claim))):
+        elif not noisy and tests < (least := fewest_samples(claim)):
             yield f"max_tests: {where} needs at least {least} samples, not {tests}"
 
 

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 from .campaign import CampaignConfig
 from .problem_models import PROBLEM_MODELS
 from .problems import MethodName, ProblemName
+from .requirements import listed
 from .system import ASSUMED_HORIZON
 
 ONLY_PROBLEM: ProblemName = "robustness"
@@ -66,6 +67,8 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
         ranges = {key: _with_ends(each) for key, each in space.items()}
         # A parameter may be called `table`: its value is a range, [0, 5].
         found["space"] = space if "scenarios" in space or isinstance(ranges.get("table"), list) else ranges
+    if "specifications" in found:
+        found["specifications"] = listed(found["specifications"])
     if leaves_out_problems(table):
         found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
     if isinstance(problems := found.get("problems"), list):
@@ -91,9 +94,8 @@ def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
     if isinstance(space, Mapping) and "scenarios" in space:
         return "scenario"
     # Every other method has a tolerance: where it is given, the space is at fault and not the method.
-    if "alpha" not in problem and ("claims" in table or (isinstance(space, Mapping) and _is_drawn(space))):
-        return "sample"
-    return "rigorous"
+    asked = bool(table.keys() & {"claims", "specifications"}) or (isinstance(space, Mapping) and _is_drawn(space))
+    return "sample" if asked and "alpha" not in problem else "rigorous"
 
 
 def _is_drawn(space: Mapping[str, Any]) -> bool:
@@ -132,5 +134,13 @@ def file_schema() -> dict[str, Any]:
     for name, key in (("Scenarios", "scenarios"), ("StartTable", "table")):
         rows = schema["$defs"][name]["properties"]
         rows[key] = {"anyOf": [{"type": "string"}, rows[key]]}
+    named = schema["$defs"]["Requirement"]
+    named["required"].remove("name")
+    del named["properties"]["name"]
+    schema["properties"]["specifications"] = {
+        "description": schema["properties"]["specifications"]["description"],
+        "type": "object",
+        "additionalProperties": {"anyOf": [{"type": "string"}, {"$ref": "#/$defs/Requirement"}]},
+    }
     schema["properties"]["problems"]["items"] = {"anyOf": schema["properties"]["problems"]["items"]["oneOf"]}
     return schema

@@ -198,7 +198,7 @@ def _first_fault(error: ValidationError, table: dict[str, Any], one_problem: boo
 
 
 def _key(location: Location, table: dict[str, Any], one_problem: bool) -> str:
-    """Return the dotted key of a fault; a problem goes by its name."""
+    """Return the dotted key of a fault; a problem and a requirement go by their names."""
     parts = [str(part) for part in _place(location)]
     if parts[:2] == ["problems", "0"] and one_problem:
         return ".".join(parts[2:])
@@ -206,6 +206,8 @@ def _key(location: Location, table: dict[str, Any], one_problem: bool) -> str:
         problem = table["problems"][int(parts[1])]
         name = problem.get("name") if isinstance(problem, dict) else None
         parts[1] = name if isinstance(name, str) and name in OBJECTIVES else parts[1]
+    if parts[:1] == ["specifications"] and len(parts) > 1:
+        parts[1] = str(table["specifications"][int(parts[1])]["name"])
     return ".".join(parts)
 
 

@@ -2,13 +2,16 @@
 
 from typing import TYPE_CHECKING
 
-from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, fewest_samples
+from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, fewest_samples
 from .method_spaces import check_space
 from .problem_models import Problem, RigorousProblem, SampleProblem
 from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, any_of
 
 if TYPE_CHECKING:
     from .campaign import CampaignConfig
+
+ORDERED = {"quantile", "next_rollout"}
+"""Quantities that are bounded by one of the values, so that few samples have no bound at all."""
 
 
 def check_consistent(config: "CampaignConfig") -> None:
@@ -35,7 +38,7 @@ def check_consistent(config: "CampaignConfig") -> None:
 def _check_objective(config: "CampaignConfig", problem: Problem) -> None:
     objective = OBJECTIVES[problem.name]
     if objective.measured != "column":
-        if config.specification is None:
+        if config.formula is None:
             raise ValueError(f"specification: required by problem {problem.name!r}")
         if config.clip is None:
             _check_unclipped(problem)
@@ -114,28 +117,45 @@ def _check_claims(config: "CampaignConfig") -> None:
     sampled = [problem for problem in config.problems if isinstance(problem, SampleProblem)]
     if config.claims and not sampled:
         raise ValueError("claims: only method 'sample' claims anything of drawn starts; choose it, or remove this")
-    for number, claim in enumerate(config.claims if sampled else ()):
-        _check_claim(config, f"claims.{number}", claim, sampled[0])
-        if claim in config.claims[:number]:
+    if config.specifications and not sampled:
+        raise ValueError(
+            "specifications: only method 'sample' claims several; choose it, or join them with `and` in `specification`"
+        )
+    names = [each.name for each in config.specifications]
+    for repeated in {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"specifications: {repeated!r} appears twice; give each its own name")
+    if config.specifications and config.specification is not None:
+        raise ValueError("specification: not allowed beside specifications; give it a name there")
+    for number, asked in enumerate(config.claims):
+        _check_asked(config, f"claims.{number}", asked, sampled[0])
+        if asked in config.claims[:number]:
             raise ValueError(f"claims.{number}: is there twice; list every claim once")
+    for problem in sampled:
+        for claim in config.claims_of(problem):
+            _check_samples(config, claim, problem)
     if sampled and config.clip is not None and config.clip[0] >= 0:
         raise ValueError(f"clip: {list(config.clip)} must begin below 0, or it hides every violation")
 
 
-def _check_claim(config: "CampaignConfig", where: str, claim: ClaimRequest, problem: SampleProblem) -> None:
+def _check_asked(config: "CampaignConfig", where: str, claim: ClaimRequest, problem: SampleProblem) -> None:
     if config.clip is None and SAMPLED[claim.quantity].clip:
         raise ValueError(f"clip: required by {where}, the bound of a mean: give [low, high]")
     if problem.jointly and (claim.delta or claim.quantity in UP_TO_CHANCE):
         raise ValueError(f"jointly: {where} has a failure probability of its own; remove one of the two")
-    ordered = claim.quantity in {"quantile", "next_rollout"}
     # With `until_counterexample` their number depends on the outcomes.
     if config.until_counterexample and claim.quantity in UP_TO_CHANCE:
         raise ValueError(
             f"{where}.quantity: {claim.quantity!r} needs a number of samples that is fixed beforehand; remove this "
             "claim, or until_counterexample"
         )
-    if config.until_counterexample and ordered and config.clip is None:
+    if config.until_counterexample and claim.quantity in ORDERED and config.clip is None:
         raise ValueError(f"clip: required by {where} with until_counterexample: give [low, high]")
-    least = fewest_samples(claim, config.delta_of(problem, claim)) if ordered else 1
-    if config.max_tests_of(problem) < least:
-        raise ValueError(f"max_tests: {where} needs at least {least} samples, not {config.max_tests_of(problem)}")
+
+
+def _check_samples(config: "CampaignConfig", claim: DrawnClaim, problem: SampleProblem) -> None:
+    if claim.asked.quantity not in ORDERED:
+        return
+    least, tests = fewest_samples(claim), config.max_tests_of(problem)
+    if tests < least:
+        number = config.claims.index(claim.asked)
+        raise ValueError(f"max_tests: claims.{number} needs at least {least} samples, not {tests}")

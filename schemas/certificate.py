@@ -15,7 +15,8 @@ MAX_CERTIFICATE = 2**24
 STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certificate:v1"
 
-OPTIONAL_IN_CLAIM = ("starts", "by_clip", "without_data", "vacuous", "subject", "level", "factor", "samples")
+OF_DRAWN_STARTS = ("subject", "requirement", "level", "factor", "samples")
+OPTIONAL_IN_CLAIM = ("starts", "by_clip", "without_data", "vacuous", *OF_DRAWN_STARTS)
 """Keys of a claim that are left out where they have no value, as in certificates from before they existed."""
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
 
@@ -65,6 +66,7 @@ class CertificateClaim(Model):
     subject: str | None = Field(
         default=None, description="the quantity in words, with its level; null where `quantity` says it"
     )
+    requirement: str | None = Field(default=None, description="that it is about; null for the whole specification")
     level: float | None = Field(default=None, description="of a quantile, CVaR, share or next rollout")
     factor: float | None = Field(
         default=None,

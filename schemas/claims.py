@@ -21,7 +21,7 @@ class Sampled:
 
     sense: Literal[">=", "<="]
     words: str
-    """`{level}` is replaced by the level in per cent, `{clipped}` by the clip."""
+    """`{level}` is replaced by the level in per cent, `{clipped}` by the clip, `{of}` by the requirement, if any."""
     level: str = ""
     """The meaning of the key `level`; empty for a quantity without one."""
     clip: bool = True
@@ -32,27 +32,27 @@ class Sampled:
 
 SAMPLED: Mapping[SampledQuantity, Sampled] = {
     "failure_probability": Sampled(
-        "<=", "probability that a rollout at a drawn start violates the specification", clip=False
+        "<=", "probability that a rollout at a drawn start violates {specification}", clip=False
     ),
     "quantile": Sampled(
         ">=",
-        "{level} quantile of the robustness at drawn starts",
+        "{level} quantile of the robustness{of} at drawn starts",
         level="share of the rollouts below the quantile",
         clip=False,
     ),
     "cvar": Sampled(
         ">=",
-        "mean of the worst {level} of the robustness at drawn starts (CVaR){clipped}",
+        "mean of the worst {level} of the robustness{of} at drawn starts (CVaR){clipped}",
         level="share of the worst rollouts, whose mean is bounded",
     ),
-    "mean": Sampled(">=", "mean robustness at drawn starts{clipped}"),
-    "risk": Sampled(">=", "robustness risk E - r sd at drawn starts{clipped}", shifted=False),
+    "mean": Sampled(">=", "mean robustness{of} at drawn starts{clipped}"),
+    "risk": Sampled(">=", "robustness risk E - r sd{of} at drawn starts{clipped}", shifted=False),
     "share_of_starts": Sampled(
-        ">=", "{value} on all starts but {level}{clipped}", level="share of the starts that is left out", clip=False
+        ">=", "{value}{of} on all starts but {level}{clipped}", level="share of the starts that is left out", clip=False
     ),
     "next_rollout": Sampled(
         ">=",
-        "robustness of the next rollout at a drawn start",
+        "robustness{of} of the next rollout at a drawn start",
         level="probability with which the next rollout may be below the bound",
         clip=False,
     ),
@@ -98,37 +98,57 @@ class ClaimRequest(Model):
             raise ValueError(f"delta: the level of {self.quantity!r} is its failure probability; remove this key")
         return self
 
-
-def words(claim: ClaimRequest, value: str, clip: tuple[float, float] | None) -> str:
-    """Return the subject of a claim; `value` is what a start has, its robustness or the expectation of it.
-
-    >>> words(ClaimRequest(quantity="cvar", level=0.01), "robustness", (-1.0, 2.0))
-    'mean of the worst 1 % of the robustness at drawn starts (CVaR), clipped to [-1, 2]'
-    """
-    clipped = "" if clip is None else f", clipped to [{clip[0]:g}, {clip[1]:g}]"
-    level = f"{100 * (claim.level or 1.0):.6g} %"
-    text = SAMPLED[claim.quantity].words.format(level=level, value=value, clipped=clipped)
-    if claim.factor == 1:
-        return text
-    return f"{text}, for every distribution with at most {claim.factor:g} times the declared density"
+    @property
+    def failure_probability(self) -> float | None:
+        """That of this claim alone; None where it is that of the problem."""
+        return self.level if self.quantity in UP_TO_CHANCE else self.delta
 
 
-def fewest_samples(claim: ClaimRequest, delta: float) -> int:
-    """Return the least number of samples, fixed beforehand, with which a claim about the order of values has a bound.
+@dataclass(frozen=True, slots=True)
+class DrawnClaim:
+    """A claim about drawn starts: of the whole specification, or of one requirement."""
 
-    Formula: (1 - q)^n <= delta with q = level/factor for a quantile, 1/(n + 1) <= q for the next rollout.
+    asked: ClaimRequest
+    delta: float
+    requirement: str | None = None
+    place: int = 0
+    """Of the requirement in the file, from 1; 0 for the whole."""
 
-    >>> fewest_samples(ClaimRequest(quantity="quantile", level=0.05), 0.05)
-    59
-    >>> fewest_samples(ClaimRequest(quantity="next_rollout", level=0.05), 0.05)
-    19
-    """
-    share = (claim.level or 1.0) / claim.factor
-    if claim.quantity in UP_TO_CHANCE:
-        return math.ceil(1 / share - 1e-9) - 1
-    return math.ceil(math.log(delta) / math.log1p(-share)) if share < 1.0 else 1
+    def words(self, value: str, clip: tuple[float, float] | None) -> str:
+        """Return the subject; `value` is what a start has, its robustness or the expectation of it.
+
+        >>> DrawnClaim(ClaimRequest(quantity="cvar", level=0.01), 0.05).words("robustness", (-1.0, 2.0))
+        'mean of the worst 1 % of the robustness at drawn starts (CVaR), clipped to [-1, 2]'
+        """
+        asked, name = self.asked, self.requirement
+        text = SAMPLED[asked.quantity].words.format(
+            level=f"{100 * (asked.level or 1.0):.6g} %",
+            value=value,
+            clipped="" if clip is None else f", clipped to [{clip[0]:g}, {clip[1]:g}]",
+            specification="the specification" if name is None else f"requirement {name}",
+            of="" if name is None else f" of requirement {name}",
+        )
+        if asked.factor == 1:
+            return text
+        return f"{text}, for every distribution with at most {asked.factor:g} times the declared density"
 
 
 def is_sampled(quantity: Quantity) -> bool:
     """Whether a claim is about rollouts at drawn starts."""
     return quantity in SAMPLED
+
+
+def fewest_samples(claim: DrawnClaim) -> int:
+    """Return the least number of samples, fixed beforehand, with which a claim about the order of values has a bound.
+
+    Formula: (1 - q)^n <= delta with q = level/factor for a quantile, 1/(n + 1) <= q for the next rollout.
+
+    >>> fewest_samples(DrawnClaim(ClaimRequest(quantity="quantile", level=0.05), 0.05))
+    59
+    >>> fewest_samples(DrawnClaim(ClaimRequest(quantity="next_rollout", level=0.05), 0.05))
+    19
+    """
+    share = (claim.asked.level or 1.0) / claim.asked.factor
+    if claim.asked.quantity in UP_TO_CHANCE:
+        return math.ceil(1 / share - 1e-9) - 1
+    return math.ceil(math.log(claim.delta) / math.log1p(-share)) if share < 1.0 else 1

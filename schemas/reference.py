@@ -20,6 +20,7 @@ from .problem_models import (
     ScenarioProblem,
 )
 from .problems import OBJECTIVES, Objective
+from .requirements import Requirement
 from .space import ProgramLimits, Range, Scenarios, SpaceKind, StartTable, SystemChoice
 
 HEAD = """# Reference: campaign files
@@ -69,6 +70,12 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
         SampleProblem,
     ),
     ("[[claims]]", "What method `sample` claims, the answer to the question of the file first.", ClaimRequest),
+    (
+        "[specifications]",
+        'Instead of `specification`: `gap = "always (distance >= 2)"`, or a table each, '
+        '`gap = { formula = "always (distance >= 2)", id = "REQ-7" }`.',
+        Requirement,
+    ),
     ("kernel", "", MaternKernel),
     ("gap", "", Gap),
     ("linearised", "", Linearised),
@@ -85,6 +92,7 @@ ALLOWED = {
     (ScenarioProblem, "sense"): "`min`",
     (SampleProblem, "name"): ", ".join(f"`{name}`" for name, each in OBJECTIVES.items() if "sample" in each.methods),
     (Range, "choices"): "list of numbers",
+    (CampaignConfig, "specifications"): "one entry per requirement, a formula or a [table](#specifications)",
     (Scenarios, "scenarios"): "lists of numbers, or text",
     (Scenarios, "header"): "list of texts",
     (StartTable, "table"): "text, or lists of numbers",
@@ -105,12 +113,15 @@ DEFAULTS = {
     (ScenarioProblem, "method"): "on scenarios",
     (SampleProblem, "method"): "where starts are drawn",
     (ClaimRequest, "delta"): "that of the problem",
+    (CampaignConfig, "specifications"): "none",
     (CampaignConfig, "claims"): "`failure_probability` with method `sample`",
 }
 """Defaults that follow from the rest of the file."""
-OMITTED = {(ScenarioProblem, name) for name in ("column", "resolution", "gap")} | {
-    (SampleProblem, name) for name in ("column", *WITHOUT_MEANING)
-}
+OMITTED = (
+    {(ScenarioProblem, name) for name in ("column", "resolution", "gap")}
+    | {(Requirement, "name")}
+    | {(SampleProblem, name) for name in ("column", *WITHOUT_MEANING)}
+)
 """Keys that a method inherits and refuses or ignores."""
 SECTIONS = {
     "SystemChoice": "system",
@@ -119,6 +130,7 @@ SECTIONS = {
     "Gap": "gap",
     "Linearised": "linearised",
     "ClaimRequest": "claims",
+    "Requirement": "specifications",
 }
 """The section of this page that describes a table, by the name of its model."""
 

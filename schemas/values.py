@@ -36,8 +36,8 @@ class Proposal:
 class Observation:
     """y of a test, and the contribution of each replicate to it, in the order of the replicates.
 
-    `each` has the values of J whose mean is y; in method `scenario`, and for the sample risk of method `paper`, it has
-    the robustness.
+    `each` has the values of J whose mean is y; in methods `scenario` and `sample`, and for the sample risk of method
+    `paper`, it has the robustness. In method `sample` that of each requirement follows, where there are several.
     """
 
     y: float

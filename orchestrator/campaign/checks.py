@@ -34,7 +34,7 @@ def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     """
     check(config, spec, source)
     # Robustness is recorded clipped, and a violation is one below 0.
-    if config.specification is not None and config.clip is not None and config.clip[0] >= 0:
+    if config.formula is not None and config.clip is not None and config.clip[0] >= 0:
         raise CampaignError(
             f"{source}: clip: its lower end {config.clip[0]:g} hides violations, which have a robustness below 0; "
             "choose one below 0"
@@ -42,10 +42,17 @@ def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
 
 
 def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
-    if config.specification is None:
+    known = [column.name for column in spec.columns]
+    # One by one first, so that an error names the requirement.
+    for each in config.specifications:
+        try:
+            parse_formula(each.formula, known)
+        except FormulaError as error:
+            raise CampaignError(f"{source}: specifications.{each.name}: {error}") from None
+    if config.formula is None:
         return
     try:
-        formula = parse_formula(config.specification, [column.name for column in spec.columns])
+        formula = parse_formula(config.formula, known)
         check_horizon(formula, config.horizon)
         _check_gap(config, columns(formula), source)
     except FormulaError as error:

@@ -22,7 +22,7 @@ def by_clip(config: CampaignConfig, problem: Problem) -> float | None:
     A lower bound for sense min, an upper one for sense max.
     """
     for claim in config.claims_of(problem)[:1]:
-        return of_drawn_starts(config, claim)
+        return of_drawn_starts(config, claim.asked)
     if config.clip is None or OBJECTIVES[problem.name].measured == "column":
         return None  # a column has no clip
     low, high = config.clip

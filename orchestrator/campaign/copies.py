@@ -38,7 +38,7 @@ def _candidates(account: Account, noisy: Set[str]) -> Iterator[tuple[RolloutId, 
     plan, variant = account.plan, max(noisy)
     seen: dict[tuple[int, float], RolloutId] = {}
     for test, (node, values) in enumerate(zip(account.nodes, account.each, strict=True)):
-        for replicate, value in enumerate(values):
+        for replicate, value in enumerate(values[: plan.replicates]):
             rollout = RolloutId(plan.name, test, *plan.replicate(variant, replicate))
             earlier = seen.setdefault((node, value), rollout)
             if earlier != rollout:

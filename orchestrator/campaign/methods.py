@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from ...schemas.claims import DrawnClaim
 from ...schemas.errors import CampaignError
 from ...schemas.facts import Header
 from ...schemas.problem_models import PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
@@ -14,7 +15,7 @@ from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
 from .draws import Draws
-from .plan import UNBOUNDED, DrawnClaim, Plans, ProblemPlan
+from .plan import UNBOUNDED, Plans, ProblemPlan
 
 ProblemMethod = PaperMethod | RigorousMethod | ScenarioMethod | SampleMethod
 Methods = Mapping[str, ProblemMethod]
@@ -112,6 +113,7 @@ def _terms(plan: ProblemPlan, claim: DrawnClaim) -> Terms:
         clip=None if plan.clip == UNBOUNDED else plan.clip,
         risk_weight=plan.risk_weight,
         deterministic=plan.deterministic,
+        place=claim.place,
     )
 
 

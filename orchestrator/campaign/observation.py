@@ -1,6 +1,6 @@
 """The observation of a test: the value y of the maximised objective J and its parts, from the trajectories."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from weakref import WeakKeyDictionary
 
 from ...schemas.campaign import CampaignConfig
@@ -35,7 +35,8 @@ class Observer:
         # Columns alone have no robustness without a clip: their certificates must not depend on a specification.
         columns_alone = all(OBJECTIVES[problem.name].measured == "column" for problem in config.problems)
         self._clip = config.clip or (None if columns_alone else UNBOUNDED)
-        self._parsed = None if config.specification is None else parse_formula(config.specification, self._columns)
+        self._parsed = None if config.formula is None else parse_formula(config.formula, self._columns)
+        self._requirements = [parse_formula(each.formula, self._columns) for each in config.specifications]
         self._scored: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
         self._compared: WeakKeyDictionary[Trajectory, WeakKeyDictionary[Trajectory, float]] = WeakKeyDictionary()
 
@@ -100,11 +101,17 @@ class Observer:
     def _robustness(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         values = self._scores(trajectories)
         # Some methods take the robustness: they mirror their bounds and not their data.
-        if plan.sense == "max":
-            return Observation(float(values[0] < 0), tuple(values))  # of the probability of a violation
+        if plan.candidates is None:
+            y = float(values[0] < 0) if plan.sense == "max" else -objectives.mean(values)
+            return Observation(y, (*values, *self._of_requirements(plan, trajectories)))
         if replicates_are_robustness(plan.name, plan.problem.method):
             return Observation(-objectives.mean(values), tuple(values))
         return _mean([-value for value in values])
+
+    def _of_requirements(self, plan: ProblemPlan, trajectories: Trajectories) -> Iterator[float]:
+        for formula in self._requirements:
+            for each in trajectories.values():
+                yield objectives.clipped_robustness(formula, each.columns, each.samples, plan.clip)
 
     def _risk(self, plan: ProblemPlan, trajectories: Trajectories) -> Observation:
         problem, values, weight = plan.problem, self._scores(trajectories), plan.risk_weight

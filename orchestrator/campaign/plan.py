@@ -5,14 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.claims import ClaimRequest, words
+from ...schemas.claims import DrawnClaim
 from ...schemas.problem_models import Gap, Problem, RigorousProblem, SampleProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
 from ...schemas.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import linearised_range
-from ..mathematics.bounds.rounding import round_down
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
 
@@ -22,19 +21,6 @@ NO_GAP = Gap(kind="robustness")
 """The gap of a problem that compares no trajectories, where nothing reads it."""
 DRAWN_WINDOW = 256
 """Tests in flight where starts are drawn."""
-
-
-@dataclass(frozen=True, slots=True)
-class DrawnClaim:
-    """A claim about drawn starts, with its failure probability."""
-
-    asked: ClaimRequest
-    delta: float
-
-    @property
-    def probability(self) -> float:
-        """Probability with which it is valid, rounded down."""
-        return round_down(1.0 - self.delta)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +55,8 @@ class ProblemPlan:
     """What is claimed of drawn starts, the first claim first; empty where none are drawn."""
     deterministic: bool = False
     """Whether no rollout of its variants depends on the seed."""
+    requirements: tuple[str, ...] = ()
+    """Names of the requirements that are claimed beside the whole specification, where starts are drawn."""
     until_counterexample: bool = False
 
     @property
@@ -108,7 +96,7 @@ class ProblemPlan:
         """Return the subject of a claim about drawn starts."""
         value = "robustness" if self.deterministic else "expected robustness"
         clip = None if self.clip == UNBOUNDED else self.clip
-        return Statement(words(claim.asked, value, clip), claim.asked.quantity)
+        return Statement(claim.words(value, clip), claim.asked.quantity)
 
     @property
     def rollouts(self) -> tuple[tuple[str, int], ...]:
@@ -170,8 +158,9 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         gap=gap,
         shared=frozenset(variants) - set(spec.noisy) if common else frozenset(),
         sense=config.sense_of(problem),
-        claims=tuple(DrawnClaim(each, config.delta_of(problem, each)) for each in config.claims_of(problem)),
+        claims=config.claims_of(problem),
         deterministic=not set(variants) & set(spec.noisy),
+        requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
     )
 

@@ -69,7 +69,7 @@ def _probabilities(plan: ProblemPlan) -> dict[Literal["gaussian", "sub-gaussian"
     if isinstance(problem, PaperProblem):
         return {tail: round_down(mills_probability(problem.c, problem.delta, plan.noise, tail)) for tail in TAILS}
     for claim in plan.claims[:1]:
-        return {"bound": claim.probability}
+        return {"bound": round_down(1.0 - claim.delta)}
     # Without noise no delta is spent: given B, the bound is certain.
     return {"bound": 1.0 if plan.exact else round_down(1.0 - problem.delta)}
 

@@ -140,7 +140,7 @@ def _limit(basis: Basis, config: CampaignConfig, results: Results) -> float | No
     if basis.drawn is None:
         return results[name].by_clip
     problem = next(each for each in config.problems if each.name == name)
-    return of_drawn_starts(config, config.claims_of(problem)[basis.drawn])
+    return of_drawn_starts(config, config.claims_of(problem)[basis.drawn].asked)
 
 
 def _from_kernels(basis: Basis, plans: Plans) -> bool:

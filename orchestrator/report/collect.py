@@ -135,7 +135,7 @@ class Collector:
             system=header.spec.name,
             doc=header.spec.doc,
             code=self._code,
-            specification=config.specification,
+            specification=config.formula,
             horizon=config.horizon,
             risk_weight=config.risk_weight if of_risk else None,
             clip=config.clip,

@@ -32,7 +32,7 @@ MOST_COLUMNS = 3
 
 def formula(header: Header) -> Formula | None:
     """Return the specification; None if there is none, or if its grammar is that of another version."""
-    text = header.config.specification
+    text = header.config.formula
     try:
         return None if text is None else parse_formula(text, [column.name for column in header.spec.columns])
     except FormulaError:

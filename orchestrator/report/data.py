@@ -99,12 +99,19 @@ class Mark:
 class Drawn:
     """The robustness at drawn starts, the first rollout of each: a histogram, and the bounds so far."""
 
+    requirement: str | None
+    """None for the whole specification."""
     edges: tuple[float, ...]
     """Of the bars; 0 is one of them where it is inside."""
     counts: tuple[int, ...]
     violations: int
     unit: str
     marks: tuple[Mark, ...]
+    failure: float | None
+    """Bound of the probability of a violation, if it is claimed."""
+    worst: int
+    """The test with the least value."""
+    least: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +149,8 @@ class Problem:
     """Number of listed starts, since rules 2; None on a box."""
     drawn: Drawn | None = None
     """Where starts are drawn: `tests.y` is then the robustness, in the unit of this, whatever is bounded."""
+    requirements: tuple[Drawn, ...] = ()
+    """The same of each requirement, where there are several."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from ...schemas.claims import PROBABILITIES, SAMPLED
+from ...schemas.claims import PROBABILITIES, SAMPLED, ClaimRequest
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.sample import SampleMethod
 from .data import Drawn, Mark
@@ -15,8 +15,22 @@ NEAR = 0.5
 """The axis begins at 0 where the least value is at most this share of the spread above it."""
 
 
-def histogram(plan: ProblemPlan, method: SampleMethod, values: Sequence[float], unit: str) -> Drawn:
-    """Return the histogram of `values`, the robustness of the first rollout of each start; there is at least one."""
+def histograms(plan: ProblemPlan, method: SampleMethod, tests: Sequence[Sequence[float]], unit: str) -> list[Drawn]:
+    """Return the histogram of the whole specification, then that of each requirement.
+
+    `tests` has the robustness of each start, as in its observation; there is at least one start.
+    """
+    names = (None, *plan.requirements)
+    width = len(tests[0]) // len(names)
+    return [
+        _histogram(plan, method, [values[place * width] for values in tests], (place, name), unit)
+        for place, name in enumerate(names)
+    ]
+
+
+def _histogram(
+    plan: ProblemPlan, method: SampleMethod, values: Sequence[float], which: tuple[int, str | None], unit: str
+) -> Drawn:
     low, high = min(values), max(values)
     # The requirement is at 0: worth showing where it is near.
     edges = _edges(min(low, 0.0) if low <= NEAR * (high - low) else low, high)
@@ -27,26 +41,30 @@ def histogram(plan: ProblemPlan, method: SampleMethod, values: Sequence[float], 
         # Rounding may put a value that is an end on the wrong side of it; 0 separates violations.
         place += (value >= edges[place + 1] and place + 1 < len(counts)) - (value < edges[place] and place > 0)
         counts[place] += 1
+    bounds = [
+        (claim.asked, method.found(number)) for number, claim in enumerate(plan.claims) if claim.place == which[0]
+    ]
     return Drawn(
+        requirement=which[1],
         edges=tuple(edges),
         counts=tuple(counts),
         violations=sum(value < 0 for value in values),
         unit=unit,
-        marks=_marks(plan, method),
+        marks=tuple(_mark(asked, bound) for asked, bound in bounds if _is_value(asked) and bound is not None),
+        failure=next((bound for asked, bound in bounds if asked.quantity == "failure_probability"), None),
+        worst=values.index(low),
+        least=low,
     )
 
 
-def _marks(plan: ProblemPlan, method: SampleMethod) -> tuple[Mark, ...]:
-    found = []
-    for place, claim in enumerate(plan.claims):
-        bound = method.found(place)
-        if bound is None or claim.asked.quantity in PROBABILITIES:
-            continue
-        level = "" if claim.asked.level is None else f" {100 * claim.asked.level:.6g} %"
-        factor = "" if claim.asked.factor == 1 else f", factor {claim.asked.factor:g}"
-        name = f"{claim.asked.quantity.replace('_', ' ')}{level}{factor}"
-        found.append(Mark(name, bound, SAMPLED[claim.asked.quantity].sense))
-    return tuple(found)
+def _is_value(asked: ClaimRequest) -> bool:
+    return asked.quantity not in PROBABILITIES
+
+
+def _mark(asked: ClaimRequest, bound: float) -> Mark:
+    level = "" if asked.level is None else f" {100 * asked.level:.6g} %"
+    factor = "" if asked.factor == 1 else f", factor {asked.factor:g}"
+    return Mark(f"{asked.quantity.replace('_', ' ')}{level}{factor}", bound, SAMPLED[asked.quantity].sense)
 
 
 def _edges(low: float, high: float) -> list[float]:

@@ -20,7 +20,7 @@ from ..store.export_tables import robustness_unit, unit
 from ..store.read import ObservedTest
 from . import band
 from .data import Drawn, Problem, Surface, TestSeries
-from .drawn import histogram
+from .drawn import histograms
 from .wording import typeset
 
 
@@ -40,7 +40,7 @@ class ProblemCollector:
         self._pending: list[tuple[Proposal, Observation]] = []
         """Observations not yet passed to the method."""
         self._surface: Surface | None = None
-        self._drawn: Drawn | None = None
+        self._drawn: list[Drawn] = []
         self._tests = self._columns()
         self._warnings = self._contradictions()
 
@@ -74,7 +74,7 @@ class ProblemCollector:
             self._method.recall(self._pending)
             self._pending.clear()
             if isinstance(self._method, SampleMethod):
-                self._drawn = self._histogram(self._method)
+                self._drawn = self._histograms(self._method)
             else:
                 self._surface = band.surface(self._plan, self._method, last.bound)
             self._tests = self._columns()
@@ -106,7 +106,8 @@ class ProblemCollector:
             by_clip=limit,
             warnings=self._warnings,
             starts=self._plan.listed if rules > 1 else None,
-            drawn=self._drawn,
+            drawn=self._drawn[0] if self._drawn else None,
+            requirements=tuple(self._drawn[1:]),
         )
 
     def worst_tests(self, number: int) -> list[int]:
@@ -118,12 +119,12 @@ class ProblemCollector:
 
     def _badness(self, observation: Observation) -> float:
         """Return J, which is maximised; where starts are drawn the worst robustness, whatever is bounded."""
-        return -min(observation.each) if self._plan.candidates is None else observation.y
+        return -min(observation.each[: self._plan.replicates]) if self._plan.candidates is None else observation.y
 
-    def _histogram(self, method: SampleMethod) -> Drawn:
+    def _histograms(self, method: SampleMethod) -> list[Drawn]:
         header = self._header
-        values = [test.observation.each[0] for test in self.observed]
-        return histogram(self._plan, method, values, robustness_unit(header.config, header.spec))
+        values = [test.observation.each for test in self.observed]
+        return histograms(self._plan, method, values, robustness_unit(header.config, header.spec))
 
     def _probability(self, last: ObservedTest | None) -> float | None:
         """Return the probability of the current bound; None where there is no valid one."""
@@ -135,7 +136,7 @@ class ProblemCollector:
         return self._method.probability
 
     def _contradictions(self) -> tuple[str, ...]:
-        each = [test.observation.each for test in self.observed]
+        each = [test.observation.each[: self._plan.replicates] for test in self.observed]
         y = [test.observation.y for test in self.observed]
         robustness = consistency.robustness_of(self.problem, each)
         found = consistency.of_tests(self._plan, y, each, robustness)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from ...schemas import certificate as document
+from ...schemas.certificate import OF_DRAWN_STARTS
 from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
 from ..campaign.clip import is_vacuous
@@ -29,7 +30,7 @@ def worded(predicate: document.Predicate) -> tuple[Claim, ...]:
     """Return the claims of a certificate with their sentences."""
     return tuple(
         Claim(
-            **claim.model_dump(exclude={"starts", "by_clip", "without_data", "subject", "level", "factor", "samples"}),
+            **claim.model_dump(exclude={"starts", "by_clip", "without_data", *OF_DRAWN_STARTS}),
             sentence=claim_sentence(claim),
             notes=tuple(map(typeset, notes(predicate, number))),
         )

@@ -97,7 +97,7 @@ def export_table(name: str, header: Header, version: int) -> ExportTable:
 
 def robustness_unit(config: CampaignConfig, spec: SystemSpec) -> str:
     """Return the unit of the predicates; nothing if their columns have several, or are multiplied."""
-    text = config.specification or ""
+    text = config.formula or ""
     words = set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", text))
     units = {column.unit for column in spec.columns if column.name in words}
     return units.pop() if len(units) == 1 and not re.search(r"[*/^]", text) else ""
@@ -106,7 +106,7 @@ def robustness_unit(config: CampaignConfig, spec: SystemSpec) -> str:
 def unit(problem: Problem, config: CampaignConfig, spec: SystemSpec) -> str:
     """Return the unit of a problem's objective, or nothing if it is not known."""
     for claim in config.claims_of(problem)[:1]:
-        return "" if claim.quantity in PROBABILITIES else robustness_unit(config, spec)
+        return "" if claim.asked.quantity in PROBABILITIES else robustness_unit(config, spec)
     gap = config.gap_of(problem)
     column = gap.column if gap else problem.column
     units = {each.name: each.unit for each in spec.columns}
@@ -256,12 +256,15 @@ _REPLICATE = (ExportColumn("replicate", "integer"), ExportColumn("contribution")
 def _observations_table(header: Header) -> ExportTable:
     objectives = _objectives(header)
     robust = {each.name for each in header.config.problems if replicates_are_robustness(each.name, each.method)}
+    config = header.config
+    # With several requirements those of the whole specification alone; theirs follow it.
+    own = {each.name: config.replicates_of(each) for each in config.problems if config.specifications}
 
     def expand(row: Any) -> Iterator[Row]:
         sense, unit = objectives[row.problem]
         y = _minus(row.y) if sense == "min" else row.y
         turned = sense == "min" and row.problem not in robust
-        for replicate, value in enumerate(json.loads(row.each)):
+        for replicate, value in enumerate(json.loads(row.each)[: own.get(row.problem)]):
             part = _minus(value) if turned else value
             yield row.problem, row.test, sense, unit, y, replicate, part, row.chain
 

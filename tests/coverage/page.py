@@ -141,7 +141,11 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
         [
             ("claim", lambda found: found.row.claim),
             ("distribution", lambda found: found.row.law),
-            ("share", lambda found: f"{found.row.share:g}" if found.row.claim.startswith(("qu", "CV")) else "-"),
+            (
+                "level",
+                lambda found: f"{found.row.level:g}" if found.row.claim.startswith(("qu", "CV", "share")) else "-",
+            ),
+            ("factor", lambda found: f"{found.row.ratio:g}"),
             ("samples", _of("samples")),
             ("claimed delta", _claimed),
             CAMPAIGNS,

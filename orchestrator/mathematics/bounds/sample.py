@@ -56,6 +56,8 @@ class Terms:
     risk_weight: float = 0.0
     deterministic: bool = False
     """Whether the robustness follows from the start alone."""
+    place: int = 0
+    """Of the requirement that it is about, from 1; 0 for the whole specification."""
 
 
 class Estimate(ABC):
@@ -235,6 +237,7 @@ class SampleMethod(Method):
     """Claims about drawn starts; the first one is the bound of the problem.
     Implements eq. (shift) of [PB].
 
+    An observation has the replicates of the whole specification, then those of each requirement.
     `start` returns the start with a number (p,). `fixed` is the number of samples at which exact bounds are claimed,
     fixed beforehand; None where the end depends on outcomes. `largest` says whether the first claim bounds its quantity
     from above; the bound of J is then that bound, and else its negative.
@@ -260,6 +263,7 @@ class SampleMethod(Method):
         largest: bool,
     ) -> None:
         self._claims, self._estimates = tuple(claims), [ESTIMATES[each.quantity](each) for each in claims]
+        self._parts = 1 + max(each.place for each in claims)
         self._start, self._fixed, self._largest = start, fixed, largest
         self._count = 0
 
@@ -320,8 +324,9 @@ class SampleMethod(Method):
         """Add observations; raises as `observe`."""
         for _, observation in tests:
             _check_values(observation.each, self._claims[0].clip)
-            for estimate in self._estimates:
-                estimate.add(observation.each)
+            width = len(observation.each) // self._parts
+            for terms, estimate in zip(self._claims, self._estimates, strict=True):
+                estimate.add(observation.each[terms.place * width : (terms.place + 1) * width])
             self._count += 1
 
     def band(self, bound: Bound) -> Band:  # noqa: ARG002

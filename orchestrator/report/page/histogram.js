@@ -2,13 +2,12 @@
 
 const SIGN = { ">=": "\u2265", "<=": "\u2264" };
 
-function histogramFigure(problem, index) {
-  const { drawn } = problem;
+function histogramFigure(drawn, id) {
   const marks = drawn.marks.map(({ name, value, sense }, k) =>
     el("li", el("b", `${letter(k)} `), el("span.muted", `${short(name, 60)} `), `${sentence(SIGN[sense])} ${boundText(value, sense, drawn.unit)}`));
   return el(
     "figure.histogram",
-    chartFigure(`histogram-${index}`, "Robustness of the rollouts at drawn starts"),
+    chartFigure(id, "Robustness of the rollouts at drawn starts"),
     el("ul.legend", legendItem("key.violations", "violates the specification"), legendItem("key.kept", "meets it")),
     marks.length ? el("ul.marks", marks) : null,
   );
@@ -19,12 +18,12 @@ function letter(k) {
   return String.fromCharCode(97 + (k % 26));
 }
 
-function drawHistogram(problem, index) {
-  const { edges, counts, unit, marks } = problem.drawn;
+function drawHistogram(drawn, id) {
+  const { edges, counts, unit, marks } = drawn;
   const centres = counts.map((_, k) => (edges[k] + edges[k + 1]) / 2);
   const bars = (violates) => counts.map((each, k) => (each > 0 && violates === edges[k + 1] <= 0 ? each : null));
   chart(
-    document.getElementById(`histogram-${index}`),
+    document.getElementById(id),
     {
       height: 230, x: withUnit("robustness", unit), y: { label: "rollouts", fromZero: true }, legend: false,
       range: [edges[0], edges.at(-1)],
@@ -35,5 +34,28 @@ function drawHistogram(problem, index) {
       ],
     },
     [centres, bars(true), bars(false)],
+  );
+}
+
+/** One row for each requirement: how often it was violated, what is claimed, and its worst test as a button. */
+function requirementTable(problem) {
+  if (!problem.requirements.length) return null;
+  const samples = problem.tests.test.length;
+  const row = (each) => {
+    const id = `${problem.name}:${problem.tests.test[each.worst]}`;
+    return el(
+      "tr",
+      el("th", { scope: "row" }, nameElement(each.requirement, 40)),
+      el("td", `${count(each.violations)} of ${count(samples)}`),
+      el("td", each.failure === null ? null : `${SIGN["<="]} ${boundText(each.failure, "<=", "")}`),
+      el("td", each.marks.map(({ name, value, sense }) => el("div", `${short(name, 60)} ${SIGN[sense]} ${boundText(value, sense, each.unit)}`))),
+      el("td", el("button", { "data-test": id, "data-select": id }, quantity(each.least, each.unit))),
+    );
+  };
+  const heads = ["Requirement", "Violated", "Probability of a violation", "Robustness", "Worst test"];
+  return el(
+    "figure.requirements",
+    el("figcaption", "Requirements, each with its own claim"),
+    el("table", el("thead", el("tr", heads.map((head) => el("th", { scope: "col" }, head)))), el("tbody", problem.requirements.map(row))),
   );
 }

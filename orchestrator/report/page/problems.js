@@ -23,7 +23,7 @@ function problemSection(report, index, series, selected) {
     problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
-      el("div", problem.drawn ? histogramFigure(problem, index) : null, kind === null ? null : mapFigure(report, index, kind, series), bars),
+      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), kind === null ? null : mapFigure(report, index, kind, series), bars),
       el(
         "div",
         problem.alpha === null ? null : chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`),
@@ -174,7 +174,7 @@ function observedUnit(problem) {
 
 /** Draw the charts of a problem into their elements. */
 function drawProblemCharts(problem, index) {
-  if (problem.drawn) drawHistogram(problem, index);
+  if (problem.drawn) drawHistogram(problem.drawn, `histogram-${index}`);
   if (problem.alpha !== null) drawDecay(problem, index);
   drawBounds(problem, index);
 }
@@ -199,7 +199,7 @@ function drawBounds(problem, index) {
   const { test, lower, upper, y } = problem.tests;
   const { unit } = problem;
   // A probability has another axis than the robustness that is observed.
-  const observed = problem.drawn && problem.unit !== problem.drawn.unit ? y.map(() => null) : y;
+  const observed = problem.drawn && problem.sense === "max" ? y.map(() => null) : y;
   const bounds = [
     [{ label: "observed", colour: "muted", points: true, unit }, observed],
     [{ label: "lower bound", colour: "blue", unit, sense: ">=" }, lower],

@@ -1,6 +1,5 @@
 """Campaigns of method `sample`: what a file may ask, what is claimed, and what changes nothing."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +7,7 @@ import pytest
 from pydantic import ValidationError
 from rich.console import Console
 
+from perfbound.orchestrator.campaign.checks import check
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.mathematics.bounds.failures import beta_mixture_upper
@@ -21,7 +21,7 @@ from perfbound.schemas.certificate import Certificate, CertificateClaim
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.facts import ProposalFact, RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
-from tests.fakes.simulators import noise, robustness, simulate, verified
+from tests.fakes.simulators import noise, robustness, simulate, spec, verified
 
 SAMPLE = {"method": "sample"}
 CLIP = (-1.0, 1.0)
@@ -155,6 +155,87 @@ def test_six_parameters_are_no_more_than_two(tmp_path: Path) -> None:
     assert drawn.count((0.5, 0.5)) > drawn.count((0.1, 0.9))
 
 
+# Several requirements
+
+TWO = [{"name": "low", "formula": "value >= 0", "id": "R-1"}, {"name": "high", "formula": "value <= 0.8"}]
+
+
+def several(**changes: Any) -> CampaignConfig:
+    return sampled(**{"specification": None, "specifications": TWO, **changes})
+
+
+def test_each_requirement_has_its_claim_after_that_of_the_whole(tmp_path: Path) -> None:
+    simulate(tmp_path, several(claims=LEVELS[:2], replicates=2), shaky, noisy=True)
+    found = claims(tmp_path)
+    assert [(each.quantity, each.requirement) for each in found] == [
+        (quantity, name) for quantity in ("failure_probability", "quantile") for name in (None, "low", "high")
+    ]
+    assert found[1].subject == "probability that a rollout at a drawn start violates requirement low"
+    assert found[5].subject == "10 % quantile of the robustness of requirement high at drawn starts"
+    assert certificate(tmp_path).predicate.question["specifications"] == TWO
+    whole, low, high = (each.bound for each in found[:3])
+    assert max(low, high) <= whole <= 1.0
+    assert min(found[4].bound, found[5].bound) >= found[3].bound
+    assert not verified(tmp_path)
+
+
+def test_the_claims_of_a_requirement_are_those_of_its_robustness(tmp_path: Path) -> None:
+    simulate(tmp_path, several(claims=LEVELS[1:2]), shaky, noisy=True)
+    rank = quantile_rank(60, 0.1, 0.05)
+    assert rank is not None
+    history = read.history(tmp_path)["robustness"]
+    for place, claim in enumerate(claims(tmp_path)):
+        robust = sorted(test.observation.each[place] for test in history)
+        assert claim.bound == pytest.approx(robust[rank - 1], abs=1e-8)
+    assert all(test.observation.each[0] == min(test.observation.each[1:]) for test in history)
+    assert [test.observation.each[0] for test in history] == values(tmp_path)
+
+
+def test_jointly_counts_the_requirements() -> None:
+    config = several(problem={"jointly": True, "delta": 0.06})
+    assert [each.delta for each in config.claims_of(config.problems[0])] == [0.02] * 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"specification": "value > 0"}, "specification: not allowed beside specifications"),
+        ({"specifications": [{"name": "1st", "formula": "value > 0"}]}, "String should match pattern"),
+    ],
+)
+def test_requirements_that_cannot_be(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValidationError, match=reason):
+        several(**changes)
+
+
+def test_an_error_names_the_requirement() -> None:
+    wrong = [{"name": "first", "formula": "value > 0"}, {"name": "second", "formula": "speed > 0"}]
+    with pytest.raises(CampaignError, match=r"c\.toml: specifications\.second: .*speed"):
+        check(several(specifications=wrong), spec(noisy=True), "c.toml")
+
+
+def test_requirements_are_texts_or_tables() -> None:
+    text = """horizon = 5
+system.name = "cars"
+[space]
+gap = [5, 60]
+[specifications]
+gap = "always (distance > 0)"
+stop = { formula = "eventually (speed < 1)", id = "REQ-7", text = "The car stops.", link = "docs/req.md" }
+"""
+    found = parse_campaign(text.encode(), "cars.toml")
+    assert found.formula == "(always (distance > 0)) and (eventually (speed < 1))"
+    assert [each.id for each in found.specifications] == [None, "REQ-7"]
+    assert [problem.method for problem in found.problems] == ["sample"]
+    assert parse_campaign(text.replace('"REQ-7"', '"REQ-8"').encode(), "cars.toml").digest != found.digest
+
+
+def test_a_fault_in_a_requirement_names_it() -> None:
+    text = 'horizon = 5\nsystem.name = "cars"\nspace.gap = [5, 60]\n[specifications]\nfirst = "gap > 0"\nsecond = 3\n'
+    with pytest.raises(CampaignError, match=r"c\.toml: specifications\.second\.formula: 3 is not allowed"):
+        parse_campaign(text.encode(), "c.toml")
+
+
 # What changes nothing
 
 
@@ -278,6 +359,4 @@ def test_a_file_that_draws_needs_no_method_and_twelve_lines(space: str) -> None:
     assert len(text.splitlines()) <= 12
     found = parse_campaign(text.encode(), "braking.toml")
     assert [problem.method for problem in found.problems] == ["sample"]
-    assert [json.loads(each.model_dump_json())["quantity"] for each in found.claims_of(found.problems[0])] == [
-        "failure_probability"
-    ]
+    assert [each.asked.quantity for each in found.claims_of(found.problems[0])] == ["failure_probability"]
