@@ -28,7 +28,7 @@ from .space import MAX_CHOICES, MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""
 
-_UNION_MEMBER = re.compile(r"constrained-float|float|str|bool|(literal|tuple|dict|constrained-dict|function-.*)\[.*")
+_UNION_MEMBER = re.compile(r"constrained-float|Linearised|float|str|bool|(literal|tuple|dict|constrained-dict|function-.*)\[.*")
 _LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 _LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
 _WORDS = {
@@ -40,6 +40,7 @@ _WORDS = {
     ("problems", "rigorous", "regulariser"): "a number > 0, or a list of { value, weight }",
     ("problems", "paper", "kernel", "length_scale"): _LENGTHS,
     ("problems", "rigorous", "kernel", "length_scale"): _LENGTHS,
+    ("problems", "scenario", "linearised"): "'past', or a table: { centre = 0.7, spread = 0.1 }",
     ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
     ("space", "choices"): f"a list of 2 to {MAX_CHOICES} numbers",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",

@@ -160,9 +160,10 @@ class ScenarioProblem(_OptimisedProblem):
     method: Literal["scenario"] = Field(
         description="finitely many starts, no kernel; may be left out on a list of scenarios"
     )
-    linearised: Linearised | None = Field(
+    linearised: Linearised | Literal["past"] | None = Field(
         default=None,
-        description="`true_risk` only: constants of an expectation that bounds the risk; without them, Bhatia-Davis",
+        description="`true_risk` only: an expectation that bounds the risk, with constants that are given, or from the "
+        "earlier rollouts of each start; without this key, Bhatia-Davis",
     )
 
     @model_validator(mode="after")

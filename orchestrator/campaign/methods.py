@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from ...schemas.claims import DrawnClaim
 from ...schemas.errors import CampaignError
 from ...schemas.facts import Header
-from ...schemas.problem_models import PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
+from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
 from ..mathematics.bounds.confidence import Premises, mixture
 from ..mathematics.bounds.paper import PaperMethod
 from ..mathematics.bounds.paper_formulas import PaperParameters
@@ -40,15 +40,14 @@ def method(plan: ProblemPlan, header: Header) -> ProblemMethod:
             return kernel_method(plan)
         # Of a risk without constants the method bounds the mean, and [BD] the variance: no risk is observed.
         case ScenarioProblem():
-            constants = problem.linearised
-            of_risk: Risk = "bhatia-davis" if constants is None else "linearised"
+            constants = problem.linearised if isinstance(problem.linearised, Linearised) else None
             return ScenarioMethod(
                 plan.chosen_from,
                 clip=plan.clip,
                 risk_weight=plan.risk_weight,
                 delta=problem.delta,
                 alpha=problem.alpha,
-                risk=of_risk if plan.objective.risk else "mean",
+                risk=_scenario_risk(problem) if plan.objective.risk else "mean",
                 constants=None if constants is None else (constants.centre, constants.spread),
             )
         case SampleProblem():
@@ -58,6 +57,12 @@ def method(plan: ProblemPlan, header: Header) -> ProblemMethod:
                 fixed=None if plan.until_counterexample else plan.budget,
                 largest=plan.sense == "max",
             )
+
+
+def _scenario_risk(problem: ScenarioProblem) -> Risk:
+    if problem.linearised is None:
+        return "bhatia-davis"
+    return "predictable" if problem.linearised == "past" else "linearised"
 
 
 def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod:

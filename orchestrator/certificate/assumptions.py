@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterable, Iterator
+from typing import Literal
 
 from ...schemas.certificate import Assumption, Recheck, SpotCheck, Status
 from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
@@ -271,7 +272,9 @@ def _listed(account: Account) -> Assumption:
     return assumption(f"finite_space/{account.plan.name}", "derived", {"starts": account.plan.chosen_from.size})
 
 
-def _linearised(name: str, constants: Linearised) -> Assumption:
+def _linearised(name: str, constants: Linearised | Literal["past"]) -> Assumption:
+    if not isinstance(constants, Linearised):
+        return assumption(f"linearised/{name}", "derived", form="linearised_past")
     return assumption(f"linearised/{name}", "derived", {"centre": constants.centre, "spread": constants.spread})
 
 

@@ -3,7 +3,7 @@
 from typing import Literal
 
 from ...schemas import certificate as document
-from ...schemas.problem_models import PaperProblem, RigorousProblem, ScenarioProblem
+from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, ScenarioProblem
 from ...schemas.problems import Sense
 from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
@@ -60,7 +60,7 @@ def objective(plan: ProblemPlan, rules: int) -> str:
     # A reader takes "over d" for the box. Rules 1: the words are those that a certificate was issued with.
     if rules > 1 and plan.listed is not None:
         text = text.replace("over d", f"over the {plan.listed} listed starts", 1)
-    linear = isinstance(problem, RigorousProblem | ScenarioProblem) and problem.linearised is not None
+    linear = isinstance(problem, RigorousProblem | ScenarioProblem) and isinstance(problem.linearised, Linearised)
     return f"{text}, through the expectation that bounds it" if linear else text
 
 

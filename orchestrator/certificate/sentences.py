@@ -140,6 +140,10 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "derived": "an expectation with the constants {centre} and {spread}, fixed beforehand, bounds the risk: every "
         "choice of them is valid, and a good one loses less. The limit of the bound is not above the risk.",
     },
+    "linearised_past": {
+        "derived": "an expectation whose constants follow from the earlier rollouts of each start bounds the risk: "
+        "whatever those were, it is not above the risk. The opposite bound is one of the least mean.",
+    },
     "independent_rollouts": {
         "refuted": "{copies} of {compared} pairs of rollouts with equal values are copies of each other, bit by bit, "
         "although their seeds differ: the simulator draws its noise from something else or from too few seeds, or "

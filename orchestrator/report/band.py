@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem, SampleProblem, ScenarioProblem
+from ...schemas.problem_models import Linearised, PaperProblem, Problem, RigorousProblem, SampleProblem, ScenarioProblem
 from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan
@@ -58,7 +58,7 @@ def _meaning(problem: Problem, method: ProblemMethod) -> str:
         case SampleProblem():
             return ""  # it has no candidates
         case ScenarioProblem():
-            mean = "robustness" if problem.linearised is None else "linearised risk"
+            mean = "linearised risk" if isinstance(problem.linearised, Linearised) else "robustness"
             return (
                 f"the lower bound of each start by itself with probability at least {1 - problem.delta:g}; the mean is "
                 f"that of its {mean}; a start by itself has no upper bound"

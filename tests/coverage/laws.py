@@ -33,6 +33,11 @@ class Law(NamedTuple):
         return float(self.weights @ self.atoms)
 
     @property
+    def sd(self) -> float:
+        """Standard deviation of rho."""
+        return float(np.sqrt(self.weights @ (self.atoms - self.mean) ** 2))
+
+    @property
     def linearised(self) -> float:
         """E[X], X = rho - (r/2)((rho - c)^2/s + s)."""
         c, s = CONSTANTS

@@ -73,6 +73,11 @@ class PredictableSequence(ABC):
         """Number of values n."""
         return len(self._sorted)
 
+    @property
+    def estimate(self) -> float:
+        """Mean of x at the current parameters, an estimate of theta; 0 without a value."""
+        return self._mean
+
     def lower(self) -> float:
         """Return the bound, in the unit of v, rounded down to 1e-9; `least` while nothing is rejected."""
         if not self._rejected:

@@ -23,7 +23,9 @@ Three claims, each with its own 1 - delta, each at all times at once (two of the
 `simultaneous_lower`  risk_k >= its value for all k at once, by a union: each runs at delta/K.
 `upper` min_k E[X_k] <= U (phi(min_k E[rho_k]) <= U for `bhatia-davis`). That is what ell tends to with ever more
         rollouts, and not above rho*; so U limits the gain of further rollouts, and is no upper bound of rho* itself.
-        For `mean` the limit is rho* = min_k E[rho_k] itself, and U an upper bound of it.
+        For `mean` the limit is rho* = min_k E[rho_k] itself, and U an upper bound of it. For `predictable`, where c and
+        s of every scenario follow from its earlier rollouts, ell tends to rho* itself; U bounds min_k E[rho_k], which
+        is not below it.
         (Neither ell nor U is ever reported below c0 - h sqrt(1 + r^2), the least risk that a law on the clip can have.)
         One wealth for all scenarios: if every mean of 1 - x is at most m, then betting on any of them loses.
 
@@ -44,9 +46,10 @@ from ..gp.lattice import check_index
 from ..gp.points import Candidates, point_at
 from .betting import CAREFUL, GRID, BettingSequence, Past
 from .method import Method
+from .predictable import RiskSequence
 from .risk import RiskReading
 
-Risk = Literal["linearised", "bhatia-davis", "mean"]
+Risk = Literal["linearised", "predictable", "bhatia-davis", "mean"]
 
 MAX_SCENARIOS = 1000
 """Each scenario keeps about 100 kB of wealth."""
@@ -128,13 +131,21 @@ class ScenarioMethod(Method):
             raise ValueError(f"delta must be in (0, 1) and alpha be positive, not {delta!r} and {alpha!r}")
         if risk not in get_args(Risk) or (constants is None) == (risk == "linearised"):
             raise ValueError(
-                f"risk is 'linearised' with constants (c, s), or 'bhatia-davis' or 'mean' without; not {risk!r}"
+                f"risk is 'linearised' with constants (c, s), or one of {get_args(Risk)[1:]} without; not {risk!r}"
             )
         if scenarios.size > MAX_SCENARIOS:
             raise ValueError(f"{scenarios.size} scenarios exceed {MAX_SCENARIOS}: shorten the list")
         self._candidates, self._delta, self._alpha = scenarios, delta, alpha
-        self._reading = RiskReading(clip, 0.0 if risk == "mean" else risk_weight, constants)
-        self._scenarios = [_Scenario(delta, scenarios.size, self._reading) for _ in range(scenarios.size)]
+        of_mean = risk in {"mean", "predictable"}
+        self._reading = RiskReading(clip, 0.0 if of_mean else risk_weight, constants)
+        # Level 0 serves ell, level 1 the claim about one scenario that is valid together with those about all others.
+        levels = (delta, delta / scenarios.size)
+        self._scenarios: list[_Scenario] = [
+            _PredictableScenario(levels, self._reading, risk_weight)
+            if risk == "predictable"
+            else _Scenario(levels, self._reading)
+            for _ in range(scenarios.size)
+        ]
         # On the largest mean of 1 - x, all scenarios together.
         self._upper = BettingSequence((delta,), CAREFUL)
 
@@ -234,10 +245,9 @@ class ScenarioMethod(Method):
             raise ValueError(f"a test needs values within the clip [{low}, {high}], not {list(values)}")
         scenario = self._scenarios[index]
         for value in values:
-            x = self._reading.unit(value)
             # The bet is a function of the past alone, so it is made before the past takes the value in.
-            self._upper.observe(1.0 - x, scenario.complement)
-            scenario.observe(x)
+            self._upper.observe(1.0 - self._reading.unit(value), scenario.complement)
+            scenario.observe(value)
         scenario.close_test()
 
     def _in_flight(self, pending: Sequence[int]) -> list[int]:
@@ -256,17 +266,18 @@ class ScenarioMethod(Method):
 class _Scenario:
     """The rollouts of one scenario, the bets on them, and the bounds that follow."""
 
-    def __init__(self, delta: float, size: int, reading: RiskReading) -> None:
+    def __init__(self, levels: tuple[float, float], reading: RiskReading) -> None:
         self._reading = reading
-        self.sequence = BettingSequence((delta, delta / size))  # level 0 serves ell, level 1 the simultaneous claim
+        self._sequence = BettingSequence(levels)
         self._past = Past(imaginary=1)  # of x
         self.complement = Past()  # of 1 - x
         self.tests = 0
         self.state = self._state()
 
-    def observe(self, x: float) -> None:
-        """Bet on one value in [0, 1], then add it to the past."""
-        self.sequence.observe(x, self._past)
+    def observe(self, value: float) -> None:
+        """Bet on one value, then add it to the past."""
+        x = self._reading.unit(value)
+        self._sequence.observe(x, self._past)
         self._past.add(x)
         self.complement.add(1.0 - x)
 
@@ -276,13 +287,41 @@ class _Scenario:
         self.state = self._state()
 
     def outlook(self, flying: int) -> float:
-        """Return the lower bound of x that is expected after the tests in flight."""
-        lower = self.sequence.lower()
-        mean = 1.0 - self.complement.mean if self.complement.count else 1.0
+        """Return the lower bound that is expected after the tests in flight, on a scale that all scenarios share."""
+        lower, mean = self._outlook()
         return mean - (mean - lower) * (self.tests / (self.tests + flying)) if flying else lower
 
+    def _outlook(self) -> tuple[float, float]:
+        """Return lower bound and mean of x."""
+        return self._sequence.lower(), 1.0 - self.complement.mean if self.complement.count else 1.0
+
+    def _lower(self, level: int) -> float:
+        return self._reading.lower(Fraction(self._sequence.rejected(level), GRID))
+
     def _state(self) -> ScenarioState:
-        lower, simultaneous = (self._reading.lower(Fraction(self.sequence.rejected(level), GRID)) for level in (0, 1))
+        lower, simultaneous = (self._lower(level) for level in (0, 1))
         low, high = self._reading.ends
         mean = high - (high - low) * self.complement.mean if self.complement.count else None
         return ScenarioState(self.complement.count, mean, lower, simultaneous)
+
+
+class _PredictableScenario(_Scenario):
+    """The same with c and s from the earlier rollouts of the scenario; x is the robustness, for `upper`."""
+
+    def __init__(self, levels: tuple[float, float], reading: RiskReading, risk_weight: float) -> None:
+        self._risks = [RiskSequence(risk_weight, reading.clip, delta=level) for level in levels]
+        super().__init__(levels, reading)
+
+    def observe(self, value: float) -> None:
+        """Bet on one value, then add it to the past."""
+        for risk in self._risks:
+            risk.add(value)
+        self.complement.add(1.0 - self._reading.unit(value))
+
+    def _outlook(self) -> tuple[float, float]:
+        """Return lower bound and estimate of the risk, unit of robustness."""
+        risk = self._risks[0]
+        return risk.lower(), risk.estimate if risk.count else self._reading.clip[1]
+
+    def _lower(self, level: int) -> float:
+        return self._risks[level].lower()

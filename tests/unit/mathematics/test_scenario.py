@@ -18,6 +18,7 @@ from perfbound.orchestrator.mathematics.bounds.betting import (
     Past,
     Strategy,
 )
+from perfbound.orchestrator.mathematics.bounds.predictable import RiskSequence
 from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis, linearised, linearised_range
 from perfbound.orchestrator.mathematics.bounds.scenario import MAX_SCENARIOS, ScenarioMethod
 from perfbound.orchestrator.mathematics.gp.points import Points
@@ -208,11 +209,60 @@ def method(size: int = 3, **changed: Any) -> ScenarioMethod:
 
 
 def sequences(running: ScenarioMethod) -> list[BettingSequence]:
-    return [*(scenario.sequence for scenario in running._scenarios), running._upper]
+    return [*(scenario._sequence for scenario in running._scenarios), running._upper]
 
 
 def bhatia(size: int = 3, **changed: Any) -> ScenarioMethod:
     return method(size, risk="bhatia-davis", constants=None, **changed)
+
+
+def predictable(size: int = 3, **changed: Any) -> ScenarioMethod:
+    return method(size, risk="predictable", constants=None, **changed)
+
+
+def fed(running: ScenarioMethod, tests: int, seed: int = 3) -> ScenarioMethod:
+    """Observe tests of ten rollouts where the method proposes them; start k has the mean .6 + k/50."""
+    rng = np.random.default_rng(seed)
+    for _ in range(tests):
+        node = running.propose().node
+        values = np.clip(rng.normal(0.6 + node / 50, 0.09, 10), *CLIP)
+        running.observe(*an_observation(node, values.tolist()))
+    return running
+
+
+class TestConstantsFromThePast:
+    def test_the_bound_is_the_sequence_of_the_worst_start(self) -> None:
+        running = fed(predictable(1), 20)
+        values = np.clip(np.random.default_rng(3).normal(0.6, 0.09, 200), *CLIP)
+        alone = RiskSequence(0.2, CLIP, delta=0.05)
+        for value in values.tolist():
+            alone.add(value)
+        assert running.bound().ell == alone.lower()
+
+    def test_it_is_close_to_the_best_constants_and_far_above_bhatia_davis(self) -> None:
+        past, best, without = (fed(make(), 200).bound().ell for make in (predictable, method, bhatia))
+        assert best - 0.005 < past < 0.6 - 0.2 * 0.09
+        assert past > without + 0.03
+
+    def test_the_opposite_bound_is_one_of_the_least_mean(self) -> None:
+        running, of_mean = fed(predictable(), 100), method(risk="mean", constants=None)
+        rng = np.random.default_rng(3)
+        replayed = predictable()
+        for _ in range(100):
+            node = replayed.propose().node
+            test = an_observation(node, np.clip(rng.normal(0.6 + node / 50, 0.09, 10), *CLIP).tolist())
+            replayed.observe(*test)
+            of_mean.observe(*test)
+        assert running.bound() == replayed.bound()
+        assert running.bound().upper == of_mean.bound().upper > 0.6
+
+    def test_without_a_rollout_it_says_what_the_clip_says(self) -> None:
+        assert predictable().bound().ell == bhatia().bound().ell
+
+    def test_tests_in_flight_spread(self) -> None:
+        running = fed(predictable(), 30)
+        first = running.propose().node
+        assert running.propose(pending=(first,) * 50).node != first
 
 
 def of_mean(size: int = 3, **changed: Any) -> ScenarioMethod:
