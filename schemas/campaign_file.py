@@ -28,7 +28,9 @@ from .space import MAX_CHOICES, MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, 
 Location = tuple[int | str, ...]
 """Place of a fault, as pydantic gives it."""
 
-_UNION_MEMBER = re.compile(r"constrained-float|Linearised|float|str|bool|(literal|tuple|dict|constrained-dict|function-.*)\[.*")
+_UNION_MEMBER = re.compile(
+    r"constrained-float|Linearised|float|str|bool|(literal|tuple|dict|constrained-dict|function-.*)\[.*"
+)
 _LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 _LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
 _WORDS = {

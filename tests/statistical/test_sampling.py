@@ -23,12 +23,14 @@ from perfbound.orchestrator.mathematics.bounds.failures import (
     log_wealth_below,
 )
 from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, PredictableSequence, RiskSequence
+from perfbound.orchestrator.mathematics.bounds.sample import SampleMethod, Terms
 from perfbound.orchestrator.mathematics.bounds.share import (
     clopper_pearson_lower,
     clopper_pearson_upper,
     next_rollout_rank,
     quantile_rank,
 )
+from perfbound.schemas.values import Observation, SampledQuantity
 from tests.statistical.vectorised import DELTA, cvar_wealth, mixture_wealth, risk_wealth
 
 Floats = NDArray[np.float64]
@@ -335,3 +337,35 @@ def test_power_of_the_failure_probability_after_a_stop_at_the_first_failure() ->
     for n in range(1_001):
         bounds.add(n == 1_000)
     assert bounds.upper() == beta_mixture_upper(0, 1_000, DELTA) < 0.005
+
+
+class TestAJumpInTheBox:
+    """A start is good, or with probability `share` it is in a hole; no kernel sees it, and no claim needs one."""
+
+    @pytest.mark.parametrize("share", [0.005, 0.011, 0.02, 0.05])
+    @pytest.mark.parametrize("quantity", ["failure_probability", "share_of_starts"])
+    @pytest.mark.parametrize("fixed", [True, pytest.param(False, marks=pytest.mark.slow)])
+    def test_claims_are_false_at_most_as_often_as_stated(
+        self, share: float, quantity: SampledQuantity, fixed: bool
+    ) -> None:
+        count, good, bad = 299, 0.7, -0.7
+        terms = Terms(quantity, DELTA, level=0.1, clip=(-1.0, 1.0), deterministic=True)
+
+        def bound(hit: NDArray[np.bool_]) -> float:
+            method = SampleMethod([terms], lambda _: (0.0,), fixed=count if fixed else None, largest=True)
+            values = [Observation(0.0, (bad if each else good,)) for each in hit]
+            method.recall([(method.propose(), value) for value in values])
+            found = method.found(0)
+            assert found is not None
+            return found
+
+        hits = records(17, share, count)
+        # The exact bounds depend on the number of hits alone.
+        known = {int(hit.sum()): bound(hit) for hit in hits[np.unique(hits.sum(axis=1), return_index=True)[1]]}
+        bounds = [known[int(hit.sum())] if fixed else bound(hit) for hit in hits]
+        # All starts but a tenth are good: at most .7 is right.
+        false = sum(each < share if quantity == "failure_probability" else each > good for each in bounds)
+        assert false <= ALLOWED
+        # Power: a claim that is never false because it claims nothing would pass as well.
+        power = np.median(bounds)
+        assert power < 1.6 * share + 0.016 if quantity == "failure_probability" else power > good - 0.01
