@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, fewest_samples
 from .method_spaces import check_space
+from .parameters import check_signals
 from .problem_models import Problem, RigorousProblem, SampleProblem
 from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, any_of
 
@@ -26,6 +27,7 @@ def check_consistent(config: "CampaignConfig") -> None:
         raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
     if config.clip is not None and not config.clip[0] < config.clip[1]:
         raise ValueError(f"clip: {list(config.clip)} must be [low, high] with low < high")
+    check_signals(config.space, config.horizon)
     for problem in config.problems:
         _check_objective(config, problem)
         _check_method(config, problem)

@@ -5,6 +5,7 @@ A method that draws its starts takes distributions and a table; every check of t
 
 from collections.abc import Mapping
 
+from .parameters import parameter_ranges
 from .problems import MethodName, any_of
 from .space import Space, SpaceKind, space_kind
 
@@ -32,7 +33,7 @@ def draws_starts(method: MethodName) -> bool:
 
 def candidates(space: Space, resolution: int) -> int:
     """Return how many starts a method that draws none chooses from, with so many lattice nodes per parameter."""
-    return int(resolution ** len(space)) if isinstance(space, dict) else len(space.rows)
+    return int(resolution ** len(parameter_ranges(space))) if isinstance(space, dict) else len(space.rows)
 
 
 def check_space(method: MethodName, space: Space, resolution: int, where: str) -> None:

@@ -9,6 +9,7 @@ from pydantic import Field
 from .base import Model
 from .ids import RolloutId
 from .ranges import Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
+from .signals import SignalShape
 from .system import OptionValue, SystemSpec, Variant
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -35,6 +36,13 @@ class RolloutRequest(Model):
     x: tuple[Magnitude, ...] = Field(min_length=1, max_length=1000)
     horizon: Seconds
     visual: bool = False
+    signals: tuple[SignalShape, ...] = Field(
+        default=(),
+        max_length=1000,
+        # Requests without signals stay what they were, to the byte: they are in the files of trajectories.
+        exclude_if=lambda signals: not signals,
+        description="the inputs over time whose knots are in `x`",
+    )
 
     @property
     def rollout(self) -> str:
@@ -100,4 +108,5 @@ class RequestTemplate:
             x=tuple(x),
             horizon=self.horizon,
             visual=self.visual,
+            signals=self.spec.signals,
         )

@@ -7,6 +7,7 @@ import numpy as np
 
 from ...schemas.errors import CampaignError
 from ...schemas.facts import Header
+from ...schemas.parameters import parameter_ranges
 from ...schemas.space import Box, Range, StartTable
 from ..mathematics.distributions import to_digits, truncated
 from .seeds import Floats, uniform
@@ -62,7 +63,8 @@ def _transform(header: Header) -> tuple[int, Callable[[Floats], list[Start]]]:
         row = _chosen(space.rows)
         return 1, lambda shares: row(shares[:, 0])
     if isinstance(space, dict):
-        return len(space), _of_box(space, [parameter.name for parameter in header.spec.parameters])
+        ranges = parameter_ranges(space)
+        return len(ranges), _of_box(ranges, [parameter.name for parameter in header.spec.parameters])
     raise TypeError("no method that draws its starts takes a list of scenarios")
 
 

@@ -139,9 +139,13 @@ class FirstCampaign:
         yield ""
         yield "# All starting conditions of the claim: here the whole range of the system."
         yield "[space]"
-        for each in self.spec.parameters:
-            unit = f", unit = {toml_quoted(each.unit)}" if each.unit else ""
-            yield f"{each.name} = {{ low = {each.low!r}, high = {each.high!r}{unit} }}"
+        shapes = {each.name: each for each in self.spec.signals}
+        for each in self.spec.declared.parameters:
+            shape, unit = shapes.get(each.name), f", unit = {toml_quoted(each.unit)}" if each.unit else ""
+            if shape is not None:
+                yield from _comment(f"{each.name} is an input over time through this many knots over the horizon.")
+            knots = "" if shape is None else f"signal = {toml_quoted(shape.kind)}, knots = {shape.knots}, "
+            yield f"{each.name} = {{ {knots}low = {each.low!r}, high = {each.high!r}{unit} }}"
 
     def _problems(self) -> Iterator[str]:
         for name, constants in self.basis.constants.items():

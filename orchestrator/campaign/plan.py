@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import DrawnClaim
+from ...schemas.parameters import parameter_ranges
 from ...schemas.problem_models import Gap, Problem, RigorousProblem, SampleProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
 from ...schemas.space import Scenarios, StartTable
@@ -169,7 +170,8 @@ def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> L
     if isinstance(config.space, Scenarios):
         return Points(config.space.scenarios)
     assert not isinstance(config.space, StartTable), "no method takes it that chooses among candidates"
-    boxes = [config.space[parameter.name] for parameter in spec.parameters]
+    ranges = parameter_ranges(config.space)
+    boxes = [ranges[parameter.name] for parameter in spec.parameters]
     low, high = tuple(box.low for box in boxes), tuple(box.high for box in boxes)
     return Lattice(low, high, config.resolution_of(problem))
 

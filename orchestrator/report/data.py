@@ -198,6 +198,8 @@ class RolloutsOfTest:
     """The column of each limit."""
     error: str | None = None
     """Files that could not be read, in words; their curves are missing."""
+    inputs: tuple[Curve, ...] = ()
+    """The input signals of the test's start over time."""
 
 
 @dataclass(frozen=True, slots=True)

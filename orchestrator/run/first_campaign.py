@@ -12,6 +12,7 @@ from ...schemas import atomic
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_file import parse_campaign
 from ...schemas.errors import PerfboundError
+from ...schemas.parameters import signal_shapes
 from ...schemas.problems import OBJECTIVES, ProblemName, rolled_out
 from ...schemas.space import SystemChoice
 from ...schemas.system import SystemSpec, Variant
@@ -66,8 +67,8 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     """
     if wish.question in NOT_YET:
         raise PerfboundError(f"--question {wish.question}: {NOT_YET[wish.question]}")
-    spec = system_spec(wish.reference, "SYSTEM")
     known = named_campaign(wish.reference)
+    spec = system_spec(wish.reference, "SYSTEM").spread(() if known is None else signal_shapes(known.space))
     if wish.specification is None and known is not None and known.specification:
         wish = replace(wish, specification=known.specification)
     folder = Path(wish.reference).parent if known else Path()

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from ...schemas.campaign_check import check_against
 from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.parameters import signal_shapes
 from ...schemas.system import SystemSpec, Variant
 from ...schemas.system_check import ChildRun, Trial
 from ..campaign.system_check.findings import SystemFinding
@@ -69,8 +70,8 @@ def checked_system(
         Stopped: with what was ended.
 
     """
-    spec = system_spec(reference, "SYSTEM")
     config = named_campaign(reference)
+    spec = system_spec(reference, "SYSTEM").spread(() if config is None else signal_shapes(config.space))
     if config is not None:
         check_against(config, spec, reference)
     if variant is not None and variant not in spec.variants:

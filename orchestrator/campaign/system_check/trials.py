@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ....schemas.ids import RolloutId
+from ....schemas.parameters import parameter_ranges
 from ....schemas.rollout import RequestTemplate, RolloutRequest
 from ....schemas.space import Space
 from ....schemas.system import OptionValue, Parameter, SystemSpec, Variant
@@ -184,7 +185,7 @@ def corners(box: Sequence[Parameter], seed: int) -> list[Point]:
 def _box_of(spec: SystemSpec, space: Space | None) -> tuple[Parameter, ...]:
     if not isinstance(space, dict):
         return spec.parameters
-    ranges = {name: {"low": each.low, "high": each.high} for name, each in space.items()}
+    ranges = {name: {"low": each.low, "high": each.high} for name, each in parameter_ranges(space).items()}
     return tuple(each.model_copy(update=ranges[each.name]) for each in spec.parameters)
 
 
