@@ -115,6 +115,13 @@ class CampaignConfig(Model):
     )
     system: SystemChoice = Field(description="the system under test")
     space: Space = Field(description="D, all starting conditions: a range per parameter, scenarios, or a table")
+    where: str | None = Field(
+        default=None,
+        max_length=10_000,
+        exclude_if=lambda where: where is None,
+        description="condition on the parameters, such as `x^2 + y^2 <= 25`; also under `[space]`; only with a method "
+        "that draws its starts",
+    )
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
         min_length=1,
         description="the optimisation problems; without it there is one, `robustness`, and its keys are those of the "

@@ -65,6 +65,10 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     name = re.sub("[^a-z0-9_]+", "-", stem.lower()).strip("-_")[:64]
     found = {"name": name, **table} if name else dict(table)
     if isinstance(space := found.get("space"), Mapping):
+        if isinstance(space.get("where"), str) and "where" not in table:
+            # A parameter may be called `where`: its value is a range.
+            found["where"] = space["where"]
+            space = {key: each for key, each in space.items() if key != "where"}
         ranges = {key: _with_ends(each) for key, each in space.items()}
         # A parameter may be called `table`: its value is a range, [0, 5].
         found["space"] = space if "scenarios" in space or isinstance(ranges.get("table"), list) else ranges
@@ -162,5 +166,7 @@ def file_schema() -> dict[str, Any]:
         "type": "object",
         "additionalProperties": {"anyOf": [{"type": "string"}, {"$ref": "#/$defs/Requirement"}]},
     }
+    box = next(each for each in schema["properties"]["space"]["oneOf"] if "additionalProperties" in each)
+    box["properties"] = {"where": {"anyOf": [{"type": "string"}, box["additionalProperties"]]}}
     schema["properties"]["problems"]["items"] = {"anyOf": schema["properties"]["problems"]["items"]["oneOf"]}
     return schema

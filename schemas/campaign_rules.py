@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, fewest_samples
-from .method_spaces import check_space
+from .method_spaces import check_region, check_space
 from .parameters import check_signals
 from .problem_models import Problem, RigorousProblem, SampleProblem
 from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, any_of
@@ -84,6 +84,8 @@ def _check_unclipped(problem: Problem) -> None:
 def _check_method(config: "CampaignConfig", problem: Problem) -> None:
     where = f"problems.{problem.name}"
     check_space(problem.method, config.space, config.resolution_of(problem), where)
+    if config.where is not None:
+        check_region(problem.method, config.space)
     if problem.method == "paper":
         if OBJECTIVES[problem.name].risk and config.replicates_of(problem) < 2:
             raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")

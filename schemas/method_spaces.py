@@ -63,3 +63,19 @@ def check_space(method: MethodName, space: Space, resolution: int, where: str) -
             f"and high alone{otherwise}"
         )
     raise ValueError(f"{where}.method: {method!r} needs {NEEDED[SPACES[method][0]]}")
+
+
+def check_region(method: MethodName, space: Space) -> None:
+    """Refuse `where` with a method that does not take it, or with a list.
+
+    Raises:
+        ValueError: one line with the remedy.
+
+    """
+    if not isinstance(space, dict):
+        raise ValueError("space.where: only for ranges; remove the starts from the list that it should leave out")
+    if not draws_starts(method):
+        raise ValueError(
+            f"space.where: method {method!r} bounds the worst start of a whole box; remove where, or choose method "
+            f"{any_of(tuple(name for name in SPACES if draws_starts(name)))}"
+        )

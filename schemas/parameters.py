@@ -8,7 +8,7 @@ from .space import Box, Space
 
 def signal_shapes(space: Space) -> tuple[SignalShape, ...]:
     """Return the input signals of a space, in its order; a list of starts has none."""
-    return tuple(each for _, each in _signals(space)) if isinstance(space, dict) else ()
+    return tuple(each for _, each in _named_shapes(space)) if isinstance(space, dict) else ()
 
 
 def parameter_ranges(space: Box) -> Box:
@@ -19,7 +19,7 @@ def parameter_ranges(space: Box) -> Box:
     >>> {name: each.high for name, each in parameter_ranges(box).items()}
     {'u_0': 1.0, 'u_1': 1.0, 'v': 5.0}
     """
-    names = {name: shape.names for name, shape in _signals(space)}
+    names = {name: shape.names for name, shape in _named_shapes(space)}
     knot = {"signal": None, "knots": None}
     return {
         parameter: each.model_copy(update=knot) if name in names else each
@@ -42,7 +42,7 @@ def check_signals(space: Space, horizon: float) -> None:
         )
 
 
-def _signals(space: Box) -> Iterator[tuple[str, SignalShape]]:
+def _named_shapes(space: Box) -> Iterator[tuple[str, SignalShape]]:
     for name, each in space.items():
         if each.signal is not None and each.knots is not None:
             yield name, SignalShape(name=name, kind=each.signal, knots=each.knots)

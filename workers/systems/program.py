@@ -88,7 +88,7 @@ class ProgramSystem(SystemUnderTest):
         path = Path(tempfile.gettempdir(), name)
         names = (parameter.name for parameter in self._spec.parameters)
         line = {
-            "start": dict(zip(names, map(_described, x), strict=True)),
+            "start": dict(zip(names, map(_start_value, x), strict=True)),
             "seed": seed,
             "variant": variant,
             "horizon": float(horizon),
@@ -274,7 +274,7 @@ def _space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
         yield Parameter(name=name, unit=box.unit, low=box.low, high=box.high, signal=box.signal is not None)
 
 
-def _described(value: Any) -> Any:
+def _start_value(value: Any) -> Any:
     """Return the value of a parameter in the line of a rollout."""
     return value.described if isinstance(value, InputSignal) else float(value)
 
