@@ -56,8 +56,8 @@ class FirstCampaign:
     basis: FirstValues
     lengths: dict[str, float]
     """Length scale of each parameter."""
-    resolution: int | None
-    """None for the default."""
+    candidates: int | None
+    """Fixed starts, where no lattice covers the box."""
     size: FirstSize
     noisy: frozenset[ProblemName]
     """Problems whose rollouts depend on the seed."""
@@ -100,9 +100,12 @@ class FirstCampaign:
             yield "# How the rollouts of the two variants are compared, and the two bounds become one claim."
             yield 'gap = { kind = "robustness" }'
             yield 'composition = "pointwise"'
-        if self.resolution is not None:
-            yield "# Starts per parameter among which tests are chosen: fewer than usual, for so many parameters."
-            yield f"resolution = {self.resolution}"
+        if self.candidates is not None:
+            yield from _comment(
+                "With so many parameters the claim is about the worst of this many fixed starts, spread over the "
+                "ranges, and about no start between them."
+            )
+            yield f"candidates = {self.candidates}"
         yield "# Tests of a problem at most; the bound is valid whenever they end."
         yield f"max_tests = {self.size.max_tests}"
         yield from self._checks()

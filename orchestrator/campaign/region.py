@@ -3,12 +3,14 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..mathematics.stl.condition import Truth, check_timeless, holds
 from ..mathematics.stl.parser import FormulaError, parse_formula
 
+Floats = NDArray[np.float64]
 Start = tuple[float, ...]
-Condition = Callable[[Sequence[Start]], Truth]
+Condition = Callable[[Sequence[Start] | Floats], Truth]
 """Whether each of some starts is in the region."""
 
 

@@ -1,15 +1,19 @@
 """Inputs over time, to a function and to a program: from the campaign file to a certificate that verifies."""
 
 import json
+import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from perfbound.schemas.trajectory import read_mcap
 from tests.end_to_end.processes import Processes, recorded, wait_for
 from tests.end_to_end.test_report import page_data
 
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "follow"
 FUNCTION = '''"""A mass that an input moves, from rest."""
 
 import numpy as np
@@ -66,6 +70,38 @@ SYSTEMS = {
         "{folder}/c.toml",
     ),
 }
+
+
+def least_distances(knots: Any, gap: Any, speed: Any) -> Any:
+    """Return the least distance of `deploy/examples/follow` from starts (n,), all of them at once."""
+    t, distance, own, ahead = np.arange(200) * 0.05, gap.copy(), speed.copy(), speed.copy()
+    least = gap.copy()
+    for at in t:
+        demand = [np.interp(at, np.linspace(0.0, 10.0, 4), row) for row in np.eye(4)] @ knots.T
+        control = 0.25 * (distance - 3.0 - 1.4 * own) + 0.8 * (ahead - own)
+        own = np.maximum(own + 0.05 * np.clip(control, -7.0, 2.0), 0.0)
+        ahead = np.maximum(ahead + 0.05 * demand, 0.0)
+        distance = distance + 0.05 * (ahead - own)
+        least = np.minimum(least, distance)
+    return least
+
+
+def test_a_claim_over_six_parameters_is_confirmed_by_random_starts(started: Processes, tmp_path: Path) -> None:
+    for file in EXAMPLE.iterdir():
+        shutil.copy(file, tmp_path)
+    ended = started.run("perfbound", "run", tmp_path / "follow.toml", "--out", tmp_path / "run")
+    assert ended.code == 0, ended.err
+    assert "robustness: the claim is about the worst of 4,096 fixed starts, spread over the ranges of 6" in ended.err
+    assert "CLAIM  robustness at the worst of the 4096 listed starts >= 1.1364 m" in ended.out
+    verify = ("perfbound", "verify", tmp_path / "run", "--resimulate", "3", "--system")
+    verified = started.run(*verify, f"{tmp_path / 'follow.py'}:follow")
+    assert verified.code == 0, verified.out
+
+    random = np.random.default_rng(1)
+    knots, gap, speed = random.uniform(-4, 2, (150_000, 4)), *random.uniform([20, 10], [70, 30], (150_000, 2)).T
+    inside = gap >= 1.4 * speed
+    assert inside.sum() > 100_000
+    assert least_distances(knots[inside], gap[inside], speed[inside]).min() - 2.0 >= 1.1364
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
