@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from .rollout import MAX_PARAMETERS
 from .signals import SignalShape
 from .space import Box, Space
 
@@ -29,12 +30,14 @@ def parameter_ranges(space: Box) -> Box:
 
 
 def check_signals(space: Space, horizon: float) -> None:
-    """Refuse input signals of rollouts without duration.
+    """Refuse input signals of rollouts without duration, and more knots than a start has room for.
 
     Raises:
         ValueError: one line with the key and the remedy.
 
     """
+    if isinstance(space, dict) and (count := len(parameter_ranges(space))) > MAX_PARAMETERS:
+        raise ValueError(f"space: {count} parameters with their knots are more than the {MAX_PARAMETERS} allowed")
     for shape in signal_shapes(space) if horizon == 0 else ():
         raise ValueError(
             f"space.{shape.name}.signal: an input over time needs rollouts longer than 0 s; give horizon, or remove "

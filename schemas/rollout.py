@@ -15,6 +15,9 @@ from .system import OptionValue, SystemSpec, Variant
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
+MAX_PARAMETERS = 1000
+"""Numbers of one start."""
+
 
 class RolloutRequest(Model):
     """One rollout: its name, and everything that decides its trajectory.
@@ -33,12 +36,12 @@ class RolloutRequest(Model):
     system: Name
     spec_sha256: Sha256
     options: dict[str, OptionValue] = Field(default_factory=dict)
-    x: tuple[Magnitude, ...] = Field(min_length=1, max_length=1000)
+    x: tuple[Magnitude, ...] = Field(min_length=1, max_length=MAX_PARAMETERS)
     horizon: Seconds
     visual: bool = False
     signals: tuple[SignalShape, ...] = Field(
         default=(),
-        max_length=1000,
+        max_length=MAX_PARAMETERS,
         # Requests without signals stay what they were, to the byte: they are in the files of trajectories.
         exclude_if=lambda signals: not signals,
         description="the inputs over time whose knots are in `x`",

@@ -137,6 +137,7 @@ class Collector:
             doc=header.spec.doc,
             code=self._code,
             specification=config.formula,
+            where=config.where,
             horizon=config.horizon,
             risk_weight=config.risk_weight if of_risk else None,
             clip=config.clip,

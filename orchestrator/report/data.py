@@ -318,6 +318,8 @@ class ReportData:
     """Number of all of them."""
     set_aside: tuple[SetAsideRow, ...] = ()
     """For good first, then the latest, at most 50."""
+    where: str | None = None
+    """The condition on the parameters, of a campaign that leaves out a part of the ranges."""
 
 
 def to_json(data: ReportData | RolloutsOfTest) -> str:

@@ -1,12 +1,16 @@
 """Input signals in `[space]` of a campaign file, and the check against their system."""
 
+import tomllib
+from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from perfbound.schemas.campaign_check import check_against
+from perfbound.schemas.campaign_defaults import file_schema
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.facts import Header
@@ -111,6 +115,23 @@ def test_a_signal_needs_a_horizon() -> None:
     text = HEAD.replace("LENGTH", "1.0").replace("horizon = 4\n", "") + SIGNAL + "gap = [0, 9]"
     with pytest.raises(CampaignError, match=r"c.toml: space\.u\.signal: .* give horizon, or remove signal and knots$"):
         parse_campaign(text.encode(), "c.toml")
+
+
+def test_more_knots_than_a_start_has_room_for_are_refused() -> None:
+    with pytest.raises(CampaignError, match=r"^c\.toml: space: 1002 parameters with their knots are more than"):
+        parsed("".join(SIGNAL.replace("u =", f"u{k} =").replace("2", "100") for k in range(10)) + SIGNAL)
+
+
+def test_editors_know_the_keys() -> None:
+    example = Path(__file__).parents[3] / "deploy" / "examples" / "follow" / "follow.toml"
+    table = tomllib.loads(example.read_text())
+    jsonschema.validate(table, file_schema())
+    for key, value in (("signal", "spline"), ("knots", 1.5)):
+        wrong = {**table, "space": {**table["space"], "ahead": {**table["space"]["ahead"], key: value}}}
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(wrong, file_schema())
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**table, "space": {**table["space"], "where": 5}}, file_schema())
 
 
 def test_a_stored_system_with_other_knots_is_refused() -> None:
