@@ -129,7 +129,7 @@ class CampaignConfig(Model):
         le=MOST_STARTS,
         exclude_if=lambda candidates: candidates is None,
         description="fixed starts, spread over the box as a Sobol sequence, which the claim is then about; by default "
-        "4096 with method `rigorous` on more than 3 parameters or with `where`, 256 with method `scenario` on ranges",
+        "4096 with method `rigorous` on more than 3 parameters or with `where`, 64 with method `scenario` on ranges",
     )
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
         min_length=1,

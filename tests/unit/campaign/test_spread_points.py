@@ -127,7 +127,7 @@ def candidates(config: CampaignConfig) -> Lattice | Points:
         (2, RIGOROUS, "candidates = 500\n", 500),
         (2, RIGOROUS, 'where = "x0 <= x1"\n', 4096),
         (2, RIGOROUS, 'where = "x0 <= x1"\ncandidates = 64\n', 64),
-        (1, SCENARIO, "", 256),
+        (1, SCENARIO, "", 64),
         (6, SCENARIO, "candidates = 20\n", 20),
     ],
 )
