@@ -11,6 +11,7 @@ from ...schemas.facts import Header
 from ...schemas.parameters import parameter_ranges
 from ...schemas.space import Box, Range, StartTable
 from ..mathematics.distributions import to_digits, truncated
+from ..mathematics.sobol import BLOCK as BLOCK_OF_SOBOL
 from ..mathematics.sobol import sobol_blocks
 from .region import Start, condition
 from .seeds import Floats, uniform
@@ -127,13 +128,15 @@ def check_where(space: Box, where: str, source: str) -> None:
     except ValueError as error:
         raise CampaignError(f"{source}: {error}") from None
     assert admitted is not None, "there is a condition"
-    blocks = [admitted(starts(shares)) for shares in itertools.islice(sobol_blocks(len(ranges)), SHARE_BLOCKS)]
-    inside, points = sum(int(each.sum()) for each in blocks), sum(map(len, blocks))
-    if inside < LEAST_SHARE * points:
-        raise CampaignError(
-            f"{source}: space.where: holds at {inside} of {points} starts of the ranges, less than 1 in "
-            f"{1 / LEAST_SHARE:.0f}; fix the condition, or choose narrower ranges"
-        )
+    inside, points = 0, SHARE_BLOCKS * BLOCK_OF_SOBOL
+    for shares in itertools.islice(sobol_blocks(len(ranges)), SHARE_BLOCKS):
+        inside += int(admitted(starts(shares)).sum())
+        if inside >= LEAST_SHARE * points:
+            return  # whatever the other points are; most regions need one block
+    raise CampaignError(
+        f"{source}: space.where: holds at {inside} of {points} starts of the ranges, less than 1 in "
+        f"{1 / LEAST_SHARE:.0f}; fix the condition, or choose narrower ranges"
+    )
 
 
 def _chosen(values: Sequence[Value]) -> Callable[[Floats], list[Value]]:
