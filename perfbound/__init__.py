@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .systems import (
         Cancelled,
         Column,
+        InputSignal,
         Option,
         Parameter,
         SimulationError,
@@ -31,6 +32,7 @@ __all__ = [
     "Campaign",
     "Cancelled",
     "Column",
+    "InputSignal",
     "Option",
     "Parameter",
     "PerfboundError",

@@ -1,6 +1,7 @@
 """The public API for systems under test: everything that a simulator of one's own imports."""
 
 from .schemas.errors import SimulationError
+from .schemas.input_signal import InputSignal
 from .schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from .schemas.trajectory import Trajectory, Transform, Visual
 from .workers.systems.base import Cancelled, Progress, SystemUnderTest, checked_options
@@ -9,6 +10,7 @@ from .workers.systems.function import system
 __all__ = [
     "Cancelled",
     "Column",
+    "InputSignal",
     "Option",
     "OptionValue",
     "Parameter",

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from .base import Model, digest, merged
 from .campaign_rules import check_consistent
 from .claims import SAMPLED, ClaimRequest, DrawnClaim
+from .method_spaces import MOST_STARTS, RESOLUTION, fixed_starts
 from .problem_models import Gap, Problem, SampleProblem
 from .problems import OBJECTIVES, Sense
 from .requirements import MOST, Requirement, conjunction
@@ -34,7 +35,7 @@ class CampaignConfig(Model):
     seed: int = Field(default=1, ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
     window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")
     replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
-    resolution: int = Field(default=21, ge=2, description="lattice nodes per parameter")
+    resolution: int = Field(default=RESOLUTION, ge=2, description="lattice nodes per parameter")
     max_tests: int = Field(default=2000, ge=1, le=1_000_000, description="largest number of tests per problem")
     horizon: float = Field(
         default=0.0, ge=0, description="duration of a rollout in s; 0 for a function, whose rollout is one sample"
@@ -115,6 +116,21 @@ class CampaignConfig(Model):
     )
     system: SystemChoice = Field(description="the system under test")
     space: Space = Field(description="D, all starting conditions: a range per parameter, scenarios, or a table")
+    where: str | None = Field(
+        default=None,
+        max_length=10_000,
+        exclude_if=lambda where: where is None,
+        description="condition on the parameters, such as `x^2 + y^2 <= 25`; also under `[space]`; not with method "
+        "`paper`",
+    )
+    candidates: int | None = Field(
+        default=None,
+        ge=2,
+        le=MOST_STARTS,
+        exclude_if=lambda candidates: candidates is None,
+        description="fixed starts, spread over the box as a Sobol sequence, which the claim is then about; by default "
+        "4096 with method `rigorous` on more than 3 parameters or with `where`, 64 with method `scenario` on ranges",
+    )
     problems: tuple[Annotated[Problem, Field(discriminator="method")], ...] = Field(
         min_length=1,
         description="the optimisation problems; without it there is one, `robustness`, and its keys are those of the "
@@ -175,6 +191,11 @@ class CampaignConfig(Model):
     def resolution_of(self, problem: Problem) -> int:
         """Return the lattice nodes per parameter of one problem."""
         return problem.resolution or self.resolution
+
+    def starts_of(self, problem: Problem) -> int | None:
+        """Return how many fixed starts of the box a problem chooses from; None for a lattice, a list and draws."""
+        resolution, region = self.resolution_of(problem), self.where is not None
+        return fixed_starts(problem.method, self.space, resolution, self.candidates, region=region)
 
     def max_tests_of(self, problem: Problem) -> int:
         """Return the budget of one problem."""

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from .campaign import CampaignConfig
 from .claims import fewest_samples
 from .errors import CampaignError
+from .parameters import signal_shapes
 from .problem_models import PaperProblem, Problem, RigorousProblem
 from .problems import rolled_out
 from .space import Scenarios, StartTable
@@ -23,14 +24,43 @@ def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None
 
 
 def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    kinds = (_space_faults, _kernel_faults, _option_faults, _rollout_faults)
+    kinds = (_signal_faults, _space_faults, _kernel_faults, _option_faults, _rollout_faults)
     return [fault for faults in kinds for fault in faults(config, spec)]
+
+
+def _signal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    shapes, declared = signal_shapes(config.space), spec.declared
+    taken = [each.name for each in declared.parameters if each.signal]
+    if not isinstance(config.space, dict):
+        key = "scenarios" if isinstance(config.space, Scenarios) else "table"
+        yield from (
+            f"space.{key}: {spec.name} takes {name} as an input over time, which no list has; give a range per "
+            f'parameter, and {name} = {{ signal = "pchip", knots = 5, low = ..., high = ... }}'
+            for name in taken
+        )
+        return
+    given = {each.name for each in shapes}
+    for parameter in declared.parameters:
+        name = parameter.name
+        if parameter.signal and name in config.space and name not in given:
+            yield (
+                f"space.{name}.signal: this key is required: {spec.name} takes {name} as an input over time; give "
+                "'pchip', 'linear' or 'constant', and knots"
+            )
+        elif name in given and not parameter.signal:
+            yield (
+                f"space.{name}.signal: {spec.name} takes {name} as a number; remove signal and knots, or declare it "
+                "in the system: Parameter(..., signal=True)"
+            )
+    # The identity of a system does not depend on the knots: those of a stored one must be those of the campaign.
+    if spec.signals and spec != declared.spread(shapes):
+        yield f"space: its input signals are not those of the stored {spec.name}; restore the database from a copy"
 
 
 def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
     if not isinstance(config.space, dict):
         return list(_row_faults(config.space, spec))
-    known = {parameter.name: parameter for parameter in spec.parameters}
+    known = {parameter.name: parameter for parameter in spec.declared.parameters}
     faults = [
         f"space.{name}: unknown parameter; {spec.name} has {', '.join(known)}" for name in config.space.keys() - known
     ]
@@ -73,13 +103,14 @@ def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str
 
 
 def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
-    names = {parameter.name for parameter in spec.parameters}
+    parameters = spec.spread(signal_shapes(config.space)).parameters
+    names = {parameter.name for parameter in parameters}
     for problem in config.problems:
         lengths = problem.kernel.length_scale if isinstance(problem, PaperProblem | RigorousProblem) else None
         if isinstance(lengths, dict) and lengths.keys() != names:
             given = ", ".join(lengths)
             where = f"problems.{problem.name}.kernel.length_scale"
-            wanted = ", ".join(parameter.name for parameter in spec.parameters)
+            wanted = ", ".join(parameter.name for parameter in parameters)
             yield f"{where}: has {given}; give one number for each parameter of {spec.name}: {wanted}"
 
 

@@ -13,6 +13,7 @@ from .campaign import CampaignConfig
 from .problem_models import PROBLEM_MODELS
 from .problems import MethodName, ProblemName
 from .requirements import listed
+from .signals import MAX_KNOTS
 from .system import ASSUMED_HORIZON
 
 ONLY_PROBLEM: ProblemName = "robustness"
@@ -64,6 +65,10 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     name = re.sub("[^a-z0-9_]+", "-", stem.lower()).strip("-_")[:64]
     found = {"name": name, **table} if name else dict(table)
     if isinstance(space := found.get("space"), Mapping):
+        if isinstance(space.get("where"), str) and "where" not in table:
+            # A parameter may be called `where`: its value is a range.
+            found["where"] = space["where"]
+            space = {key: each for key, each in space.items() if key != "where"}
         ranges = {key: _with_ends(each) for key, each in space.items()}
         # A parameter may be called `table`: its value is a range, [0, 5].
         found["space"] = space if "scenarios" in space or isinstance(ranges.get("table"), list) else ranges
@@ -72,8 +77,27 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     if leaves_out_problems(table):
         found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
     if isinstance(problems := found.get("problems"), list):
-        found["problems"] = [_with_method(each, found) for each in problems]
+        found["problems"] = [_with_lengths(_with_method(each, found), _knots(space)) for each in problems]
     return found
+
+
+def _knots(space: Any) -> dict[str, tuple[str, ...]]:
+    """Return the parameters of each input signal; none of one whose own keys are wrong, a fault of its own."""
+    knots: dict[str, tuple[str, ...]] = {}
+    for name, each in space.items() if isinstance(space, Mapping) else ():
+        if isinstance(each, Mapping) and isinstance(each.get("signal"), str) and isinstance(each.get("knots"), int):
+            knots[name] = tuple(f"{name}_{k}" for k in range(min(each["knots"], MAX_KNOTS)))
+    return knots
+
+
+def _with_lengths(problem: Any, knots: Mapping[str, tuple[str, ...]]) -> Any:
+    """Return a problem with the length scale of an input signal given to each of its knots."""
+    kernel = problem.get("kernel") if isinstance(problem, Mapping) else None
+    lengths = kernel.get("length_scale") if isinstance(kernel, Mapping) else None
+    if not isinstance(kernel, Mapping) or not isinstance(lengths, Mapping) or not knots.keys() & lengths.keys():
+        return problem
+    each = {parameter: value for name, value in lengths.items() for parameter in knots.get(name, (name,))}
+    return {**problem, "kernel": {**kernel, "length_scale": each}}
 
 
 def _with_ends(value: Any) -> Any:
@@ -142,5 +166,7 @@ def file_schema() -> dict[str, Any]:
         "type": "object",
         "additionalProperties": {"anyOf": [{"type": "string"}, {"$ref": "#/$defs/Requirement"}]},
     }
+    box = next(each for each in schema["properties"]["space"]["oneOf"] if "additionalProperties" in each)
+    box["properties"] = {"where": {"anyOf": [{"type": "string"}, box["additionalProperties"]]}}
     schema["properties"]["problems"]["items"] = {"anyOf": schema["properties"]["problems"]["items"]["oneOf"]}
     return schema

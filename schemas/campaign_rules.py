@@ -3,7 +3,8 @@
 from typing import TYPE_CHECKING
 
 from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, fewest_samples
-from .method_spaces import check_space
+from .method_spaces import check_region, check_space, check_starts, draws_starts
+from .parameters import check_signals
 from .problem_models import Problem, RigorousProblem, SampleProblem
 from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, any_of
 
@@ -26,9 +27,13 @@ def check_consistent(config: "CampaignConfig") -> None:
         raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
     if config.clip is not None and not config.clip[0] < config.clip[1]:
         raise ValueError(f"clip: {list(config.clip)} must be [low, high] with low < high")
+    check_signals(config.space, config.horizon)
     for problem in config.problems:
         _check_objective(config, problem)
         _check_method(config, problem)
+    # A claim that is composed of two bounds is about the starts that both cover.
+    if len({config.starts_of(problem) for problem in config.problems if not draws_starts(problem.method)}) > 1:
+        raise ValueError("candidates: the problems choose from different starts; give their number, or one resolution")
     if config.until_counterexample:
         _check_until_counterexample(config, config.problems[0])
     _check_composition(config)
@@ -81,7 +86,11 @@ def _check_unclipped(problem: Problem) -> None:
 
 def _check_method(config: "CampaignConfig", problem: Problem) -> None:
     where = f"problems.{problem.name}"
-    check_space(problem.method, config.space, config.resolution_of(problem), where)
+    if config.candidates is not None:
+        check_starts(problem.method, config.space, config.candidates)
+    check_space(problem.method, config.space, config.resolution_of(problem), config.starts_of(problem), where)
+    if config.where is not None:
+        check_region(problem.method, config.space)
     if problem.method == "paper":
         if OBJECTIVES[problem.name].risk and config.replicates_of(problem) < 2:
             raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")

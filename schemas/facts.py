@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from .base import canonical_json, digest
 from .campaign import CampaignConfig
 from .ids import RolloutId
+from .parameters import signal_shapes
 from .rollout import RequestTemplate
 from .rules import RULES
 from .system import SystemSpec
@@ -39,8 +40,12 @@ class Header:
     def new(
         cls, config: CampaignConfig, spec: SystemSpec, software: dict[str, str], *, run: str | None = None
     ) -> "Header":
-        """Return the header of a new campaign, with a random run id if none is given."""
-        return cls(run or secrets.token_hex(8), config, spec, software, config.digest, spec.digest)
+        """Return the header of a new campaign, with a random run id if none is given.
+
+        The knots of its input signals are parameters of its system.
+        """
+        spread = spec.spread(signal_shapes(config.space))
+        return cls(run or secrets.token_hex(8), config, spread, software, config.digest, spec.digest)
 
     def __repr__(self) -> str:
         """Return campaign, system and seed."""

@@ -4,19 +4,42 @@ A method that draws its starts takes distributions and a table; every check of t
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
+from .parameters import parameter_ranges
 from .problems import MethodName, any_of
-from .space import Space, SpaceKind, space_kind
+from .space import MAX_SCENARIOS, Space, SpaceKind, space_kind
 
 SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
     "paper": ("box",),
     "rigorous": ("box", "scenarios"),
-    "scenario": ("scenarios",),
+    "scenario": ("scenarios", "box"),
     "sample": ("box", "distributions", "table"),
 }
 """The kinds of `[space]`; the first one is what an error asks for."""
 MAX_CANDIDATES = 100_000
 """Nodes of the largest lattice; memory is O(tests x nodes)."""
+RESOLUTION = 21
+"""Lattice nodes per parameter, by default."""
+LATTICE_PARAMETERS = 3
+"""A lattice of the default resolution covers a box of at most so many parameters."""
+MOST_STARTS = 5000
+"""Of the Sobol sequence; kernel rows over them are kept, 40 kB each."""
+
+
+class FixedStarts(NamedTuple):
+    """How many starts of the Sobol sequence a method chooses from."""
+
+    default: int
+    most: int
+
+
+FIXED_STARTS: Mapping[MethodName, FixedStarts] = {
+    "rigorous": FixedStarts(4096, MOST_STARTS),
+    # Without a kernel each start needs some tens of rollouts: the default of 2,000 tests has 31 for each of 64.
+    "scenario": FixedStarts(64, MAX_SCENARIOS),
+}
+"""The methods that choose from fixed starts where no lattice covers the box; `scenario` never has a lattice."""
 NEEDED: Mapping[SpaceKind, str] = {
     "box": "a box under [space]: low and high per parameter",
     "distributions": "ranges with distributions under [space]",
@@ -30,12 +53,48 @@ def draws_starts(method: MethodName) -> bool:
     return "distributions" in SPACES[method]
 
 
-def candidates(space: Space, resolution: int) -> int:
-    """Return how many starts a method that draws none chooses from, with so many lattice nodes per parameter."""
-    return int(resolution ** len(space)) if isinstance(space, dict) else len(space.rows)
+def fixed_starts(method: MethodName, space: Space, resolution: int, chosen: int | None, *, region: bool) -> int | None:
+    """Return how many starts of the Sobol sequence a method chooses from; None for a lattice, a list and draws.
+
+    `chosen` is the key `candidates` of the file; `region`: `where` leaves a part of the box alone.
+
+    >>> from perfbound.schemas.space import Range
+    >>> box = {name: Range(low=0.0, high=1.0) for name in "abcd"}
+    >>> [fixed_starts("rigorous", box, each, None, region=False) for each in (21, 10)]
+    [4096, None]
+    """
+    known = FIXED_STARTS.get(method)
+    if known is None or not isinstance(space, dict):
+        return None
+    if chosen is not None:
+        return chosen
+    # A resolution that the file gives is a wish for a lattice, as before there were fixed starts.
+    large = len(parameter_ranges(space)) > LATTICE_PARAMETERS and resolution == RESOLUTION
+    return known.default if large or region or method == "scenario" else None
 
 
-def check_space(method: MethodName, space: Space, resolution: int, where: str) -> None:
+def candidates(space: Space, resolution: int, starts: int | None) -> int:
+    """Return how many starts a method that draws none chooses from: `starts`, those of a list, or lattice nodes."""
+    if starts is not None:
+        return starts
+    return int(resolution ** len(parameter_ranges(space))) if isinstance(space, dict) else len(space.rows)
+
+
+def check_starts(method: MethodName, space: Space, chosen: int) -> None:
+    """Refuse the key `candidates` where it has no effect, or is too large.
+
+    Raises:
+        ValueError: one line with the key and the remedy.
+
+    """
+    known = FIXED_STARTS.get(method)
+    if known is None or not isinstance(space, dict):
+        raise ValueError(f"candidates: only for ranges, with method {any_of(tuple(FIXED_STARTS))}; remove this key")
+    if chosen > known.most:
+        raise ValueError(f"candidates: {chosen} is not allowed: method {method!r} takes at most {known.most}")
+
+
+def check_space(method: MethodName, space: Space, resolution: int, starts: int | None, where: str) -> None:
     """Refuse a space that the method of the problem at `where` does not take, or a lattice that is too large.
 
     Raises:
@@ -43,7 +102,7 @@ def check_space(method: MethodName, space: Space, resolution: int, where: str) -
 
     """
     kind = space_kind(space)
-    nodes = 0 if draws_starts(method) else candidates(space, resolution)
+    nodes = 0 if draws_starts(method) else candidates(space, resolution, starts)
     if kind in SPACES[method] and nodes > MAX_CANDIDATES:
         raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {MAX_CANDIDATES} allowed")
     if kind in SPACES[method]:
@@ -62,3 +121,20 @@ def check_space(method: MethodName, space: Space, resolution: int, where: str) -
             f"and high alone{otherwise}"
         )
     raise ValueError(f"{where}.method: {method!r} needs {NEEDED[SPACES[method][0]]}")
+
+
+def check_region(method: MethodName, space: Space) -> None:
+    """Refuse `where` with a method that does not take it, or with a list.
+
+    Raises:
+        ValueError: one line with the remedy.
+
+    """
+    if not isinstance(space, dict):
+        raise ValueError("space.where: only for ranges; remove the starts from the list that it should leave out")
+    if not draws_starts(method) and method not in FIXED_STARTS:
+        others = tuple(name for name in SPACES if draws_starts(name) or name in FIXED_STARTS)
+        raise ValueError(
+            f"space.where: method {method!r} bounds the worst start of a whole box; remove where, or choose method "
+            f"{any_of(others)}"
+        )

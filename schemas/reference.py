@@ -54,7 +54,8 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     (
         "[space]",
         'One entry per parameter of the system: `x = [0, 5]`, in full `x = { low = 0.0, high = 5.0, unit = "m" }`, or '
-        'with a distribution `x = { low = 0, high = 5, distribution = "normal", mean = 2, sd = 1 }`. '
+        'with a distribution `x = { low = 0, high = 5, distribution = "normal", mean = 2, sd = 1 }`, or as an input '
+        'over time `u = { signal = "pchip", knots = 5, low = 0, high = 1 }`. Beside them `where = "x^2 + y^2 <= 25"`. '
         "[Starting conditions](how-to/space.md) shows each form.",
         Range,
     ),

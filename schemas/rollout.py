@@ -9,10 +9,14 @@ from pydantic import Field
 from .base import Model
 from .ids import RolloutId
 from .ranges import Magnitude, ReplicateNumber, Seconds, Seed, TestNumber
+from .signals import SignalShape
 from .system import OptionValue, SystemSpec, Variant
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+MAX_PARAMETERS = 1000
+"""Numbers of one start."""
 
 
 class RolloutRequest(Model):
@@ -32,9 +36,16 @@ class RolloutRequest(Model):
     system: Name
     spec_sha256: Sha256
     options: dict[str, OptionValue] = Field(default_factory=dict)
-    x: tuple[Magnitude, ...] = Field(min_length=1, max_length=1000)
+    x: tuple[Magnitude, ...] = Field(min_length=1, max_length=MAX_PARAMETERS)
     horizon: Seconds
     visual: bool = False
+    signals: tuple[SignalShape, ...] = Field(
+        default=(),
+        max_length=MAX_PARAMETERS,
+        # Requests without signals stay what they were, to the byte: they are in the files of trajectories.
+        exclude_if=lambda signals: not signals,
+        description="the inputs over time whose knots are in `x`",
+    )
 
     @property
     def rollout(self) -> str:
@@ -100,4 +111,5 @@ class RequestTemplate:
             x=tuple(x),
             horizon=self.horizon,
             visual=self.visual,
+            signals=self.spec.signals,
         )

@@ -8,6 +8,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from .base import Model
 from .ranges import SEED_BITS
+from .signals import MAX_KNOTS, SignalKind, least_knots
 from .system import OptionValue, Variant
 
 MAX_SCENARIOS = 1000
@@ -166,6 +167,20 @@ class Range(Model):
         max_length=MAX_CHOICES,
         description="all values, instead of `low` and `high`; drawn with equal probabilities",
     )
+    signal: SignalKind | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="an input over time through `knots` values, each in the range: `pchip` (smooth, monotone between "
+        "two knots), `linear`, or `constant` until the next knot",
+    )
+    knots: int | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        ge=1,
+        le=MAX_KNOTS,
+        description="of `signal`, required: values, equally spaced over [0, horizon]; each is a parameter of its own, "
+        "NAME_0, NAME_1, ...",
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> "Range":
@@ -216,6 +231,16 @@ class Range(Model):
         if self.mode is not None and not self.low <= self.mode <= self.high:
             raise ValueError(
                 f"mode: {self.mode:g} is not allowed: allowed is a number in [{self.low:g}, {self.high:g}]"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _with_knots(self) -> "Range":
+        if self.signal is None and self.knots is not None:
+            raise ValueError('knots: needs signal = "pchip", "linear" or "constant"; give one, or remove this key')
+        if self.signal is not None and (self.knots or 0) < least_knots(self.signal):
+            raise ValueError(
+                f"knots: required by signal {self.signal!r}; give a whole number >= {least_knots(self.signal)}"
             )
         return self
 

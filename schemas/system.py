@@ -1,5 +1,7 @@
 """The specification of a system under test, which workers announce so that the orchestrator need not import it."""
 
+import re
+from collections.abc import Iterable
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
@@ -7,6 +9,7 @@ from pydantic import Field, model_validator
 from .base import Model, digest
 from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, SeedBits
 from .rules import KNOWN, RULES
+from .signals import SignalShape
 
 ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated", "trajectory_bytes")
 """Keys of a SystemSpec that no campaign of rules 1 has."""
@@ -30,6 +33,11 @@ class Parameter(Model):
     unit: str = ""
     low: Magnitude
     high: Magnitude
+    signal: bool = Field(
+        default=False,
+        exclude_if=lambda signal: not signal,
+        description="an input over time; the campaign chooses its interpolation and its knots",
+    )
 
     def __init__(self, *limits: float, **fields: Any) -> None:
         if limits:
@@ -98,11 +106,57 @@ class SystemSpec(Model):
         default=None, description="size of a trajectory's file; one of more than ten times as many is refused unread"
     )
 
+    signals: tuple[SignalShape, ...] = Field(
+        default=(),
+        exclude_if=lambda signals: not signals,
+        description="of a campaign: the input signals whose knots are among the parameters",
+    )
+
     @model_validator(mode="after")
     def _named(self) -> "SystemSpec":
         if any(not each.name for each in self.parameters):
             raise ValueError("parameters: every parameter needs a name")
+        for signal in (each.name for each in self.parameters if each.signal):
+            for other in self.parameters:
+                if re.fullmatch(rf"{signal}_[0-9]+", other.name):
+                    raise ValueError(
+                        f"parameters: {other.name} is the name of a knot of {signal}, an input over time; choose "
+                        "another name"
+                    )
         return self
+
+    def spread(self, shapes: Iterable[SignalShape] = ()) -> "SystemSpec":
+        """Return the system as a campaign knows it: the knots of its input signals are parameters.
+
+        Signals that `shapes` does not have get the default shape. The identity stays that of the system.
+        """
+        given = {each.name: each for each in shapes}
+        found = {
+            each.name: given.get(each.name) or SignalShape(name=each.name) for each in self.parameters if each.signal
+        }
+        if not found:
+            return self
+        parameters = tuple(
+            each.model_copy(update={"name": name, "signal": False})
+            for each in self.parameters
+            for name in (found[each.name].names if each.signal else (each.name,))
+        )
+        return self.model_copy(update={"parameters": parameters, "signals": tuple(found.values())})
+
+    @property
+    def declared(self) -> "SystemSpec":
+        """The system as it describes itself: the inverse of `spread`."""
+        if not self.signals:
+            return self
+        names = {name: shape.name for shape in self.signals for name in shape.names}
+        parameters = {
+            # All knots of a signal are alike.
+            (name := names.get(each.name, each.name)): each.model_copy(
+                update={"name": name, "signal": each.name in names}
+            )
+            for each in self.parameters
+        }
+        return self.model_copy(update={"parameters": tuple(parameters.values()), "signals": ()})
 
     @property
     def assumed_horizon(self) -> float:
@@ -155,16 +209,17 @@ class SystemSpec(Model):
         others = [
             f"{key} {_short(getattr(self, key))} (here {_short(getattr(here, key))})"
             for key in type(self).model_fields
-            if key not in seen and getattr(self, key) != getattr(here, key)
+            if key not in seen and getattr(self.declared, key) != getattr(here.declared, key)
         ]
         return code + versions + others
 
     def digest_by(self, rules: int) -> str:
-        """Return the identity of this system in the campaigns of some rules."""
+        """Return the identity of this system in the campaigns of some rules: that of the declared one."""
+        declared = self.declared
         if rules == 1:
-            return digest(self.model_dump(mode="json", exclude=set(ADDED)))
+            return digest(declared.model_dump(mode="json", exclude=set(ADDED)))
         # Since rules 2 a key that a later version adds changes nothing while it is not set. A changed default does.
-        return digest(self.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NO_ROLLOUT))
+        return digest(declared.model_dump(mode="json", exclude_defaults=True, exclude=DECIDES_NO_ROLLOUT))
 
 
 def _short(value: object) -> str:

@@ -1,6 +1,7 @@
 """One rollout on this worker: from the request to the bytes of the trajectory's file."""
 
 from ..schemas.errors import SimulationError
+from ..schemas.input_signal import start_values
 from ..schemas.rollout import RolloutRequest
 from ..schemas.trajectory import encode
 from .systems import load_system
@@ -45,8 +46,9 @@ def run_request_on(system: SystemUnderTest, request: RolloutRequest, progress: P
 
     """
     spec = system.spec
+    start = start_values(spec.spread(request.signals), request.x, request.horizon)
     trajectory = system.rollout(
-        request.x,
+        tuple(start.values()),
         variant=request.variant,
         seed=request.seed,
         horizon=request.horizon,

@@ -7,7 +7,7 @@ from ...schemas.space import space_kind
 from ...schemas.system import SystemSpec
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula
-from .draws import check_distributions
+from .draws import check_distributions, check_where
 
 
 def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
@@ -23,6 +23,8 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     _check_specification(config, spec, source)
     if isinstance(config.space, dict) and space_kind(config.space) == "distributions":
         check_distributions(config.space, source)
+    if isinstance(config.space, dict) and config.where is not None:
+        check_where(config.space, config.where, source)
 
 
 def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:

@@ -1,5 +1,6 @@
 """Starts that are drawn from the distribution of `[space]`: a function of the campaign and their number alone."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -7,8 +8,12 @@ import numpy as np
 
 from ...schemas.errors import CampaignError
 from ...schemas.facts import Header
+from ...schemas.parameters import parameter_ranges
 from ...schemas.space import Box, Range, StartTable
 from ..mathematics.distributions import to_digits, truncated
+from ..mathematics.sobol import BLOCK as BLOCK_OF_SOBOL
+from ..mathematics.sobol import sobol_blocks
+from .region import Start, condition
 from .seeds import Floats, uniform
 
 DIGITS = 9
@@ -16,7 +21,13 @@ DIGITS = 9
 BLOCK = 256
 """Starts that are computed together; scipy takes 100 us a call, however many numbers it gets."""
 
-Start = tuple[float, ...]
+MOST_ATTEMPTS = 100_000
+"""At the least share of a region that is allowed, one start in e^100 needs more."""
+LEAST_SHARE = 1e-3
+"""Of the distribution in the region; below it most time goes into attempts."""
+SHARE_BLOCKS = 25
+"""Blocks of the Sobol sequence that show the share of a region: 10^5 starts."""
+
 Value = TypeVar("Value")
 
 
@@ -27,13 +38,18 @@ class Draws:
     which starts are asked for nor workers and restarts change it. Of ranges each parameter takes one uniform number
     through the inverse of its distribution; of a table a start takes one, for its row.
 
+    With `where` each attempt at start j takes row j of a table of its own, until one is in the region: the starts are
+    those of the distribution under the condition that `where` holds.
+
     Drawn numbers are rounded to `DIGITS` significant digits, of the value or of the width of its range, and stay in
     [low, high]: the logarithms and roots of scipy may differ in their last bits between machines, and starts should
     not. A difference survives where a limit of rounding is between the two: at most one number in a million. A table's
     rows, choices and steps are taken as they are. Not thread-safe.
 
     Raises:
-        ValueError: the campaign was not checked: a distribution has almost nothing in its range.
+        ValueError: the campaign was not checked: a distribution has almost nothing in its range, or `where` is no
+            condition.
+        CampaignError: almost nothing of the distribution is in the region.
         TypeError: its space is a list of scenarios.
 
     """
@@ -41,6 +57,7 @@ class Draws:
     def __init__(self, header: Header, design: str) -> None:
         self._header, self._series = header, f"{design}.starts"
         self._width, self._starts = _transform(header)
+        self._condition = condition(header.config.where, [each.name for each in header.spec.parameters])
         self._block: tuple[int, list[Start]] = (-1, [])
 
     def start(self, number: int) -> Start:
@@ -51,8 +68,26 @@ class Draws:
         # Whole blocks alone, from multiples of their size: each number is computed among the same others, in any order.
         if self._block[0] != block:
             rows = range(block * BLOCK, (block + 1) * BLOCK)
-            self._block = block, self._starts(uniform(self._header, self._series, rows, self._width))
+            self._block = block, self._drawn(rows)
         return self._block[1][row]
+
+    def _drawn(self, rows: range) -> list[Start]:
+        """Return starts of the region: start j is the first of its own attempts that is there."""
+        starts = self._starts(uniform(self._header, self._series, rows, self._width))
+        if self._condition is None:
+            return starts
+        outside = np.flatnonzero(~self._condition(starts))
+        for attempt in range(1, MOST_ATTEMPTS):
+            if not outside.size:
+                return starts
+            shares = uniform(self._header, self._series, rows, self._width, attempt=attempt)
+            again = self._starts(shares[outside])
+            for k, start in zip(outside.tolist(), again, strict=True):
+                starts[k] = start
+            outside = outside[~self._condition(again)]
+        raise CampaignError(
+            f"space.where: a start of the region was not found in {MOST_ATTEMPTS} attempts; choose narrower ranges"
+        )
 
 
 def _transform(header: Header) -> tuple[int, Callable[[Floats], list[Start]]]:
@@ -62,7 +97,8 @@ def _transform(header: Header) -> tuple[int, Callable[[Floats], list[Start]]]:
         row = _chosen(space.rows)
         return 1, lambda shares: row(shares[:, 0])
     if isinstance(space, dict):
-        return len(space), _of_box(space, [parameter.name for parameter in header.spec.parameters])
+        ranges = parameter_ranges(space)
+        return len(ranges), _of_box(ranges, [parameter.name for parameter in header.spec.parameters])
     raise TypeError("no method that draws its starts takes a list of scenarios")
 
 
@@ -77,6 +113,30 @@ def check_distributions(space: Box, source: str) -> None:
         _of_box(space, list(space))
     except ValueError as error:
         raise CampaignError(f"{source}: {error}") from None
+
+
+def check_where(space: Box, where: str, source: str) -> None:
+    """Refuse a condition that is none, or that leaves almost nothing of the distribution of a space.
+
+    Raises:
+        CampaignError: one line with the source and the remedy.
+
+    """
+    ranges = parameter_ranges(space)
+    try:
+        admitted, starts = condition(where, list(ranges)), _of_box(ranges, list(ranges))
+    except ValueError as error:
+        raise CampaignError(f"{source}: {error}") from None
+    assert admitted is not None, "there is a condition"
+    inside, points = 0, SHARE_BLOCKS * BLOCK_OF_SOBOL
+    for shares in itertools.islice(sobol_blocks(len(ranges)), SHARE_BLOCKS):
+        inside += int(admitted(starts(shares)).sum())
+        if inside >= LEAST_SHARE * points:
+            return  # whatever the other points are; most regions need one block
+    raise CampaignError(
+        f"{source}: space.where: holds at {inside} of {points} starts of the ranges, less than 1 in "
+        f"{1 / LEAST_SHARE:.0f}; fix the condition, or choose narrower ranges"
+    )
 
 
 def _chosen(values: Sequence[Value]) -> Callable[[Floats], list[Value]]:

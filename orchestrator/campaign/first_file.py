@@ -56,8 +56,8 @@ class FirstCampaign:
     basis: FirstValues
     lengths: dict[str, float]
     """Length scale of each parameter."""
-    resolution: int | None
-    """None for the default."""
+    candidates: int | None
+    """Fixed starts, where no lattice covers the box."""
     size: FirstSize
     noisy: frozenset[ProblemName]
     """Problems whose rollouts depend on the seed."""
@@ -100,9 +100,12 @@ class FirstCampaign:
             yield "# How the rollouts of the two variants are compared, and the two bounds become one claim."
             yield 'gap = { kind = "robustness" }'
             yield 'composition = "pointwise"'
-        if self.resolution is not None:
-            yield "# Starts per parameter among which tests are chosen: fewer than usual, for so many parameters."
-            yield f"resolution = {self.resolution}"
+        if self.candidates is not None:
+            yield from _comment(
+                "With so many parameters the claim is about the worst of this many fixed starts, spread over the "
+                "ranges, and about no start between them."
+            )
+            yield f"candidates = {self.candidates}"
         yield "# Tests of a problem at most; the bound is valid whenever they end."
         yield f"max_tests = {self.size.max_tests}"
         yield from self._checks()
@@ -139,9 +142,13 @@ class FirstCampaign:
         yield ""
         yield "# All starting conditions of the claim: here the whole range of the system."
         yield "[space]"
-        for each in self.spec.parameters:
-            unit = f", unit = {toml_quoted(each.unit)}" if each.unit else ""
-            yield f"{each.name} = {{ low = {each.low!r}, high = {each.high!r}{unit} }}"
+        shapes = {each.name: each for each in self.spec.signals}
+        for each in self.spec.declared.parameters:
+            shape, unit = shapes.get(each.name), f", unit = {toml_quoted(each.unit)}" if each.unit else ""
+            if shape is not None:
+                yield from _comment(f"{each.name} is an input over time through this many knots over the horizon.")
+            knots = "" if shape is None else f"signal = {toml_quoted(shape.kind)}, knots = {shape.knots}, "
+            yield f"{each.name} = {{ {knots}low = {each.low!r}, high = {each.high!r}{unit} }}"
 
     def _problems(self) -> Iterator[str]:
         for name, constants in self.basis.constants.items():

@@ -32,8 +32,6 @@ CORNERS, INNER = 8, 16
 """Starts of a pilot at corners of the box, where a system is often at its worst, and in it."""
 NOISY_ROLLOUTS = 2
 """Rollouts at each start where they depend on the seed."""
-MOST_NODES = 20_000
-"""Nodes of the lattice of a first campaign."""
 NORM_FACTOR = 2.0
 """The campaign sees more of the objective than a pilot, and finds larger norms."""
 NOISE_FACTOR = 1.5
@@ -71,15 +69,6 @@ def pilot_starts(parameters: Sequence[Parameter]) -> list[tuple[float, ...]]:
         )
         for shares in dict.fromkeys(map(tuple, [*corners, *inner]))
     ]
-
-
-def nodes_per_parameter(parameters: int, most: int) -> int:
-    """Return the resolution of a lattice of at most `MOST_NODES` nodes, and at most `most`; below 2 there is none.
-
-    >>> [nodes_per_parameter(p, 21) for p in (1, 2, 3, 5, 14, 15)]
-    [21, 21, 21, 7, 2, 1]
-    """
-    return min(most, math.floor(math.pow(MOST_NODES, 1 / parameters) + 1e-9))
 
 
 def length_scales(parameters: Sequence[Parameter]) -> dict[str, float]:

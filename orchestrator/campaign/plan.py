@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import DrawnClaim
+from ...schemas.parameters import parameter_ranges
 from ...schemas.problem_models import Gap, Problem, RigorousProblem, SampleProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
 from ...schemas.space import Scenarios, StartTable
@@ -14,6 +15,7 @@ from ..mathematics.bounds.composition import derived_noise_scale
 from ..mathematics.bounds.risk import linearised_range
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
+from .spread_points import spread_points
 
 UNBOUNDED = (-math.inf, math.inf)
 """The clip of a campaign that has none."""
@@ -53,6 +55,8 @@ class ProblemPlan:
     sense: Sense
     claims: tuple[DrawnClaim, ...] = ()
     """What is claimed of drawn starts, the first claim first; empty where none are drawn."""
+    box: bool = False
+    """Whether the space is ranges, and listed starts are points of the Sobol sequence in them."""
     deterministic: bool = False
     """Whether no rollout of its variants depends on the seed."""
     requirements: tuple[str, ...] = ()
@@ -159,6 +163,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         shared=frozenset(variants) - set(spec.noisy) if common else frozenset(),
         sense=config.sense_of(problem),
         claims=config.claims_of(problem),
+        box=isinstance(config.space, dict),
         deterministic=not set(variants) & set(spec.noisy),
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
@@ -169,8 +174,12 @@ def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> L
     if isinstance(config.space, Scenarios):
         return Points(config.space.scenarios)
     assert not isinstance(config.space, StartTable), "no method takes it that chooses among candidates"
-    boxes = [config.space[parameter.name] for parameter in spec.parameters]
-    low, high = tuple(box.low for box in boxes), tuple(box.high for box in boxes)
+    ranges, names = parameter_ranges(config.space), tuple(parameter.name for parameter in spec.parameters)
+    ends = tuple((ranges[name].low, ranges[name].high) for name in names)
+    starts = config.starts_of(problem)
+    if starts is not None:
+        return spread_points(names, ends, starts, config.where)
+    low, high = zip(*ends, strict=True)
     return Lattice(low, high, config.resolution_of(problem))
 
 

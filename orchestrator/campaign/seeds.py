@@ -29,12 +29,12 @@ def first_node(header: Header, problem: str, size: int) -> int:
     return int(np.random.default_rng(_sequence(header, problem)).integers(size))
 
 
-def uniform(header: Header, name: str, rows: range, width: int) -> Floats:
+def uniform(header: Header, name: str, rows: range, width: int, *, attempt: int = 0) -> Floats:
     """Return numbers in [0, 1), shape (rows, width): rows of the endless table `name`, whichever others are asked for.
 
-    `rows` has no gaps.
+    `rows` has no gaps. Each `attempt` has a table of its own.
     """
-    generator = np.random.PCG64(_sequence(header, name))
+    generator = np.random.PCG64(_sequence(header, name, *([attempt] if attempt else [])))
     generator.advance(rows.start * width)  # one step a number
     return np.random.Generator(generator).random((len(rows), width))
 

@@ -269,7 +269,9 @@ def _mean_noise(account: Account) -> Assumption:
 
 
 def _listed(account: Account) -> Assumption:
-    return assumption(f"finite_space/{account.plan.name}", "derived", {"starts": account.plan.chosen_from.size})
+    form = "finite_box" if account.plan.box else "finite_space"
+    values = {"starts": account.plan.chosen_from.size}
+    return assumption(f"finite_space/{account.plan.name}", "derived", values, form=form)
 
 
 def _linearised(name: str, constants: Linearised | Literal["past"]) -> Assumption:

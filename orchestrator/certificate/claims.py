@@ -108,12 +108,12 @@ def _of_drawn_starts(
 
 
 def of_listed_starts(
-    claims: Sequence[document.CertificateClaim], plans: Plans
+    claims: Sequence[document.CertificateClaim], bases: Sequence[Basis], plans: Plans
 ) -> tuple[document.CertificateClaim, ...]:
-    """Return the claims with the number of listed starts that they cover; on a box as they are."""
-    # Space is one key of the file: every problem has the same list.
-    (listed,) = {plan.listed for plan in plans.values()}
-    return tuple(claim.model_copy(update={"starts": listed}) for claim in claims)
+    """Return the claims, one for each basis, with the number of listed starts that they cover; None on a box."""
+    # The problems of one claim have the same list: the file is checked for that.
+    listed = [plans[basis.problems[0]].listed for basis in bases]
+    return tuple(claim.model_copy(update={"starts": each}) for claim, each in zip(claims, listed, strict=True))
 
 
 def bound(basis: Basis, plans: Plans, results: Results, methods: Methods | None) -> float:
@@ -131,8 +131,9 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     if methods != {"rigorous"}:
         return ("sum",)
     # Pointwise subtracts one band from the other, start by start: both need the same candidates.
-    resolutions = {config.resolution_of(problem) for problem in config.problems if problem.name in PAIR}
-    same = len({candidates(config.space, each) for each in resolutions}) == 1
+    pair = [problem for problem in config.problems if problem.name in PAIR]
+    sizes = {candidates(config.space, config.resolution_of(each), config.starts_of(each)) for each in pair}
+    same = len(sizes) == 1
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 

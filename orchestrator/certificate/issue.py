@@ -12,7 +12,7 @@ from ...schemas.ids import RolloutId
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
 from .assumptions import assumptions
-from .claims import Results, claims, of_listed_starts
+from .claims import Results, bases, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .opinions import workers_honest
 from .problem_results import result
@@ -53,7 +53,7 @@ def issue(
     if header.rules >= 2:
         results = with_clip(results, config)
         found_claims = without_rollouts(claimed.claims, config, ledger.plans, results)
-        claimed = replace(claimed, claims=of_listed_starts(found_claims, ledger.plans))
+        claimed = replace(claimed, claims=of_listed_starts(found_claims, bases(config), ledger.plans))
         varied = sensitivity(claimed.claims, config, accounts, results)
     manifest_sha256 = hashlib.sha256(evidence.text.encode()).hexdigest()
     predicate = document.Predicate(

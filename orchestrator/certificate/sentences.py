@@ -70,6 +70,10 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "derived": "the largest upper value on the candidates is {candidates_upper}, and the cover of the box between "
         "them adds {slack}; the bound contains both.",
     },
+    "finite_box": {
+        "derived": "the claim covers {starts} fixed starts, points of the Sobol sequence over the ranges of [space], "
+        "and no start between them; over these the optimum is exact.",
+    },
     "finite_space": {
         "derived": "the claim covers the {starts} listed starts and no others; over these the optimum is exact.",
     },

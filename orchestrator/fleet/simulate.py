@@ -9,6 +9,7 @@ from pathlib import Path
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import RolloutId
+from ...schemas.parameters import signal_shapes
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory
@@ -43,8 +44,8 @@ class WantedRollout:
             PerfboundError: start, horizon or an option is not one of the system.
 
         """
-        spec = system_spec(self.system, "SYSTEM")
         config = named_campaign(self.system)
+        spec = system_spec(self.system, "SYSTEM").spread(() if config is None else signal_shapes(config.space))
         horizon = chosen_horizon(spec, config.horizon if config and self.horizon is None else self.horizon)
         if self.seed >= 2**spec.seed_bits:
             limit = 2**spec.seed_bits - 1
@@ -136,7 +137,8 @@ def describe(reference: str | None = None) -> Iterator[str]:
             continue
         yield f"{spec.name}: {spec.doc}"
         for parameter in spec.parameters:
-            yield f"  parameter {parameter.name} in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
+            over_time = ", an input over time" if parameter.signal else ""
+            yield f"  parameter {parameter.name} in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}{over_time}"
         for option in spec.options:
             allowed = " | ".join(option.choices) or option.allowed_numbers
             yield f"  option    {option.name} = {option.default} (allowed: {allowed}) {option.doc}"

@@ -10,6 +10,7 @@ from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, ProposalFact, RolloutFact
 from ...schemas.ids import CLOSING, RECHECK, RolloutId
+from ...schemas.parameters import parameter_ranges
 from ..campaign.plan import plans
 from ..certificate import files
 from ..certificate.text import check_sentences
@@ -136,6 +137,7 @@ class Collector:
             doc=header.spec.doc,
             code=self._code,
             specification=config.formula,
+            where=config.where,
             horizon=config.horizon,
             risk_weight=config.risk_weight if of_risk else None,
             clip=config.clip,
@@ -206,7 +208,8 @@ def _axes(header: Header) -> tuple[Axis, ...]:
     """Return the parameters with the ranges of D, in the order of the system."""
     space, parameters = header.config.space, header.spec.parameters
     if isinstance(space, dict):
-        ranges = [(space[each.name].low, space[each.name].high) for each in parameters]
+        boxes = parameter_ranges(space)
+        ranges = [(boxes[each.name].low, boxes[each.name].high) for each in parameters]
     else:
         ranges = [(min(values), max(values)) for values in zip(*space.rows, strict=True)]
     return tuple(Axis(each.name, each.unit, *ends) for each, ends in zip(parameters, ranges, strict=True))

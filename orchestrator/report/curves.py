@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.facts import Header
+from ...schemas.input_signal import InputSignal, start_values
 from ...schemas.problem_models import Problem
 from ...schemas.trajectory import Trajectory
 from ..mathematics.stl.parser import FormulaError, parse_formula
@@ -26,6 +27,8 @@ Floats = NDArray[np.float64]
 
 MOST_POINTS = 240
 """Points of one curve."""
+INPUT_POINTS = 101
+"""Of an input signal, beside its knots."""
 MOST_COLUMNS = 3
 """Columns drawn for one test."""
 
@@ -72,6 +75,23 @@ def of_trajectory(
     for name in names:
         t, values = thinned(trajectory.samples[:, 0], trajectory.column(name))
         yield Curve(label, variant, name, column_unit(header, name), t, values)
+
+
+def of_signals(header: Header, x: Sequence[float]) -> Iterator[Curve]:
+    """Yield the input signals of a start (p,) over time."""
+    spec, horizon = header.spec, header.config.horizon
+    if not spec.signals:
+        return
+    units = {each.name: each.unit for each in spec.declared.parameters}
+    for name, signal in start_values(spec, x, horizon).items():
+        if isinstance(signal, InputSignal):
+            # Steps are vertical: a point before each knot, and one at it.
+            t = np.unique([*np.linspace(0.0, horizon, INPUT_POINTS), *signal.times, *_before(signal)])
+            yield Curve("input", "true", name, units[name], tuple(t.tolist()), tuple(signal(t).tolist()))
+
+
+def _before(signal: InputSignal) -> list[float]:
+    return [t * (1 - 1e-6) for t in signal.times] if signal.kind == "constant" else []
 
 
 def thinned(t: Floats, values: Floats) -> tuple[tuple[float, ...], tuple[float, ...]]:

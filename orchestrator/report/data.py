@@ -198,6 +198,8 @@ class RolloutsOfTest:
     """The column of each limit."""
     error: str | None = None
     """Files that could not be read, in words; their curves are missing."""
+    inputs: tuple[Curve, ...] = ()
+    """The input signals of the test's start over time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,6 +318,8 @@ class ReportData:
     """Number of all of them."""
     set_aside: tuple[SetAsideRow, ...] = ()
     """For good first, then the latest, at most 50."""
+    where: str | None = None
+    """The condition on the parameters, of a campaign that leaves out a part of the ranges."""
 
 
 def to_json(data: ReportData | RolloutsOfTest) -> str:

@@ -53,6 +53,7 @@ def of_test(
         ),
         limit_columns=tuple(column for column, _ in limits),
         error="; ".join(errors) or None,
+        inputs=tuple(curves.of_signals(header, x)),
     )
 
 

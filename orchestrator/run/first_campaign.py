@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from ...schemas import atomic
-from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_file import parse_campaign
 from ...schemas.errors import PerfboundError
+from ...schemas.method_spaces import FIXED_STARTS, LATTICE_PARAMETERS
+from ...schemas.parameters import signal_shapes
 from ...schemas.problems import OBJECTIVES, ProblemName, rolled_out
 from ...schemas.space import SystemChoice
 from ...schemas.system import SystemSpec, Variant
@@ -34,7 +35,6 @@ NOT_YET = {
     "find": "a search for violations cannot be asked for yet; choose worst, whose report lists those that it finds",
     "where": "the starts that are safe cannot be asked for yet; choose worst, whose report maps its bounds",
 }
-DEFAULT_RESOLUTION: int = CampaignConfig.model_fields["resolution"].default
 REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""
 
@@ -66,8 +66,8 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     """
     if wish.question in NOT_YET:
         raise PerfboundError(f"--question {wish.question}: {NOT_YET[wish.question]}")
-    spec = system_spec(wish.reference, "SYSTEM")
     known = named_campaign(wish.reference)
+    spec = system_spec(wish.reference, "SYSTEM").spread(() if known is None else signal_shapes(known.space))
     if wish.specification is None and known is not None and known.specification:
         wish = replace(wish, specification=known.specification)
     folder = Path(wish.reference).parent if known else Path()
@@ -123,11 +123,6 @@ def _variants(spec: SystemSpec, question: str) -> tuple[Variant, ...]:
     for each in spec.parameters:
         if not each.low < each.high:
             raise PerfboundError(f"{spec.name}: the range of {each.name} is empty; give it a low below its high")
-    if pilot.nodes_per_parameter(len(spec.parameters), 2) < 2:
-        raise PerfboundError(
-            f"{spec.name} has {len(spec.parameters)} parameters, too many for bounds on a box; write a campaign file "
-            "over listed starts, as deploy/campaigns/segway-scenario.toml"
-        )
     return tuple(found)
 
 
@@ -212,7 +207,6 @@ def _first_campaign(
     wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: FirstValues, cost: float | None
 ) -> FirstCampaign:
     names = QUESTIONS[wish.question]
-    resolution = pilot.nodes_per_parameter(len(spec.parameters), DEFAULT_RESOLUTION)
     noisy = frozenset(name for name in names if _noisy(name, spec))
     needs_clip = any(_noisy(name, spec) or not OBJECTIVES[name].static for name in names)
     return FirstCampaign(
@@ -221,7 +215,7 @@ def _first_campaign(
         command=f"perfbound init {shlex.quote(wish.reference)}",
         basis=basis if needs_clip else replace(basis, clip=None),
         lengths=pilot.length_scales(spec.parameters),
-        resolution=None if resolution == DEFAULT_RESOLUTION else resolution,
+        candidates=FIXED_STARTS["rigorous"].default if len(spec.parameters) > LATTICE_PARAMETERS else None,
         size=first_size(cost, noisy=bool(noisy), variants=sum(len(rolled_out(name, spec)) for name in noisy or names)),
         noisy=noisy,
         cost=cost,

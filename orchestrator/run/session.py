@@ -329,7 +329,7 @@ def _conduct(
             text = f"waiting for workers: {shlex.join(line)}"
             console.print(Text(text), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
-        from ..campaign import closing_checks, consistency, forecast  # noqa: PLC0415
+        from ..campaign import closing_checks, consistency, forecast, scope  # noqa: PLC0415
         from ..campaign.ledger import Ledger  # noqa: PLC0415
         from .contradictions import Contradictions  # noqa: PLC0415
         from .progress import SystemdStatus, listener  # noqa: PLC0415
@@ -343,12 +343,12 @@ def _conduct(
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
             plans = ledger.plans
-            for line in (
-                *(() if resumed else closing_checks.cost(ledger.header, plans)),
+            for sentence in (
+                *(() if resumed else (*scope.scope(plans), *closing_checks.cost(ledger.header, plans))),
                 *forecast.warnings(plans),
                 *consistency.before(plans, ledger.header.spec),
             ):
-                terminal.print_line(line)
+                terminal.print_line(sentence)
             contradictions = Contradictions(ledger.accounts, terminal.print_line)
             listeners = (terminal, SystemdStatus(systemd), page, contradictions)
             service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)

@@ -14,8 +14,10 @@ from rich.text import Text
 
 from ...schemas.campaign_check import check_against
 from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.parameters import signal_shapes
 from ...schemas.system import SystemSpec, Variant
 from ...schemas.system_check import ChildRun, Trial
+from ..campaign.draws import check_where
 from ..campaign.system_check.findings import SystemFinding
 from ..campaign.system_check.judge import judge
 from ..campaign.system_check.measurements import Measurements
@@ -69,10 +71,12 @@ def checked_system(
         Stopped: with what was ended.
 
     """
-    spec = system_spec(reference, "SYSTEM")
     config = named_campaign(reference)
+    spec = system_spec(reference, "SYSTEM").spread(() if config is None else signal_shapes(config.space))
     if config is not None:
         check_against(config, spec, reference)
+        if isinstance(config.space, dict) and config.where is not None:
+            check_where(config.space, config.where, reference)
     if variant is not None and variant not in spec.variants:
         raise PerfboundError(f"--variant {variant}: {spec.name} has {', '.join(spec.variants)}")
     if limit is None:  # the default deadline of a campaign is one for all systems
@@ -86,6 +90,8 @@ def checked_system(
         seed=seed,
         space=None if config is None else config.space,
     )
+    if config is not None and config.where is not None:
+        trials = replace(trials, where=config.where)
     program = config is not None and config.system.program is not None
     folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()
     rolled = partial(_in_child, arguments=(*system_options(reference), *folder), limit=limit, report=report)

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -29,6 +30,7 @@ from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryErr
 from ..schemas.facts import RECORDED, RESTORED, Header
 from ..schemas.failure import Failure
 from ..schemas.ids import Attempt, RolloutId
+from ..schemas.input_signal import start_values
 from ..schemas.link import LOCAL
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import OptionValue, SystemSpec
@@ -47,8 +49,8 @@ class TrialRequest:
     """A rollout that is wanted: make one from `start`, and hand in its trajectory from 0 to `horizon` s."""
 
     id: str
-    start: Mapping[str, float]
-    """The starting condition by parameter, in the units of the system."""
+    start: Mapping[str, Any]
+    """The starting condition by parameter, in the units of the system: a number, or the `InputSignal` of one."""
     variant: str
     seed: int
     horizon: float
@@ -61,7 +63,7 @@ class TrialRequest:
         """Return a request with the names of the parameters."""
         return cls(
             id=request.rollout,
-            start=dict(zip((each.name for each in spec.parameters), request.x, strict=True)),
+            start=start_values(spec, request.x, request.horizon),
             variant=request.variant,
             seed=request.seed,
             horizon=request.horizon,

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ...schemas.errors import SimulationError
+from ...schemas.input_signal import InputSignal
 from ...schemas.system import Option, OptionValue, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory, Visual
 
@@ -31,7 +32,7 @@ class SystemUnderTest(Protocol):
 
     def rollout(
         self,
-        x: Sequence[float],
+        x: Sequence[Any],
         *,
         variant: Variant,
         seed: int,
@@ -40,6 +41,9 @@ class SystemUnderTest(Protocol):
         progress: Progress,
     ) -> Trajectory:
         """Simulate `horizon` seconds from the starting condition `x` (one value per parameter of the spec).
+
+        A value is a number; of a parameter with `signal` it is an `InputSignal`, which has knots and is a function of
+        time.
 
         The first sample is at 0; the last one at the horizon, or before it by less than a step and by at most a
         fiftieth of the horizon. A trajectory that is shorter is refused.
@@ -71,7 +75,7 @@ class WithSpec(SystemUnderTest):
         """The specification that says more."""
         return self._spec
 
-    def rollout(self, x: Sequence[float], **arguments: Any) -> Trajectory:
+    def rollout(self, x: Sequence[Any], **arguments: Any) -> Trajectory:
         """Simulate with the system."""
         return self._system.rollout(x, **arguments)
 
@@ -82,7 +86,7 @@ class WithSpec(SystemUnderTest):
 
 
 def checked_options(
-    spec: SystemSpec, x: Sequence[float], *, variant: Variant, horizon: float, options: Mapping[str, OptionValue]
+    spec: SystemSpec, x: Sequence[Any], *, variant: Variant, horizon: float, options: Mapping[str, OptionValue]
 ) -> dict[str, OptionValue]:
     """Return the options with their defaults filled in, after a check of every argument of a rollout.
 
@@ -99,8 +103,12 @@ def checked_options(
     if len(x) != len(spec.parameters):
         raise SimulationError(f"{spec.name} takes {len(spec.parameters)} parameters, not {len(x)}")
     for parameter, value in zip(spec.parameters, x, strict=True):
-        if not (math.isfinite(value) and parameter.low <= value <= parameter.high):
-            raise SimulationError(f"{parameter.name} = {value} is outside [{parameter.low}, {parameter.high}]")
+        if parameter.signal != isinstance(value, InputSignal):
+            wanted = "an input over time" if parameter.signal else "a number"
+            raise SimulationError(f"{parameter.name} is {wanted}, not {type(value).__name__}")
+        for number in value.knots if isinstance(value, InputSignal) else (value,):
+            if not (math.isfinite(number) and parameter.low <= number <= parameter.high):
+                raise SimulationError(f"{parameter.name} = {number} is outside [{parameter.low}, {parameter.high}]")
     known = {option.name: option for option in spec.options}
     if unknown := sorted(set(options) - set(known)):
         raise SimulationError(f"{spec.name} has no option {unknown[0]!r}, only {', '.join(known)}")

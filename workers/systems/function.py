@@ -10,6 +10,7 @@ import inspect
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
+from importlib.metadata import version
 from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
@@ -67,7 +68,7 @@ class FunctionSystem(SystemUnderTest):
 
     def rollout(
         self,
-        x: Sequence[float],
+        x: Sequence[Any],
         *,
         variant: Variant,
         seed: int,
@@ -177,7 +178,7 @@ def system(
                 max_horizon=max_horizon,
                 timed="horizon" in passed,
                 default_horizon=_default_horizon(keywords, max_horizon, place),
-                versions=dict(versions or {}),
+                versions=_interpolating(parameters) | dict(versions or {}),
                 seed_bits=seed_bits,
                 trajectory_bytes=trajectory_bytes,
             )
@@ -284,6 +285,12 @@ def _option_of(argument: inspect.Parameter, place: str) -> Option:
     if isinstance(default, bool) or not isinstance(default, int | float):
         raise DefinitionError(f"{place}: option {argument.name!r} is a number or a word, not {default!r}")
     return Option(name=argument.name, default=float(default))
+
+
+def _interpolating(parameters: Mapping[str, Parameter]) -> dict[str, str]:
+    """Return the versions of the packages that interpolate input signals, and so decide the trajectory."""
+    found = any(each.signal for each in parameters.values())
+    return {package: version(package) for package in ("numpy", "scipy") if found}
 
 
 def _default_horizon(keywords: Sequence[inspect.Parameter], max_horizon: float, place: str) -> float | None:

@@ -14,6 +14,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from pydantic import ValidationError
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import DefinitionError, SimulationError
+from ...schemas.input_signal import InputSignal
 from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
 from ...schemas.secret import VARIABLE
 from ...schemas.space import ProgramLimits, SampleFormat, SystemChoice
@@ -65,7 +67,7 @@ class ProgramSystem(SystemUnderTest):
 
     def rollout(
         self,
-        x: Sequence[float],
+        x: Sequence[Any],
         *,
         variant: Variant,
         seed: int,
@@ -86,7 +88,7 @@ class ProgramSystem(SystemUnderTest):
         path = Path(tempfile.gettempdir(), name)
         names = (parameter.name for parameter in self._spec.parameters)
         line = {
-            "start": dict(zip(names, map(float, x), strict=True)),
+            "start": dict(zip(names, map(_start_value, x), strict=True)),
             "seed": seed,
             "variant": variant,
             "horizon": float(horizon),
@@ -269,7 +271,12 @@ def _space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
             yield Parameter(name=f"x{k + 1}", low=min(values), high=max(values))
         return
     for name, box in config.space.items():
-        yield Parameter(name=name, unit=box.unit, low=box.low, high=box.high)
+        yield Parameter(name=name, unit=box.unit, low=box.low, high=box.high, signal=box.signal is not None)
+
+
+def _start_value(value: Any) -> Any:
+    """Return the value of a parameter in the line of a rollout."""
+    return value.described if isinstance(value, InputSignal) else float(value)
 
 
 def _remove_stale() -> None:

@@ -3,15 +3,18 @@
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ....schemas.ids import RolloutId
+from ....schemas.parameters import parameter_ranges
 from ....schemas.rollout import RequestTemplate, RolloutRequest
 from ....schemas.space import Space
 from ....schemas.system import OptionValue, Parameter, SystemSpec, Variant
 from ....schemas.system_check import ChildRun, Trial
 from ..admission import SAMPLES
+from ..region import Condition, condition
 
 CORNERS, STARTS = 16, 8
 """Most corners of the box, and random starts in it."""
@@ -23,6 +26,8 @@ GROWTH_SECONDS, GROWTH_ROLLOUTS = 10.0, 300
 """Limits of the rollouts that follow to measure the growth of memory, and to see noise that rarely acts."""
 MANY_SEEDS, FEWEST_SEEDS = 40, 10
 """Seeds at one start that show whether a system uses the whole seed, and the fewest that are worth a look."""
+MOST_ATTEMPTS = 20_000
+"""At a start of the region, which has at least 1 in 1,000 starts of the box."""
 FIRST_FEW = 6
 """Rollouts after which a system whose every rollout fails is tried no further."""
 START, CORNER, RANDOM, GROWTH, SEED = "start", "corner", "random", "growth", "seed"
@@ -45,6 +50,8 @@ class Trials:
     halves: bool = True
     start: int = 0
     """Number of the random start at which each process begins."""
+    where: str | None = None
+    """The part of the box in which the starts of the campaign are."""
 
     @classmethod
     def of(
@@ -59,7 +66,8 @@ class Trials:
     ) -> "Trials":
         """Plan rollouts of `horizon` seconds in the box of a campaign; without one, in the whole box of the system."""
         template = RequestTemplate.of(spec, options, horizon=horizon, visual=True)
-        return cls(template, _box_of(spec, space), variants, seed)
+        # The knots of an input over time follow the horizon: half of it has another input.
+        return cls(template, _box_of(spec, space), variants, seed, halves=not spec.signals)
 
     @property
     def spec(self) -> SystemSpec:
@@ -117,6 +125,7 @@ class Trials:
         requests = [
             self._request(CORNER, number, variant, corner)
             for number, corner in enumerate(corners(self.box, self.seed))
+            if self._is_inside(corner)
             for variant in self.variants
         ]
         requests += [
@@ -161,9 +170,22 @@ class Trials:
     ) -> RolloutRequest:
         """Return a rollout at `x`, by default at a random start of its own; its seed is one as campaigns draw them."""
         rng = np.random.default_rng([self.seed, *kind.encode(), number])
-        start = random_start(self.box, rng) if x is None else x
+        start = self._random_start(rng) if x is None else x
         seed = int(rng.integers(2**self.spec.seed_bits, size=SEEDS)[replicate])
         return self.template.request(RolloutId(kind, number, variant, replicate), start, seed)
+
+    def _random_start(self, rng: np.random.Generator) -> Point:
+        """Return a random start, one of the region if there is one; of a tiny one any start of the box."""
+        attempts = (random_start(self.box, rng) for _ in range(MOST_ATTEMPTS))
+        first = next(attempts)
+        return next(filter(self._is_inside, itertools.chain([first], attempts)), first)
+
+    def _is_inside(self, start: Point) -> bool:
+        return self._admitted is None or bool(self._admitted([start])[0])
+
+    @cached_property
+    def _admitted(self) -> Condition | None:
+        return condition(self.where, [each.name for each in self.box])
 
 
 def random_start(box: Sequence[Parameter], rng: np.random.Generator) -> Point:
@@ -184,7 +206,7 @@ def corners(box: Sequence[Parameter], seed: int) -> list[Point]:
 def _box_of(spec: SystemSpec, space: Space | None) -> tuple[Parameter, ...]:
     if not isinstance(space, dict):
         return spec.parameters
-    ranges = {name: {"low": each.low, "high": each.high} for name, each in space.items()}
+    ranges = {name: {"low": each.low, "high": each.high} for name, each in parameter_ranges(space).items()}
     return tuple(each.model_copy(update=ranges[each.name]) for each in spec.parameters)
 
 

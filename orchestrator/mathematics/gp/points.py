@@ -18,7 +18,8 @@ from .kernels import Floats, scaled
 from .lattice import Lattice, check_index
 
 MAX_POINTS = 5_000
-"""The table of kernel rows is quadratic: 200 MB at this many points."""
+TABLE = 1_000
+"""Points up to which all kernel rows are computed at once: 8 MB. Of more points a campaign tests few."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +57,17 @@ class Points:
 
 
 class PointRows:
-    """Kernel rows of a list of points; k(z_i, z_j) = k(z_j, z_i) bit by bit."""
+    """Kernel rows of a list of points; k(z_i, z_j) = k(z_j, z_i) bit by bit.
+
+    A distance is the same in both directions, and the kernel depends on it alone.
+    """
 
     def __init__(self, points: Points, kernel: Callable[[Floats], Floats], axes: Floats | None = None) -> None:
         self.size = points.size
-        difference = scaled(points.nodes[:, None, :] - points.nodes[None, :, :], axes)  # (m, m, p)
-        self._table = kernel(np.sqrt(np.sum(difference * difference, axis=2)))
+        self._points, self._kernel, self._axes = points.nodes, kernel, axes
+        self._rows: dict[int, Floats] = {}
+        if self.size <= TABLE:
+            self._rows = dict(enumerate(self._computed(slice(None))))
 
     def row(self, index: int) -> Floats:
         """Return k(z_index, all points), shape (m,).
@@ -71,7 +77,13 @@ class PointRows:
 
         """
         check_index(index, self.size)
-        return np.asarray(self._table[index], dtype=np.float64)
+        if index not in self._rows:
+            self._rows[index] = self._computed(slice(index, index + 1))[0]
+        return np.asarray(self._rows[index], dtype=np.float64)
+
+    def _computed(self, rows: slice) -> Floats:
+        difference = scaled(self._points[rows, None, :] - self._points[None, :, :], self._axes)  # (n, m, p)
+        return self._kernel(np.sqrt(np.sum(difference * difference, axis=2)))
 
 
 Candidates = Lattice | Points

@@ -95,14 +95,23 @@ class Signals:
             ValueError: it names an unknown column, or is not finite at some sample.
 
         """
-        with np.errstate(all="ignore"):  # a result that is not finite raises just below
-            left, right = self._values(predicate.left), self._values(predicate.right)
-            margin = right - left if predicate.operator in {"<=", "<"} else left - right
-        margins = margin if isinstance(margin, np.ndarray) else np.full(len(self._samples), margin)
+        margins = self.any_margins(predicate)
         if not np.isfinite(margins).all():
             sample = int(np.flatnonzero(~np.isfinite(margins))[0])
             raise ValueError(f"`{excerpt(predicate)}` is {margins[sample]} at sample {sample}, not a finite number")
         return margins
+
+    def any_margins(self, predicate: Comparison) -> Floats:
+        """Return mu of a predicate at every sample, shape (T,), finite or not.
+
+        Raises:
+            ValueError: it names an unknown column.
+
+        """
+        with np.errstate(all="ignore"):  # the caller checks what is not finite
+            left, right = self._values(predicate.left), self._values(predicate.right)
+            margin = right - left if predicate.operator in {"<=", "<"} else left - right
+        return margin if isinstance(margin, np.ndarray) else np.full(len(self._samples), margin)
 
     def _values(self, tree: Expression) -> Values:
         match tree:

@@ -33,7 +33,8 @@ function titleSection(report) {
 function spaceText(report) {
   const starts = report.problems.find((each) => each.surface?.points.length)?.surface.points.length;
   const box = report.axes.map(({ name, low, high, unit }) => `${short(name, 24)} from ${num(low)} to ${quantity(high, unit)}`);
-  return (starts ? `${plural(starts, "start")} with ` : "") + box.join(", ");
+  const region = report.where === null ? "" : `, where ${short(report.where, 300)}`;
+  return (starts ? `${plural(starts, "start")} with ` : "") + box.join(", ") + region;
 }
 
 /** The refutation, the claim in words, the other claims. */

@@ -21,6 +21,7 @@ function testSection(report, selected, data, live) {
     el("h2", `Test ${selected.test} of `, nameElement(words(selected.problem)), el("span.switch", neighbourButton(problem, k, -1), neighbourButton(problem, k, 1), el("a.back", { href: `#problem-${report.problems.indexOf(problem)}` }, "show map"))),
     k < 0 ? null : el("p", testText(report, problem, k)),
     data?.error ? el("p.note.bad", short(data.error, 1000)) : null,
+    data?.inputs.length ? inputFigures(data) : null,
     data?.traces.length ? curveFigures(data) : el("p.note", noCurves(selected, data, live)),
     data?.rollouts.length ? rolloutTable(["Variant", "#Replicate"], data.rollouts, (each) => [words(each.variant), each.replicate]) : null,
   );
@@ -69,6 +70,11 @@ function curveFigures(data) {
   );
 }
 
+/** The input signals of the test's start, one picture each. */
+function inputFigures(data) {
+  return data.inputs.map(({ column, unit }, k) => chartFigure(`inputs-${k}`, `Input ${withUnit(column, unit)} against time`));
+}
+
 /** "true (the worst 3 of 8 rollouts)": the report data have the curves of the worst ones only. */
 function variantKey(data, column, variant) {
   const drawn = column.traces.filter((each) => each.variant === variant).length;
@@ -88,6 +94,11 @@ function drawCurves(data) {
   columnsOf(data ?? { traces: [], limits: [] }).forEach((column, k) => {
     const host = document.getElementById(`curves-${k}`);
     if (host) drawColumn(host, column, k);
+  });
+  (data?.inputs ?? []).forEach(({ column, unit, t, values }, k) => {
+    const host = document.getElementById(`inputs-${k}`);
+    const spec = { height: 160, x: "time (s)", y: { label: withUnit(column, unit) }, series: [{ label: short(column, 40), colour: "blue", width: 2 }], legend: false };
+    if (host) chart(host, spec, [t, values]);
   });
 }
 

@@ -20,6 +20,7 @@ from perfbound.orchestrator.campaign.seeds import uniform
 from perfbound.orchestrator.campaign.spot_check import _uniform_starts
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.facts import Header
+from perfbound.schemas.parameters import signal_shapes
 from perfbound.schemas.space import Box, Range, Scenarios, Space, StartTable
 from perfbound.workers.systems import load_system
 from tests.campaigns import config
@@ -142,6 +143,25 @@ def test_a_step_has_the_probability_of_the_numbers_around_it() -> None:
     expected = np.diff(ends) / (ends[-1] - ends[0])
     assert list(counts) == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert stats.chisquare(list(counts.values()), expected * 9_000).pvalue > 0.001
+
+
+def test_knots_are_drawn_alike_and_independently() -> None:
+    """The seed is fixed; at another one a correct program fails in at most one of 1,000."""
+    space: Box = {
+        "x": Range(low=0.0, high=5.0, distribution="normal", mean=2.0, sd=1.0, signal="pchip", knots=3),
+        "y": Range(low=0.0, high=1.0),
+    }
+    found = header(space)
+    over_time = tuple(each.model_copy(update={"signal": each.name == "x"}) for each in found.spec.parameters)
+    spread = found.spec.model_copy(update={"parameters": over_time}).spread(signal_shapes(space))
+    drawn = Draws(replace(found, spec=spread, config_sha256="1234" * 16), "robustness")
+    starts = np.array([drawn.start(j) for j in range(5_000)])
+    assert starts.shape == (5_000, 4)
+    law, ends = stats.norm(2.0, 1.0), stats.norm(2.0, 1.0).cdf([0.0, 5.0])
+    for knot in starts[:, :3].T:
+        assert stats.kstest(knot, lambda x: (law.cdf(x) - ends[0]) / (ends[1] - ends[0])).pvalue > 0.001 / 6
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        assert stats.spearmanr(starts[:, one], starts[:, other]).pvalue > 0.001 / 6
 
 
 def test_a_number_below_0_and_a_list_are_refused() -> None:

@@ -43,7 +43,7 @@ def campaign(*, horizon: float = 8.0, **constants: Constants) -> FirstCampaign:
         command="perfbound init 'a b.py:robot'",
         basis=FirstValues(f"The constants are {EVIL}", horizon, specification, "Put yours here.", (-1.0, 2.5), found),
         lengths={"x0": 0.05, "v": 3.5},
-        resolution=11,
+        candidates=500,
         size=NOISY,
         noisy=frozenset(name for name, each in found.items() if each.noise_scale),
     )
@@ -55,7 +55,7 @@ def test_a_file_is_the_campaign_that_it_was_made_of() -> None:
     check(config, SPEC, "c.toml")
     (problem,) = config.problems
     assert (config.name, config.seed, config.horizon, config.clip) == ("robot", 1, 8.0, (-1.0, 2.5))
-    assert (config.resolution, config.composition, config.specification) == (11, "single", "always (x >= -5.0)")
+    assert (config.candidates, config.composition, config.specification) == (500, "single", "always (x >= -5.0)")
     assert isinstance(config.space, dict)
     assert {name: (each.low, each.high, each.unit) for name, each in config.space.items()} == {
         each.name: (each.low, each.high, each.unit) for each in SPEC.parameters

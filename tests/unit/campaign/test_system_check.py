@@ -459,3 +459,23 @@ def test_remedies_for_a_program_speak_of_programs() -> None:
     assert "narrow the ranges of [space]" in finite.remedy
     assert not any("np.random" in each or "decorator" in each for each in OF_PROGRAM.values())
     assert set(OF_PROGRAM) <= set(SYSTEM_CHECKS)
+
+
+def test_starts_are_those_of_the_region() -> None:
+    inside = replace(TRIALS, where="x + v <= 0.5")
+    starts = {trial.request.x for trial in inside.first(0.01)}
+    assert len(starts) > 10
+    assert all(x + v <= 0.5 for x, v in starts)
+    assert (0.0, -1.0) in starts
+    assert (1.0, 1.0) not in starts
+    everywhere = {trial.request.x for trial in TRIALS.first(0.01)}
+    assert {(x, v) for x, v in everywhere if x + v <= 0.5} <= starts, "the others are where they were"
+
+
+def test_an_input_over_time_has_rollouts_of_one_horizon() -> None:
+    """Its knots follow the horizon, so that half of it has another input."""
+    over_time = tuple(each.model_copy(update={"signal": True}) for each in SPEC.parameters)
+    spec = SPEC.model_copy(update={"parameters": over_time}).spread()
+    trials = Trials.of(spec, {}, variants=("nominal",), horizon=10.0, seed=3)
+    assert {trial.request.horizon for trial in trials.first(0.01)} == {10.0}
+    assert {len(trial.request.x) for trial in trials.first(0.01)} == {10}

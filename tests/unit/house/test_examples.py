@@ -23,9 +23,10 @@ def lines(name: str) -> int:
     [
         (("cars/cars.py", "cars/cars.toml"), 35),
         (("pendulum/pendulum.c", "pendulum/pendulum.toml"), 40),
+        (("follow/follow.py", "follow/follow.toml"), 45),
         (("cartpole/cartpole.py", "cartpole/cartpole.toml"), 40),
     ],
-    ids=["function", "program", "mujoco"],
+    ids=["function", "program", "input", "mujoco"],
 )
 def test_a_system_with_its_campaign_file_is_short(files: tuple[str, ...], most: int) -> None:
     assert sum(map(lines, files)) <= most

@@ -307,3 +307,15 @@ def test_what_breaks_off_inside_a_tell_is_told_again(
         assert asked(again).id == request.id
         finish(again)
         assert again.run.verify().checks.good
+
+
+def test_an_input_over_time_of_a_rig_is_a_function_of_it(tmp_path: Path) -> None:
+    over_time = rig(parameters={"x": pb.Parameter(0, 1, unit="m", signal=True)})
+    keys = {**KEYS, "space": {"x": {"signal": "linear", "knots": 2, "low": 0, "high": 1}}, "recheck": 0}
+    with pb.Campaign(over_time, **keys).ask_tell(tmp_path / "run") as study:
+        request = asked(study)
+        assert request.x == (request.start["x"](0.0), request.start["x"](1.0))
+        while (request := study.ask()) is not None:  # type: ignore[assignment]
+            study.tell(request, {"t": T, "y": request.start["x"](T)})
+        assert {"x_0", "x_1"} <= set(study.run.tests.columns)
+        assert study.run.verify().checks.good

@@ -31,7 +31,7 @@ from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.errors import JournalError, PerfboundError
 from perfbound.schemas.facts import Header, ObservationFact, ProposalFact, RolloutFact
 from perfbound.schemas.ids import RolloutId
-from perfbound.schemas.space import Scenarios
+from perfbound.schemas.space import Range, Scenarios
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.values import Band, Proposal
 from perfbound.workers.systems import load_system
@@ -590,6 +590,27 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
     ((worker,), more) = statistics.rows({})
     assert more == 0
     assert (worker.rollouts, worker.failures, worker.busy_seconds, worker.last) == (5000, 1, 5010.0, 5000.0)
+
+
+def test_the_inputs_of_a_start_are_curves_with_their_steps() -> None:
+    found = config("segway-paper")
+    space = {
+        "x": Range(low=0.0, high=1.0, signal="linear", knots=2),
+        "y": Range(low=0.0, high=1.0, signal="constant", knots=2),
+    }
+    system = load_system("segway").spec
+    over_time = tuple(each.model_copy(update={"signal": True, "unit": "N"}) for each in system.parameters)
+    about = Header.new(
+        found.model_copy(update={"space": space}), system.model_copy(update={"parameters": over_time}), {}
+    )
+    ramp, steps = curves.of_signals(about, (0.0, 1.0, 0.25, 0.75))
+    assert [(each.column, each.unit) for each in (ramp, steps)] == [("x", "N"), ("y", "N")]
+    assert (ramp.t[0], ramp.t[-1]) == (steps.t[0], steps.t[-1]) == (0.0, found.horizon)
+    assert ramp.values == pytest.approx(np.array(ramp.t) / found.horizon)
+    (rise,) = np.flatnonzero(np.diff(steps.values))
+    assert steps.t[rise + 1] - steps.t[rise] < 1e-5 * found.horizon, "drawn as a vertical line"
+    assert (steps.values[0], steps.values[-1]) == (0.25, 0.75)
+    assert list(curves.of_signals(Header.new(found, system, {}), (1.0, 1.0))) == []
 
 
 def test_listed_starts_have_points_and_no_shape(tmp_path: Path, no_disk: None) -> None:

@@ -15,7 +15,9 @@ import perfbound as pb
 from perfbound.schemas.errors import DefinitionError, SimulationError, UnknownSystemError
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RequestTemplate
+from perfbound.schemas.signals import SignalShape
 from perfbound.schemas.system import ASSUMED_HORIZON
+from perfbound.schemas.trajectory import read_mcap
 from perfbound.workers import systems
 from perfbound.workers.simulate import run_request_on
 from perfbound.workers.systems.files import MODULE, load_file
@@ -58,6 +60,39 @@ def test_the_spec_follows_from_the_signature() -> None:
         ("reaction", 0.4, ()),
     ]
     assert my_cars(10.0, 5.0, seed=0) == 8.0, "it can still be called"
+
+
+OVER_TIME = {"u": pb.Parameter(0, 1, signal=True), "x": pb.Parameter(0, 9)}
+
+
+def test_an_input_over_time_is_a_function_of_it() -> None:
+    def ramp(u: pb.InputSignal, x: float, *, horizon: float) -> dict[str, Any]:
+        t = np.linspace(0.0, horizon, 5)
+        return {"t": t, "a": u(t) * x, "b": [u(each) for each in t.tolist()]}
+
+    found = made(ramp, parameters=OVER_TIME)
+    assert found.spec.versions.keys() == {"numpy", "scipy"}, "they interpolate, so they decide the trajectory"
+    template = RequestTemplate.of(
+        found.spec.spread([SignalShape(name="u", kind="linear", knots=2)]), {}, horizon=2.0, visual=False
+    )
+    request = template.request(RolloutId("robustness", 0, "nominal", 0), (0.0, 1.0, 4.0), 7)
+    columns = read_mcap(run_request_on(found, request, lambda _: None)).trajectory
+    assert columns.column("a").tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert columns.column("b").tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("x", "reason"),
+    [
+        ((0.5, 3.0), "u is an input over time, not float"),
+        ((pb.InputSignal("linear", (0.0, 2.0), 1.0), 3.0), r"u = 2\.0 is outside \[0\.0, 1\.0\]"),
+        ((pb.InputSignal("linear", (0.0, 1.0), 1.0),) * 2, "x is a number, not InputSignal"),
+    ],
+)
+def test_an_input_over_time_is_checked(x: tuple[Any, ...], reason: str) -> None:
+    found = made(lambda u, x: (0.0, 0.0), parameters=OVER_TIME)
+    with pytest.raises(SimulationError, match=reason):
+        found.rollout(x, variant="nominal", seed=7, horizon=2.0, options={}, progress=lambda _: None)
 
 
 def test_without_seed_nothing_is_noisy_and_with_variant_there_are_two() -> None:

@@ -61,6 +61,7 @@ def test_the_public_names_are_frozen() -> None:
         "Campaign",
         "Cancelled",
         "Column",
+        "InputSignal",
         "Option",
         "Parameter",
         "PerfboundError",
@@ -81,6 +82,7 @@ def test_the_public_names_are_frozen() -> None:
     assert perfbound.systems.__all__ == [
         "Cancelled",
         "Column",
+        "InputSignal",
         "Option",
         "OptionValue",
         "Parameter",

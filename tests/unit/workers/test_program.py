@@ -15,6 +15,7 @@ import numpy as np
 import psutil
 import pytest
 
+import perfbound as pb
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import DefinitionError, SimulationError
 from perfbound.schemas.secret import VARIABLE
@@ -72,7 +73,7 @@ def program(tmp_path: Path) -> Iterator[Callable[..., ProgramSystem]]:
         system.end()
 
 
-def rolled(system: ProgramSystem, x0: float = 0.5, **changes: Any) -> Any:
+def rolled(system: ProgramSystem, x0: float | pb.InputSignal = 0.5, **changes: Any) -> Any:
     arguments: dict[str, Any] = {"variant": "nominal", "seed": 7, "horizon": 0.5, "options": {}}
     return system.rollout((x0,), **{**arguments, "progress": lambda _: None, **changes})
 
@@ -99,6 +100,18 @@ def test_one_line_has_everything_in_a_fixed_order(program: Callable[..., Program
         f'"path": "{path}"}}\n'
     )
     assert not Path(path).exists(), "removed when it is read"
+
+
+def test_an_input_over_time_has_its_kind_its_knots_and_their_times(
+    program: Callable[..., ProgramSystem], tmp_path: Path
+) -> None:
+    system = program(f'open("got", "w").write(line); {WRITES.replace("x0", "0")}')
+    spec = system.spec.model_copy(update={"parameters": (pb.Parameter(0, 2, name="x0", signal=True),)})
+    found = ProgramSystem(spec, system._choice, tmp_path)
+    rolled(found, pb.InputSignal("constant", (0.5, 2.0), 0.5))
+    found.end()
+    line = json.loads((tmp_path / "got").read_text())
+    assert line["start"] == {"x0": {"signal": "constant", "knots": [0.5, 2.0], "times": [0.0, 0.25]}}
 
 
 def test_the_environment_is_clean(program: Callable[..., ProgramSystem], monkeypatch: Any, tmp_path: Path) -> None:
