@@ -85,9 +85,10 @@ class Trials:
 
     def fresh(self) -> tuple[Trial, ...]:
         """Return the rollouts of a process that runs no other: the start of each variant."""
+        # Not up to the end of the shorter rollout: its last sample may be one that only an end has.
+        beginning = self.horizon / 2 - self.horizon / SAMPLES
         return tuple(
-            Trial(request=self._request(START, self.start, variant), beginning=self._beginning)
-            for variant in self.variants
+            Trial(request=self._request(START, self.start, variant), beginning=beginning) for variant in self.variants
         )
 
     def first(self, seconds: float) -> tuple[Trial, ...]:
@@ -116,16 +117,11 @@ class Trials:
         """Return a few rollouts at other starts, for a system whose first ones all fail."""
         return self._others()[:FIRST_FEW]
 
-    @property
-    def _beginning(self) -> float:
-        # Not up to the end of the shorter rollout: its last sample may be one that only an end has.
-        return self.horizon / 2 - self.horizon / SAMPLES
-
     def _others(self) -> tuple[Trial, ...]:
         requests = [
             self._request(CORNER, number, variant, corner)
             for number, corner in enumerate(corners(self.box, self.seed))
-            if self._is_inside(corner)
+            if is_inside(self._region, corner)
             for variant in self.variants
         ]
         requests += [
@@ -170,22 +166,25 @@ class Trials:
     ) -> RolloutRequest:
         """Return a rollout at `x`, by default at a random start of its own; its seed is one as campaigns draw them."""
         rng = np.random.default_rng([self.seed, *kind.encode(), number])
-        start = self._random_start(rng) if x is None else x
+        start = start_inside(self.box, self._region, rng) if x is None else x
         seed = int(rng.integers(2**self.spec.seed_bits, size=SEEDS)[replicate])
         return self.template.request(RolloutId(kind, number, variant, replicate), start, seed)
 
-    def _random_start(self, rng: np.random.Generator) -> Point:
-        """Return a random start, one of the region if there is one; of a tiny one any start of the box."""
-        attempts = (random_start(self.box, rng) for _ in range(MOST_ATTEMPTS))
-        first = next(attempts)
-        return next(filter(self._is_inside, itertools.chain([first], attempts)), first)
-
-    def _is_inside(self, start: Point) -> bool:
-        return self._admitted is None or bool(self._admitted([start])[0])
-
     @cached_property
-    def _admitted(self) -> Condition | None:
+    def _region(self) -> Condition | None:
         return condition(self.where, [each.name for each in self.box])
+
+
+def start_inside(box: Sequence[Parameter], region: Condition | None, rng: np.random.Generator) -> Point:
+    """Return a random start, one of the region if there is one; of a tiny one any start of the box."""
+    attempts = (random_start(box, rng) for _ in range(MOST_ATTEMPTS))
+    first = next(attempts)
+    return next((each for each in itertools.chain([first], attempts) if is_inside(region, each)), first)
+
+
+def is_inside(region: Condition | None, start: Point) -> bool:
+    """Whether a start is in the region, or there is none."""
+    return region is None or bool(region([start])[0])
 
 
 def random_start(box: Sequence[Parameter], rng: np.random.Generator) -> Point:
