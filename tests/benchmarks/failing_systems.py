@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from perfbound.schemas.system import OptionValue
 from perfbound.workers.systems.segway import SegwaySystem
 
 Floats = NDArray[np.float64]
@@ -85,10 +86,10 @@ def cartpole(start: tuple[float, ...], seed: int) -> float:
         force = 2.8 * position + 40 * angle + 4.2 * speed + 9.6 * rate
         force = max(-10.0, min(10.0, force)) - 0.1 * speed
         sine, cosine = math.sin(angle), math.cos(angle)
-        lean = (9.81 * sine + gust / (pole * half) - cosine * (force + pole * half * rate**2 * sine) / (cart + pole)) / (
-            half * (1 - pole * cosine**2 / (cart + pole))
-        )
-        push = (force + pole * half * (rate**2 * sine - lean * cosine)) / (cart + pole)
+        total = cart + pole
+        torque = 9.81 * sine + gust / (pole * half) - cosine * (force + pole * half * rate**2 * sine) / total
+        lean = torque / (half * (1 - pole * cosine**2 / total))
+        push = (force + pole * half * (rate**2 * sine - lean * cosine)) / total
         speed, rate = speed + step * push, rate + step * lean
         position, angle = position + step * speed, angle + step * rate
         largest = max(largest, abs(position))
@@ -107,10 +108,8 @@ def segway(start: tuple[float, ...], seed: int) -> float:
 
     A start is x and y; three seconds contain the largest tilt.
     """
-    options = {"gains": "aggressive", "noise_variance": 0.01}
-    found = _segway().rollout(
-        start, variant="true", seed=seed, horizon=3.0, options=options, progress=lambda _: None
-    )
+    options: dict[str, OptionValue] = {"gains": "aggressive", "noise_variance": 0.01}
+    found = _segway().rollout(start, variant="true", seed=seed, horizon=3.0, options=options, progress=lambda _: None)
     return 0.86 - float(np.abs(found.samples[:, found.columns.index("phi")]).max())
 
 

@@ -69,7 +69,7 @@ def simulations(search: Search, system: FailingSystem, seeds: Sequence[int] = SE
 
 def ours(objective: Objective, dimension: int, seed: int) -> None:
     """Our search."""
-    from perfbound.orchestrator.mathematics.search import Search as Falsifier
+    from perfbound.orchestrator.mathematics.search import Falsifier
 
     search = Falsifier((0.0,) * dimension, (1.0,) * dimension, seed=seed)
     while True:
@@ -118,7 +118,7 @@ class PeerProcess:
 @contextmanager
 def peer_process() -> Iterator[PeerProcess]:
     """Start the process of the peers, and end it."""
-    command = [PEERS, "-m", "tests.benchmarks.falsification_peers"]
+    command = [str(PEERS), "-m", "tests.benchmarks.falsification_peers"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None
