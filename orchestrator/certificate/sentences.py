@@ -184,6 +184,11 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "derived": "the {samples} starts follow from the seed and their numbers alone; the last one depends on the "
         "outcomes, and the bounds are valid after every sample.",
     },
+    "drawn_beside_a_search": {
+        "derived": "the {samples} starts follow from the seed and their numbers alone: of every {random_every} tests "
+        "one is such a start, and those that the search chose by earlier outcomes enter no claim; the last test "
+        "depends on the outcomes, and the bounds are valid after every sample.",
+    },
     "limit_agrees": {
         "refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence: they contradict "
         "each other, so the rollouts of one start do not have one law.",

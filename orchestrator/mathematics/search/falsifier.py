@@ -14,7 +14,7 @@ starts alone.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -25,6 +25,8 @@ from .surrogate import Surrogate, fitted, prior_mode
 from .warp import warped
 
 Point = tuple[float, ...]
+Score = Callable[[Surrogate, Floats, float], Floats]
+"""(model, points (m, p), level) -> values of an acquisition function, shape (m,)."""
 
 LARGEST = 200
 """Tests that the model contains; of more, the worst half and an even choice of the others."""
@@ -34,6 +36,8 @@ WORST = 4
 """Starts with candidates of their own."""
 GROWTH = 0.1
 """The length scales are fitted again after so many more tests, relative to their number."""
+TIE = 0.05
+"""Relative difference of an acquisition function that another machine may see."""
 BLOCK = 1024
 """Points of a Sobol sequence; the next ones are of a sequence of its own."""
 MODEL, SOBOL = 0, 1
@@ -80,7 +84,7 @@ class Falsifier:
 
     def is_random(self, test: int) -> bool:
         """Whether test `test` is a start of the Sobol sequence, whatever was observed."""
-        return test % self._random_every == self._random_every - 1
+        return (test + 1) % self._random_every == 0
 
     def propose(self, pending: Sequence[Point] = ()) -> Point:
         """Return the next test (p,), given the tests in flight, which it does not repeat."""
@@ -91,6 +95,19 @@ class Falsifier:
             # Without any observation: the middle, then fresh Sobol points of the second half of the first block.
             return self._point(np.full(len(self._low), 0.5) if not test else self._sobol_point(BLOCK // 2 + test))
         return self._point(self._by_model(test, [self._unit(each) for each in pending]))
+
+    def is_as_good(self, point: Point, proposal: Point, pending: Sequence[Point] = ()) -> bool:
+        """Whether another machine, which rounds differently, could have chosen `point` in place of the proposal.
+
+        Rounding grows in the fit of the length scales and decides between candidates of almost equal value, so that
+        the points may be far apart while the acquisition function is about the same.
+        """
+        test = self.observations + len(pending)
+        if self.is_random(test) or not self._values:
+            return point == proposal
+        model, score, level = self._model(test, [self._unit(each) for each in pending])
+        own, other = score(model, np.stack([self._unit(proposal), self._unit(point)]), level).tolist()
+        return bool(other >= own - TIE * max(1.0, abs(own)))
 
     def observe(self, point: Point, value: float) -> None:
         """Add the robustness of a test; on an error nothing changes.
@@ -113,17 +130,21 @@ class Falsifier:
             self._next_fit = self.observations + max(1, int(GROWTH * self.observations))
 
     def _by_model(self, test: int, pending: list[Floats]) -> Floats:
-        points, z, level = self._chosen(LARGEST)
-        # Beyond so many tests in flight, only the latest are kept apart: a bound on the cost.
-        model = Surrogate(self._theta, points, z, pending[-LARGEST:])
+        model, score, level = self._model(test, pending)
         rng = np.random.default_rng([self._seed, MODEL, test])
-        found = candidates(rng, points[np.argsort(z, kind="stable")[:WORST]])
-        score = _improvement if test % 3 == 1 else _probability
-        level = float(np.min(z)) if score is _improvement else level
+        worst = np.argsort(self._values, kind="stable")[:WORST]
+        found = candidates(rng, np.array([self._points[each] for each in worst]))
         for step in ROUNDS:
             best = found[np.argsort(-score(model, found, level), kind="stable")[:BEST]]
             found = nearby(rng, best, step * np.minimum(model.lengths, 1.0))
         return np.asarray(found[np.argmax(score(model, found, level))], dtype=np.float64)
+
+    def _model(self, test: int, pending: list[Floats]) -> tuple[Surrogate, Score, float]:
+        """Return the model of a test, its acquisition function and the level of that."""
+        points, z, level = self._chosen(LARGEST)
+        # Beyond so many tests in flight, only the latest are kept apart: a bound on the cost.
+        model = Surrogate(self._theta, points, z, pending[-LARGEST:])
+        return (model, _improvement, float(np.min(z))) if test % 3 == 1 else (model, _probability, level)
 
     def _chosen(self, largest: int) -> tuple[Floats, Floats, float]:
         """Return at most `largest` tests (n, p), their warped values (n,) and the level of 0 on that scale."""
