@@ -171,6 +171,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "alarm of probability {level}): the simulator drifts, so its rollouts have no single law.",
         "not refuted": "later rollouts do not rank above or below earlier ones (evidence {e_value} against "
         "{threshold}, {values} values); a slow drift can pass.",
+        "assumed": "fewer than two starts were drawn, so nothing shows whether the simulator drifts.",
     },
     "declared_distribution": {
         "assumed": "the claims are about starts that are distributed as [space] declares; that operation meets such "

@@ -18,6 +18,7 @@ from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
 from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.facts import Header, ProposalFact
 from perfbound.schemas.rollout import RolloutRequest
@@ -136,8 +137,11 @@ def test_samples_are_the_drawn_starts_alone(tmp_path: Path) -> None:
     assert verified(tmp_path) == []
 
 
-def test_a_counterexample_before_the_first_sample_ends_the_campaign_with_the_bound_of_none(tmp_path: Path) -> None:
-    simulate(tmp_path, sought({"method": "sample"}), lambda _: -0.5, noisy=False)
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_counterexample_before_the_first_sample_ends_the_campaign_with_the_bound_of_none(
+    tmp_path: Path, noisy: bool
+) -> None:
+    simulate(tmp_path, sought({"method": "sample"}), lambda _: -0.5, noisy=noisy)
     predicate = certificate(tmp_path).predicate
     assert predicate.problems[0].tests == 1
     assert predicate.claims[0].bound == 1.0
@@ -213,3 +217,14 @@ def test_tests_of_another_machine_are_followed_and_those_of_nobody_are_not(
             patched.setattr(Falsifier, "propose", other)
             simulate(tmp_path / name, config, shaky, noisy=True)
         assert verified(tmp_path / name)[:1] == failed
+
+
+@pytest.mark.parametrize(
+    ("keys", "method"),
+    [("", "sample"), ("alpha = 1.0\nrkhs_norm = 3\nnoise_scale = 0\nkernel.length_scale = 9", "rigorous")],
+)
+def test_a_file_that_seeks_needs_no_constants_and_twelve_lines(keys: str, method: str) -> None:
+    text = f'specification = "always(distance > 0)"\nhorizon = 5\nfalsify = {{}}\nsystem.name = "cars"\n{keys}\n'
+    found = parse_campaign(f"{text}[space]\ngap = [5, 60]\n".encode(), "braking.toml")
+    assert [problem.method for problem in found.problems] == [method]
+    assert found.until_counterexample
