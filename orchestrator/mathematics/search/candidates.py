@@ -11,7 +11,7 @@ ROUNDS = (0.1, 0.03, 0.01)
 BEST, COPIES = 6, 24
 
 
-def candidates(rng: np.random.Generator, worst: Floats) -> Floats:
+def choices_among(rng: np.random.Generator, worst: Floats) -> Floats:
     """Return candidates (m, p), given the worst starts (k, p)."""
     k, dimension = worst.shape
     return np.vstack(

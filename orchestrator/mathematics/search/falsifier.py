@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ..gp.kernels import Floats
-from .candidates import BEST, ROUNDS, candidates, nearby
+from .candidates import BEST, ROUNDS, choices_among, nearby
 from .surrogate import Surrogate, fitted, prior_mode
 from .warp import warped
 
@@ -133,7 +133,7 @@ class Falsifier:
         model, score, level = self._model(test, pending)
         rng = np.random.default_rng([self._seed, MODEL, test])
         worst = np.argsort(self._values, kind="stable")[:WORST]
-        found = candidates(rng, np.array([self._points[each] for each in worst]))
+        found = choices_among(rng, np.array([self._points[each] for each in worst]))
         for step in ROUNDS:
             best = found[np.argsort(-score(model, found, level), kind="stable")[:BEST]]
             found = nearby(rng, best, step * np.minimum(model.lengths, 1.0))
@@ -144,7 +144,7 @@ class Falsifier:
         points, z, level = self._chosen(LARGEST)
         # Beyond so many tests in flight, only the latest are kept apart: a bound on the cost.
         model = Surrogate(self._theta, points, z, pending[-LARGEST:])
-        return (model, _improvement, float(np.min(z))) if test % 3 == 1 else (model, _probability, level)
+        return (model, _improvement, float(np.min(z))) if test % 3 == 1 else (model, _chance_of_failure, level)
 
     def _chosen(self, largest: int) -> tuple[Floats, Floats, float]:
         """Return at most `largest` tests (n, p), their warped values (n,) and the level of 0 on that scale."""
@@ -175,7 +175,7 @@ class Falsifier:
         return np.asarray((np.array(point) - self._low) / (self._high - self._low), dtype=np.float64)
 
 
-def _probability(model: Surrogate, points: Floats, level: float) -> Floats:
+def _chance_of_failure(model: Surrogate, points: Floats, level: float) -> Floats:
     """Return what the probability of a value below the level grows with, shape (m,)."""
     mean, sd = model.moments(points)
     return (level - mean) / sd

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from perfbound.orchestrator.mathematics.search.falsifier import Falsifier, Point, _improvement, _probability
+from perfbound.orchestrator.mathematics.search.falsifier import Falsifier, Point, _improvement, _chance_of_failure
 from perfbound.orchestrator.mathematics.search.surrogate import Surrogate, _likelihood, fitted, prior_mode
 from perfbound.orchestrator.mathematics.search.warp import warped
 
@@ -166,7 +166,7 @@ def test_acquisition_functions_are_those_of_their_formulas() -> None:
     mean, sd = model.moments(asked)
     for level in (-0.5, 0.3):
         u = (level - mean) / sd
-        assert _probability(model, asked, level) == pytest.approx(u)
+        assert _chance_of_failure(model, asked, level) == pytest.approx(u)
         with np.errstate(divide="ignore"):
             exact = np.log(sd * (u * norm.cdf(u) + norm.pdf(u)))
         near = u > -5  # beyond, the plain formula has lost its digits
