@@ -119,7 +119,11 @@ def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
         return "scenario"
     # Every other method has a tolerance: where it is given, the space is at fault and not the method.
     asked = bool(table.keys() & {"claims", "specifications", "falsify"})
-    return "sample" if (asked or (isinstance(space, Mapping) and _is_drawn(space))) and "alpha" not in problem else "rigorous"
+    return (
+        "sample"
+        if (asked or (isinstance(space, Mapping) and _is_drawn(space))) and "alpha" not in problem
+        else "rigorous"
+    )
 
 
 def _is_drawn(space: Mapping[str, Any]) -> bool:

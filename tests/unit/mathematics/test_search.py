@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from perfbound.orchestrator.mathematics.search.falsifier import Falsifier, Point, _improvement, _chance_of_failure
+from perfbound.orchestrator.mathematics.search.falsifier import Falsifier, Point, _chance_of_failure, _improvement
 from perfbound.orchestrator.mathematics.search.surrogate import Surrogate, _likelihood, fitted, prior_mode
 from perfbound.orchestrator.mathematics.search.warp import warped
 
