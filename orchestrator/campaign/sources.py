@@ -89,7 +89,7 @@ class SearchSource:
         if self._plan.is_drawn(test):
             return self._method.propose(None, self._drawn(series))
         taken = [*series.nodes, *_nodes(series)] if self._plan.exact else ()
-        node, x = self._space.nearest(np.array(self._search.propose(_in_flight(series))), taken)
+        node, x = self._space.nearest(np.array(self._search.propose(_open_starts(series))), taken)
         # A start that is drawn from no list has no number: -1 - test, which no drawn one has.
         return Proposal(-1 - test if node is None else node, x, None, None, None, None)
 
@@ -99,7 +99,7 @@ class SearchSource:
             return self._method.rival(x, self._drawn(series))
         own = self.propose(series, test)
         node, nearest = self._space.nearest(np.array(x), ())
-        if nearest != tuple(x) or not self._search.is_as_good(nearest, own.x, _in_flight(series)):
+        if nearest != tuple(x) or not self._search.is_as_good(nearest, own.x, _open_starts(series)):
             return None
         return Proposal(own.node if node is None else node, nearest, None, None, None, None)
 
@@ -185,5 +185,5 @@ def _nodes(series: Series) -> list[int]:
     return [fact.proposal.node for fact in series.proposals.values()]
 
 
-def _in_flight(series: Series) -> list[Start]:
+def _open_starts(series: Series) -> list[Start]:
     return [fact.proposal.x for fact in series.proposals.values()]

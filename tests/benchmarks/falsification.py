@@ -24,7 +24,6 @@ from tests.benchmarks.report import Row
 SEEDS = range(20)
 BUDGET = 1000
 """Simulations after which a search counts as having taken `BUDGET`."""
-SHARE_OF = 2000
 RESAMPLES = 10_000
 LEVEL = 0.9
 PEERS = Path(".venv-bench/bin/python")
@@ -147,7 +146,7 @@ def _rows(system: FailingSystem, peers: dict[str, Search]) -> list[Row]:
     # At most the best peer's, within the bootstrap interval of the peer's median.
     goal = None if best is None else interval(counts[best])[1]
     rows = [
-        Row(f"{name}: failing starts", 100 * share(system, SHARE_OF), "%"),
+        Row(f"{name}: failing starts", 100 * share(system), "%"),
         Row(
             f"{name}: first counterexample {_spread(mine)}",
             float(np.median(mine)),

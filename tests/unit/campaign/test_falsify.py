@@ -1,13 +1,14 @@
 """Campaigns with a search: where tests come from, what enters a claim, and what changes nothing."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from threadpoolctl import threadpool_limits
 
 from perfbound.orchestrator.campaign.draws import Draws
 from perfbound.orchestrator.campaign.software import software
@@ -37,9 +38,12 @@ SCENARIOS = {"scenarios": [[x / 10, y / 10] for x in range(11) for y in range(11
 
 
 @pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr("os.fsync", lambda _: None)
     monkeypatch.setattr(service, "TICK", 0.01)
+    # As in a campaign: more threads only wait for one another at this size.
+    with threadpool_limits(1):
+        yield
 
 
 def hidden(request: RolloutRequest) -> float:
