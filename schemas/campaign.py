@@ -2,11 +2,12 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from .base import Model, digest, merged
 from .campaign_rules import check_consistent
 from .claims import SAMPLED, ClaimRequest, DrawnClaim
+from .falsify import Falsify
 from .method_spaces import MOST_STARTS, RESOLUTION, fixed_starts
 from .problem_models import Gap, Problem, SampleProblem
 from .problems import OBJECTIVES, Sense
@@ -65,8 +66,15 @@ class CampaignConfig(Model):
         description="rule of the first claim: Theorem 2 with multiplied probabilities, or with added failure "
         "probabilities; Bhatia-Davis with two extremes, or pointwise; one problem alone",
     )
+    falsify: Falsify | None = Field(
+        default=None,
+        exclude_if=lambda falsify: falsify is None,
+        description="search for a counterexample: tests go where the robustness is expected to be below 0; implies "
+        "`until_counterexample`",
+    )
     until_counterexample: bool = Field(
         default=False,
+        validate_default=True,
         description="end the campaign with the first test, in test order, of which a rollout violates the "
         "specification; for one problem of the robustness, not with method `paper`",
     )
@@ -143,6 +151,11 @@ class CampaignConfig(Model):
         description="what is claimed of drawn starts, the answer to the question of the file first; method `sample` "
         "alone, where the default is `failure_probability`",
     )
+
+    @field_validator("until_counterexample")
+    @classmethod
+    def _implied(cls, given: bool, info: ValidationInfo) -> bool:
+        return given or info.data.get("falsify") is not None
 
     @model_validator(mode="after")
     def _consistent(self) -> "CampaignConfig":

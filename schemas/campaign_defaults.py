@@ -113,13 +113,17 @@ def _with_ends(value: Any) -> Any:
 
 
 def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
-    """Return the method of a problem that names none: by the space, or by claims about drawn starts."""
+    """Return the method of a problem that names none: by the space, by claims about drawn starts, or by a search."""
     space = table.get("space")
     if isinstance(space, Mapping) and "scenarios" in space:
         return "scenario"
     # Every other method has a tolerance: where it is given, the space is at fault and not the method.
-    asked = bool(table.keys() & {"claims", "specifications"}) or (isinstance(space, Mapping) and _is_drawn(space))
-    return "sample" if asked and "alpha" not in problem else "rigorous"
+    asked = bool(table.keys() & {"claims", "specifications", "falsify"})
+    return (
+        "sample"
+        if (asked or (isinstance(space, Mapping) and _is_drawn(space))) and "alpha" not in problem
+        else "rigorous"
+    )
 
 
 def _is_drawn(space: Mapping[str, Any]) -> bool:

@@ -8,6 +8,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from .campaign import CampaignConfig
 from .claims import ClaimRequest
+from .falsify import Falsify
 from .kernel import MaternKernel, Weighted
 from .method_spaces import SPACES
 from .problem_models import (
@@ -77,6 +78,7 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
         '`gap = { formula = "always (distance >= 2)", id = "REQ-7" }`.',
         Requirement,
     ),
+    ("[falsify]", "`falsify = {}` takes the default. [Counterexamples](how-to/counterexample.md) shows it.", Falsify),
     ("kernel", "", MaternKernel),
     ("gap", "", Gap),
     ("linearised", "", Linearised),
@@ -130,6 +132,7 @@ SECTIONS = {
     "MaternKernel": "kernel",
     "Gap": "gap",
     "Linearised": "linearised",
+    "Falsify": "falsify",
     "ClaimRequest": "claims",
     "Requirement": "specifications",
 }

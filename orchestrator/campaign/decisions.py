@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Protocol
 
 from ...schemas.errors import PerfboundError
@@ -13,11 +14,12 @@ from . import counterexample
 from .account import Account
 from .methods import Methods
 from .observation import Observer, Others, Trajectories
-from .seeds import first_node, rollout_seed
+from .seeds import rollout_seed
 from .series import Series
+from .sources import proposal_source
 
 Follow = Callable[[str, int, Proposal, Callable[[Sequence[float]], Proposal | None]], Proposal]
-"""(problem, test, the method's proposal, the rival at a given start) -> the proposal to take."""
+"""(problem, test, the source's proposal, the rival at a given start) -> the proposal to take."""
 
 
 UNOBSERVABLE = "; drop the rollout that is at fault with `perfbound discard`, then resume"
@@ -60,20 +62,16 @@ class ProblemDecisions:
     def __init__(
         self, account: Account, header: Header, methods: Methods, observer: Observer, follow: Follow | None = None
     ) -> None:
-        self._plan, self._method = account.plan, methods[account.plan.name]
+        self._plan, self._source = account.plan, proposal_source(account.plan, methods[account.plan.name], header)
         self._header, self._observer, self._follow = header, observer, follow
 
     def proposal(self, series: Series, test: int) -> ProposalFact:
         """Choose the next test of the problem."""
-        problem, method = self._plan.name, self._method
-        # Tests in flight: a method counts them as observed, so that a window > 1 does not repeat one start.
-        pending = [fact.proposal.node for fact in series.proposals.values()]
-        first = first_node(self._header, problem, method.size) if test == 0 else None
+        problem = self._plan.name
         with naming(f"problem {problem}, test {test}"):
-            chosen = method.propose(first, pending)
+            chosen = self._source.propose(series, test)
             if self._follow is not None:
-                # The first test is drawn by the seed alone: it has no rival.
-                chosen = self._follow(problem, test, chosen, lambda x: method.rival(x, pending) if test else None)
+                chosen = self._follow(problem, test, chosen, partial(self._source.rival, series, test))
         return ProposalFact(problem, test, chosen)
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
@@ -89,9 +87,8 @@ class ProblemDecisions:
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Give an observation to the method, once, and return the bound after it."""
-        assert series.last_proposal is not None
         with naming(f"problem {fact.problem}, test {fact.test}"):
-            bound = self._method.observe(series.last_proposal, fact.observation)
+            bound = self._source.observe(series, fact)
         bound = counterexample.ended(self._header.config, bound, series.last_rollouts)
         # A method has no budget: its own verdict comes first, also at the last test.
         spent = bound.verdict is None and fact.test + 1 >= self._plan.budget

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import DrawnClaim
+from ...schemas.falsify import Falsify
 from ...schemas.parameters import parameter_ranges
 from ...schemas.problem_models import Gap, Problem, RigorousProblem, SampleProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
@@ -62,6 +63,8 @@ class ProblemPlan:
     requirements: tuple[str, ...] = ()
     """Names of the requirements that are claimed beside the whole specification, where starts are drawn."""
     until_counterexample: bool = False
+    falsify: Falsify | None = None
+    """The search that the tests come from; None where they come from the method."""
 
     @property
     def name(self) -> ProblemName:
@@ -83,6 +86,14 @@ class ProblemPlan:
         """The candidates of a method that chooses among them."""
         assert self.candidates is not None, "starts that are drawn have no candidates"
         return self.candidates
+
+    def is_drawn(self, test: int) -> bool:
+        """Whether the start of a test is drawn from the distribution of `[space]`, and so is a sample."""
+        return self.candidates is None and (self.falsify is None or self.falsify.is_random(test))
+
+    def is_evidence(self, test: int) -> bool:
+        """Whether a test enters the bound; where starts are drawn, one that a search proposed does not."""
+        return self.candidates is not None or self.is_drawn(test)
 
     @property
     def exact(self) -> bool:
@@ -151,7 +162,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         candidates=candidates,
         parameters=tuple(parameter.name for parameter in spec.parameters),
         # A start that is drawn depends on no rollout, so that tests in flight change nothing.
-        window=config.window_of(problem) if candidates is not None else min(tests, DRAWN_WINDOW),
+        window=min(tests, DRAWN_WINDOW) if candidates is None and not config.falsify else config.window_of(problem),
         replicates=replicates,
         budget=tests,
         noise=noise / math.sqrt(replicates) if mean else noise,
@@ -167,6 +178,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         deterministic=not set(variants) & set(spec.noisy),
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
+        falsify=config.falsify,
     )
 
 

@@ -117,6 +117,8 @@ def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     drawn = plan.candidates is None
     order = AdaptiveOrderTest(starts=1 if drawn else plan.listed)
     for test, (node, each) in enumerate(zip(account.nodes, account.each, strict=True)):
+        if drawn and not plan.is_drawn(test):
+            continue  # a search chose it by the outcomes before
         for value in each[:1] if drawn else each:
             order.observe(0 if drawn else node, test, value)
     form = "one_law" if drawn else None
@@ -256,10 +258,13 @@ def _scenario(account: Account, problem: ScenarioProblem, rules: int) -> Iterato
 
 def _sample(account: Account, problem: SampleProblem) -> Iterator[Assumption]:
     """Yield what claims about drawn starts rest on: the distribution, and that nothing chose a start by its outcome."""
-    tests = len(account.observations)
+    tests = sum(map(account.plan.is_drawn, range(len(account.observations))))
     yield assumption(f"declared_distribution/{problem.name}", "assumed")
     form = "drawn_at_every_moment" if account.plan.until_counterexample else "drawn_fixed"
-    yield assumption(f"drawn_starts/{problem.name}", "derived", {"samples": tests}, form=form)
+    values = {"samples": tests}
+    if account.plan.falsify is not None:
+        form, values = "drawn_beside_a_search", values | {"random_every": account.plan.falsify.random_every}
+    yield assumption(f"drawn_starts/{problem.name}", "derived", values, form=form)
 
 
 def _mean_noise(account: Account) -> Assumption:

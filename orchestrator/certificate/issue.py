@@ -112,5 +112,5 @@ def question(header: Header) -> dict[str, object]:
     """Return the keys of the campaign file that the claims are about, so that a reader needs no other file."""
     keys = {"system", "space", "specification", "clip", "risk_weight", "horizon", "gap", "composition"}
     # Left out while it is not set, so that certificates of before keep their bytes.
-    sought = {key for key in ("until_counterexample", "specifications") if getattr(header.config, key)}
+    sought = {key for key in ("until_counterexample", "falsify", "specifications") if getattr(header.config, key)}
     return header.config.model_dump(mode="json", exclude_none=True, include=keys | sought)

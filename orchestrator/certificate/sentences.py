@@ -171,6 +171,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "alarm of probability {level}): the simulator drifts, so its rollouts have no single law.",
         "not refuted": "later rollouts do not rank above or below earlier ones (evidence {e_value} against "
         "{threshold}, {values} values); a slow drift can pass.",
+        "assumed": "fewer than two starts were drawn, so nothing shows whether the simulator drifts.",
     },
     "declared_distribution": {
         "assumed": "the claims are about starts that are distributed as [space] declares; that operation meets such "
@@ -183,6 +184,11 @@ SENTENCES: dict[str, dict[Status, str]] = {
     "drawn_at_every_moment": {
         "derived": "the {samples} starts follow from the seed and their numbers alone; the last one depends on the "
         "outcomes, and the bounds are valid after every sample.",
+    },
+    "drawn_beside_a_search": {
+        "derived": "the {samples} starts follow from the seed and their numbers alone: of every {random_every} tests "
+        "one is such a start, and those that the search chose by earlier outcomes enter no claim; the last test "
+        "depends on the outcomes, and the bounds are valid after every sample.",
     },
     "limit_agrees": {
         "refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence: they contradict "

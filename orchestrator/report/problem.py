@@ -56,7 +56,8 @@ class ProblemCollector:
                 self._proposals[fact.test] = fact
                 self.starts.append(fact.proposal.x)
             case ObservationFact():
-                self._pending.append((self._proposals[fact.test].proposal, fact.observation))
+                if self._plan.is_evidence(fact.test):
+                    self._pending.append((self._proposals[fact.test].proposal, fact.observation))
                 self._values[fact.test] = fact
             case BoundFact():
                 proposal, observation = self._proposals.pop(fact.test), self._values.pop(fact.test)
@@ -123,8 +124,9 @@ class ProblemCollector:
 
     def _histograms(self, method: SampleMethod) -> list[Drawn]:
         header = self._header
-        values = [test.observation.each for test in self.observed]
-        return histograms(self._plan, method, values, robustness_unit(header.config, header.spec))
+        values = [each.observation.each for each in self.observed if self._plan.is_drawn(each.test)]
+        # A search may have found its counterexample before the first drawn start.
+        return histograms(self._plan, method, values, robustness_unit(header.config, header.spec)) if values else []
 
     def _probability(self, last: ObservedTest | None) -> float | None:
         """Return the probability of the current bound; None where there is no valid one."""

@@ -21,6 +21,7 @@ from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     campaign,
     disturbed,
     durability,
+    falsification,
     fleet,
     forms,
     proposal,
@@ -42,6 +43,7 @@ PARTS = (
     "proposal",
     "rigorous",
     "scenario",
+    "falsification",
     "stl",
     "rollout",
     "forms",
@@ -101,6 +103,8 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
         return stl.main(stl.measured() if alone else child("stl"))
     if part == "durability":
         return durability.main(None if alone else lambda: child("peers_storage"))
+    if part == "falsification":
+        return falsification.main(alone=alone)
     plain = {"scenario": scenario.main, "rollout": rollout.main, "forms": forms.main, "fleet": fleet.main}
     whole = {
         "campaign": campaign.main,

@@ -312,6 +312,10 @@ class SampleMethod(Method):
 
         """
         self.recall([(proposal, observation)])
+        return self.bound()
+
+    def bound(self) -> Bound:
+        """Return the bound of the first claim from the samples so far, of which there may be none."""
         found = self.found(0)
         if found is None:
             return Bound(None, None, None)

@@ -295,6 +295,12 @@ def test_the_report_shows_the_robustness_and_the_bounds(tmp_path: Path) -> None:
     assert problem.alpha is None
 
 
+def test_a_counterexample_at_the_first_sample_of_a_noisy_system_is_certified(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(until_counterexample=True), lambda _: -0.5, noisy=True)
+    assert claims(tmp_path)[0].bound == 1.0
+    assert verified(tmp_path) == []
+
+
 # What a file may ask
 
 

@@ -1,0 +1,189 @@
+"""Where the tests of a problem come from: its method, or a search for a counterexample."""
+
+import math
+import sys
+from collections.abc import Callable, Collection, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ...schemas.facts import Header, ObservationFact
+from ...schemas.falsify import Falsify
+from ...schemas.space import Range, StartTable
+from ...schemas.values import Bound, Proposal
+from ..mathematics.bounds.sample import SampleMethod
+from ..mathematics.distributions import to_digits
+from ..mathematics.gp.kernels import Floats
+from ..mathematics.search import Falsifier
+from .draws import DIGITS
+from .methods import ProblemMethod
+from .plan import ProblemPlan
+from .seeds import first_node, uniform
+from .series import Series
+
+Start = tuple[float, ...]
+
+
+class ProposalSource(Protocol):
+    """The source of the tests of one problem; called in the order of its facts."""
+
+    def propose(self, series: Series, test: int) -> Proposal:
+        """Return the next test; it changes nothing."""
+        ...
+
+    def rival(self, series: Series, test: int, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,) if another CPU, which rounds differently, could have chosen it."""
+        ...
+
+    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+        """Take the observation of the test that the series closed last, once, and return the bound after it."""
+        ...
+
+
+def proposal_source(plan: ProblemPlan, method: ProblemMethod, header: Header) -> ProposalSource:
+    """Return the source that the campaign file asks for."""
+    if plan.falsify is None:
+        return MethodSource(plan, method, header)
+    return SearchSource(plan, plan.falsify, method, header)
+
+
+class MethodSource:
+    """The method of the problem."""
+
+    def __init__(self, plan: ProblemPlan, method: ProblemMethod, header: Header) -> None:
+        self._name, self._method, self._header = plan.name, method, header
+
+    def propose(self, series: Series, test: int) -> Proposal:
+        """Return the next test; the first one follows from the seed."""
+        first = first_node(self._header, self._name, self._method.size) if test == 0 else None
+        return self._method.propose(first, _nodes(series))
+
+    def rival(self, series: Series, test: int, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,); the first test is drawn by the seed alone and has none."""
+        return self._method.rival(x, _nodes(series)) if test else None
+
+    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+        """Give the observation to the method."""
+        assert series.last_proposal is not None
+        return self._method.observe(series.last_proposal, fact.observation)
+
+
+class SearchSource:
+    """A search, whose tests the method only observes; where starts are drawn, it proposes and observes the drawn ones.
+
+    The bounds of methods `rigorous` and `scenario` hold for every rule that chooses a test from the observations
+    before it, and so for this one.
+    """
+
+    def __init__(self, plan: ProblemPlan, falsify: Falsify, method: ProblemMethod, header: Header) -> None:
+        self._plan, self._method = plan, method
+        self._space = _ranges(plan, header) if plan.candidates is None else _Listed(plan.candidates.nodes)
+        low, high = self._space.box
+        # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
+        seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
+        high = np.where(high > low, high, low + 1.0)
+        self._search = Falsifier(low.tolist(), high.tolist(), seed=seed, random_every=falsify.random_every)
+
+    def propose(self, series: Series, test: int) -> Proposal:
+        """Return the start that is nearest to the search's, or the next drawn one."""
+        if self._plan.is_drawn(test):
+            return self._method.propose(None, self._drawn(series))
+        taken = [*series.nodes, *_nodes(series)] if self._plan.exact else ()
+        node, x = self._space.nearest(np.array(self._search.propose(_open_starts(series))), taken)
+        # A start that is drawn from no list has no number: -1 - test, which no drawn one has.
+        return Proposal(-1 - test if node is None else node, x, None, None, None, None)
+
+    def rival(self, series: Series, test: int, x: Sequence[float]) -> Proposal | None:
+        """Return the proposal of `x` (p,) if it is a start of the space and as good as the search's own."""
+        if self._plan.is_drawn(test):
+            return self._method.rival(x, self._drawn(series))
+        own = self.propose(series, test)
+        node, nearest = self._space.nearest(np.array(x), ())
+        if nearest != tuple(x) or not self._search.is_as_good(nearest, own.x, _open_starts(series)):
+            return None
+        return Proposal(own.node if node is None else node, nearest, None, None, None, None)
+
+    def observe(self, series: Series, fact: ObservationFact) -> Bound:
+        """Give the worst robustness of the test to the search, and the observation to the method if it is evidence."""
+        proposal = series.last_proposal
+        assert proposal is not None
+        worst = min((each.robustness for each in series.last_rollouts if each.robustness is not None), default=math.inf)
+        self._search.observe(proposal.x, max(-sys.float_info.max, min(worst, sys.float_info.max)))
+        if self._plan.is_evidence(fact.test):
+            return self._method.observe(proposal, fact.observation)
+        # A start that was chosen by the outcomes before it is no sample: the bound is that of the samples so far.
+        assert isinstance(self._method, SampleMethod)
+        return self._method.bound()
+
+    def _drawn(self, series: Series) -> list[int]:
+        return [fact.proposal.node for test, fact in series.proposals.items() if self._plan.is_drawn(test)]
+
+
+class _Space(Protocol):
+    """The starts that a search may propose."""
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """The smallest and the largest values, shape (p,) each."""
+        ...
+
+    def nearest(self, point: Floats, taken: Collection[int]) -> tuple[int | None, Start]:
+        """Return the allowed start nearest to a point (p,), with its number in a list, which is none of `taken`."""
+        ...
+
+
+class _Listed:
+    """Finitely many starts, shape (m, p): nodes of a lattice, scenarios, or the rows of a table."""
+
+    def __init__(self, starts: Floats, *, numbered: bool = True) -> None:
+        self._starts, self._numbered = starts, numbered
+        self.box = starts.min(axis=0), starts.max(axis=0)
+        span = self.box[1] - self.box[0]
+        self._scale = np.where(span > 0, span, 1.0)
+
+    def nearest(self, point: Floats, taken: Collection[int]) -> tuple[int | None, Start]:
+        """Return the nearest start, distances in shares of the ranges; ties to the lowest number."""
+        distances = np.sum(((self._starts - point) / self._scale) ** 2, axis=1)
+        distances[list(taken)] = math.inf
+        chosen = int(np.argmin(distances))
+        return chosen if self._numbered else None, tuple(self._starts[chosen].tolist())
+
+
+class _Ranges:
+    """A range for each parameter, with its steps or choices."""
+
+    def __init__(self, ranges: Sequence[Range]) -> None:
+        self.box = np.array([each.low for each in ranges]), np.array([each.high for each in ranges])
+        self._nearest = [_nearest(each) for each in ranges]
+
+    def nearest(self, point: Floats, taken: Collection[int]) -> tuple[int | None, Start]:  # noqa: ARG002
+        """Return the nearest value of every parameter; there is no list."""
+        return None, tuple(near(value) for near, value in zip(self._nearest, point.tolist(), strict=True))
+
+
+def _ranges(plan: ProblemPlan, header: Header) -> _Space:
+    space = header.config.space
+    if isinstance(space, StartTable):
+        return _Listed(np.array(space.rows), numbered=False)
+    assert isinstance(space, dict), "no method that draws its starts takes a list of scenarios"
+    return _Ranges([space[name] for name in plan.parameters])
+
+
+def _nearest(given: Range) -> Callable[[float], float]:
+    """Return the allowed value of a parameter that is nearest to a number; rounded as drawn ones are."""
+    low, high, step, choices = given.low, given.high, given.step, given.choices
+    if choices is not None:
+        return lambda value: min(choices, key=lambda each: (abs(each - value), each))
+    if step is not None:
+        # 15 digits: 0.1 + 2 * 0.1 is 0.3, as written.
+        return lambda value: min(max(float(f"{low + round((value - low) / step) * step:.15g}"), low), high)
+    return lambda value: to_digits(np.array([value]), low, high, DIGITS)[0]
+
+
+def _nodes(series: Series) -> list[int]:
+    # Tests in flight: a method counts them as observed, so that a window > 1 does not repeat one start.
+    return [fact.proposal.node for fact in series.proposals.values()]
+
+
+def _open_starts(series: Series) -> list[Start]:
+    return [fact.proposal.x for fact in series.proposals.values()]

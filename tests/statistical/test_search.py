@@ -1,0 +1,94 @@
+"""How soon the search finds a rare failure: medians of fixed seeds on functions with a known share of failures.
+
+None of them is one of the five systems of the benchmark; with these and others like them the search was developed.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from perfbound.orchestrator.mathematics.search import Falsifier
+from tests.benchmarks.falsification import interval
+
+Function = Callable[[np.ndarray], float]
+SEEDS = range(15)
+BUDGET = 200
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Compute as a campaign does: more threads only wait for one another at this size."""
+    with threadpool_limits(1):
+        yield
+
+
+def first_failure(function: Function, dimension: int, seed: int, *, window: int = 1) -> int:
+    """Return the number of the first test below 0, at most `BUDGET`; with `window` tests in flight."""
+    search = Falsifier((0.0,) * dimension, (1.0,) * dimension, seed=seed)
+    pending: list[tuple[float, ...]] = []
+    for test in range(1, BUDGET):
+        while len(pending) < window:
+            pending.append(search.propose(pending))
+        point = pending.pop(0)
+        value = float(function(np.array(point)))
+        if value < 0:
+            return test
+        search.observe(point, value)
+    return BUDGET
+
+
+def bowl(u: np.ndarray) -> float:
+    return float(np.sum((u - np.array([0.3, 0.62, 0.45, 0.8])) ** 2)) * 4 - 0.18
+
+
+def clipped(u: np.ndarray) -> float:
+    return min(4 * math.hypot(u[0] - 0.23, u[1] - 0.71) - 0.25, 0.6)
+
+
+def ridge(u: np.ndarray) -> float:
+    return float(abs(u[1] - 0.3 - 0.4 * u[0] ** 2) * 3 + 0.6 * abs(u[0] - 0.62) - 0.03)
+
+
+def jump(u: np.ndarray) -> float:
+    return float(1.5 - u[0] - 0.3 * u[3] - (0.45 if u[1] > 0.9 and u[2] < 0.3 else 0))
+
+
+def corner(u: np.ndarray) -> float:
+    return float(np.sum(np.where(np.arange(10) % 2 == 0, u, 1 - u) * np.linspace(0.1, 1, 10))) - 1.2
+
+
+def disc(u: np.ndarray) -> float:
+    """A jump inside of the box that nothing leads to."""
+    inside = math.hypot(u[0] - 0.7, u[1] - 0.55) < 0.08
+    return -0.1 if inside else 0.5 + 0.3 * math.sin(5 * u[0]) * math.cos(4 * u[1])
+
+
+def by_chance(function: Function, dimension: int) -> float:
+    """Return the median number of random starts to the first failure, from the share of 20,000."""
+    starts = np.random.default_rng(0).random((20_000, dimension))
+    return math.log(2) / (sum(function(u) < 0 for u in starts) / len(starts))
+
+
+@pytest.mark.parametrize(
+    ("function", "dimension", "of_chance"),
+    [(bowl, 4, 0.2), (clipped, 2, 0.5), (ridge, 2, 0.1), (jump, 5, 0.1), (corner, 10, 0.1), (disc, 2, 2.0)],
+)
+def test_the_search_needs_a_small_share_of_random_starts(function: Function, dimension: int, of_chance: float) -> None:
+    counts = [first_failure(function, dimension, seed) for seed in SEEDS]
+    # Where nothing leads to a failure the search is as good as chance, and no worse than twice that.
+    assert float(np.median(counts)) <= of_chance * by_chance(function, dimension), sorted(counts)
+
+
+def test_tests_in_flight_cost_the_search_little() -> None:
+    one: Sequence[int] = [first_failure(bowl, 4, seed) for seed in SEEDS]
+    eight: Sequence[int] = [first_failure(bowl, 4, seed, window=8) for seed in SEEDS]
+    assert float(np.median(eight)) <= float(np.median(one)) + 3 * 8, (sorted(one), sorted(eight))
+
+
+def test_the_bootstrap_interval_has_the_median_inside() -> None:
+    counts = np.random.default_rng(0).geometric(0.05, 20).tolist()
+    low, high = interval(counts)
+    assert low < float(np.median(counts)) < high

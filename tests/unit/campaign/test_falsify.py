@@ -1,0 +1,234 @@
+"""Campaigns with a search: where tests come from, what enters a claim, and what changes nothing."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from threadpoolctl import threadpool_limits
+
+from perfbound.orchestrator.campaign.draws import Draws
+from perfbound.orchestrator.campaign.software import software
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.mathematics.bounds.failures import beta_mixture_upper
+from perfbound.orchestrator.mathematics.search import Falsifier
+from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import read
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.facts import Header, ProposalFact
+from perfbound.schemas.rollout import RolloutRequest
+from tests.fakes.simulators import noise, robustness, simulate, spec, verified
+
+CLIP = (-1.0, 1.0)
+RIGOROUS = {
+    "method": "rigorous",
+    "alpha": 0.01,
+    "rkhs_norm": 4.0,
+    "noise_scale": 0.0,
+    "kernel": {"length_scale": 0.5},
+}
+NOISY = RIGOROUS | {"noise_scale": "derived"}
+SCENARIOS = {"scenarios": [[x / 10, y / 10] for x in range(11) for y in range(11)]}
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    monkeypatch.setattr(service, "TICK", 0.01)
+    # As in a campaign: more threads only wait for one another at this size.
+    with threadpool_limits(1):
+        yield
+
+
+def hidden(request: RolloutRequest) -> float:
+    """Return a margin below 0 on less than a hundredth of the square, inside of it."""
+    return 4.0 * float(np.hypot(request.x[0] - 0.37, request.x[1] - 0.71)) - 0.2
+
+
+def safe(request: RolloutRequest) -> float:
+    return 0.1 + 0.3 * float(np.hypot(request.x[0] - 0.37, request.x[1] - 0.71))
+
+
+def shaky(request: RolloutRequest) -> float:
+    return safe(request) + 0.01 * noise(request.seed)
+
+
+def sought(problem: dict[str, Any], **changes: Any) -> CampaignConfig:
+    """Return a campaign of 60 tests with a search."""
+    defaults = {"max_tests": 60, "clip": CLIP, "recheck": 3, "spot_check": 0, "falsify": {}}
+    return robustness(problem, **defaults | changes)
+
+
+def proposals(directory: Path) -> list[ProposalFact]:
+    with read.reading(directory) as connection:
+        found = [fact for fact in read.read_facts(connection) if isinstance(fact, ProposalFact)]
+    return sorted((fact for fact in found if fact.problem == "robustness"), key=lambda fact: fact.test)
+
+
+def certificate(directory: Path) -> Certificate:
+    found = files.read(directory)
+    assert found is not None
+    return found
+
+
+def test_the_file_says_it_in_one_line_and_a_file_without_it_keeps_its_identity() -> None:
+    config = sought({"method": "sample"})
+    assert config.until_counterexample
+    assert config.falsify is not None
+    assert config.falsify.random_every == 4
+    dumped = config.model_dump_json()
+    assert CampaignConfig.model_validate_json(dumped).digest == config.digest
+    without = robustness({"method": "sample"}, clip=CLIP, until_counterexample=True)
+    assert "falsify" not in json.loads(without.model_dump_json())
+    assert without.digest != config.digest
+
+
+@pytest.mark.parametrize(
+    ("problem", "changes", "message"),
+    [
+        ({"method": "sample"}, {"falsify": {"random_every": 0}}, "random_every"),
+        ({"method": "sample"}, {"clip": (0.0, 1.0)}, "hides every violation"),
+        (RIGOROUS | {"method": "paper", "noise_scale": 0.1, "c": 0.1}, {}, "method 'paper'"),
+    ],
+)
+def test_what_contradicts_a_search_is_refused(problem: dict[str, Any], changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        sought(problem, **changes)
+
+
+@pytest.mark.parametrize(
+    ("problem", "changes", "noisy"),
+    [
+        ({"method": "sample"}, {}, False),
+        ({"method": "sample"}, {"window": 5}, False),
+        (RIGOROUS, {"resolution": 41}, False),
+        (NOISY, {"resolution": 41, "replicates": 2}, True),
+        ({"method": "scenario", "alpha": 0.01}, {"space": SCENARIOS}, True),
+    ],
+)
+def test_a_search_finds_a_hidden_failure_with_every_method_and_the_certificate_verifies(
+    tmp_path: Path, problem: dict[str, Any], changes: dict[str, Any], noisy: bool
+) -> None:
+    simulate(tmp_path, sought(problem, **changes), hidden, noisy=noisy)
+    predicate = certificate(tmp_path).predicate
+    assert predicate.counterexample is not None
+    assert predicate.problems[0].stopped_by == "counterexample"
+    assert verified(tmp_path) == []
+    assert len(Collector(tmp_path).refresh().problems[0].tests.y) < 60
+
+
+def test_samples_are_the_drawn_starts_alone(tmp_path: Path) -> None:
+    config = sought({"method": "sample"})
+    simulate(tmp_path, config, safe, noisy=False)
+    predicate = certificate(tmp_path).predicate
+    assert predicate.counterexample is None
+    assert predicate.claims[0].bound == pytest.approx(beta_mixture_upper(0, 15, 0.05), abs=2e-9)
+    found = proposals(tmp_path)
+    draws = Draws(Header.new(config, spec(noisy=False), software(spec(noisy=False))), "robustness")
+    assert [each.proposal.x for each in found[3::4]] == [draws.start(number) for number in range(15)]
+    assert all(each.proposal.node < 0 for each in found if each.test % 4 != 3)
+    assumptions = {each.id: each for each in predicate.assumptions}
+    assert (assumptions["drawn_starts/robustness"].values or {})["samples"] == 15
+    histogram = Collector(tmp_path).refresh().problems[0].drawn
+    assert histogram is not None
+    assert sum(histogram.counts) == 15
+    assert verified(tmp_path) == []
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_counterexample_before_the_first_sample_ends_the_campaign_with_the_bound_of_none(
+    tmp_path: Path, noisy: bool
+) -> None:
+    simulate(tmp_path, sought({"method": "sample"}), lambda _: -0.5, noisy=noisy)
+    predicate = certificate(tmp_path).predicate
+    assert predicate.problems[0].tests == 1
+    assert predicate.claims[0].bound == 1.0
+    assert Collector(tmp_path).refresh().problems[0].drawn is None
+    assert verified(tmp_path) == []
+
+
+@pytest.mark.parametrize("problem", [{"method": "sample"}, NOISY])
+def test_a_stop_and_the_number_of_workers_change_no_byte(tmp_path: Path, problem: dict[str, Any]) -> None:
+    config = sought(problem, window=3, resolution=31, max_tests=24)
+
+    def stop() -> Callable[[RolloutRequest], bool]:
+        left = iter([False] * 11 + [True])
+        return lambda _: next(left, False)
+
+    whole = simulate(tmp_path / "whole", config, shaky, noisy=True, workers=1)
+    assert simulate(tmp_path / "cut", config, shaky, noisy=True, workers=3, stop=stop()) is None
+    assert simulate(tmp_path / "cut", config, shaky, noisy=True, workers=2) is not None
+    assert proposals(tmp_path / "whole") == proposals(tmp_path / "cut")
+    first, second = (certificate(tmp_path / name).predicate for name in ("whole", "cut"))
+    assert whole is not None
+    assert first.claims == second.claims
+
+
+def test_without_noise_no_start_is_tested_twice(tmp_path: Path) -> None:
+    simulate(tmp_path, sought(RIGOROUS | {"alpha": 1e-6}, resolution=5), safe, noisy=False)
+    nodes = [each.proposal.node for each in proposals(tmp_path)]
+    assert len(nodes) == len(set(nodes)) > 10
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        {"z1": {"low": 0.0, "high": 1.0, "step": 0.125}, "z2": {"choices": [0.0, 0.5, 0.75], "low": 0.0, "high": 0.75}},
+        {"table": [[0.1, 0.1], [0.9, 0.2], [0.4, 0.7], [0.3, 0.9], [1.0, 1.0], [0.0, 0.6]]},
+        {
+            "z1": {"low": 0.0, "high": 1.0, "distribution": "normal", "mean": 0.2, "sd": 0.1},
+            "z2": {"low": 0, "high": 1},
+        },
+    ],
+)
+def test_a_searched_start_is_one_of_the_space(tmp_path: Path, space: dict[str, Any]) -> None:
+    simulate(tmp_path, sought({"method": "sample"}, space=space, max_tests=24), safe, noisy=False)
+    starts = [each.proposal.x for each in proposals(tmp_path)]
+    for first, second in starts:
+        if "table" in space:
+            assert [first, second] in space["table"]
+        elif "step" in space["z1"]:
+            assert (8 * first) % 1 == 0
+            assert second in space["z2"]["choices"]
+    assert len(set(starts)) >= 6
+    assert verified(tmp_path) == []
+
+
+@pytest.mark.parametrize("problem", [{"method": "sample"}, NOISY])
+def test_tests_of_another_machine_are_followed_and_those_of_nobody_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, problem: dict[str, Any]
+) -> None:
+    propose = Falsifier.propose
+
+    def rounded(search: Falsifier, pending: Sequence[tuple[float, ...]] = ()) -> tuple[float, ...]:
+        point = propose(search, pending)
+        test = search.observations + len(pending)
+        return point if search.is_random(test) or not test else tuple(min(value + 1e-6, 1.0) for value in point)
+
+    def chosen(search: Falsifier, pending: Sequence[tuple[float, ...]] = ()) -> tuple[float, ...]:
+        test = search.observations + len(pending)
+        return (1.0, 1.0) if test == 21 else propose(search, pending)
+
+    config = sought(problem, max_tests=24, resolution=21)
+    for name, other, failed in (("rounded", rounded, []), ("chosen", chosen, ["proposals"])):
+        with monkeypatch.context() as patched:
+            patched.setattr(Falsifier, "propose", other)
+            simulate(tmp_path / name, config, shaky, noisy=True)
+        assert verified(tmp_path / name)[:1] == failed
+
+
+@pytest.mark.parametrize(
+    ("keys", "method"),
+    [("", "sample"), ("alpha = 1.0\nrkhs_norm = 3\nnoise_scale = 0\nkernel.length_scale = 9", "rigorous")],
+)
+def test_a_file_that_seeks_needs_no_constants_and_twelve_lines(keys: str, method: str) -> None:
+    text = f'specification = "always(distance > 0)"\nhorizon = 5\nfalsify = {{}}\nsystem.name = "cars"\n{keys}\n'
+    found = parse_campaign(f"{text}[space]\ngap = [5, 60]\n".encode(), "braking.toml")
+    assert [problem.method for problem in found.problems] == [method]
+    assert found.until_counterexample
