@@ -9,19 +9,19 @@ import numpy as np
 
 from ...schemas.facts import Header, ObservationFact
 from ...schemas.falsify import Falsify
+from ...schemas.parameters import parameter_ranges
 from ...schemas.space import Range, StartTable
 from ...schemas.values import Bound, Proposal
 from ..mathematics.bounds.sample import SampleMethod
 from ..mathematics.distributions import to_digits
 from ..mathematics.gp.kernels import Floats
 from ..mathematics.search import Falsifier
-from .draws import DIGITS
+from .draws import DIGITS, Draws
 from .methods import ProblemMethod
 from .plan import ProblemPlan
+from .region import Start, condition
 from .seeds import first_node, uniform
 from .series import Series
-
-Start = tuple[float, ...]
 
 
 class ProposalSource(Protocol):
@@ -77,12 +77,17 @@ class SearchSource:
 
     def __init__(self, plan: ProblemPlan, falsify: Falsify, method: ProblemMethod, header: Header) -> None:
         self._plan, self._method = plan, method
+        # Of candidates every one is in the region.
+        self._region = condition(header.config.where, plan.parameters) if plan.candidates is None else None
+        self._drawn_instead = Draws(header, f"{plan.name}.search") if self._region else None
         self._space = _ranges(plan, header) if plan.candidates is None else _Listed(plan.candidates.nodes)
         low, high = self._space.box
-        # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
+        # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
         high = np.where(high > low, high, low + 1.0)
-        self._search = Falsifier(low.tolist(), high.tolist(), seed=seed, random_every=falsify.random_every)
+        self._search = Falsifier(
+            low.tolist(), high.tolist(), seed=seed, random_every=falsify.random_every, admitted=self._region
+        )
 
     def propose(self, series: Series, test: int) -> Proposal:
         """Return the start that is nearest to the search's, or the next drawn one."""
@@ -90,6 +95,9 @@ class SearchSource:
             return self._method.propose(None, self._drawn(series))
         taken = [*series.nodes, *_nodes(series)] if self._plan.exact else ()
         node, x = self._space.nearest(np.array(self._search.propose(_open_starts(series))), taken)
+        # The middle of the box, a rounded start, or a region so small that no candidate of the search is in it.
+        if self._region is not None and self._drawn_instead is not None and not self._region([x])[0]:
+            x = self._drawn_instead.start(test)
         # A start that is drawn from no list has no number: -1 - test, which no drawn one has.
         return Proposal(-1 - test if node is None else node, x, None, None, None, None)
 
@@ -99,7 +107,9 @@ class SearchSource:
             return self._method.rival(x, self._drawn(series))
         own = self.propose(series, test)
         node, nearest = self._space.nearest(np.array(x), ())
-        if nearest != tuple(x) or not self._search.is_as_good(nearest, own.x, _open_starts(series)):
+        if nearest != tuple(x) or (self._region is not None and not self._region([nearest])[0]):
+            return None
+        if not self._search.is_as_good(nearest, own.x, _open_starts(series)):
             return None
         return Proposal(own.node if node is None else node, nearest, None, None, None, None)
 
@@ -166,7 +176,8 @@ def _ranges(plan: ProblemPlan, header: Header) -> _Space:
     if isinstance(space, StartTable):
         return _Listed(np.array(space.rows), numbered=False)
     assert isinstance(space, dict), "no method that draws its starts takes a list of scenarios"
-    return _Ranges([space[name] for name in plan.parameters])
+    ranges = parameter_ranges(space)
+    return _Ranges([ranges[name] for name in plan.parameters])
 
 
 def _nearest(given: Range) -> Callable[[float], float]:

@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from ..gp.kernels import Floats
@@ -25,6 +26,8 @@ from .surrogate import Surrogate, fitted, prior_mode
 from .warp import warped
 
 Point = tuple[float, ...]
+Admitted = Callable[[Floats], NDArray[np.bool_]]
+"""Whether each of some points (m, p) of the box may be proposed."""
 Score = Callable[[Surrogate, Floats, float], Floats]
 """(model, points (m, p), level) -> values of an acquisition function, shape (m,)."""
 
@@ -47,6 +50,9 @@ MODEL, SOBOL = 0, 1
 class Falsifier:
     """A search over a box, fed with tests and their robustness; not thread-safe.
 
+    Points that are not `admitted` are not chosen by the model, unless it finds no other; the middle and the starts of
+    the Sobol sequence may be such points.
+
     A proposal is a function of the seed, of the observations in their order and of the tests in flight: on one machine
     the same ones give the same bits. Its test number is that of the observations and the tests in flight together.
 
@@ -63,7 +69,15 @@ class Falsifier:
 
     """
 
-    def __init__(self, low: Sequence[float], high: Sequence[float], *, seed: int, random_every: int = 4) -> None:
+    def __init__(
+        self,
+        low: Sequence[float],
+        high: Sequence[float],
+        *,
+        seed: int,
+        random_every: int = 4,
+        admitted: Admitted | None = None,
+    ) -> None:
         self._low, self._high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
         if self._low.ndim != 1 or self._low.shape != self._high.shape or not len(self._low):
             raise ValueError(f"box {list(low)} to {list(high)}: give one low and one high end per parameter")
@@ -71,7 +85,7 @@ class Falsifier:
             raise ValueError(f"box {list(low)} to {list(high)}: every low end must be below its high end, both finite")
         if random_every < 1:
             raise ValueError(f"random_every must be at least 1, not {random_every}")
-        self._seed, self._random_every = seed, random_every
+        self._seed, self._random_every, self._admitted = seed, random_every, admitted
         self._points: list[Floats] = []
         self._values: list[float] = []
         self._theta, self._next_fit = prior_mode(len(self._low)), 3
@@ -133,11 +147,18 @@ class Falsifier:
         model, score, level = self._model(test, pending)
         rng = np.random.default_rng([self._seed, MODEL, test])
         worst = np.argsort(self._values, kind="stable")[:WORST]
-        found = choices_among(rng, np.array([self._points[each] for each in worst]))
+        found = self._inside(choices_among(rng, np.array([self._points[each] for each in worst])))
         for step in ROUNDS:
             best = found[np.argsort(-score(model, found, level), kind="stable")[:BEST]]
-            found = nearby(rng, best, step * np.minimum(model.lengths, 1.0))
+            found = self._inside(nearby(rng, best, step * np.minimum(model.lengths, 1.0)))
         return np.asarray(found[np.argmax(score(model, found, level))], dtype=np.float64)
+
+    def _inside(self, found: Floats) -> Floats:
+        """Return the admitted ones of some points (m, p) of the unit box; all of them if there are none."""
+        if self._admitted is None:
+            return found
+        inside = self._admitted(self._low + found * (self._high - self._low))
+        return found[inside] if inside.any() else found
 
     def _model(self, test: int, pending: list[Floats]) -> tuple[Surrogate, Score, float]:
         """Return the model of a test, its acquisition function and the level of that."""

@@ -232,3 +232,12 @@ def test_a_file_that_seeks_needs_no_constants_and_twelve_lines(keys: str, method
     found = parse_campaign(f"{text}[space]\ngap = [5, 60]\n".encode(), "braking.toml")
     assert [problem.method for problem in found.problems] == [method]
     assert found.until_counterexample
+
+
+def test_a_searched_start_is_in_the_region(tmp_path: Path) -> None:
+    where = "z1 + z2 <= 0.4"  # without the middle of the box
+    simulate(tmp_path, sought({"method": "sample"}, where=where, max_tests=24), safe, noisy=False)
+    starts = [each.proposal.x for each in proposals(tmp_path)]
+    assert len(set(starts)) >= 20
+    assert all(first + second <= 0.4 for first, second in starts)
+    assert verified(tmp_path) == []

@@ -103,6 +103,14 @@ def test_the_same_start_may_be_observed_many_times() -> None:
     assert search.propose() != (0.0, 10.5, 5e-4)
 
 
+def test_the_model_chooses_admitted_points_alone() -> None:
+    search = Falsifier(LOW, HIGH, seed=1, admitted=lambda points: points[:, 0] < 0.0)
+    for test in range(24):
+        point = search.propose()
+        assert point[0] < 0.0 or search.is_random(test) or test == 0
+        search.observe(point, bowl(point))
+
+
 @pytest.mark.parametrize(
     ("low", "high", "message"),
     [
