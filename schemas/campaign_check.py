@@ -24,7 +24,7 @@ def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None
 
 
 def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
-    kinds = (_signal_faults, _space_faults, _kernel_faults, _option_faults, _rollout_faults)
+    kinds = (_signal_faults, _space_faults, _kernel_faults, _option_faults, _rollout_faults, _nominal_faults)
     return [fault for faults in kinds for fault in faults(config, spec)]
 
 
@@ -144,6 +144,18 @@ def _claim_faults(config: CampaignConfig, problem: Problem, *, noisy: bool) -> I
             yield f"clip: required by {where}, the bound of a mean: give [low, high]"
         elif not noisy and tests < (least := fewest_samples(claim)):
             yield f"max_tests: {where} needs at least {least} samples, not {tests}"
+
+
+def _nominal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    known = {parameter.name: parameter for parameter in spec.parameters}
+    for name, value in (config.falsify.nominal if config.falsify else {}).items():
+        if name not in known:
+            yield f"falsify.nominal.{name}: unknown parameter; {spec.name} has {', '.join(known)}"
+        elif not known[name].low <= value <= known[name].high:
+            yield (
+                f"falsify.nominal.{name}: {value:g} leaves [{known[name].low:g}, {known[name].high:g}], the range of "
+                f"{spec.name}"
+            )
 
 
 def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:

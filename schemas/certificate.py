@@ -132,6 +132,16 @@ class CompositionTerms(Model):
     bound: float
 
 
+class Shrunk(Model):
+    """The failing start that is nearest to the nominal one, of those that a bisection tried."""
+
+    nominal: dict[str, float]
+    start: dict[str, float]
+    robustness: float = Field(description="below 0")
+    rollout: str = Field(description="the counterexample itself, where no nearer start fails")
+    rollouts: int = Field(description="of the bisection; no claim uses them")
+
+
 class Counterexample(Model):
     """The worst rollout of the test that ended the campaign, because it violates the specification."""
 
@@ -141,6 +151,9 @@ class Counterexample(Model):
     start: dict[str, float]
     seed: int
     robustness: float = Field(description="below 0; clipped, if the campaign has a clip")
+    shrunk: Shrunk | None = Field(
+        default=None, exclude_if=lambda shrunk: shrunk is None, description="with `falsify.shrink`"
+    )
 
 
 class CertifiedRegions(Model):

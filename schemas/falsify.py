@@ -1,6 +1,6 @@
 """The search of a campaign for a counterexample."""
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .base import Model
 
@@ -15,6 +15,30 @@ class Falsify(Model):
         description="of so many tests one is at random, whatever was observed; with method `sample` these alone are "
         "samples, and the others enter no claim",
     )
+
+    shrink: bool = Field(
+        default=False,
+        exclude_if=lambda shrink: not shrink,
+        description="move the counterexample towards `nominal`, by bisection, as long as the system fails there",
+    )
+    nominal: dict[str, float] = Field(
+        default={},
+        exclude_if=lambda nominal: not nominal,
+        description="of some parameters, with `shrink`: the start towards which; by default the middle of each range",
+    )
+    shrink_tests: int = Field(
+        default=20,
+        ge=1,
+        le=1000,
+        exclude_if=lambda tests: tests == 20,
+        description="rollouts for it at most; they are counted apart, and no claim uses them",
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Falsify":
+        if self.nominal and not self.shrink:
+            raise ValueError("nominal: it is where `shrink` goes; add shrink = true, or remove this key")
+        return self
 
     def is_random(self, test: int) -> bool:
         """Whether no outcome chooses the start of test `test`: the last of each `random_every`."""

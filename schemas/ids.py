@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-SPOT_CHECK, RECHECK = CLOSING = ("spot_check", "recheck")
+SPOT_CHECK, SHRINK, RECHECK = CLOSING = ("spot_check", "shrink", "recheck")
 """The closing checks: series of tests that follow those of the problems, in this order."""
 
 

@@ -1,4 +1,4 @@
-"""The closing checks of a campaign: the spot check, then the recheck, each if the campaign has it."""
+"""The closing checks of a campaign: spot check, shrinking, then the recheck, each if the campaign has it."""
 
 from collections.abc import Mapping
 
@@ -6,12 +6,16 @@ from ...schemas.facts import Header, first_link
 from ...schemas.ids import RolloutId
 from . import state
 from .account import Account
+from .counterexample import counterexample
 from .observation import Observer
 from .plan import ProblemPlan
 from .recheck import Recheck
 from .recorded import Recorded
 from .series import Series
+from .shrink import Shrink
 from .spot_check import SpotCheck, SpotSeries, spot_check_plan
+
+Check = SpotCheck | Shrink | Recheck
 
 
 class ClosingChecks:
@@ -20,21 +24,36 @@ class ClosingChecks:
     def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer, recorded: Recorded) -> None:
         self._header, self._accounts, self._observer, self._recorded = header, accounts, observer, recorded
         self.spot_check: SpotCheck | None = None
+        self.shrink: Shrink | None = None
         self.recheck: Recheck | None = None
 
-    def next(self, reached: state.State, series: Mapping[str, Series]) -> tuple[SpotCheck | Recheck, Series] | None:
+    def next(self, reached: state.State, series: Mapping[str, Series]) -> tuple[Check, Series] | None:
         """Begin the next check of a campaign whose series have all stopped; None after the last one."""
         header = self._header
         # In this order: a recheck repeats rollouts of the spot check as well.
         if self.recheck is None and self.spot_check is None and SpotCheck.wanted(header, self._accounts):
             self.spot_check = SpotCheck(header, self._accounts, self._observer, self._recorded)
             return self.spot_check, SpotSeries(first_link(header, SpotCheck.name))
+        if self.recheck is None and self.shrink is None and (shrink := self._shrink()) is not None:
+            self.shrink = shrink
+            return shrink, Series(first_link(header, Shrink.name))
         if self.recheck is None and Recheck.wanted(header):
             plans = {each.plan.problem: each.plan for each in reached.problems}
-            checked = {name: (each, plans[name]) for name, each in series.items()}
+            # No claim rests on the rollouts of the bisection.
+            checked = {name: (each, plans[name]) for name, each in series.items() if name != Shrink.name}
             self.recheck = Recheck(header, checked, self._recorded)
             return self.recheck, Series(first_link(header, Recheck.name))
         return None
+
+    def _shrink(self) -> Shrink | None:
+        """Return the bisection of the counterexample; None without one, and where nothing is left to try."""
+        (account,) = self._accounts.values() if len(self._accounts) == 1 else (None,)
+        found = None if account is None else counterexample(account)
+        if account is None or found is None or not Shrink.wanted(self._header.config.falsify, found):
+            return None
+        assert account.last_proposal is not None
+        shrink = Shrink(self._header, found, account.last_proposal.x, self._observer)
+        return shrink if shrink.plan.max_tests else None
 
     def original(self, rollout: RolloutId) -> RolloutId | None:
         """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.facts import Header
-from ...schemas.ids import CLOSING, RolloutId
+from ...schemas.ids import RECHECK, SPOT_CHECK, RolloutId
 from ...schemas.ranges import SEED_BITS
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,7 @@ def _short_seed(header: Header, rollout: RolloutId) -> int:
     These differ within a campaign of at most 2^`seed_bits` possible rollouts, and within a test in every campaign.
     """
     config, bits = header.config, header.spec.seed_bits
-    series = sorted([*(each.name for each in config.problems), *CLOSING])
+    series = sorted([*(each.name for each in config.problems), SPOT_CHECK, RECHECK])
     tests = max(config.spot_check + config.spot_check_followups, *map(config.max_tests_of, config.problems))
     replicates = max(config.spot_replicates, *map(config.replicates_of, config.problems))
     test = series.index(rollout.problem) * tests + rollout.test

@@ -2,21 +2,18 @@
 
 import math
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from ...schemas.facts import Header, ObservationFact
 from ...schemas.falsify import Falsify
-from ...schemas.parameters import parameter_ranges
-from ...schemas.space import Range, StartTable
 from ...schemas.values import Bound, Proposal
 from ..mathematics.bounds.sample import SampleMethod
-from ..mathematics.distributions import to_digits
-from ..mathematics.gp.kernels import Floats
 from ..mathematics.search import Falsifier
-from .draws import DIGITS, Draws
+from .allowed_starts import Listed, of_space
+from .draws import Draws
 from .methods import ProblemMethod
 from .plan import ProblemPlan
 from .region import Start, condition
@@ -80,7 +77,7 @@ class SearchSource:
         # Of candidates every one is in the region.
         self._region = condition(header.config.where, plan.parameters) if plan.candidates is None else None
         self._drawn_instead = Draws(header, f"{plan.name}.search") if self._region else None
-        self._space = _ranges(plan, header) if plan.candidates is None else _Listed(plan.candidates.nodes)
+        self._space = of_space(header) if plan.candidates is None else Listed(plan.candidates.nodes)
         low, high = self._space.box
         seed = int(uniform(header, f"{plan.name}.search", range(1), 1)[0, 0] * 2**53)
         # Ends of a range that are equal: a parameter that never changes, in a box that has to have an inside.
@@ -127,68 +124,6 @@ class SearchSource:
 
     def _drawn(self, series: Series) -> list[int]:
         return [fact.proposal.node for test, fact in series.proposals.items() if self._plan.is_drawn(test)]
-
-
-class _Space(Protocol):
-    """The starts that a search may propose."""
-
-    @property
-    def box(self) -> tuple[Floats, Floats]:
-        """The smallest and the largest values, shape (p,) each."""
-        ...
-
-    def nearest(self, point: Floats, taken: Collection[int]) -> tuple[int | None, Start]:
-        """Return the allowed start nearest to a point (p,), with its number in a list, which is none of `taken`."""
-        ...
-
-
-class _Listed:
-    """Finitely many starts, shape (m, p): nodes of a lattice, scenarios, or the rows of a table."""
-
-    def __init__(self, starts: Floats, *, numbered: bool = True) -> None:
-        self._starts, self._numbered = starts, numbered
-        self.box = starts.min(axis=0), starts.max(axis=0)
-        span = self.box[1] - self.box[0]
-        self._scale = np.where(span > 0, span, 1.0)
-
-    def nearest(self, point: Floats, taken: Collection[int]) -> tuple[int | None, Start]:
-        """Return the nearest start, distances in shares of the ranges; ties to the lowest number."""
-        distances = np.sum(((self._starts - point) / self._scale) ** 2, axis=1)
-        distances[list(taken)] = math.inf
-        chosen = int(np.argmin(distances))
-        return chosen if self._numbered else None, tuple(self._starts[chosen].tolist())
-
-
-class _Ranges:
-    """A range for each parameter, with its steps or choices."""
-
-    def __init__(self, ranges: Sequence[Range]) -> None:
-        self.box = np.array([each.low for each in ranges]), np.array([each.high for each in ranges])
-        self._nearest = [_nearest(each) for each in ranges]
-
-    def nearest(self, point: Floats, taken: Collection[int]) -> tuple[int | None, Start]:  # noqa: ARG002
-        """Return the nearest value of every parameter; there is no list."""
-        return None, tuple(near(value) for near, value in zip(self._nearest, point.tolist(), strict=True))
-
-
-def _ranges(plan: ProblemPlan, header: Header) -> _Space:
-    space = header.config.space
-    if isinstance(space, StartTable):
-        return _Listed(np.array(space.rows), numbered=False)
-    assert isinstance(space, dict), "no method that draws its starts takes a list of scenarios"
-    ranges = parameter_ranges(space)
-    return _Ranges([ranges[name] for name in plan.parameters])
-
-
-def _nearest(given: Range) -> Callable[[float], float]:
-    """Return the allowed value of a parameter that is nearest to a number; rounded as drawn ones are."""
-    low, high, step, choices = given.low, given.high, given.step, given.choices
-    if choices is not None:
-        return lambda value: min(choices, key=lambda each: (abs(each - value), each))
-    if step is not None:
-        # 15 digits: 0.1 + 2 * 0.1 is 0.3, as written.
-        return lambda value: min(max(float(f"{low + round((value - low) / step) * step:.15g}"), low), high)
-    return lambda value: to_digits(np.array([value]), low, high, DIGITS)[0]
 
 
 def _nodes(series: Series) -> list[int]:

@@ -113,8 +113,23 @@ def _counterexample(ledger: Ledger) -> document.Counterexample | None:
                 start=dict(zip(account.plan.parameters, account.last_proposal.x, strict=True)),
                 seed=found.seed,
                 robustness=found.robustness or 0.0,
+                shrunk=_shrunk(ledger, account.plan.parameters),
             )
     return None
+
+
+def _shrunk(ledger: Ledger, parameters: Sequence[str]) -> document.Shrunk | None:
+    shrink = ledger.closing.shrink
+    if shrink is None:
+        return None
+    start, robustness, rollout = shrink.best
+    return document.Shrunk(
+        nominal=dict(zip(parameters, shrink.nominal, strict=True)),
+        start=dict(zip(parameters, start, strict=True)),
+        robustness=robustness,
+        rollout=str(rollout),
+        rollouts=len(ledger.series[shrink.name].observations),
+    )
 
 
 def _listed(evidence: Manifest) -> list[RolloutId]:

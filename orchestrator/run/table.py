@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.ids import RECHECK, SPOT_CHECK
+from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK
 from ...schemas.problem_models import Problem
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
@@ -56,7 +56,11 @@ def progress_table(
             style="green" if progress.stopped_by == "converged" else "",
         )
     for name, progress in (closing or {}).items():
-        most = {SPOT_CHECK: config.spot_check + config.spot_check_followups, RECHECK: config.recheck}[name]
+        most = {
+            SPOT_CHECK: config.spot_check + config.spot_check_followups,
+            SHRINK: config.falsify.shrink_tests if config.falsify else 0,
+            RECHECK: config.recheck,
+        }[name]
         end = "ended" if progress.stopped_by else f"of at most {most} tests"
         found.add_row(name, str(progress.tests), "", "", "", str(progress.rollouts), end)
     return found

@@ -27,7 +27,7 @@ from sqlalchemy import Connection
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import PROBABILITIES
 from ...schemas.facts import RECORDED, RESTORED, Header
-from ...schemas.ids import RECHECK, SPOT_CHECK
+from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK
 from ...schemas.problem_models import Problem
 from ...schemas.problems import replicates_are_robustness
 from ...schemas.system import SystemSpec
@@ -282,7 +282,7 @@ def _objectives(header: Header) -> dict[str, tuple[str, str]]:
         for problem in header.config.problems
     }
     same = set(found.values())
-    return {SPOT_CHECK: next(iter(same)) if len(same) == 1 else ("", ""), RECHECK: ("", "")} | found
+    return {SPOT_CHECK: next(iter(same)) if len(same) == 1 else ("", ""), RECHECK: ("", ""), SHRINK: ("", "")} | found
 
 
 def _starts(header: Header) -> tuple[ExportColumn, ...]:
