@@ -78,6 +78,12 @@ class CampaignConfig(Model):
         description="end the campaign with the first test, in test order, of which a rollout violates the "
         "specification; for one problem of the robustness, not with method `paper`",
     )
+    regions: bool = Field(
+        default=False,
+        exclude_if=lambda regions: not regions,
+        description="divide D into boxes that are certified safe, certified unsafe or undecided; for one problem of "
+        "the robustness on a box, by method `rigorous`",
+    )
     visual: Literal["all", "none"] = Field(
         default="all", description="trajectory files with a visual part, for viewers: all, or none"
     )

@@ -7,6 +7,7 @@ from .method_spaces import check_region, check_space, check_starts, draws_starts
 from .parameters import check_signals
 from .problem_models import Problem, RigorousProblem, SampleProblem
 from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, any_of
+from .region_check import check_regions
 
 if TYPE_CHECKING:
     from .campaign import CampaignConfig
@@ -36,6 +37,8 @@ def check_consistent(config: "CampaignConfig") -> None:
         raise ValueError("candidates: the problems choose from different starts; give their number, or one resolution")
     if config.until_counterexample:
         _check_until_counterexample(config, config.problems[0])
+    if config.regions:
+        check_regions(config.problems, config.space, config.clip)
     _check_composition(config)
     _check_claims(config)
 

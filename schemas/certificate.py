@@ -143,6 +143,27 @@ class Counterexample(Model):
     robustness: float = Field(description="below 0; clipped, if the campaign has a clip")
 
 
+class CertifiedRegions(Model):
+    """The division of the box by the sign of the robustness, or of the risk, at every start of a part.
+
+    All boxes are right at once, and the bound of the problem with them, with `probability`.
+    """
+
+    safe: float = Field(description="share of the box where the sign is proven to be positive at every start")
+    unsafe: float = Field(description="share of the box where it is proven to be negative at every start")
+    undecided: float = Field(description="share of the box where neither is proven")
+    probability: float
+    unsafe_below: float | None = Field(
+        description="value of the bounded objective below which a start is unsafe; null if no value of it proves that"
+    )
+    checked: int | None = Field(
+        description="starts of the spot check in certified boxes; null where values are noisy or there was none"
+    )
+    contradicted: int | None = Field(description="those of them whose value has another sign, which refutes the norm")
+    boxes: int = Field(ge=1, description="rows of `regions.csv`")
+    sha256: str = Field(description="digest of `regions.csv`")
+
+
 class SpotCheckedProblem(Model):
     """The finding of the spot check for the bound of one problem; `limit` is that bound, in its sense."""
 
@@ -233,6 +254,9 @@ class Predicate(Model):
     counterexample: Counterexample | None = Field(
         default=None, description="of a campaign with `until_counterexample` that found one"
     )
+    regions: CertifiedRegions | None = Field(
+        default=None, description="of a campaign with `regions`, unless the data refute its assumptions"
+    )
     spot_check: SpotCheck | None = Field(default=None, description="not in older certificates")
     recheck: Recheck | None = Field(default=None, description="not in older certificates")
     evidence: Evidence
@@ -275,7 +299,10 @@ class Certificate(Model):
         # Fields that an earlier perfbound did not have are left out, so that its certificates keep their bytes.
         predicate = value["predicate"]
         for part, key in (
-            *((predicate, key) for key in ("rules", "sensitivity", "counterexample", "spot_check", "recheck")),
+            *(
+                (predicate, key)
+                for key in ("rules", "sensitivity", "counterexample", "regions", "spot_check", "recheck")
+            ),
             (predicate["campaign"], "system_sha256"),
             *((claim, key) for claim in predicate["claims"] for key in OPTIONAL_IN_CLAIM),
             *((problem, "by_clip") for problem in predicate["problems"]),

@@ -20,6 +20,7 @@ Quantity = Literal[
     "J_star",
     "robustness",
     "expected_robustness",
+    "safe_share",
     "failure_probability",
     "quantile",
     "cvar",

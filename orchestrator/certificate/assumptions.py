@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Literal
 
-from ...schemas.certificate import Assumption, Recheck, SpotCheck, Status
+from ...schemas.certificate import Assumption, CertifiedRegions, Recheck, SpotCheck, Status
 from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
 from ..campaign.account import Account
 from ..campaign.copies import copies
@@ -42,11 +42,12 @@ def assumptions(
     *,
     irreproducible: bool,
     honest: Assumption | None = None,
+    regions: CertifiedRegions | None = None,
 ) -> list[Assumption]:
     """Return every assumption of the campaign, problem by problem, then those of the whole.
 
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later. `honest` takes the place
-    of what is assumed of the workers.
+    of what is assumed of the workers. `regions` that a fresh start contradicts refute the norm.
     """
     accounts, repeated = ledger.accounts, ledger.header.spec.repeated
     measured = repeated == "nowhere"
@@ -56,6 +57,7 @@ def assumptions(
         # Rules 1 know no assumption of these: a certificate keeps the list that it was issued with.
         if ledger.header.rules > 1:
             of_problem = [*_spot_checked(of_problem, name, spot_check), *_sampled(ledger, account)]
+            of_problem = list(_of_regions(of_problem, name, regions))
         found += of_problem
         if name == "sim_gap":
             found.append(_dominates(account))
@@ -101,6 +103,16 @@ def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | Non
         start = "one of its starts" if result.start is None else ", ".join(f"{v:.6g}" for v in result.start)
         values = {"limit": result.limit, "start": start}
         yield assumption(each.id, "refuted", values, form="norm_noisy_start" if result.noisy else "norm_start")
+
+
+def _of_regions(found: Iterable[Assumption], name: str, regions: CertifiedRegions | None) -> Iterator[Assumption]:
+    """Yield the assumptions of a problem; the one on its norm is refuted by a sign that a certified box excludes."""
+    contradicted = regions.contradicted if regions else None
+    for each in found:
+        if contradicted and each.id == f"rkhs_norm/{name}" and each.status != "refuted":
+            yield assumption(each.id, "refuted", {"starts": contradicted}, form="norm_regions")
+        else:
+            yield each
 
 
 def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:

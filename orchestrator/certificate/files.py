@@ -7,26 +7,42 @@ from ...schemas.certificate import MAX_CERTIFICATE, Certificate
 from ...schemas.errors import EvidenceError
 from ..store import files
 
-__all__ = ["CERTIFICATE", "ENVELOPE", "MANIFEST", "MAX_CERTIFICATE", "MAX_MANIFEST", "read", "write"]
+__all__ = [
+    "CERTIFICATE",
+    "ENVELOPE",
+    "MANIFEST",
+    "MAX_CERTIFICATE",
+    "MAX_MANIFEST",
+    "MAX_REGIONS",
+    "REGIONS",
+    "read",
+    "write",
+]
 
 CERTIFICATE = "certificate.json"
 ENVELOPE = "certificate.dsse.json"
 """The certificate with its signatures."""
 MAX_MANIFEST = 2**28
 """Bytes; a rollout takes 130 of a manifest."""
+REGIONS = "regions.csv"
+"""The boxes of a campaign with `regions`."""
+MAX_REGIONS = 2**26
+"""Bytes; a box takes up to 250 of them in six dimensions."""
 MANIFEST = "manifest.sha256"
 """`sha256sum --check manifest.sha256` in the run directory checks every trajectory file."""
 
 
-def write(directory: Path, certificate: Certificate, manifest: str) -> None:
-    """Write the manifest, then the certificate, each whole or not at all.
+def write(directory: Path, certificate: Certificate, manifest: str, regions: str | None = None) -> None:
+    """Write the manifest, the table of regions if there is one, then the certificate, each whole or not at all.
 
     Raises:
         OSError: the disk is full or the directory cannot be written.
 
     """
-    # In this order: a certificate that is there has its manifest beside it, whenever the machine crashes.
+    # In this order: a certificate that is there has what it names beside it, whenever the machine crashes.
     atomic.write_whole(directory / MANIFEST, manifest.encode())
+    if regions is not None:
+        atomic.write_whole(directory / REGIONS, regions.encode())
     atomic.write_whole(directory / CERTIFICATE, certificate.to_json().encode())
 
 

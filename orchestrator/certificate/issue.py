@@ -16,6 +16,7 @@ from .claims import Results, bases, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .opinions import workers_honest
 from .problem_results import result
+from .regions import CampaignRegions, campaign_regions, safe_share
 from .sensitivity import sensitivity, with_clip, without_rollouts
 
 
@@ -35,19 +36,33 @@ def manifest(entries: Iterable[tuple[str, str]], discards: Iterable[DiscardFact]
 
 
 def issue(
-    ledger: Ledger, evidence: Manifest, *, irreproducible: bool = False, contradicted: Sequence[str] = ()
+    ledger: Ledger,
+    evidence: Manifest,
+    *,
+    irreproducible: bool = False,
+    contradicted: Sequence[str] = (),
+    regions: CampaignRegions | None = None,
 ) -> document.Certificate:
     """Return the certificate of a campaign whose problems have all stopped.
 
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later; so does a discarded one.
-    `contradicted` are rollouts of outvoted workers that had another result when they were simulated again.
+    `contradicted` are rollouts of outvoted workers that had another result when they were simulated again. `regions`
+    are those of `campaign_regions`, which takes seconds; if they are missing, they are computed here.
     """
+    regions = regions or campaign_regions(ledger)
     irreproducible = irreproducible or bool(observed_discards(ledger))
     header, config, accounts = ledger.header, ledger.config, ledger.accounts
     results: Results = {name: result(account, header.rules) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)
     honest = workers_honest(header, _listed(evidence), contradicted)
-    found = assumptions(ledger, checked, repeated, irreproducible=irreproducible, honest=honest)
+    found = assumptions(
+        ledger,
+        checked,
+        repeated,
+        irreproducible=irreproducible,
+        honest=honest,
+        regions=None if regions is None else regions.document,
+    )
     claimed = claims(config, ledger.plans, results, ledger.methods, found)
     varied = None
     if header.rules >= 2:
@@ -55,6 +70,9 @@ def issue(
         found_claims = without_rollouts(claimed.claims, config, ledger.plans, results)
         claimed = replace(claimed, claims=of_listed_starts(found_claims, bases(config), ledger.plans))
         varied = sensitivity(claimed.claims, config, accounts, results)
+    if regions is not None:
+        first, *others = claimed.claims
+        claimed = replace(claimed, claims=(first, safe_share(regions.document, first), *others))
     manifest_sha256 = hashlib.sha256(evidence.text.encode()).hexdigest()
     predicate = document.Predicate(
         question=question(header),
@@ -69,6 +87,7 @@ def issue(
         composition=claimed.composition,
         assumptions=tuple(found),
         counterexample=_counterexample(ledger),
+        regions=None if regions is None else regions.document,
         spot_check=checked,
         recheck=repeated,
         evidence=document.Evidence(
@@ -112,5 +131,6 @@ def question(header: Header) -> dict[str, object]:
     """Return the keys of the campaign file that the claims are about, so that a reader needs no other file."""
     keys = {"system", "space", "specification", "clip", "risk_weight", "horizon", "gap", "composition"}
     # Left out while it is not set, so that certificates of before keep their bytes.
-    sought = {key for key in ("until_counterexample", "falsify", "specifications") if getattr(header.config, key)}
+    optional = ("until_counterexample", "falsify", "specifications", "regions")
+    sought = {key for key in optional if getattr(header.config, key)}
     return header.config.model_dump(mode="json", exclude_none=True, include=keys | sought)

@@ -29,6 +29,7 @@ from ...schemas.claims import PROBABILITIES
 from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
+from .region_text import region_sentences
 
 WIDTH = 100
 DIGITS = 4
@@ -38,12 +39,14 @@ QUANTITIES: dict[Quantity, str] = {
     "J_star": "J* (maximum of the expectation)",
     "robustness": "worst robustness over all starts",
     "expected_robustness": "worst expected robustness over all starts",
+    "safe_share": "share of the starts that are certified safe",
 }
 LISTED: dict[Quantity, str] = {
     "rho_star": "rho* (robustness risk of the true system at the worst of the {} listed starts)",
     "J_star": "J* (expectation at the worst of the {} listed starts)",
     "robustness": "robustness at the worst of the {} listed starts",
     "expected_robustness": "expected robustness at the worst of the {} listed starts",
+    "safe_share": "share of the {} listed starts that are certified safe",
 }
 """The same where the starts are a list, which the claim does not leave."""
 
@@ -52,6 +55,7 @@ BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scen
 """The reason, by method, why a problem has a bound that ended by its budget and not by its tolerance."""
 VACUOUS = "It shows nothing: the clip alone proves it."
 CERTAIN = "It shows nothing: every probability is at most 1."
+NO_SHARE = "It shows nothing: no start is certified safe."
 VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
 """Names of the variations of the sensitivity."""
 NAME = 25
@@ -85,6 +89,8 @@ def quantity_words(quantity: Quantity, starts: int | None) -> str:
 
 def nothing_shown(quantity: Quantity | None) -> str:
     """Return the sentence beside a bound that holds without any rollout."""
+    if quantity == "safe_share":
+        return NO_SHARE
     return CERTAIN if quantity in PROBABILITIES else VACUOUS
 
 
@@ -111,6 +117,10 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
         console.print()
         for line in _on_several(predicate):
             _line(console, line)
+    if found_regions := region_sentences(predicate):
+        _heading(console, "Regions", "bold")
+    for sentence in found_regions:
+        _line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
     if sentences := check_sentences(predicate):
         _heading(console, "After the campaign", "bold")
     for sentence in sentences:
@@ -129,6 +139,8 @@ def _on_several(predicate: Predicate) -> tuple[str, ...]:
         return (
             f"All {len(predicate.claims)} claims hold together with probability at least {outward(together, '>=')}.",
         )
+    if predicate.regions is not None:
+        return ("Both claims follow from one event, so they hold together with this probability.",)
     return (
         "The first claim was chosen beforehand. Each has its own probability; if you pick the best",
         "claim afterwards, its failure probability is the sum of all their failure probabilities.",
@@ -231,6 +243,7 @@ def print_files(directory: Path, console: Console) -> None:
     for name, content in (
         ("certificate.json", "certificate"),
         ("certificate.dsse.json", "signed"),
+        ("regions.csv", "regions"),
         ("manifest.sha256", "manifest"),
         ("trajectories", "evidence"),
         ("campaign.db", "database"),
@@ -243,7 +256,7 @@ def print_files(directory: Path, console: Console) -> None:
 def _claim(title: str, certificate: Certificate, number: int, console: Console, unit: str) -> None:
     predicate = certificate.predicate
     claim = predicate.claims[number]
-    of_robustness = claim.quantity not in {"J_star", *PROBABILITIES}
+    of_robustness = claim.quantity not in {"J_star", "safe_share", *PROBABILITIES}
     shown = f"{_bound(claim)} {one_line(unit)}" if of_robustness and unit not in {"", "1"} else _bound(claim)
     _heading(console, f"{title}  {claim_words(claim)} {claim.sense} {shown}", "bold")
     rule = "" if claim.rule == "single" else f"{claim.rule} rule, "

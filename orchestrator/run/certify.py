@@ -5,6 +5,7 @@ from pathlib import Path
 from ..campaign.ledger import Ledger, observed_discards
 from ..certificate import files
 from ..certificate.issue import issue, manifest
+from ..certificate.regions import campaign_regions
 from ..store import read
 from ..store.files import read_evidence
 from . import assignments
@@ -23,5 +24,6 @@ def certify(directory: Path, ledger: Ledger) -> None:
     found = manifest(((sha256, path) for _, sha256, path in read.observed(directory)), observed_discards(ledger))
     irreproducible = read.irreproducible(directory) > 0
     differing = read.contradicted(directory)
-    certificate = issue(ledger, found, irreproducible=irreproducible, contradicted=differing)
-    files.write(directory, certificate, found.text)
+    regions = campaign_regions(ledger)
+    certificate = issue(ledger, found, irreproducible=irreproducible, contradicted=differing, regions=regions)
+    files.write(directory, certificate, found.text, None if regions is None else regions.csv)

@@ -16,6 +16,7 @@ from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.issue import issue, manifest
+from perfbound.orchestrator.certificate.regions import campaign_regions
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
 from perfbound.orchestrator.store import read
@@ -147,7 +148,9 @@ def simulate(
         if not ledger.done:
             return None
         found = manifest((sha256, path) for _, sha256, path in read.observed(directory))
-        files.write(directory, issue(ledger, found, irreproducible=read.irreproducible(directory) > 0), found.text)
+        regions = campaign_regions(ledger)
+        certificate = issue(ledger, found, irreproducible=read.irreproducible(directory) > 0, regions=regions)
+        files.write(directory, certificate, found.text, None if regions is None else regions.csv)
     finally:
         journal.close()
     return (directory / files.CERTIFICATE).read_text()

@@ -27,6 +27,7 @@ CHECKS = {
     "composition": "the terms of the composition follow from the bounds",
     "spot check": "what fresh starts showed after the campaign follows from their trajectories",
     "recheck": "the repeated rollouts are the drawn ones, and agree as often as the certificate says",
+    "regions": "the regions follow from the observations, and regions.csv is the table that the certificate names",
     "claims": "the claims follow, with these and with other constants, and name their assumptions",
     "audit": "the assumptions, their status and their numbers follow from the data",
     "software": "this machine has the numerical software of the campaign",

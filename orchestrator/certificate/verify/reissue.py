@@ -46,7 +46,12 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         ("spot check", lambda side: side["spot_check"], compare.SIX_DIGITS, plural(starts, "start")),
         ("recheck", lambda side: side["recheck"], ROUND_OFF, plural(repeated, "rollout")),
         ("claims", lambda side: side["sensitivity"], ROUND_OFF, ""),
-        ("claims", lambda side: _without_probabilities(side["claims"]), ROUND_OFF, f"claims: {claims}"),
+        (
+            "claims",
+            lambda side: _without_shares(_without_probabilities(side["claims"])),
+            ROUND_OFF,
+            f"claims: {claims}",
+        ),
     ):
         fault = compare.difference(part(recomputed), part(recorded), name, tolerance=tolerance)
         if fault or detail:
@@ -88,6 +93,11 @@ def _probabilities_of(predicate: Mapping[str, Any]) -> Any:
 
 def _without_probabilities(rows: Sequence[Mapping[str, Any]]) -> Any:
     return _without(rows, PROBABILITIES)
+
+
+def _without_shares(claims: Sequence[Mapping[str, Any]]) -> Any:
+    # A box whose bound is next to 0 may have another status by round-off: check `regions` compares the shares.
+    return [row if row["quantity"] != "safe_share" else {**row, "bound": None, "vacuous": None} for row in claims]
 
 
 def _without_wealth(spot_check: Mapping[str, Any] | None) -> Any:

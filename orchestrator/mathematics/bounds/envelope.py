@@ -90,6 +90,11 @@ class Envelope:
             tau=factor * self.tau,
         )
 
+    def mirrored(self) -> "Envelope":
+        """Return the band of minus the objective: upper and lower change places."""
+        spectrum = replace(self.spectrum, u=-self.spectrum.u)
+        return replace(self, spectrum=spectrum, prior_mean=-self.prior_mean)
+
     def moments(self, kernel: Floats) -> tuple[Floats, Floats]:
         """Return mu_a and sigma_a, (N, A) each, for `kernel` (q, N); sigma is rounded up, mu by what g sigma may lose.
 
@@ -117,8 +122,8 @@ class Envelope:
         mu, sd, g = mu[rows, best], sd[rows, best], self.g[best]
         w = (self.spectrum.projector.T @ (self.spectrum.u[:, None] / (self.spectrum.values[:, None] + self.a)))[:, best]
         b = self.spectrum.projector.T @ (projected / (self.spectrum.values[:, None] + self.a[best]))  # (q, N)
+        slope = np.where(r > 0, slope, 0.0)  # at an observation a rough kernel has a kink, and no gradient
         remainder = self._remainder(kernel, slope, r, reach)
-        slope = np.where(r > 0, slope, 0.0)
         grad_mu = np.einsum("qn,qnp->np", w * slope, difference)
         grad_k = np.einsum("qn,qnp->np", b * slope, difference)
         rest_mu = np.einsum("qn,qn->n", np.abs(w), remainder)
@@ -158,8 +163,7 @@ class Envelope:
         curved = 0.5 * reach**2 * self.radial.curvature(low, high)
         error = self.radial.error * (1.0 + (self.radial.rate * reach) ** 2)
         change = np.maximum(self.radial.value(low) - kernel, kernel - self.radial.value(high))
-        straight = np.where(r > 0, np.abs(slope) * r * reach, 0.0)
-        return np.asarray(np.fmin(curved, change + straight) + error, dtype=np.float64)
+        return np.asarray(np.fmin(curved, change + np.abs(slope) * r * reach) + error, dtype=np.float64)
 
     def _differences(self, z: Floats) -> Floats:
         points, z = scaled(self.points, self.radial.axes), scaled(z, self.radial.axes)

@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from .rounding import STEP
+from .rounding import STEP, round_down
 
 
 def linearised(value: float, risk_weight: float, c: float, s: float) -> float:
@@ -56,6 +56,37 @@ def linearised_range(clip: tuple[float, float], risk_weight: float, c: float, s:
     places = [low, high, *(place for place in vertex if low < place < high)]
     found = [rho - r / 2 * ((rho - centre) ** 2 / spread + spread) for rho in places]
     return math.nextafter(float(min(found)), -math.inf), math.nextafter(float(max(found)), math.inf)
+
+
+def least_without_risk(clip: tuple[float, float], risk_weight: float, c: float, s: float) -> float:
+    """Return the least E[X] of any law on the clip whose risk is not negative, rounded down; unit of `clip`.
+    Implements eq. (no risk) of [PB].
+
+    Formula: with mu and v the mean and the variance of rho, E[X] = mu - (r/2)(((mu - c)^2 + v)/s + s) falls in v, so a
+    law with a risk of at least 0 and a mean mu has its least E[X] at v = min(mu^2/r^2, (M - mu)(mu + m)). That is
+    concave in mu >= 0 while the first term counts and linear after it, so the least value is at mu = 0, at the mean
+    where both terms are equal, or at mu = M. A smaller E[X] proves that the risk is negative, although E[X] is only a
+    lower bound of it. For r = 0 both are the mean: 0.
+
+    Raises:
+        ValueError: a number is not finite, r is negative, s is not positive, or the clip does not contain 0 inside.
+
+    >>> round(least_without_risk((-0.05, 0.75), 0.2, 0.7, 0.12), 6), least_without_risk((-1.0, 1.0), 0.0, 0.0, 1.0)
+    (-0.420333, 0.0)
+
+    """
+    linearised_range(clip, risk_weight, c, s)  # raises
+    low, high = clip
+    if not low < 0 < high:
+        raise ValueError(f"clip is [{low!r}, {high!r}]; 0 must be between its ends")
+    if risk_weight == 0:
+        return 0.0
+    steep = 1.0 + 1.0 / risk_weight**2
+    # Positive root of mu^2/r^2 = (M - mu)(mu + m).
+    mean = (low + high + math.sqrt((low + high) ** 2 - 4.0 * steep * low * high)) / (2.0 * steep)
+    laws = ((0.0, 0.0), (mean, (high - mean) * (mean - low)), (high, 0.0))
+    found = [mu - 0.5 * risk_weight * (((mu - c) ** 2 + v) / s + s) for mu, v in laws]
+    return round_down(min(found) - 1e-12 * (1.0 + max(map(abs, found))))  # far more than a root loses to rounding
 
 
 def bhatia_davis(mean: float, clip: tuple[float, float], risk_weight: float) -> float:
