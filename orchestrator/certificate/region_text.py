@@ -43,10 +43,16 @@ def region_sentences(predicate: Predicate) -> tuple[str, ...]:
         f"{words[0].upper()}{words[1:]}.",
         *(("They rest on a REFUTED assumption: do not rely on them.",) if refuted else ()),
         f"Safe: the {subject} is above 0 at every start of a box.",
-        _unsafe(subject, found),
-        f"All boxes are right at once, and the first claim with them, with probability at least {found.probability:g}.",
+        unsafe_words(subject, found),
+        f"All boxes are right at once, and the first claim with them, {_chance(found.probability)}.",
         *_checked(found),
     )
+
+
+def _chance(probability: float) -> str:
+    if probability == 1.0:
+        return "with certainty, given the assumptions"
+    return f"with probability at least {math.floor(probability * 1e4) / 1e4:.4f}"
 
 
 def _checked(found: CertifiedRegions) -> tuple[str, ...]:
@@ -56,12 +62,13 @@ def _checked(found: CertifiedRegions) -> tuple[str, ...]:
     return (f"{verdict}{found.contradicted} of {found.checked} fresh starts in certified boxes have another sign.",)
 
 
-def _unsafe(subject: str, found: CertifiedRegions) -> str:
+def unsafe_words(subject: str, found: CertifiedRegions) -> str:
+    """Return what unsafe means, or that nothing can be certified unsafe."""
     if found.unsafe_below is None:
         return "No start can be certified unsafe: the expectation that bounds the risk never proves it negative."
     if found.unsafe_below == 0.0:
         return f"Unsafe: the {subject} is below 0 at every start of a box."
     return (
-        f"Unsafe: the expectation that bounds the risk is below {found.unsafe_below:.4f}, and so the risk below 0, at "
+        f"Unsafe: the expectation that bounds the risk is below {math.floor(found.unsafe_below * 1e4) / 1e4:.4f}, and so the risk below 0, at "
         "every start of a box."
     )

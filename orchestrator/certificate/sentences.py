@@ -205,8 +205,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "the kernel or the prior mean is wrong, and the bound is false there.",
     },
     "norm_regions": {
-        "refuted": "at {starts} of the fresh starts of the spot check the value has another sign than the certified box "
-        "around it: the norm bound, the kernel or the prior mean is wrong.",
+        "refuted": "at {starts} of the fresh starts of the spot check the value has another sign than the certified "
+        "box around it: the norm bound, the kernel or the prior mean is wrong.",
     },
     "norm_noisy_start": {
         "refuted": "the rollouts of the spot check contradict that the expectation keeps the bound {limit} at every "

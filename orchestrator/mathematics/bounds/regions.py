@@ -39,7 +39,7 @@ HALVINGS = {1: 10, 2: 16}
 """Largest number of halvings from D to a box, by dimension: 1/1024 of one range, 1/256 of each of two."""
 MOST_HALVINGS = 18
 """The same from three parameters on: 1/64 of each of three."""
-MAX_CELLS = 100_000
+MAX_CELLS = 150_000
 """Cells that one division may examine; what is open then is undecided."""
 MAX_WORK = 1e11
 """The same in products of numbers: a cell costs the square of the number of observed points; about 10 s."""
