@@ -68,7 +68,8 @@ def unsafe_words(subject: str, found: CertifiedRegions) -> str:
         return "No start can be certified unsafe: the expectation that bounds the risk never proves it negative."
     if found.unsafe_below == 0.0:
         return f"Unsafe: the {subject} is below 0 at every start of a box."
+    limit = math.floor(found.unsafe_below * 1e4) / 1e4
     return (
-        f"Unsafe: the expectation that bounds the risk is below {math.floor(found.unsafe_below * 1e4) / 1e4:.4f}, and so the risk below 0, at "
-        "every start of a box."
+        f"Unsafe: the expectation that bounds the risk is below {limit:.4f}, and so the risk below 0, at every start "
+        "of a box."
     )

@@ -4,9 +4,10 @@ It reads the run directory of a running, stopped or finished campaign and change
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
-from ...schemas.certificate import Certificate
+from ...schemas.certificate import Certificate, Predicate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, ProposalFact, RolloutFact
 from ...schemas.ids import CLOSING, RECHECK, RolloutId
@@ -18,7 +19,7 @@ from ..run.format import replay_command, resume_command
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, rollouts_of
 from . import rollouts, wording
-from .data import Axis, ReportData, RolloutsOfTest, State
+from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State
 from .problem import ProblemCollector
 from .trust import TrustStatistics
 from .workers import LiveState, WorkerStatistics
@@ -50,6 +51,7 @@ class Collector:
         self._system: str | None = None
         self._code: str | None = None
         self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
+        self._divided: dict[str, RegionMap | None] = {}
 
     def refresh(self, live: Mapping[str, LiveState] | None = None, at: float | None = None) -> ReportData:
         """Add the new facts and return all data; `live` is the state of the workers, `at` the Unix time to show.
@@ -122,7 +124,10 @@ class Collector:
     def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
         config, predicate = header.config, self._certificate.predicate if self._certificate else None
         results = {each.name: each for each in predicate.problems} if predicate else {}
-        problems = tuple(each.data(results.get(each.problem.name)) for each in self._problems.values())
+        problems = tuple(
+            replace(each.data(results.get(each.problem.name)), regions=self._regions(each, predicate))
+            for each in self._problems.values()
+        )
         claims = wording.worded(predicate) if predicate else ()
         workers, more = self._workers.rows(live, self._trust.workers)
         # Terms without a claim of their own compose to the risk.
@@ -174,6 +179,12 @@ class Collector:
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
         )
+
+    def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
+        # A certificate is final, and so is its table.
+        if predicate is not None and collector.problem.name not in self._divided:
+            self._divided[collector.problem.name] = collector.regions(self.directory, predicate)
+        return self._divided.get(collector.problem.name)
 
     def _start(self, rollout: RolloutId) -> tuple[float, ...]:
         if rollout.problem in CLOSING:

@@ -115,6 +115,41 @@ class Drawn:
 
 
 @dataclass(frozen=True, slots=True)
+class RegionSlice:
+    """The regions in the plane of two parameters, or of the only one, as a raster over their ranges."""
+
+    axes: tuple[int, ...]
+    shape: tuple[int, ...]
+    cells: str
+    """A digit a pixel, last axis fastest: 0 safe, 1 unsafe, 2 undecided, or not one status."""
+    through: tuple[float, ...]
+    """The start that the plane goes through: the worst one that was observed."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionBox:
+    """One certified box."""
+
+    status: str
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class RegionMap:
+    """The division of the box by the proven sign of the objective."""
+
+    safe: float
+    unsafe: float
+    undecided: float
+    sentences: tuple[str, ...]
+    slices: tuple[RegionSlice, ...]
+    largest: tuple[RegionBox, ...]
+    """Of each certified status, the largest first."""
+
+
+@dataclass(frozen=True, slots=True)
 class Problem:
     """One problem."""
 
@@ -151,6 +186,8 @@ class Problem:
     """Where starts are drawn: `tests.y` is then the robustness, in the unit of this, whatever is bounded."""
     requirements: tuple[Drawn, ...] = ()
     """The same of each requirement, where there are several."""
+    regions: RegionMap | None = None
+    """Of a finished campaign with `regions`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,9 @@ lower change places for a minimum.
 """
 
 from itertools import islice
+from pathlib import Path
 
-from ...schemas.certificate import ProblemResult
+from ...schemas.certificate import Predicate, ProblemResult
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.values import Observation, Proposal
 from ..campaign import consistency, forecast
@@ -19,8 +20,9 @@ from ..store.changes import Decision
 from ..store.export_tables import robustness_unit, unit
 from ..store.read import ObservedTest
 from . import band
-from .data import Drawn, Problem, Surface, TestSeries
+from .data import Drawn, Problem, RegionMap, Surface, TestSeries
 from .drawn import histograms
+from .regions import region_map
 from .wording import typeset
 
 
@@ -110,6 +112,13 @@ class ProblemCollector:
             drawn=self._drawn[0] if self._drawn else None,
             requirements=tuple(self._drawn[1:]),
         )
+
+    def regions(self, directory: Path, predicate: Predicate | None) -> RegionMap | None:
+        """Return the regions of a finished campaign; None for any other."""
+        if predicate is None or predicate.regions is None or not self.observed:
+            return None
+        worst = max(self.observed, key=lambda each: (each.observation.y, -each.test))
+        return region_map(directory, self._plan, predicate, worst.proposal.x)
 
     def worst_tests(self, number: int) -> list[int]:
         """Return the worst test of each of the worst `number` starts, the worst first."""

@@ -131,6 +131,7 @@ function drawAxes(context, { kind, report, problem, box, rangeX, rangeY, toX, to
     context.fillText(text, toX(value), top + height + 6);
   }
   context.fillText(nameX, left + width / 2, top + height + 22, width);
+  if (kind === "strip") return; // one parameter, and no objective
   align(context, "right", "middle");
   for (const [value, text] of ticks(...rangeY, Math.max(2, height / 45))) {
     line(context, left - 4, toY(value), left, toY(value));

@@ -25,6 +25,7 @@ function draw() {
   report.problems.forEach((problem, index) => {
     redrawMap(index);
     drawProblemCharts(problem, index);
+    drawRegions(report, problem, index);
   });
   drawCurves(data);
   drawThroughput(report.throughput);
@@ -40,6 +41,7 @@ function tree(report, selected, data) {
     titleSection(report),
     claimSection(report),
     compositionSection(report),
+    report.problems.map((problem, index) => regionSection(report, problem, index)),
     checkSection(report),
     assumptionSection(report),
     report.problems.map((problem, index) => problemSection(report, index, shownSeries(problem), selected)),
