@@ -1,5 +1,6 @@
 """Construction of the method and the kernel of each problem from its plan."""
 
+import math
 from collections.abc import Mapping
 
 from ...schemas.claims import DrawnClaim
@@ -15,7 +16,7 @@ from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
 from .draws import Draws
-from .plan import UNBOUNDED, Plans, ProblemPlan
+from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below
 
 ProblemMethod = PaperMethod | RigorousMethod | ScenarioMethod | SampleMethod
 Methods = Mapping[str, ProblemMethod]
@@ -97,6 +98,7 @@ def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod:
         alpha=problem.alpha,
         prior_mean=problem.prior_mean,
         slack=problem.slack,
+        unsafe_above=_unsafe_above(plan) if plan.regions else None,
     )
 
 
@@ -120,6 +122,11 @@ def _terms(plan: ProblemPlan, claim: DrawnClaim) -> Terms:
         deterministic=plan.deterministic,
         place=claim.place,
     )
+
+
+def _unsafe_above(plan: ProblemPlan) -> float:
+    limit = unsafe_below(plan)
+    return math.inf if limit is None else -limit
 
 
 def _lattice(plan: ProblemPlan) -> Lattice:

@@ -13,7 +13,8 @@ from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, State
 from ...schemas.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
-from ..mathematics.bounds.risk import linearised_range
+from ..mathematics.bounds.risk import least_without_risk, linearised_range
+from ..mathematics.bounds.rounding import round_up
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
 from .spread_points import spread_points
@@ -51,6 +52,8 @@ class ProblemPlan:
     """`UNBOUNDED` where the claim is about the robustness itself."""
     risk_weight: float
     gap: Gap
+    regions: bool
+    """Whether the box is divided by the sign of the objective."""
     shared: frozenset[str]
     """Variants of which the replicates of a test share one rollout, because it does not depend on the seed."""
     sense: Sense
@@ -133,6 +136,19 @@ class ProblemPlan:
         return [(self.replicate("nominal", each), self.replicate("true", each)) for each in served]
 
 
+def unsafe_below(plan: ProblemPlan) -> float | None:
+    """Return the value of the bounded objective below which a start is unsafe; None if no value of it proves that."""
+    if not plan.objective.risk:
+        return 0.0
+    assert isinstance(plan.problem, RigorousProblem)
+    assert plan.problem.linearised is not None
+    constants = plan.problem.linearised.centre, plan.problem.linearised.spread
+    # The objective is E[X], which is never above the risk: a negative one alone proves nothing of the risk.
+    limit = least_without_risk(plan.clip, plan.risk_weight, *constants)
+    least, _ = linearised_range(plan.clip, plan.risk_weight, *constants)
+    return limit if limit > round_up(least) else None
+
+
 Plans = Mapping[str, ProblemPlan]
 """The plan of each problem by name, in the order of the campaign file."""
 
@@ -171,6 +187,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         clip=clip,
         risk_weight=config.risk_weight,
         gap=gap,
+        regions=config.regions,
         shared=frozenset(variants) - set(spec.noisy) if common else frozenset(),
         sense=config.sense_of(problem),
         claims=config.claims_of(problem),

@@ -14,14 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...schemas import certificate as document
-from ...schemas.problem_models import RigorousProblem
 from ..campaign.ledger import Ledger
-from ..campaign.plan import ProblemPlan
+from ..campaign.plan import ProblemPlan, unsafe_below
 from ..campaign.spot_check import SpotCheck
 from ..mathematics.bounds.regions import MARGIN, SAFE, STATUSES, UNDECIDED, Regions, divide
 from ..mathematics.bounds.rigorous import RigorousMethod
-from ..mathematics.bounds.risk import least_without_risk, linearised_range
-from ..mathematics.bounds.rounding import round_down, round_up
+from ..mathematics.bounds.rounding import round_down
 from ..mathematics.gp.lattice import Lattice
 
 
@@ -93,19 +91,6 @@ def divided(ledger: Ledger, margin: float = MARGIN) -> Regions | None:
         unsafe_above=np.inf if limit is None else -limit,
         margin=margin,
     )
-
-
-def unsafe_below(plan: ProblemPlan) -> float | None:
-    """Return the value of the bounded objective below which a start is unsafe; None if no value of it proves that."""
-    problem = plan.problem
-    if not plan.objective.risk:
-        return 0.0
-    assert isinstance(problem, RigorousProblem)
-    assert problem.linearised is not None
-    constants = problem.linearised.centre, problem.linearised.spread
-    limit = least_without_risk(plan.clip, plan.risk_weight, *constants)
-    least, _ = linearised_range(plan.clip, plan.risk_weight, *constants)
-    return limit if limit > round_up(least) else None
 
 
 def table(plan: ProblemPlan, units: Sequence[str], boxes: Regions) -> str:

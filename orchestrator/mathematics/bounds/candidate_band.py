@@ -104,6 +104,20 @@ def scores_beside(band: CandidateBand, rows: Rows, pending: Sequence[int], premi
     return Scores(band.mu[:, column] + band.envelope.g[column] * sd, np.full(len(sd), column), sd)
 
 
+def openness(band: CandidateBand, unsafe_above: float, beside: Scores | None = None) -> Floats:
+    """Return how far the band of each candidate reaches beyond both 0 and t, (m,): above 0 where no sign is proven.
+    Implements eq. (undecided) of [PB].
+
+    Formula: min(U(z), t - L(z)), unit J, m0 and tau included; with tests in flight, of the band of `beside` at its a.
+    """
+    upper, lower = band.limits()
+    if beside is not None:
+        mean = band.envelope.prior_mean + band.mu[np.arange(len(beside.columns)), beside.columns]
+        reach = band.envelope.g[beside.columns] * beside.sd + band.envelope.tau
+        upper, lower = mean + reach, mean - reach
+    return np.asarray(np.minimum(upper, unsafe_above - lower), dtype=np.float64)
+
+
 def _sd_after(band: CandidateBand, rows: Rows, pending: Sequence[int], column: int) -> Floats:
     """Return sigma_a as if the pending candidates had been observed too: one appended Cholesky row for each."""
     a, variance = float(band.envelope.a[column]), band.sd[:, column] ** 2

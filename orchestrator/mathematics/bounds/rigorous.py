@@ -16,7 +16,7 @@ With probability at least 1 - delta, for all n at once: max_{m<=n} L_m <= J* <= 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -29,7 +29,7 @@ from ..gp.observations import Observations
 from ..gp.points import Candidates, Points, point_at
 from ..gp.radial import Radial
 from .box_maximum import certified_maximum
-from .candidate_band import Scores, candidate_band, scores, scores_beside
+from .candidate_band import CandidateBand, Scores, candidate_band, openness, scores, scores_beside
 from .confidence import Premises
 from .envelope import Envelope
 from .method import Method
@@ -75,6 +75,8 @@ class RigorousMethod(Method):
     """Proposals and bounds of one problem, from one confidence set.
 
     `slack` is how far the certified maximum over a box may exceed the best upper value found; alpha/4 by default.
+    `unsafe_above` is t of a campaign that divides the box by the signs of J and J - t; None for any other. Every other
+    test is then at the start whose sign is most open, and the campaign continues until no candidate is open by alpha.
 
     Raises ValueError at construction for parameters outside their range.
     """
@@ -88,6 +90,7 @@ class RigorousMethod(Method):
         alpha: float,
         prior_mean: float = 0.0,
         slack: float | None = None,
+        unsafe_above: float | None = None,
     ) -> None:
         if not (math.isfinite(alpha) and alpha > 0):
             raise ValueError(f"alpha must be a positive finite number, not {alpha!r}")
@@ -97,6 +100,7 @@ class RigorousMethod(Method):
             raise ValueError(f"prior_mean must be finite, not {prior_mean!r}")
         self.candidates, self._premises, self._radial = candidates, premises, Radial(kernel)
         self._prior_mean, self._alpha, self._slack = prior_mean, alpha, slack or alpha / 4.0
+        self._unsafe_above = unsafe_above
         self._rows = candidates.kernel_rows(kernel, kernel.axes)
         self._data = Observations(self._rows)
         # Before any data |J - m0| <= B + tau, because k(z, z) = 1.
@@ -197,7 +201,9 @@ class RigorousMethod(Method):
         best = now if now.upper < old.upper else old
         # On the event of the theorem J is in every C_n; an empty one, or L > U, contradicts the premises at 1 - delta.
         contradiction = best.upper < lower - ROUNDING or b_min > self._premises.rkhs_norm
-        status: Status = "converged" if best.upper - lower <= self._alpha else "open"
+        t = self._unsafe_above
+        decided = t is None or float(openness(self._band, t).max()) <= self._alpha
+        status: Status = "converged" if best.upper - lower <= self._alpha and decided else "open"
         if old.status == "refuted" or contradiction:
             status = "refuted"
         self._bound = RigorousBound(self.n, best.upper, lower, best.candidates_upper, best.slack, b_min, status)
@@ -221,12 +227,16 @@ class RigorousMethod(Method):
         for index in pending:
             check_index(index, self.size)
         found = scores_beside(self._band, self._rows, pending, self._premises) if pending else scores(self._band)
-        if self._premises.noise_scale > 0:
-            return found
         # A repeat adds nothing without noise, and would make the kernel matrix singular up to tau0.
-        excluded = [*self._data.points.indices, *pending]
+        excluded = [*self._data.points.indices, *pending] if self._premises.noise_scale == 0 else []
         if len(set(excluded)) == self.size:
             raise ExhaustedError(self.size)
+        # The theorem allows any rule that uses past observations alone: here the number of the test and the band.
+        if self._unsafe_above is not None and (_is_tight(self._band, self._alpha) or (self.n + len(pending)) % 2):
+            values = openness(self._band, self._unsafe_above, found if pending else None)
+            unsure = replace(found, values=values).without(excluded)
+            if unsure.values.max() > 0:
+                return unsure
         return found.without(excluded)
 
     def _proposal(self, index: int, found: Scores) -> Proposal:
@@ -249,6 +259,12 @@ class RigorousMethod(Method):
         slack = _needed_slack(nodes - max(low, old.lower), self._alpha, self._slack)
         cover = certified_maximum((self.envelope,), self.candidates, nodes=nodes, slack=slack)
         return RigorousBound(self.n, cover.upper, low, nodes, cover.upper - nodes, b_min, "open")
+
+
+def _is_tight(band: CandidateBand, alpha: float) -> bool:
+    """Whether the candidates alone leave less than alpha between the bounds of the maximum."""
+    upper, lower = band.limits()
+    return bool(upper.max() - lower.max() <= alpha)
 
 
 def _needed_slack(width: float, alpha: float, slack: float) -> float:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.campaign.plan import plan
+from perfbound.orchestrator.campaign.plan import plan, unsafe_below
 from perfbound.orchestrator.certificate import files, regions
 from perfbound.orchestrator.certificate.region_text import NONE, unsafe_words
 from perfbound.orchestrator.certificate.text import print_certificate
@@ -192,7 +192,7 @@ class TestRisk:
         problem = EXACT | {"name": "true_risk", "linearised": constants}
         config = robustness(problem, regions=True, clip=clip, horizon=1.0)
         system = spec(noisy=True).model_copy(update={"variants": ("true",), "noisy": ("true",)})
-        assert regions.unsafe_below(plan(config, system, config.problems[0])) == limit
+        assert unsafe_below(plan(config, system, config.problems[0])) == limit
 
     def test_the_sentences_name_the_threshold(self) -> None:
         shares: dict[str, Any] = {"safe": 0.5, "unsafe": 0.0, "undecided": 0.5, "probability": 0.95, "boxes": 2}
