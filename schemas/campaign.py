@@ -81,8 +81,8 @@ class CampaignConfig(Model):
     regions: bool = Field(
         default=False,
         exclude_if=lambda regions: not regions,
-        description="divide D into boxes that are certified safe, certified unsafe or undecided; for one problem of "
-        "the robustness on a box, by method `rigorous`",
+        description="divide D into boxes that are certified safe, certified unsafe or undecided; every other test is "
+        "then where the sign is most open. For one problem of the robustness on a box, by method `rigorous`",
     )
     visual: Literal["all", "none"] = Field(
         default="all", description="trajectory files with a visual part, for viewers: all, or none"
