@@ -45,7 +45,7 @@ def region_sentences(predicate: Predicate) -> tuple[str, ...]:
         f"Safe: the {subject} is above 0 at every start of a box.",
         unsafe_words(subject, found),
         f"All boxes are right at once, and the first claim with them, {_chance(found.probability)}.",
-        *_checked(found),
+        *_fresh_starts(found),
     )
 
 
@@ -55,7 +55,7 @@ def _chance(probability: float) -> str:
     return f"with probability at least {math.floor(probability * 1e4) / 1e4:.4f}"
 
 
-def _checked(found: CertifiedRegions) -> tuple[str, ...]:
+def _fresh_starts(found: CertifiedRegions) -> tuple[str, ...]:
     if found.checked is None:
         return ()
     verdict = "REFUTED: " if found.contradicted else ""

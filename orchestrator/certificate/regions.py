@@ -43,7 +43,7 @@ def campaign_regions(ledger: Ledger) -> CampaignRegions | None:
     (account,) = ledger.accounts.values()
     text = table(account.plan, [each.unit for each in ledger.header.spec.parameters], boxes)
     chances = 1.0 if account.plan.exact else round_down(1.0 - account.plan.problem.delta)
-    certified = _spot_checked(ledger, boxes)
+    certified = _fresh_signs(ledger, boxes)
     found = document.CertifiedRegions(
         **{name: boxes.of(status) for status, name in enumerate(STATUSES)},
         probability=chances,
@@ -56,7 +56,7 @@ def campaign_regions(ledger: Ledger) -> CampaignRegions | None:
     return CampaignRegions(boxes, text, found)
 
 
-def _spot_checked(ledger: Ledger, boxes: Regions) -> list[bool] | None:
+def _fresh_signs(ledger: Ledger, boxes: Regions) -> list[bool] | None:
     """Return, for each fresh start in a certified box, whether its value has the proven sign; None without values."""
     check, series = ledger.closing.spot_check, ledger.series.get(SpotCheck.name)
     (account,) = ledger.accounts.values()

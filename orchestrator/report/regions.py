@@ -36,7 +36,7 @@ def region_map(directory: Path, plan: ProblemPlan, predicate: Predicate, worst: 
     found, box = predicate.regions, plan.candidates
     if found is None or not isinstance(box, Lattice):
         return None
-    boxes = _recorded(directory, found.sha256, box)
+    boxes = _table_of(directory, found.sha256, box)
     return RegionMap(
         safe=found.safe,
         unsafe=found.unsafe,
@@ -47,7 +47,7 @@ def region_map(directory: Path, plan: ProblemPlan, predicate: Predicate, worst: 
     )
 
 
-def _recorded(directory: Path, sha256: str, box: Lattice) -> Regions | None:
+def _table_of(directory: Path, sha256: str, box: Lattice) -> Regions | None:
     try:
         data = files.contents(directory / certificate_files.REGIONS, certificate_files.MAX_REGIONS)
         return boxes_of(data.decode(), box) if hashlib.sha256(data).hexdigest() == sha256 else None

@@ -20,7 +20,7 @@ OF_BOXES = ("safe", "unsafe", "undecided", "boxes", "sha256")
 """Fields of the certificate that follow from the table."""
 
 
-def check_regions(directory: Path, ledger: Ledger, certificate: Certificate) -> tuple[str | None, str]:
+def compared_regions(directory: Path, ledger: Ledger, certificate: Certificate) -> tuple[str | None, str]:
     """Return the fault, or None, and the detail of the check.
 
     Raises:

@@ -30,7 +30,7 @@ from .checks import CheckFailed, Checks, plural
 from .discards import discarded
 from .input import VerificationInput, parsed, signed_text
 from .manifest import Entry, check_files, parse_manifest, sha256_of, split_manifest
-from .regions import check_regions
+from .regions import compared_regions
 from .reissue import compared, reissue
 from .rerun import Rerun
 from .resimulate import Simulate, finding, resimulate
@@ -123,7 +123,7 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
         for name, fault, detail in compared(header, reissued, certificate):
             checks.judge(name, fault, detail)
     with checks.making("regions"):
-        checks.judge("regions", *check_regions(directory, rerun.ledger, certificate))
+        checks.judge("regions", *compared_regions(directory, rerun.ledger, certificate))
     with checks.making("resimulation"):
         if again.rollouts and header.spec.repeated != "anywhere":
             checks.skipped("resimulation", NOT_REPEATED[header.spec.repeated].format(name=header.spec.name))

@@ -99,8 +99,8 @@ def divide(
     if upper < -margin:
         return _regions([_Generation(root, np.array([SAFE]), np.ones(len(low), dtype=np.intp), 0)], low, high)
     affordable = min(max_cells, int(MAX_WORK / max(1, len(envelope.points)) ** 2))
-    closed = list(_divided(envelope, low, high, (-margin, -unsafe_above - margin), affordable))
-    return _regions(_joined(closed), low, high)
+    closed = list(_generations(envelope, low, high, (-margin, -unsafe_above - margin), affordable))
+    return _regions(_halves_joined(closed), low, high)
 
 
 def covered(boxes: Regions, within: Regions, status: int) -> NDArray[np.bool_]:
@@ -115,7 +115,7 @@ def covered(boxes: Regions, within: Regions, status: int) -> NDArray[np.bool_]:
     return np.array(found, dtype=np.bool_)
 
 
-def _divided(
+def _generations(
     envelope: Envelope, low: Floats, high: Floats, limits: tuple[float, float], max_cells: int
 ) -> Iterator[_Generation]:
     """Yield the closed boxes of every generation, from D itself on."""
@@ -157,7 +157,7 @@ def _judged(envelope: Envelope, cells: Integers, grid: CellGrid, limits: tuple[f
     return status
 
 
-def _joined(generations: list[_Generation]) -> list[_Generation]:
+def _halves_joined(generations: list[_Generation]) -> list[_Generation]:
     """Join two halves of one box that have one status, from the smallest boxes on."""
     found: list[_Generation] = []
     while generations:
