@@ -7,7 +7,6 @@ styles, never as markup: names, paths and formulas may contain brackets.
 import math
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sized
-from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
@@ -46,7 +45,6 @@ LISTED: dict[Quantity, str] = {
     "J_star": "J* (expectation at the worst of the {} listed starts)",
     "robustness": "robustness at the worst of the {} listed starts",
     "expected_robustness": "expected robustness at the worst of the {} listed starts",
-    "safe_share": "share of the {} listed starts that are certified safe",
 }
 """The same where the starts are a list, which the claim does not leave."""
 
@@ -235,22 +233,6 @@ def counterexample_words(found: Counterexample, unit: str) -> str:
     others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
     words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
     return f"{words} (rollout {found.rollout}{others})"
-
-
-def print_files(directory: Path, console: Console) -> None:
-    """Print the output files of a run."""
-    _heading(console, "Output files", "bold")
-    for name, content in (
-        ("certificate.json", "certificate"),
-        ("certificate.dsse.json", "signed"),
-        ("regions.csv", "regions"),
-        ("manifest.sha256", "manifest"),
-        ("trajectories", "evidence"),
-        ("campaign.db", "database"),
-        ("report.html", "report"),
-    ):
-        if (directory / name).exists():
-            _line(console, f"  {content:<12} {directory / name}")
 
 
 def _claim(title: str, certificate: Certificate, number: int, console: Console, unit: str) -> None:

@@ -21,6 +21,17 @@ from ..store.export_tables import robustness_unit
 from ..store.progress import CampaignProgress, read_progress
 from ..store.read import system_reference
 
+OUTPUT = {
+    "certificate.json": "certificate",
+    "certificate.dsse.json": "signed",
+    "regions.csv": "regions",
+    "manifest.sha256": "manifest",
+    "trajectories": "evidence",
+    "campaign.db": "database",
+    "report.html": "report",
+}
+"""The files of a run directory, and what they are, in the order of the output."""
+
 
 def print_status(directory: Path, console: Console) -> None:
     """Print problems, workers, rate and state.
@@ -52,7 +63,7 @@ def print_status(directory: Path, console: Console) -> None:
 def print_result(directory: Path, header: Header, certificate: Certificate, console: Console) -> None:
     """Print the certificate of a finished campaign, its files, and what comes next."""
     text.print_certificate(certificate, console, robustness_unit(header.config, header.spec))
-    text.print_files(directory, console)
+    print_files(directory, console)
     reference = system_reference(directory)
     found = certificate.predicate.counterexample
     if found and (again := replay_command(directory, header, found.rollout, reference if in_file(reference) else None)):
@@ -64,6 +75,14 @@ def print_result(directory: Path, header: Header, certificate: Certificate, cons
         verify += f" --resimulate 5{system}"
     console.print(Text("\nThe campaign is finished. Its report shows the claim; to check it against the evidence:"))
     console.print(Text(f"  {verify}"), soft_wrap=True)
+
+
+def print_files(directory: Path, console: Console) -> None:
+    """Print the output files of a run."""
+    console.print(Text("\nOutput files", "bold"))
+    for name, content in OUTPUT.items():
+        if (directory / name).exists():
+            console.print(Text(f"  {content:<12} {directory / name}"), soft_wrap=True)
 
 
 def _work(progress: CampaignProgress, *, running: bool) -> list[str]:

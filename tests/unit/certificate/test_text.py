@@ -6,6 +6,7 @@ from rich.console import Console
 
 from perfbound.orchestrator.certificate import text as summary
 from perfbound.orchestrator.certificate.text import outward
+from perfbound.orchestrator.cli.status import print_files
 from perfbound.orchestrator.run.progress import Plain
 from perfbound.schemas.certificate import (
     Assumption,
@@ -79,7 +80,7 @@ def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
     (tmp_path / "a [red] :x: b").mkdir()
     (tmp_path / "a [red] :x: b" / "certificate.json").touch()
     console = Console(file=io.StringIO(), width=40)
-    summary.print_files(Path("a [red] :x: b"), console)
+    print_files(Path("a [red] :x: b"), console)
     Plain(console).print_line("worker [bold]x[/] :x: ended")
     assert isinstance(console.file, io.StringIO)
     text = console.file.getvalue()
