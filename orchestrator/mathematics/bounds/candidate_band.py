@@ -105,17 +105,19 @@ def scores_beside(band: CandidateBand, rows: Rows, pending: Sequence[int], premi
 
 
 def openness(band: CandidateBand, unsafe_above: float, beside: Scores | None = None) -> Floats:
-    """Return how far the band of each candidate reaches beyond both 0 and t, (m,): above 0 where no sign is proven.
+    """Return how far the band of each candidate reaches to both sides of 0 or of t, (m,): not above 0 where decided.
     Implements eq. (undecided) of [PB].
 
-    Formula: min(U(z), t - L(z)), unit J, m0 and tau included; with tests in flight, of the band of `beside` at its a.
+    Formula: max(min(U, -L), min(U - t, t - L)), unit J, m0 and tau included; with tests in flight, of the band of
+    `beside` at its a. Between 0 and t nothing is to be proven, however exactly J is known there.
     """
     upper, lower = band.limits()
     if beside is not None:
         mean = band.envelope.prior_mean + band.mu[np.arange(len(beside.columns)), beside.columns]
         reach = band.envelope.g[beside.columns] * beside.sd + band.envelope.tau
         upper, lower = mean + reach, mean - reach
-    return np.asarray(np.minimum(upper, unsafe_above - lower), dtype=np.float64)
+    around = [np.minimum(upper - threshold, threshold - lower) for threshold in (0.0, unsafe_above)]
+    return np.asarray(np.maximum(*around), dtype=np.float64)
 
 
 def _sd_after(band: CandidateBand, rows: Rows, pending: Sequence[int], column: int) -> Floats:

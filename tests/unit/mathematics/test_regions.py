@@ -257,3 +257,52 @@ class TestThresholds:
         undecided = found.status == UNDECIDED
         # Joined, most of the undecided area is in few boxes: a strip around the zero set is left in small ones.
         assert np.sort(found.share[undecided])[::-1][:50].sum() > 0.3 * found.of(UNDECIDED)
+
+
+class TestNextTest:
+    def campaign(self, unsafe_above: float | None, tests: int, window: int = 1) -> tuple[RigorousMethod, list[int]]:
+        """Run a campaign on a function with both signs; the method afterwards, and the nodes in order."""
+        kernel, box = Matern(2.5, 1.5), lattice(2, 9)
+        values = Function(3, kernel, 2)(box.nodes)
+        premises = Premises(1.0, 0.0, 0.1, ())
+        found = RigorousMethod(box, kernel, premises, alpha=0.02, unsafe_above=unsafe_above)
+        flying, nodes = [found.propose(40).node], list[int]()
+        while len(nodes) < tests and found.bound().status == "open":
+            while len(flying) < window:
+                flying.append(found.propose(None, flying).node)
+            nodes.append(flying.pop(0))
+            found.observe(*an_observation(nodes[-1], float(values[nodes[-1]])))
+            if window == 1 and found.bound().status == "open":
+                flying.append(found.propose().node)
+        return found, nodes
+
+    def test_half_of_the_tests_go_where_the_sign_is_most_open(self) -> None:
+        (plain, _), (dividing, nodes) = self.campaign(None, 14), self.campaign(0.0, 14)
+        assert len(nodes) == len(set(nodes))
+        box = lattice(2, 9)
+        shares = [regions(each.envelope, box).of(UNDECIDED) for each in (plain, dividing)]
+        assert shares[1] < 0.7 * shares[0]
+
+    def test_the_campaign_converges_when_no_candidate_is_open_by_alpha(self) -> None:
+        found, nodes = self.campaign(0.0, 81)
+        assert found.bound().status == "converged"
+        assert len(nodes) < 81
+        upper, lower = found.envelope.at(lattice(2, 9).nodes)
+        assert np.minimum(upper, -lower).max() <= 0.02 + 1e-9
+        assert found.bound().upper - found.bound().lower <= 0.02
+
+    def test_tests_in_flight_count_as_observed(self) -> None:
+        (found, nodes), (_, alone) = self.campaign(0.0, 81, window=4), self.campaign(0.0, 81)
+        assert found.bound().status == "converged"
+        assert len(nodes) == len(set(nodes)) <= 1.5 * len(alone)
+
+    def test_between_the_thresholds_nothing_is_open(self) -> None:
+        """Without a threshold of unsafe starts only the sign of J counts, and the campaign ends all the same."""
+        found, nodes = self.campaign(math.inf, 81)
+        assert found.bound().status == "converged"
+        assert nodes == self.campaign(0.0, 81)[1]
+        found, nodes = self.campaign(0.2, 81)
+        assert found.bound().status == "converged"
+        upper, lower = found.envelope.at(lattice(2, 9).nodes)
+        for threshold in (0.0, 0.2):
+            assert np.minimum(upper - threshold, threshold - lower).max() <= 0.02 + 1e-9
