@@ -38,7 +38,7 @@ def check_consistent(config: "CampaignConfig") -> None:
     if config.until_counterexample:
         _check_until_counterexample(config, config.problems[0])
     if config.regions:
-        check_regions(config.problems, config.space, config.clip)
+        check_regions(config)
     _check_composition(config)
     _check_claims(config)
 

@@ -214,6 +214,8 @@ class TestFile:
                 "choose 'rigor",
             ),
             (EXACT, {"space": {"scenarios": [[0.0, 0.0], [1.0, 1.0]]}}, "a list of starts has no regions"),
+            (EXACT, {"where": "z1 + z2 <= 1"}, "only a whole box with a lattice is divided; remove `where`"),
+            (EXACT, {"candidates": 100}, "only a whole box with a lattice is divided; remove `where`"),
             (EXACT, {"clip": [0.0, 1.0]}, "clip: \\[0.0, 1.0\\] must contain 0 inside"),
             (EXACT | {"name": "maximum", "column": "value"}, {}, "only for one problem, 'true_risk' or 'robustness'"),
         ],
