@@ -177,27 +177,6 @@ class CertifiedRegions(Model):
     sha256: str = Field(description="digest of `regions.csv`")
 
 
-class CertifiedRegions(Model):
-    """The division of the box by the sign of the robustness, or of the risk, at every start of a part.
-
-    All boxes are right at once, and the bound of the problem with them, with `probability`.
-    """
-
-    safe: float = Field(description="share of the box where the sign is proven to be positive at every start")
-    unsafe: float = Field(description="share of the box where it is proven to be negative at every start")
-    undecided: float = Field(description="share of the box where neither is proven")
-    probability: float
-    unsafe_below: float | None = Field(
-        description="value of the bounded objective below which a start is unsafe; null if no value of it proves that"
-    )
-    checked: int | None = Field(
-        description="starts of the spot check in certified boxes; null where values are noisy or there was none"
-    )
-    contradicted: int | None = Field(description="those of them whose value has another sign, which refutes the norm")
-    boxes: int = Field(ge=1, description="rows of `regions.csv`")
-    sha256: str = Field(description="digest of `regions.csv`")
-
-
 class SpotCheckedProblem(Model):
     """The finding of the spot check for the bound of one problem; `limit` is that bound, in its sense."""
 
