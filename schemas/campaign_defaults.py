@@ -3,6 +3,7 @@
 The campaign itself, in the database and in certificates, has all of them.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from .campaign import CampaignConfig
-from .problem_models import PROBLEM_MODELS
+from .problem_models import PROBLEM_MODELS, RigorousProblem
 from .problems import MethodName, ProblemName
 from .requirements import listed
 from .signals import MAX_KNOTS
@@ -55,7 +56,7 @@ def is_description(table: Mapping[str, Any]) -> bool:
 
 
 def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
-    """Return the table of a file with its name, its ranges, its only problem and its methods.
+    """Return the table of a file with its name, its ranges, its only problem, its methods and its kernels.
 
     `stem` is the name of the file.
 
@@ -77,7 +78,9 @@ def completed(table: Mapping[str, Any], stem: str = "") -> dict[str, Any]:
     if leaves_out_problems(table):
         found["problems"] = [{"name": ONLY_PROBLEM, **{key: found.pop(key) for key in table if key in OF_PROBLEM}}]
     if isinstance(problems := found.get("problems"), list):
-        found["problems"] = [_with_lengths(_with_method(each, found), _knots(space)) for each in problems]
+        knots = _knots(space)
+        methods = [_with_method(each, found) for each in problems]
+        found["problems"] = [_with_lengths(_with_kernel(each, found.get("space"), knots), knots) for each in methods]
     return found
 
 
@@ -98,6 +101,36 @@ def _with_lengths(problem: Any, knots: Mapping[str, tuple[str, ...]]) -> Any:
         return problem
     each = {parameter: value for name, value in lengths.items() for parameter in knots.get(name, (name,))}
     return {**problem, "kernel": {**kernel, "length_scale": each}}
+
+
+def derived_lengths(ranges: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Return the length scale of each parameter, in its unit, from its range: half of it, to two digits.
+
+    Of more than three parameters it is the whole range, since no number of tests fills such a box.
+
+    >>> derived_lengths({"gap": (5.0, 60.0), "speed": (5.0, 35.0)})
+    {'gap': 28.0, 'speed': 15.0}
+    """
+    share = 0.5 if len(ranges) <= 3 else 1.0
+    return {name: float(f"{share * (high - low):.2g}") for name, (low, high) in ranges.items()}
+
+
+def _with_kernel(problem: Any, space: Any, knots: Mapping[str, tuple[str, ...]]) -> Any:
+    """Return a problem of method `rigorous` with length scales, where it gives none and the space is a box."""
+    if not isinstance(problem, Mapping) or problem.get("method") != "rigorous" or not isinstance(space, Mapping):
+        return problem
+    kernel, ends = problem.get("kernel", {}), {name: _ends(each) for name, each in space.items()}
+    if not isinstance(kernel, Mapping) or "length_scale" in kernel or not ends or None in ends.values():
+        return problem
+    ranges = {each: pair for name, pair in ends.items() if pair is not None for each in knots.get(name, (name,))}
+    return {**problem, "kernel": {"length_scale": derived_lengths(ranges), **kernel}}
+
+
+def _ends(value: Any) -> tuple[float, float] | None:
+    """Return the ends of a range; None for one that is at fault, which is reported by itself."""
+    low, high = (value.get("low"), value.get("high")) if isinstance(value, Mapping) else (None, None)
+    valid = isinstance(low, int | float) and isinstance(high, int | float) and 0 < high - low < math.inf
+    return (float(low), float(high)) if valid else None  # type: ignore[arg-type]
 
 
 def _with_ends(value: Any) -> Any:
@@ -153,7 +186,8 @@ def file_schema() -> dict[str, Any]:
     schema["required"] = [key for key in schema["required"] if key not in ("name", "problems")]
     for model in PROBLEM_MODELS.values():
         problem = schema["$defs"][model.__name__]
-        problem["required"] = [key for key in problem["required"] if key != "method"]
+        optional = ("method", "kernel") if model is RigorousProblem else ("method",)
+        problem["required"] = [key for key in problem["required"] if key not in optional]
         for key, value in problem["properties"].items():
             # The problem's own model decides which of them go together.
             schema["properties"].setdefault(key, {"description": f"of the only problem: {value.get('description')}"})

@@ -121,6 +121,10 @@ class RigorousProblem(_KernelProblem):
     """An anytime bound from one confidence set."""
 
     method: Literal["rigorous"] = Field(description="bounds that are valid at any time; may be left out on a box")
+    kernel: MaternKernel = Field(
+        description="Matern kernel of unit amplitude; B sets the scale; without its length scales they are half the "
+        "range of each parameter, of more than three parameters the whole range"
+    )
     noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] = Field(
         description="R: sub-Gaussian scale of the noise of one rollout; `derived`: from the clip (Hoeffding); 0: none"
     )

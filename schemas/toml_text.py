@@ -2,7 +2,10 @@
 
 import json
 import re
+import textwrap
 from typing import Any
+
+from .errors import one_line
 
 BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -34,3 +37,12 @@ def toml_value(value: Any) -> str:
 def toml_quoted(text: str) -> str:
     """Return a basic string of TOML: one of JSON, but for DEL, which TOML does not allow as it is."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def toml_comment(text: str, width: int = 100) -> list[str]:
+    """Return lines of a comment, none longer than `width` characters where the words allow it.
+
+    >>> toml_comment("length scales, half of each range", width=24)
+    ['# length scales, half of', '# each range']
+    """
+    return [f"# {line}" for line in textwrap.wrap(one_line(text), width - 2, break_on_hyphens=False)]

@@ -7,6 +7,11 @@ SECONDS, WORKERS = 60.0, 2
 LEAST_COST = 0.005
 """Seconds that any rollout costs, with its file and its place in the database."""
 FEWEST_TESTS, FEWEST_STARTS = 20, 20
+RECHECK = 20
+PER_SECOND = 120.0
+"""Rollouts that the orchestrator records, whatever the workers can do."""
+FEWEST_SAMPLES, MOST_SAMPLES = 59, 2995
+"""Samples without a violation that show at most 5 % and .1 %, at 95 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +22,7 @@ class FirstSize:
     replicates: int
     """Of each test whose rollouts depend on the seed."""
     spot_check: int = 299
-    recheck: int = 20
+    recheck: int = RECHECK
 
     def rollouts(self, variants: int) -> int:
         """Return the largest number of rollouts, with `variants` rollouts for each replicate of a test."""
@@ -34,18 +39,24 @@ def first_size(cost: float | None, *, noisy: bool, variants: int) -> FirstSize:
     >>> first_size(0.001, noisy=True, variants=1) == NOISY
     True
     >>> first_size(0.5, noisy=True, variants=1)
-    FirstSize(max_tests=30, replicates=4, spot_check=115, recheck=5)
+    FirstSize(max_tests=110, replicates=1, spot_check=110, recheck=20)
     """
     full = NOISY if noisy else EXACT
     affordable = SECONDS * WORKERS / max(cost or 0.0, LEAST_COST)
     if affordable >= full.rollouts(variants):
         return full
-    half, recheck = int(affordable / 2), 5
-    replicates = next((each for each in (8, 4, 2) if each <= full.replicates and _tests(half, each, variants)), 1)
-    tests = max(FEWEST_TESTS, min(full.max_tests, half // (replicates * variants)))
-    spot_check = max(FEWEST_STARTS, min(full.spot_check, (half - recheck) // variants))
-    return FirstSize(tests, replicates, spot_check, recheck)
+    # Where rollouts are dear, another start shows more than another rollout at the same one.
+    half = int((affordable - full.recheck) / 2) // variants
+    tests = max(FEWEST_TESTS, min(full.max_tests * full.replicates, half))
+    return FirstSize(tests, 1, max(FEWEST_STARTS, min(full.spot_check, half)))
 
 
-def _tests(rollouts: int, replicates: int, variants: int) -> bool:
-    return rollouts // (replicates * variants) >= FEWEST_TESTS
+def first_samples(cost: float | None) -> FirstSize:
+    """Return the size of a campaign of drawn starts, of two digits, for rollouts that take `cost` seconds each.
+
+    >>> [first_samples(cost).max_tests for cost in (0.001, 0.07, 0.5, 5.0)]
+    [2995, 1600, 220, 59]
+    """
+    rate = min(PER_SECOND, WORKERS / max(cost or 0.0, LEAST_COST))
+    affordable = float(f"{max(SECONDS * rate - RECHECK, 0.0):.2g}")
+    return FirstSize(int(min(max(affordable, FEWEST_SAMPLES), MOST_SAMPLES)), 1)

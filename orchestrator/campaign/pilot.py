@@ -12,17 +12,18 @@
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 
 import numpy as np
 
+from ...schemas.campaign_defaults import derived_lengths
 from ...schemas.errors import PerfboundError
 from ...schemas.system import Parameter, SystemSpec
 from ...schemas.trajectory import Trajectory
 from ..mathematics.gp.kernels import Floats, Matern, scaled
 from ..mathematics.stl.parser import FormulaError, parse_formula
 from ..mathematics.stl.robustness import robustness
+from .first_values import Constants
 
 Score = Callable[[Trajectory], float]
 """From a rollout to one number, of which more is better."""
@@ -40,17 +41,6 @@ PARTS = 20
 """Parts into which `alpha` divides the spread of the objective."""
 NOISE_OF_FIT = 0.02
 """Least noise that a fit to exact values assumes, in parts of their spread: it follows no kink with all its norm."""
-
-
-@dataclass(frozen=True, slots=True)
-class Constants:
-    """What one problem assumes about its objective."""
-
-    prior_mean: float
-    rkhs_norm: float
-    noise_scale: float | str
-    """`derived`, where the clip bounds the noise better than the rollouts show it."""
-    alpha: float
 
 
 def pilot_starts(parameters: Sequence[Parameter]) -> list[tuple[float, ...]]:
@@ -72,9 +62,8 @@ def pilot_starts(parameters: Sequence[Parameter]) -> list[tuple[float, ...]]:
 
 
 def length_scales(parameters: Sequence[Parameter]) -> dict[str, float]:
-    """Return half the range of each parameter; with many, the whole one, since no number of tests fills such a box."""
-    share = 0.5 if len(parameters) <= 3 else 1.0
-    return {each.name: rounded(length := (each.high - each.low) * share, length) for each in parameters}
+    """Return the length scale that a campaign file without a kernel has, for each parameter."""
+    return derived_lengths({each.name: (each.low, each.high) for each in parameters})
 
 
 def settled_horizon(horizon: float, found: Trajectory) -> float:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from ..campaign.questions import DEFAULT, QUESTIONS, question_help
 from .group import cli
 
 
@@ -11,11 +12,10 @@ from .group import cli
 @click.argument("system")
 @click.option(
     "--question",
-    type=click.Choice(["worst", "often", "find", "where", "transfer"]),
-    default="worst",
+    default=DEFAULT,
+    metavar=f"[{'|'.join(QUESTIONS)}]",
     show_default=True,
-    help="worst: the least robustness over all starts; transfer: the same of a true system, from a nominal one and the "
-    "gap between both. The others are not there yet.",
+    help=question_help(),
 )
 @click.option("--specification", default=None, help="Formula to test; by default a harmless one over the first column.")
 @click.option("--horizon", type=click.FloatRange(0, 86_400), default=None, help="Seconds; default: the system's own.")
@@ -23,7 +23,7 @@ from .group import cli
 def init(*, system: str, question: str, specification: str | None, horizon: float | None, out: Path | None) -> None:
     """Write a commented campaign file for SYSTEM, an installed one or FILE.py:NAME.
 
-    A pilot of some rollouts proposes its constants. An existing file stays as it is.
+    The file asks one question. A pilot of some rollouts proposes its numbers. An existing file stays as it is.
     """
     from ..run.first_campaign import Wish, write_first_campaign  # noqa: PLC0415
 

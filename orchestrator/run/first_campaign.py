@@ -19,22 +19,15 @@ from ...schemas.system import SystemSpec, Variant
 from ...schemas.trajectory import Floats
 from ..campaign import pilot, plan
 from ..campaign.checks import check_new
-from ..campaign.first_file import FirstCampaign, FirstValues
-from ..campaign.first_size import first_size
+from ..campaign.first_file import FirstCampaign
+from ..campaign.first_size import first_samples, first_size
+from ..campaign.first_values import Constants, FirstValues
 from ..campaign.forecast import least_distance
+from ..campaign.questions import QUESTIONS, unknown_question
 from ..fleet.child import in_file, named_campaign, resolved, system_spec
 from ..fleet.simulate import chosen_horizon
 from .first_pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
 
-QUESTIONS: dict[str, tuple[ProblemName, ...]] = {
-    "worst": ("robustness",),
-    "transfer": ("nominal_robustness", "sim_gap"),
-}
-NOT_YET = {
-    "often": "how often the specification is violated cannot be asked yet; choose worst, the worst start",
-    "find": "a search for violations cannot be asked for yet; choose worst, whose report lists those that it finds",
-    "where": "the starts that are safe cannot be asked for yet; choose worst, whose report maps its bounds",
-}
 REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""
 
@@ -46,6 +39,7 @@ class Wish:
     reference: str
     """The system, a name, FILE.py:NAME or a campaign file."""
     question: str
+    """A key of `QUESTIONS`."""
     specification: str | None
     """None for a harmless formula."""
     horizon: float | None
@@ -64,8 +58,9 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
             exists or cannot be written.
 
     """
-    if wish.question in NOT_YET:
-        raise PerfboundError(f"--question {wish.question}: {NOT_YET[wish.question]}")
+    if wish.question not in QUESTIONS:
+        raise PerfboundError(unknown_question(wish.question))
+    question = QUESTIONS[wish.question]
     known = named_campaign(wish.reference)
     spec = system_spec(wish.reference, "SYSTEM").spread(() if known is None else signal_shapes(known.space))
     if wish.specification is None and known is not None and known.specification:
@@ -76,16 +71,20 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     variants, choice = _variants(spec, wish.question), _system_choice(wish.reference, out)
     horizon = chosen_horizon(spec, wish.horizon)
     score = pilot.score(wish.specification, spec)
-    yield f"{spec.name}: a pilot of a few rollouts, for about {SECONDS:g} s at most, proposes the constants"
+    yield f"{spec.name}: a pilot of a few rollouts, for about {SECONDS:g} s at most"
     cost = None
     limit = SECONDS if known is None else min(SECONDS, known.deadline)
     try:
         found = run_pilot(PilotPlan(wish.reference, spec, choice.options, variants, horizon, limit), score)
-        basis, news, cost = _proposal(wish, spec, found), f"the constants are proposed from {found.size}", found.cost
+        basis, news, cost = (
+            _proposal(wish, spec, found),
+            f"{question.values} proposed from {found.size}",
+            found.cost,
+        )
     except PilotError as error:
         basis = _guess(wish, spec, horizon, str(error))
-        news = f"the constants are guesses, because the pilot failed: {error}"
-    if basis.horizon == 0 and not all(OBJECTIVES[problem].static for problem in QUESTIONS[wish.question]):
+        news = f"{question.values} guessed, because the pilot failed: {error}"
+    if basis.horizon == 0 and not all(OBJECTIVES[problem].static for problem in question.problems):
         raise PerfboundError(
             f"--question {wish.question}: rollouts of {spec.name} are one sample, and this question needs longer ones; "
             "choose --question worst"
@@ -114,7 +113,7 @@ def _exists(out: Path) -> PerfboundError:
 
 def _variants(spec: SystemSpec, question: str) -> tuple[Variant, ...]:
     """Return the variants that a question simulates, each once."""
-    found = dict.fromkeys(variant for problem in QUESTIONS[question] for variant in rolled_out(problem, spec))
+    found = dict.fromkeys(variant for problem in QUESTIONS[question].problems for variant in rolled_out(problem, spec))
     if missing := set(found) - set(spec.variants):
         raise PerfboundError(
             f"--question {question}: {spec.name} has no variant {', '.join(sorted(missing))}; give it two variants, "
@@ -128,13 +127,16 @@ def _variants(spec: SystemSpec, question: str) -> tuple[Variant, ...]:
 
 def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> FirstValues:
     """Return what follows from a pilot."""
-    scores, specification, about = found.scores, wish.specification, "The constants below fit this formula."
+    scores, specification, about = found.scores, wish.specification, ""
+    question = QUESTIONS[wish.question]
     if specification is None:
         column, every = spec.columns[1].name, _all(scores)
         limit, _ = pilot.covering(every, 0.1, 0.0)
         specification = _above(column, limit, found.horizon)
         scores = {variant: each - limit for variant, each in scores.items()}
         about = f"This formula holds in the whole pilot, where {column} was at least {every.min():g}: put yours here."
+    elif not question.drawn:
+        about = "The constants below fit this formula."
     clip = pilot.clip_around(_all(scores))
     lengths = tuple(pilot.length_scales(spec.parameters).values())
     constants = {
@@ -145,9 +147,9 @@ def _proposal(wish: Wish, spec: SystemSpec, found: Pilot) -> FirstValues:
             noisy=_noisy(name, spec),
             half_range=(clip[1] - clip[0]) / 2,
         )
-        for name in QUESTIONS[wish.question]
+        for name in ([] if question.drawn else question.problems)
     }
-    source = f"The constants are proposed from {found.size}."
+    source = f"{question.values.capitalize()} proposed from {found.size}."
     return FirstValues(source, found.horizon, specification, about, clip, constants)
 
 
@@ -175,19 +177,17 @@ def _noisy(name: ProblemName, spec: SystemSpec) -> bool:
 
 def _guess(wish: Wish, spec: SystemSpec, horizon: float, fault: str) -> FirstValues:
     """Return numbers to replace, where no pilot shows better ones."""
+    question = QUESTIONS[wish.question]
+    unfit = "" if question.drawn else "The constants below do not follow from this formula, because the pilot failed."
     return FirstValues(
-        source=f"The constants are GUESSES, because the pilot failed: {fault}",
+        source=f"{question.values.capitalize()} GUESSED, because the pilot failed: {fault}",
         horizon=horizon,
         specification=wish.specification or _above(spec.columns[1].name, 0.0, horizon),
-        about=(
-            "The constants below do not follow from this formula, because the pilot failed."
-            if wish.specification
-            else "Put your formula here."
-        ),
+        about=unfit if wish.specification else "Put your formula here.",
         clip=(-10.0, 10.0),
         constants={
-            name: pilot.Constants(0.0, 30.0, "derived" if _noisy(name, spec) else 0.0, 1.0)
-            for name in QUESTIONS[wish.question]
+            name: Constants(0.0, 30.0, "derived" if _noisy(name, spec) else 0.0, 1.0)
+            for name in ([] if question.drawn else question.problems)
         },
         guess=" This one is a guess.",
     )
@@ -195,7 +195,9 @@ def _guess(wish: Wish, spec: SystemSpec, horizon: float, fault: str) -> FirstVal
 
 def _reachable(campaign: FirstCampaign) -> FirstCampaign:
     """Return the campaign with an `alpha` for each problem that its tests can reach."""
-    plans = plan.plans(parse_campaign(campaign.text().encode(), ""), campaign.spec)
+    if campaign.question.drawn:
+        return campaign
+    plans = plan.plans(parse_campaign(campaign.text().encode(), "campaign.toml"), campaign.spec)
     constants = {
         name: replace(each, alpha=max(each.alpha, pilot.rounded_up(REACH * least_distance(plans[name]))))
         for name, each in campaign.basis.constants.items()
@@ -206,17 +208,23 @@ def _reachable(campaign: FirstCampaign) -> FirstCampaign:
 def _first_campaign(
     wish: Wish, spec: SystemSpec, choice: SystemChoice, basis: FirstValues, cost: float | None
 ) -> FirstCampaign:
-    names = QUESTIONS[wish.question]
+    question = QUESTIONS[wish.question]
+    names = question.problems
     noisy = frozenset(name for name in names if _noisy(name, spec))
-    needs_clip = any(_noisy(name, spec) or not OBJECTIVES[name].static for name in names)
+    needs_clip = question.always_clip or (
+        question.clip and any(_noisy(name, spec) or not OBJECTIVES[name].static for name in names)
+    )
+    variants = sum(len(rolled_out(name, spec)) for name in noisy or names)
+    many = len(spec.parameters) > LATTICE_PARAMETERS
     return FirstCampaign(
         spec=spec,
         system=choice,
-        command=f"perfbound init {shlex.quote(wish.reference)}",
+        command=f"perfbound init {shlex.quote(wish.reference)} --question {wish.question}",
+        question=question,
         basis=basis if needs_clip else replace(basis, clip=None),
         lengths=pilot.length_scales(spec.parameters),
-        candidates=FIXED_STARTS["rigorous"].default if len(spec.parameters) > LATTICE_PARAMETERS else None,
-        size=first_size(cost, noisy=bool(noisy), variants=sum(len(rolled_out(name, spec)) for name in noisy or names)),
+        candidates=FIXED_STARTS["rigorous"].default if not question.drawn and many else None,
+        size=first_samples(cost) if question.drawn else first_size(cost, noisy=bool(noisy), variants=variants),
         noisy=noisy,
         cost=cost,
     )

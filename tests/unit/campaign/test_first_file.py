@@ -2,15 +2,19 @@
 
 import tomllib
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from perfbound.orchestrator.campaign.checks import check
-from perfbound.orchestrator.campaign.first_file import FirstCampaign, FirstValues
-from perfbound.orchestrator.campaign.first_size import EXACT, NOISY, FirstSize, first_size
+from perfbound.orchestrator.campaign.first_file import MOST_KEYS, FirstCampaign, key_lines
+from perfbound.orchestrator.campaign.first_size import EXACT, MOST_SAMPLES, NOISY, FirstSize, first_samples, first_size
+from perfbound.orchestrator.campaign.first_values import Constants, FirstValues
 from perfbound.orchestrator.campaign.forecast import warnings
-from perfbound.orchestrator.campaign.pilot import NU, Constants
+from perfbound.orchestrator.campaign.pilot import NU
 from perfbound.orchestrator.campaign.plan import plans
+from perfbound.orchestrator.campaign.questions import QUESTIONS, docs_table, question_help, unknown_question
 from perfbound.orchestrator.run.first_campaign import _reachable
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.problem_models import RigorousProblem
@@ -41,6 +45,7 @@ def campaign(*, horizon: float = 8.0, **constants: Constants) -> FirstCampaign:
         spec=SPEC,
         system=SystemChoice(name="robot"),
         command="perfbound init 'a b.py:robot'",
+        question=QUESTIONS["transfer" if len(found) > 1 else "worst"],
         basis=FirstValues(f"The constants are {EVIL}", horizon, specification, "Put yours here.", (-1.0, 2.5), found),
         lengths={"x0": 0.05, "v": 3.5},
         candidates=500,
@@ -51,16 +56,17 @@ def campaign(*, horizon: float = 8.0, **constants: Constants) -> FirstCampaign:
 
 def test_a_file_is_the_campaign_that_it_was_made_of() -> None:
     text = campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text()
-    config = parse_campaign(text.encode(), "c.toml")
-    check(config, SPEC, "c.toml")
+    config = parse_campaign(text.encode(), "robot.toml")
+    check(config, SPEC, "robot.toml")
     (problem,) = config.problems
     assert (config.name, config.seed, config.horizon, config.clip) == ("robot", 1, 8.0, (-1.0, 2.5))
     assert (config.candidates, config.composition, config.specification) == (500, "single", "always (x >= -5.0)")
     assert isinstance(config.space, dict)
-    assert {name: (each.low, each.high, each.unit) for name, each in config.space.items()} == {
-        each.name: (each.low, each.high, each.unit) for each in SPEC.parameters
+    assert {name: (each.low, each.high) for name, each in config.space.items()} == {
+        each.name: (each.low, each.high) for each in SPEC.parameters
     }
-    expected = {"rkhs_norm": 17.0, "prior_mean": -2.0, "noise_scale": 0.34, "alpha": 0.1, "replicates": 8}
+    expected = {"rkhs_norm": 17.0, "prior_mean": -2.0, "noise_scale": 0.34, "alpha": 0.1}
+    assert config.replicates_of(problem) == 8
     assert problem.model_dump(include=set(expected)) == expected
     assert config.system.options == {}, "options are comments"
     assert "# Duration of a rollout in s: the default of the system.\n" in text
@@ -76,8 +82,8 @@ def test_every_line_is_printable_and_short() -> None:
 @pytest.mark.parametrize("line", ["gain = 0.5", 'mode = "a\\"b"'])
 def test_an_option_is_set_by_removing_its_hash(line: str) -> None:
     text = campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)).text()
-    assert text.count(f"\n# {line}") == 1
-    found = tomllib.loads(text.replace(f"\n# {line}", f"\n{line}"))
+    assert text.count(f"\n# system.{line}") == 1
+    found = tomllib.loads(text.replace(f"\n# system.{line}", f"\nsystem.{line}"))
     name = line.partition(" ")[0]
     assert found["system"][name] == next(each.default for each in SPEC.options if each.name == name)
 
@@ -115,8 +121,7 @@ def test_the_kernel_of_the_pilot_is_that_of_the_file() -> None:
 @pytest.mark.parametrize("variants", [1, 2])
 def test_a_first_campaign_is_of_a_size_for_a_minute(cost: float, noisy: bool, variants: int) -> None:
     found, full = first_size(cost, noisy=noisy, variants=variants), NOISY if noisy else EXACT
-    assert found.max_tests <= full.max_tests
-    assert found.replicates <= full.replicates
+    assert found.max_tests * found.replicates <= full.max_tests * full.replicates
     if found != first_size(1e9, noisy=noisy, variants=variants):  # the smallest that there is
         assert found.rollouts(variants) * cost / 2 <= 61
 
@@ -124,12 +129,12 @@ def test_a_first_campaign_is_of_a_size_for_a_minute(cost: float, noisy: bool, va
 def test_a_small_campaign_names_what_a_large_one_has() -> None:
     small = replace(
         campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)),
-        size=FirstSize(30, 4, spot_check=115, recheck=5),
+        size=FirstSize(110, 1, spot_check=110),
         cost=0.5,
     )
     config = parse_campaign(small.text().encode(), "c.toml")
-    assert (config.max_tests, config.replicates_of(config.problems[0])) == (30, 4)
-    assert (config.spot_check, config.spot_check_followups, config.recheck) == (115, 115, 5)
+    assert (config.max_tests, config.replicates_of(config.problems[0])) == (110, 1)
+    assert (config.spot_check, config.spot_check_followups) == (110, 110)
     assert "# A rollout takes about 0.5 s, and this file has a size for a first result." in small.text()
 
 
@@ -141,3 +146,101 @@ def test_alpha_is_one_that_the_tests_can_reach(noise: float | str) -> None:
     assert warnings(plans(found, SPEC)) == []
     within_reach = campaign(robustness=Constants(-2.0, 17.0, noise, 16.0))
     assert _reachable(within_reach) == within_reach
+
+
+# Questions
+
+ONE_SIMULATOR = [name for name, each in QUESTIONS.items() if len(each.problems) == 1]
+PROGRAM = SystemChoice(
+    program=("./robot", "--fast"), columns={"x": "m", "v": "m/s"}, step=0.01, noisy=True, seed_bits=32, limit=6.0
+)
+
+
+def asking(question: str, **changes: Any) -> FirstCampaign:
+    """Return the noisy campaign of a question, as large as it can be."""
+    found = QUESTIONS[question]
+    base = campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1))
+    basis = replace(
+        base.basis,
+        constants={} if found.drawn else base.basis.constants,
+        clip=base.basis.clip if found.clip else None,
+    )
+    size = first_samples(None) if found.drawn else NOISY
+    written: Any = {"question": found, "basis": basis, "size": size, "resolution": None} | changes
+    return replace(base, **written)
+
+
+@pytest.mark.parametrize("question", ONE_SIMULATOR)
+@pytest.mark.parametrize("system", [SystemChoice(name="robot"), PROGRAM], ids=["function", "program"])
+def test_a_file_for_one_simulator_has_twelve_lines(question: str, system: SystemChoice) -> None:
+    text = asking(question, system=system).text()
+    assert key_lines(text) <= MOST_KEYS
+    config = parse_campaign(text.encode(), "robot.toml")
+    assert config.system == system
+    if system.program is None:
+        check(config, SPEC, "robot.toml")
+
+
+def test_a_file_for_slow_rollouts_has_twelve_lines_too() -> None:
+    size = first_size(1.0, noisy=True, variants=1)
+    text = asking("worst", size=size, cost=1.0, system=PROGRAM).text()
+    assert "spot_check_followups" in text
+    assert key_lines(text) <= MOST_KEYS
+
+
+def test_the_file_without_a_kernel_has_that_of_the_pilot() -> None:
+    text = asking("worst").text()
+    written = next(line for line in text.splitlines() if line.startswith("# kernel = "))
+    with_kernel = parse_campaign(text.replace(written, written.removeprefix("# ")).encode(), "robot.toml")
+    assert parse_campaign(text.encode(), "robot.toml").digest == with_kernel.digest
+
+
+@pytest.mark.parametrize(
+    ("question", "asked"),
+    [
+        ("how-often", [("failure_probability", None)]),
+        ("worst-cases", [("quantile", 0.01), ("cvar", 0.01), ("share_of_starts", 0.1)]),
+        ("next", [("next_rollout", 0.05)]),
+    ],
+)
+def test_questions_about_drawn_starts_need_no_constant(question: str, asked: list[tuple[str, float | None]]) -> None:
+    config = parse_campaign(asking(question).text().encode(), "robot.toml")
+    (problem,) = config.problems
+    assert (problem.method, config.max_tests) == ("sample", MOST_SAMPLES)
+    assert [(each.quantity, each.level) for each in config.claims_of(problem)] == asked
+    assert (config.clip is None) == (question != "worst-cases")
+
+
+def test_a_distribution_is_set_by_removing_one_hash() -> None:
+    lines = asking("how-often").text().splitlines()
+    example = next(line for line in lines if line.startswith("# space.v = "))
+    text = "\n".join(line for line in lines if not line.startswith("space.v"))
+    config = parse_campaign(text.replace(example, example.removeprefix("# ")).encode(), "robot.toml")
+    check(config, SPEC, "robot.toml")
+    assert isinstance(config.space, dict)
+    assert config.space["v"].distribution == "normal"
+
+
+@pytest.mark.parametrize("cost", [None, 0.001, 0.1, 0.7, 5.0])
+def test_the_samples_are_those_of_a_minute_and_show_something(cost: float | None) -> None:
+    found = first_samples(cost).max_tests
+    assert 59 <= found <= MOST_SAMPLES
+    if found > 59:
+        assert (found + 20) * (cost or 0.0) / 2 <= 61
+    text = asking("worst-cases", size=first_samples(cost), cost=cost).text()
+    parse_campaign(text.encode(), "robot.toml")
+
+
+def test_a_search_for_a_failing_start_ends_with_it() -> None:
+    config = parse_campaign(asking("fails").text().encode(), "robot.toml")
+    assert config.until_counterexample
+
+
+def test_help_and_error_name_every_question() -> None:
+    for name, each in QUESTIONS.items():
+        assert f"{name}: {each.words}" in question_help()
+        assert f"{name} ({each.words})" in unknown_question("often")
+
+
+def test_the_docs_have_the_table_of_the_questions() -> None:
+    assert docs_table() in (Path(__file__).parents[3] / "docs" / "own-system.md").read_text()

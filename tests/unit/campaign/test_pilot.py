@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign import pilot
+from perfbound.orchestrator.campaign.first_values import Constants
 from perfbound.schemas.system import Parameter
 from perfbound.schemas.trajectory import Trajectory
 
@@ -17,7 +18,7 @@ LENGTHS = tuple(pilot.length_scales(BOX).values())
 STARTS = np.array(pilot.pilot_starts(BOX))
 
 
-def proposed(values: Any, *, noisy: bool = True, half_range: float = 1e9) -> pilot.Constants:
+def proposed(values: Any, *, noisy: bool = True, half_range: float = 1e9) -> Constants:
     return pilot.proposed(LENGTHS, STARTS, np.asarray(values, dtype=float), noisy=noisy, half_range=half_range)
 
 

@@ -45,9 +45,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_pilot_that_hangs_names_the_rollout_and_the_place(folder: Path) -> None:
     lines = list(write_first_campaign(Wish("own.py:hangs", "worst", "y >= 0.5", None, None)))
     reason = "x = 1, seed 2: the rollout gave no result within 0.5 s, and was ended in own.py, line "
-    assert lines[1].startswith(f"hangs.toml: the constants are guesses, because the pilot failed: {reason}")
+    assert lines[1].startswith(f"hangs.toml: the constants are guessed, because the pilot failed: {reason}")
     text = " ".join((folder / "hangs.toml").read_text().replace("\n# ", " ").split())
-    assert f"GUESSES, because the pilot failed: {reason}" in text
+    assert f"GUESSED, because the pilot failed: {reason}" in text
     assert "do not follow from this formula, because the pilot failed." in text
     assert "Put your formula here" not in text
     assert text.count("This one is a guess.") == 3, "clip, prior_mean and rkhs_norm"

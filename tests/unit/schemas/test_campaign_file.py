@@ -154,7 +154,11 @@ def test_on_a_list_of_starts_the_method_is_scenario() -> None:
         ("alpha = 0.05", "alfa = 0.05", "alfa: unknown key; did you mean 'alpha'? "),
         ("rkhs_norm = 2.0", "rkhs_norm = -1", "rkhs_norm: -1 is not allowed: allowed is a number > 0"),
         ("alpha = 0.05", 'alpha = 0.05\nmethod = "best"', "method: 'best' is not allowed: allowed is one of 'paper'"),
-        ("kernel = { length_scale = 1.0 }", "kernel = { }", "kernel.length_scale: this key is required: a number > 0"),
+        (
+            "kernel = { length_scale = 1.0 }",
+            "kernel = { nu = 0 }",
+            "kernel.nu: 0 is not allowed: allowed is a number > 0",
+        ),
         ("alpha = 0.05", "alpha = 0.05\nslack = 1", "slack: 1 must be at most alpha = 0.05"),
     ],
 )
@@ -390,3 +394,34 @@ def test_a_length_scale_per_parameter_in_any_order() -> None:
     assert problem.method == "paper"
     assert problem.kernel.described == "1 (x), 2.5 (y)"
     assert problem.kernel.scaled(0.5).length_scale == {"x": 0.5, "y": 1.25}
+
+
+# Length scales that a file leaves out
+
+
+@pytest.mark.parametrize("kernel", ["", "kernel = { }\n", "kernel = { nu = 2.5 }\n"])
+def test_a_file_without_length_scales_has_half_of_each_range(kernel: str) -> None:
+    written = ONE_PROBLEM.replace("length_scale = 1.0", "length_scale = { z = 2.5 }")
+    without = ONE_PROBLEM.replace("kernel = { length_scale = 1.0 }\n", kernel)
+    assert without != ONE_PROBLEM or not kernel
+    found = parse_campaign(without.encode(), "c.toml")
+    assert found == parse_campaign(written.encode(), "c.toml")
+    assert found.digest == parse_campaign(written.encode(), "c.toml").digest
+
+
+def test_many_parameters_have_length_scales_of_whole_ranges() -> None:
+    more = "".join(f"space.v{k} = [0, {k + 1}]\n" for k in range(3))
+    text = "resolution = 3\n" + ONE_PROBLEM.replace("kernel = { length_scale = 1.0 }\n", "") + more
+    (problem,) = parse_campaign(text.encode(), "c.toml").problems
+    assert problem.model_dump()["kernel"]["length_scale"] == {"z": 5.0, "v0": 1.0, "v1": 2.0, "v2": 3.0}
+
+
+def test_a_fault_of_a_range_is_reported_and_no_missing_kernel() -> None:
+    text = ONE_PROBLEM.replace("kernel = { length_scale = 1.0 }\n", "").replace("high = 5.0", "high = -5.0")
+    assert fault_of(text).startswith("space.z")
+
+
+@pytest.mark.parametrize("method", ["paper", "scenario"])
+def test_no_other_method_derives_a_kernel(method: str) -> None:
+    text = ONE_PROBLEM.replace("kernel = { length_scale = 1.0 }\n", f'method = "{method}"\n')
+    assert "kernel" in fault_of(text) if method == "paper" else fault_of(text)

@@ -1,0 +1,279 @@
+"""The questions that `perfbound init` writes a campaign file for: one row each.
+
+The help of the command, the error for another question and the table of the docs are made from the rows. The module
+loads neither pydantic nor numpy, because the command line reads it for every command.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ...schemas.toml_text import toml_comment, toml_value
+
+if TYPE_CHECKING:
+    from ...schemas.problems import ProblemName
+    from .first_file import FirstCampaign
+    from .first_values import Constants
+
+Lines = Callable[["FirstCampaign"], Iterator[str]]
+
+
+def _none(_: "FirstCampaign") -> Iterator[str]:
+    return iter(())
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One question, and the part of a campaign file that asks it."""
+
+    words: str
+    """The question."""
+    claim: str
+    """What answers it, in one line."""
+    key: str
+    """The key of the file that asks it."""
+    keys: Lines
+    """Returns the lines of its keys, before system and space."""
+    ending: Lines = _none
+    """Returns its lines after them: tables, and claims."""
+    problems: tuple["ProblemName", ...] = ("robustness",)
+    drawn: bool = False
+    """Whether its starts are drawn: it needs no constants, and asks for a number of samples."""
+    clip: bool = True
+    """Whether a clip is written where rollouts are noisy; the bound of a frequency or of an order needs none."""
+    always_clip: bool = False
+    """Whether it is also written where nothing is random."""
+
+    @property
+    def values(self) -> str:
+        """What a pilot proposes for it, in words with their verb."""
+        if not self.drawn:
+            return "the constants are"
+        return "the clip and the number of samples are" if self.clip else "the number of samples is"
+
+
+def _clip(campaign: "FirstCampaign") -> Iterator[str]:
+    basis = campaign.basis
+    if basis.clip is not None:
+        yield from toml_comment(
+            "Range to which the robustness, the margin to a violation, is clipped; the claim is about the clipped "
+            f"one. Choose it so that it contains nearly all values.{basis.guess}"
+        )
+        yield f"clip = {toml_value(list(basis.clip))}"
+
+
+def _worst(campaign: "FirstCampaign") -> Iterator[str]:
+    yield from _clip(campaign)
+    yield "# Tests at most; the bound is valid whenever they end."
+    yield f"max_tests = {campaign.size.max_tests}"
+    yield from _checks(campaign)
+    yield from _constants(campaign, "robustness")
+    yield from toml_comment(
+        "Distances in each parameter over which the robustness changes its course, an assumption. Without this key: "
+        "half of each range, of more than three parameters the whole range."
+    )
+    yield f"# {_kernel(campaign)}"
+
+
+def _fails(campaign: "FirstCampaign") -> Iterator[str]:
+    yield "# The first test that violates the specification ends the campaign, and is its answer."
+    yield "until_counterexample = true"
+    yield from _worst(campaign)
+
+
+def _samples(campaign: "FirstCampaign") -> Iterator[str]:
+    yield from _clip(campaign)
+    samples = campaign.size.max_tests
+    slow = "" if campaign.cost is None or samples > FEW else f" A rollout takes about {campaign.cost:.2g} s."
+    yield from toml_comment(
+        f"Number of samples, fixed beforehand. More of them give a sharper claim: without a violation, {samples} show "
+        f"at 95 % that at most {100 * (1 - 0.05 ** (1 / samples)):.2g} % fail.{slow}"
+    )
+    yield f"max_tests = {samples}"
+
+
+FEW = 298
+"""Samples that show less than 1 %."""
+
+
+def _rare(campaign: "FirstCampaign") -> float:
+    """Return the level of the worst cases that the number of samples can show."""
+    return 0.01 if campaign.size.max_tests > FEW else 0.05
+
+
+def _how_often(_: "FirstCampaign") -> Iterator[str]:
+    yield ""
+    yield "[[claims]]"
+    yield 'quantity = "failure_probability"'
+
+
+def _next(_: "FirstCampaign") -> Iterator[str]:
+    yield ""
+    yield "[[claims]]"
+    yield 'quantity = "next_rollout"'
+    yield "# Probability with which the next rollout may be below the bound."
+    yield "level = 0.05"
+
+
+def _worst_cases(campaign: "FirstCampaign") -> Iterator[str]:
+    level = _rare(campaign)
+    yield ""
+    yield from toml_comment(
+        f"The robustness that all rollouts but {100 * level:g} % reach; the mean of the worst {100 * level:g} %; and "
+        "what all starts but a tenth reach, of noisy rollouts as a mean."
+    )
+    yield "claims = ["
+    for quantity, share in (("quantile", level), ("cvar", level), ("share_of_starts", 0.1)):
+        yield f"    {toml_value({'quantity': quantity, 'level': share})},"
+    yield "]"
+
+
+def _transfer(campaign: "FirstCampaign") -> Iterator[str]:
+    yield from _clip(campaign)
+    yield "# How the rollouts of the two variants are compared, and the two bounds become one claim."
+    yield 'gap = { kind = "robustness" }'
+    yield 'composition = "pointwise"'
+    yield "# Tests of a problem at most; the bound is valid whenever they end."
+    yield f"max_tests = {campaign.size.max_tests}"
+    yield from _checks(campaign)
+
+
+_ABOUT: Mapping["ProblemName", str] = {
+    "nominal_robustness": "Lower bound of the worst mean robustness of the variant nominal.",
+    "sim_gap": "Upper bound of how much less robust the variant true is than nominal, as a mean.",
+}
+
+
+def _both_problems(campaign: "FirstCampaign") -> Iterator[str]:
+    for name, about in _ABOUT.items():
+        yield ""
+        yield from toml_comment(about)
+        yield "[[problems]]"
+        yield f'name = "{name}"'
+        yield from _constants(campaign, name)
+        yield "# Distances in each parameter over which the objective changes its course: assumptions."
+        yield _kernel(campaign)
+
+
+def _kernel(campaign: "FirstCampaign") -> str:
+    return f"kernel = {toml_value({'length_scale': campaign.lengths})}"
+
+
+def _checks(campaign: "FirstCampaign") -> Iterator[str]:
+    """Yield the sizes of the closing checks, where the defaults would take long."""
+    size, full = campaign.size, campaign.full_size
+    if size == full:
+        return
+    replicates = f" and replicates = {full.replicates}" if campaign.noisy else ""
+    yield from toml_comment(
+        f"A rollout takes about {campaign.cost or 0.0:.2g} s, and this file has a size for a first result. One that "
+        f"counts has max_tests = {full.max_tests}{replicates}, and without the following keys its checks at the end "
+        "are larger, too."
+    )
+    yield f"spot_check = {size.spot_check}"
+    if campaign.noisy:
+        yield f"spot_check_followups = {size.spot_check}"
+
+
+def _constants(campaign: "FirstCampaign", name: "ProblemName") -> Iterator[str]:
+    found, guess = campaign.basis.constants[name], campaign.basis.guess
+    objective = "the difference" if name == "sim_gap" else "-robustness"
+    yield "# The problem stops when its bounds are so near, or after max_tests: both give valid bounds."
+    yield f"alpha = {found.alpha!r}"
+    yield f"# About the mean of {objective} over all starts.{guess}"
+    yield f"prior_mean = {found.prior_mean!r}"
+    yield from toml_comment(
+        f"B, the norm of {objective} minus prior_mean for the kernel: the main assumption. It is above every distance "
+        f"from prior_mean; a larger one is safer and proves less.{guess}"
+    )
+    yield f"rkhs_norm = {found.rkhs_norm!r}"
+    yield from _noise(found)
+    if name in campaign.noisy and campaign.size.replicates > 1:
+        yield "# Rollouts of a test, with different seeds."
+        yield f"replicates = {campaign.size.replicates}"
+
+
+def _noise(found: "Constants") -> Iterator[str]:
+    yield from toml_comment(_NOISE.get(found.noise_scale, _NOISE_NUMBER))
+    yield f"noise_scale = {toml_value(found.noise_scale)}"
+
+
+_NOISE: Mapping[float | str, str] = {
+    0.0: "The rollouts do not depend on the seed.",
+    "derived": "R, the noise of one rollout: derived from the clip, no assumption. The standard deviation at the "
+    "noisiest start, as a number, is an assumption and proves more.",
+}
+_NOISE_NUMBER = (
+    "R, the noise of one rollout: 1.5 times the largest standard deviation of two rollouts at a start, an assumption. "
+    "It is often three times the typical one, because it has to hold at the noisiest start; one from many rollouts "
+    'there proves more. "derived" follows from the clip, assumes nothing and proves less.'
+)
+
+QUESTIONS: Mapping[str, Question] = {
+    "worst": Question(
+        "How bad is the worst start?",
+        "the worst robustness over all starts, of noisy rollouts the worst mean, is at least this",
+        "rkhs_norm = ...",
+        _worst,
+    ),
+    "fails": Question(
+        "Is there a start from which it fails?",
+        "a start that fails; or, where none is found, the worst robustness is at least this",
+        "until_counterexample = true",
+        _fails,
+    ),
+    "how-often": Question(
+        "How often does it fail?",
+        "at most this share of all rollouts violates the specification",
+        'quantity = "failure_probability"',
+        _samples,
+        _how_often,
+        drawn=True,
+        clip=False,
+    ),
+    "worst-cases": Question(
+        "How bad are the worst cases?",
+        "a quantile, the mean of the worst share, and what nearly all starts reach, are at least these",
+        'claims = [{ quantity = "quantile", level = 0.01 }, ...]',
+        _samples,
+        _worst_cases,
+        drawn=True,
+        always_clip=True,
+    ),
+    "next": Question(
+        "How bad may the next rollout be?",
+        "one more rollout has at least this robustness, with this probability",
+        'quantity = "next_rollout"',
+        _samples,
+        _next,
+        drawn=True,
+        clip=False,
+    ),
+    "transfer": Question(
+        "Does the claim carry over to the true system?",
+        "the risk of the variant true is at least this, from nominal rollouts and the gap to the true ones",
+        'composition = "pointwise"',
+        _transfer,
+        _both_problems,
+        problems=("nominal_robustness", "sim_gap"),
+    ),
+}
+"""By the value of `--question`; the first one is the default."""
+DEFAULT = next(iter(QUESTIONS))
+
+
+def question_help() -> str:
+    """Return the help of `--question`."""
+    return " ".join(f"{name}: {each.words}" for name, each in QUESTIONS.items())
+
+
+def unknown_question(name: str) -> str:
+    """Return the error for a question that has no row."""
+    known = "; ".join(f"{each} ({row.words})" for each, row in QUESTIONS.items())
+    return f"--question {name}: there is no such question; choose one of {known}"
+
+
+def docs_table() -> str:
+    """Return the rows as a table in Markdown."""
+    rows = (f"| `{name}` | {each.words} | {each.claim} |" for name, each in QUESTIONS.items())
+    return "\n".join(["| `--question` | question | claim |", "|---|---|---|", *rows])
