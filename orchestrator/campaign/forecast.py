@@ -40,6 +40,19 @@ def tests_left(config: CampaignConfig, problem: Problem, now: float | None, test
     return max(0, min(math.ceil(min(needed, 1e12)) - tests, budget))
 
 
+def tests_left_in_words(config: CampaignConfig, problem: Problem, left: int) -> str:
+    """Return the remaining tests in words; a number of samples is no guess.
+
+    >>> from types import SimpleNamespace
+    >>> tests_left_in_words(SimpleNamespace(until_counterexample=False), SampleProblem.model_construct(), 299)
+    '299 samples'
+    """
+    if not isinstance(problem, SampleProblem):
+        return f"about {left} test{'' if left == 1 else 's'}"
+    most = "at most " if config.until_counterexample else ""
+    return f"{most}{left} sample{'' if left == 1 else 's'}"
+
+
 def warnings(plans: "Plans") -> list[str]:
     """Return a line for every problem whose budget cannot reach its tolerance."""
     return [line for plan in plans.values() if (line := out_of_reach(plan))]

@@ -340,7 +340,8 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     alone = " (the clip alone proves it)" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
     bound, probability = outward(shown, sense), outward(problem.probability, ">=")
     _line(console, f"    {problem.objective} {sense} {bound}{alone}, probability {probability}")
-    rollouts = f"{problem.rollouts.nominal} nominal and {problem.rollouts.true} true rollouts"
+    counts = ((problem.rollouts.nominal, "nominal"), (problem.rollouts.true, "true"))
+    rollouts = (" and ".join(f"{number} {variant}" for number, variant in counts if number) or "no") + " rollouts"
     _line(console, f"    {problem.tests} tests with {rollouts}")
     as_planned = problem.stopped_by == "converged" or problem.method == "sample"
     _line(console, f"    {end}", "" if as_planned else "yellow")

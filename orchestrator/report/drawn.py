@@ -14,6 +14,9 @@ BINS = 40
 NEAR = 0.5
 """The axis begins at 0 where the least value is at most this share of the spread above it."""
 
+REACH = 0.5
+"""The axis goes on to a bound that is at most this share of the spread beyond the values."""
+
 
 def histograms(plan: ProblemPlan, method: SampleMethod, tests: Sequence[Sequence[float]], unit: str) -> list[Drawn]:
     """Return the histogram of the whole specification, then that of each requirement.
@@ -32,8 +35,13 @@ def _histogram(
     plan: ProblemPlan, method: SampleMethod, values: Sequence[float], which: tuple[int, str | None], unit: str
 ) -> Drawn:
     low, high = min(values), max(values)
+    bounds = [
+        (claim.asked, method.found(number)) for number, claim in enumerate(plan.claims) if claim.place == which[0]
+    ]
+    marks = tuple(_mark(asked, bound) for asked, bound in bounds if _is_value(asked) and bound is not None)
+    least, most = _ends(low, high, [mark.value for mark in marks])
     # The requirement is at 0: worth showing where it is near.
-    edges = _edges(min(low, 0.0) if low <= NEAR * (high - low) else low, high)
+    edges = _edges(min(least, 0.0) if low <= NEAR * (high - low) else least, most)
     counts = [0] * (len(edges) - 1)
     width = edges[1] - edges[0]
     for value in values:
@@ -41,16 +49,13 @@ def _histogram(
         # Rounding may put a value that is an end on the wrong side of it; 0 separates violations.
         place += (value >= edges[place + 1] and place + 1 < len(counts)) - (value < edges[place] and place > 0)
         counts[place] += 1
-    bounds = [
-        (claim.asked, method.found(number)) for number, claim in enumerate(plan.claims) if claim.place == which[0]
-    ]
     return Drawn(
         requirement=which[1],
         edges=tuple(edges),
         counts=tuple(counts),
         violations=sum(value < 0 for value in values),
         unit=unit,
-        marks=tuple(_mark(asked, bound) for asked, bound in bounds if _is_value(asked) and bound is not None),
+        marks=marks,
         failure=next((bound for asked, bound in bounds if asked.quantity == "failure_probability"), None),
         worst=values.index(low),
         least=low,
@@ -65,6 +70,17 @@ def _mark(asked: ClaimRequest, bound: float) -> Mark:
     level = "" if asked.level is None else f" {100 * asked.level:.6g} %"
     factor = "" if asked.factor == 1 else f", factor {asked.factor:g}"
     return Mark(f"{asked.quantity.replace('_', ' ')}{level}{factor}", bound, SAMPLED[asked.quantity].sense)
+
+
+def _ends(low: float, high: float, bounds: Sequence[float]) -> tuple[float, float]:
+    """Return the ends of the values, or of the bounds beyond them that are not far away.
+
+    >>> _ends(0.0, 10.0, [-2.0, 4.0, -100.0])
+    (-2.0, 10.0)
+    """
+    reach = REACH * (high - low)
+    near = [bound for bound in bounds if low - reach <= bound <= high + reach]
+    return min([low, *near]), max([high, *near])
 
 
 def _edges(low: float, high: float) -> list[float]:

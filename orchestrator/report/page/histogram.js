@@ -3,8 +3,9 @@
 const SIGN = { ">=": "\u2265", "<=": "\u2264" };
 
 function histogramFigure(drawn, id) {
+  const beyond = (value) => (value < drawn.edges[0] || value > drawn.edges.at(-1) ? ", beyond the axis" : "");
   const marks = drawn.marks.map(({ name, value, sense }, k) =>
-    el("li", el("b", `${letter(k)} `), el("span.muted", `${short(name, 60)} `), `${sentence(SIGN[sense])} ${boundText(value, sense, drawn.unit)}`));
+    el("li", el("b", `${letter(k)} `), el("span.muted", `${short(name, 60)} `), `${sentence(SIGN[sense])} ${boundText(value, sense, drawn.unit)}${beyond(value)}`));
   return el(
     "figure.histogram",
     chartFigure(id, "Robustness of the rollouts at drawn starts"),
@@ -41,6 +42,7 @@ function drawHistogram(drawn, id) {
 function requirementTable(problem) {
   if (!problem.requirements.length) return null;
   const samples = problem.tests.test.length;
+  const bounded = problem.requirements.some(({ marks }) => marks.length > 0);
   const row = (each) => {
     const id = `${problem.name}:${problem.tests.test[each.worst]}`;
     return el(
@@ -48,11 +50,11 @@ function requirementTable(problem) {
       el("th", { scope: "row" }, nameElement(each.requirement, 40)),
       el("td", `${count(each.violations)} of ${count(samples)}`),
       el("td", each.failure === null ? null : `${SIGN["<="]} ${boundText(each.failure, "<=", "")}`),
-      el("td", each.marks.map(({ name, value, sense }) => el("div", `${short(name, 60)} ${SIGN[sense]} ${boundText(value, sense, each.unit)}`))),
+      bounded ? el("td", each.marks.map(({ name, value, sense }) => el("div", `${short(name, 60)} ${SIGN[sense]} ${boundText(value, sense, each.unit)}`))) : null,
       el("td", el("button", { "data-test": id, "data-select": id }, quantity(each.least, each.unit))),
     );
   };
-  const heads = ["Requirement", "Violated", "Probability of a violation", "Robustness", "Worst test"];
+  const heads = ["Requirement", "Violated", "Probability of a violation", ...(bounded ? ["Robustness"] : []), "Worst test"];
   return el(
     "figure.requirements",
     el("figcaption", "Requirements, each with its own claim"),

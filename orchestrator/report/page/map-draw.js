@@ -170,7 +170,10 @@ function drawColourBar(context, { box: { left, top, width, height }, scale, prob
 function drawDots(context, { kind, dots }) {
   const starts = kind === "starts";
   // A listed start is its own dot. The worst one is drawn on top of its neighbours.
-  for (const dot of starts ? [] : dots) if (!dot.worst) disc(context, dot.at, dot.radius, WHITE, BLACK);
+  const others = starts ? [] : dots.filter((dot) => !dot.worst);
+  const edge = dots.length > MANY_DOTS ? 0.6 : 1.2;
+  for (const dot of others) if (!dot.violates) disc(context, dot.at, dot.radius, WHITE, BLACK, edge);
+  for (const dot of others) if (dot.violates) disc(context, dot.at, Math.max(dot.radius, 2.5), WORST, BLACK, edge);
   for (const dot of dots) {
     const around = dot.radius + (starts ? 9 : 4);
     if (dot.worst) disc(context, dot.at, Math.min(dot.radius + 2, 7), WORST, WHITE);

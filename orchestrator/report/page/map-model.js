@@ -141,18 +141,25 @@ function worstRegion({ shape: [columns, rows], worst }) {
   return { cells, edges };
 }
 
+const MANY_DOTS = 400;
+
 /** The dots with their pixels, radii and marks. */
 function markedDots({ report, problem, kind, selected }, { toX, toY, rangeY }) {
   const { test, y } = problem.tests;
   const [worst] = worstFirst(report, problem);
-  return dotsOf(report, problem).map(({ x, rows }) => ({
+  const dots = dotsOf(report, problem);
+  // Many starts would cover one another.
+  const least = dots.length > MANY_DOTS ? 1.7 : 3;
+  return dots.map(({ x, rows }) => ({
     x, rows,
     // On a profile a test without a value is drawn at the lower edge.
     at: [toX(x[0]), toY((kind === "profile" ? y[rows[0]] : x[1]) ?? rangeY[0])],
-    radius: Math.min(3 + 1.1 * Math.sqrt(rows.length - 1), 8),
+    radius: Math.min(least + 1.1 * Math.sqrt(rows.length - 1), 8),
     first: rows.includes(0),
     last: rows.includes(test.length - 1),
     worst: rows.includes(worst),
+    // Of drawn starts the observation is the robustness itself.
+    violates: problem.drawn ? y[rows[0]] !== null && y[rows[0]] < 0 : false,
     selected: rows.some((row) => test[row] === selected),
   }));
 }
@@ -192,7 +199,8 @@ function readout(model, pixel) {
   return lines.join("\n");
 }
 
-function dotText({ tests, unit }, { rows }) {
-  const worst = `test ${tests.test[rows[0]]} observed ${quantity(tests.y[rows[0]], unit)}`;
+function dotText(problem, { rows }) {
+  const { tests } = problem;
+  const worst = `test ${tests.test[rows[0]]} observed ${quantity(tests.y[rows[0]], observedUnit(problem))}`;
   return rows.length === 1 ? worst : `${rows.length} tests, the worst: ${worst}`;
 }

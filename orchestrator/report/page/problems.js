@@ -53,7 +53,7 @@ function problemFacts(problem) {
     ["Stop threshold alpha", problem.alpha === null ? null : quantity(problem.alpha, problem.unit)],
     ["Failure probability delta", num(problem.delta)],
     ["Stopped", problem.stopped_by === null ? null : stoppedText(problem)],
-    ["Tests left (forecast)", problem.left === null ? null : short(problem.left, 200)],
+    [problem.drawn ? "Left" : "Tests left (forecast)", problem.left === null ? null : short(problem.left, 200)],
   ];
   return definitions(".facts", facts, { "data-stopped": problem.stopped_by });
 }
@@ -95,6 +95,7 @@ function mapLegend(report, problem, kind) {
     legendItem("mark.dot", "test, larger where repeated"),
     legendItem("mark.first", "first test"),
     legendItem("mark.last", "last test"),
+    problem.drawn?.violations ? legendItem("mark.violates", "violates the specification") : null,
     legendItem("mark.worst", "worst observed"),
     legendItem("mark.ring", "selected test"),
     worst.some(Boolean) && !excludesNone ? legendItem(`mark.region-${kind}`, "possible worst start") : null,

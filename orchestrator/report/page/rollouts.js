@@ -38,7 +38,7 @@ function testText(report, problem, k) {
   const rank = worstFirst(report, problem).indexOf(k);
   const worst = rank === 0 ? ", the worst of this problem" : "";
   const remaining = distance[k] === null ? "" : `; ${sentence(problem.distance, 20)} = ${quantity(distance[k], problem.unit)}`;
-  return `Start ${place(x[k], report.axes)}: observed ${quantity(y[k], problem.unit)}${worst}${remaining}.`;
+  return `Start ${place(x[k], report.axes)}: observed ${quantity(y[k], observedUnit(problem))}${worst}${remaining}.`;
 }
 
 function noCurves(selected, data, live) {

@@ -207,7 +207,7 @@ def test_questions_about_drawn_starts_need_no_constant(question: str, asked: lis
     config = parse_campaign(asking(question).text().encode(), "robot.toml")
     (problem,) = config.problems
     assert (problem.method, config.max_tests) == ("sample", MOST_SAMPLES)
-    assert [(each.quantity, each.level) for each in config.claims_of(problem)] == asked
+    assert [(each.asked.quantity, each.asked.level) for each in config.claims_of(problem)] == asked
     assert (config.clip is None) == (question != "worst-cases")
 
 
