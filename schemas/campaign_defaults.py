@@ -45,8 +45,9 @@ def with_stand_ins(table: Mapping[str, Any]) -> dict[str, Any]:
     """
     if not is_description(table):
         return dict(table)
-    listed = "scenarios" in table.get("space", {})
-    return {key: each for key, each in STAND_INS.items() if not listed or key in OF_CAMPAIGN | {"alpha"}} | dict(table)
+    method = table.get("method", _method(table, table))
+    needed = {"sample": OF_CAMPAIGN, "scenario": OF_CAMPAIGN | {"alpha"}}.get(method, STAND_INS.keys())
+    return {key: each for key, each in STAND_INS.items() if key in needed} | dict(table)
 
 
 def is_description(table: Mapping[str, Any]) -> bool:
@@ -151,12 +152,8 @@ def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
     if isinstance(space, Mapping) and "scenarios" in space:
         return "scenario"
     # Every other method has a tolerance: where it is given, the space is at fault and not the method.
-    asked = bool(table.keys() & {"claims", "specifications", "falsify"})
-    return (
-        "sample"
-        if (asked or (isinstance(space, Mapping) and _is_drawn(space))) and "alpha" not in problem
-        else "rigorous"
-    )
+    asked = bool(table.keys() & {"specifications", "falsify"}) or (isinstance(space, Mapping) and _is_drawn(space))
+    return "sample" if "claims" in table or (asked and "alpha" not in problem) else "rigorous"
 
 
 def _is_drawn(space: Mapping[str, Any]) -> bool:

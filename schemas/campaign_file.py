@@ -243,6 +243,8 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
         return f"{key}: not allowed beside space.{listed}, which has all parameters; remove one of the two"
     if kind == "extra_forbidden":
         allowed = [*_model_at(location[:-1]).model_fields, *(OF_PROBLEM if one_problem and len(location) == 1 else ())]
+        if len(location) == 4 and location[-1] in OF_PROBLEM:  # problems, its place, its method, the key
+            return f"{key}: has no meaning in method {str(location[2])!r}; remove this key, or choose another method"
         near = difflib.get_close_matches(str(location[-1]), allowed, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         return f"{key}: unknown key; {hint}allowed are {', '.join(sorted(allowed))}"

@@ -170,4 +170,6 @@ def _check_samples(config: "CampaignConfig", claim: DrawnClaim, problem: SampleP
     least, tests = fewest_samples(claim), config.max_tests_of(problem)
     if tests < least:
         number = config.claims.index(claim.asked)
-        raise ValueError(f"max_tests: claims.{number} needs at least {least} samples, not {tests}")
+        raise ValueError(
+            f"max_tests: claims.{number} needs at least {least} samples, not {tests}; raise it or the level"
+        )

@@ -92,7 +92,7 @@ class FirstCampaign:
 
     def _system(self, inline: bool) -> Iterator[str]:
         chosen = self.system.model_dump(mode="json", exclude_none=True)
-        yield from _table("system", chosen.items(), inline)
+        yield from _table_lines("system", chosen.items(), inline)
         yield from (_option_line(option) for option in self.spec.options if option.name not in chosen)
 
     def _space(self, inline: bool) -> Iterator[str]:
@@ -103,7 +103,7 @@ class FirstCampaign:
         for each in shapes.values():
             yield from toml_comment(f"{each.name} is an input over time through {each.knots} knots over the horizon.")
         entries = {each.name: _range(each, shapes.get(each.name)) for each in parameters}
-        yield from _table("space", entries.items(), inline)
+        yield from _table_lines("space", entries.items(), inline)
         fixed = [each for each in parameters if each.name not in shapes]
         if self.question.drawn and fixed:
             yield from self._distribution(fixed[-1], inline)
@@ -136,7 +136,7 @@ def _range(parameter: Parameter, shape: SignalShape | None) -> object:
     return {"signal": shape.kind, "knots": shape.knots, "low": parameter.low, "high": parameter.high}
 
 
-def _table(name: str, entries: Iterable[tuple[str, object]], inline: bool) -> Iterator[str]:
+def _table_lines(name: str, entries: Iterable[tuple[str, object]], inline: bool) -> Iterator[str]:
     if inline:
         yield f"{name} = {toml_value(dict(entries))}"
     else:

@@ -52,7 +52,7 @@ class Question:
         return "the clip and the number of samples are" if self.clip else "the number of samples is"
 
 
-def _clip(campaign: "FirstCampaign") -> Iterator[str]:
+def _clip_lines(campaign: "FirstCampaign") -> Iterator[str]:
     basis = campaign.basis
     if basis.clip is not None:
         yield from toml_comment(
@@ -63,7 +63,7 @@ def _clip(campaign: "FirstCampaign") -> Iterator[str]:
 
 
 def _worst(campaign: "FirstCampaign") -> Iterator[str]:
-    yield from _clip(campaign)
+    yield from _clip_lines(campaign)
     yield "# Tests at most; the bound is valid whenever they end."
     yield f"max_tests = {campaign.size.max_tests}"
     yield from _checks(campaign)
@@ -82,7 +82,7 @@ def _fails(campaign: "FirstCampaign") -> Iterator[str]:
 
 
 def _samples(campaign: "FirstCampaign") -> Iterator[str]:
-    yield from _clip(campaign)
+    yield from _clip_lines(campaign)
     samples = campaign.size.max_tests
     slow = "" if campaign.cost is None or samples > FEW else f" A rollout takes about {campaign.cost:.2g} s."
     yield from toml_comment(
@@ -107,7 +107,7 @@ def _how_often(_: "FirstCampaign") -> Iterator[str]:
     yield 'quantity = "failure_probability"'
 
 
-def _next(_: "FirstCampaign") -> Iterator[str]:
+def _next_claim(_: "FirstCampaign") -> Iterator[str]:
     yield ""
     yield "[[claims]]"
     yield 'quantity = "next_rollout"'
@@ -129,7 +129,7 @@ def _worst_cases(campaign: "FirstCampaign") -> Iterator[str]:
 
 
 def _transfer(campaign: "FirstCampaign") -> Iterator[str]:
-    yield from _clip(campaign)
+    yield from _clip_lines(campaign)
     yield "# How the rollouts of the two variants are compared, and the two bounds become one claim."
     yield 'gap = { kind = "robustness" }'
     yield 'composition = "pointwise"'
@@ -187,13 +187,13 @@ def _constants(campaign: "FirstCampaign", name: "ProblemName") -> Iterator[str]:
         f"from prior_mean; a larger one is safer and proves less.{guess}"
     )
     yield f"rkhs_norm = {found.rkhs_norm!r}"
-    yield from _noise(found)
+    yield from _noise_lines(found)
     if name in campaign.noisy and campaign.size.replicates > 1:
         yield "# Rollouts of a test, with different seeds."
         yield f"replicates = {campaign.size.replicates}"
 
 
-def _noise(found: "Constants") -> Iterator[str]:
+def _noise_lines(found: "Constants") -> Iterator[str]:
     yield from toml_comment(_NOISE.get(found.noise_scale, _NOISE_NUMBER))
     yield f"noise_scale = {toml_value(found.noise_scale)}"
 
@@ -245,7 +245,7 @@ QUESTIONS: Mapping[str, Question] = {
         "one more rollout has at least this robustness, with this probability",
         'quantity = "next_rollout"',
         _samples,
-        _next,
+        _next_claim,
         drawn=True,
         clip=False,
     ),

@@ -39,7 +39,7 @@ def _histogram(
         (claim.asked, method.found(number)) for number, claim in enumerate(plan.claims) if claim.place == which[0]
     ]
     marks = tuple(_mark(asked, bound) for asked, bound in bounds if _is_value(asked) and bound is not None)
-    least, most = _ends(low, high, [mark.value for mark in marks])
+    least, most = _axis_ends(low, high, [mark.value for mark in marks])
     # The requirement is at 0: worth showing where it is near.
     edges = _edges(min(least, 0.0) if low <= NEAR * (high - low) else least, most)
     counts = [0] * (len(edges) - 1)
@@ -72,10 +72,10 @@ def _mark(asked: ClaimRequest, bound: float) -> Mark:
     return Mark(f"{asked.quantity.replace('_', ' ')}{level}{factor}", bound, SAMPLED[asked.quantity].sense)
 
 
-def _ends(low: float, high: float, bounds: Sequence[float]) -> tuple[float, float]:
+def _axis_ends(low: float, high: float, bounds: Sequence[float]) -> tuple[float, float]:
     """Return the ends of the values, or of the bounds beyond them that are not far away.
 
-    >>> _ends(0.0, 10.0, [-2.0, 4.0, -100.0])
+    >>> _axis_ends(0.0, 10.0, [-2.0, 4.0, -100.0])
     (-2.0, 10.0)
     """
     reach = REACH * (high - low)

@@ -63,7 +63,11 @@ def fault(text: str, old: str, new: str, **files: Any) -> str:
             "problems.sim_gap.slack: 1 must be at most alpha",
         ),
         ("replicates = 64", "replicates = 0", "problems.sim_gap.replicates: 0 is not allowed"),
-        ("replicates = 64", "replicates = 64\nsigma = 'std'", "problems.sim_gap.sigma: unknown key"),
+        (
+            "replicates = 64",
+            "replicates = 64\nsigma = 'std'",
+            "problems.sim_gap.sigma: has no meaning in method 'rigorous'",
+        ),
         ('method = "rigorous"', 'method = "rigourous"', "problems.0.method: 'rigourous' is not allowed"),
         ('composition = "pointwise"', 'composition = "product"', "composition: 'product' is for method 'paper'"),
         ('kind = "robustness"', 'kind = "predicate_sup", lipschitz = 2.0', "gap.lipschitz: 2 must be 1"),
@@ -94,7 +98,11 @@ def test_noise_zero_on_a_noisy_variant_without_replicates_is_refused() -> None:
         ("spread = 0.12", "spread = 0.0", "problems.true_risk.linearised.spread: 0.0 is not allowed"),
         ("delta = 0.05", "delta = 1.0", "problems.true_risk.delta: 1.0 is not allowed"),
         ('name = "true_risk"', 'name = "sim_gap"', "problems.sim_gap.name: method 'scenario' bounds 'true_risk'"),
-        ("delta = 0.05", "delta = 0.05\nrkhs_norm = 1.0", "problems.true_risk.rkhs_norm: unknown key"),
+        (
+            "delta = 0.05",
+            "delta = 0.05\nrkhs_norm = 1.0",
+            "problems.true_risk.rkhs_norm: has no meaning in method 'scenario'",
+        ),
     ],
 )
 def test_a_wrong_key_of_a_scenario_campaign_is_named(old: str, new: str, expected: str) -> None:

@@ -396,6 +396,32 @@ def test_a_length_scale_per_parameter_in_any_order() -> None:
     assert problem.kernel.scaled(0.5).length_scale == {"x": 0.5, "y": 1.25}
 
 
+# Method sample
+
+
+@pytest.mark.parametrize("key", ["alpha", "rkhs_norm", "noise_scale"])
+def test_a_key_of_another_method_is_no_unknown_key(key: str) -> None:
+    text = (
+        f'specification = "v >= 0"\n{key} = 3\nsystem.name = "a"\nspace.x = [0, 1]\nclaims = [{{ quantity = "mean" }}]'
+    )
+    assert fault_of(text).startswith(f"{key}: has no meaning in method 'sample'; remove this key")
+
+
+@pytest.mark.parametrize(
+    "draws",
+    [
+        'space.x = [0, 1]\n[[claims]]\nquantity = "failure_probability"',
+        'space.x = { low = 0, high = 1, distribution = "normal", mean = 0.5, sd = 1 }',
+        'space.x = [0, 1]\nmethod = "sample"',
+        "space.table = [[1], [2]]",
+    ],
+)
+def test_a_campaign_of_a_program_that_draws_describes_the_program_too(draws: str) -> None:
+    text = f'system.program = ["./one"]\nsystem.columns = {{ v = "m" }}\n{draws}'
+    (problem,) = parse_campaign(text.encode(), "c.toml", whole=False).problems
+    assert problem.method == "sample"
+
+
 # Length scales that a file leaves out
 
 
