@@ -81,9 +81,9 @@ class FirstCampaign:
         if self.candidates is not None:
             yield from toml_comment(
                 "With so many parameters the claim is about the worst of this many fixed starts, spread over the "
-                "ranges, and about no start between them."
+                "ranges, and about no start between them. This is the number without this key:"
             )
-            yield f"candidates = {self.candidates}"
+            yield f"# candidates = {self.candidates}"
         yield from toml_comment(
             "For workers on several machines: this share of the rollouts is simulated by two of them, and counts if "
             "both agree, so that a machine that computes wrongly is found. It costs as many rollouts more."
@@ -102,7 +102,7 @@ class FirstCampaign:
         yield from toml_comment(f"All starting conditions of the claim, here the whole range of the system{where}.")
         for each in shapes.values():
             yield from toml_comment(f"{each.name} is an input over time through {each.knots} knots over the horizon.")
-        entries = {each.name: _range(each, shapes.get(each.name)) for each in parameters}
+        entries = {each.name: _range_value(each, shapes.get(each.name)) for each in parameters}
         yield from _table_lines("space", entries.items(), inline)
         fixed = [each for each in parameters if each.name not in shapes]
         if self.question.drawn and fixed:
@@ -130,7 +130,7 @@ def key_lines(text: str) -> int:
     return sum(not line.startswith("#") for line in map(str.strip, text.splitlines()) if line)
 
 
-def _range(parameter: Parameter, shape: SignalShape | None) -> object:
+def _range_value(parameter: Parameter, shape: SignalShape | None) -> object:
     if shape is None:
         return [parameter.low, parameter.high]
     return {"signal": shape.kind, "knots": shape.knots, "low": parameter.low, "high": parameter.high}

@@ -60,7 +60,8 @@ def test_a_file_is_the_campaign_that_it_was_made_of() -> None:
     check(config, SPEC, "robot.toml")
     (problem,) = config.problems
     assert (config.name, config.seed, config.horizon, config.clip) == ("robot", 1, 8.0, (-1.0, 2.5))
-    assert (config.candidates, config.composition, config.specification) == (500, "single", "always (x >= -5.0)")
+    assert (config.composition, config.specification) == ("single", "always (x >= -5.0)")
+    assert "\n# candidates = 500\n" in text
     assert isinstance(config.space, dict)
     assert {name: (each.low, each.high) for name, each in config.space.items()} == {
         each.name: (each.low, each.high) for each in SPEC.parameters
@@ -166,7 +167,7 @@ def asking(question: str, **changes: Any) -> FirstCampaign:
         clip=base.basis.clip if found.clip else None,
     )
     size = first_samples(None) if found.drawn else NOISY
-    written: Any = {"question": found, "basis": basis, "size": size, "resolution": None} | changes
+    written: Any = {"question": found, "basis": basis, "size": size, "candidates": None} | changes
     return replace(base, **written)
 
 
