@@ -76,8 +76,18 @@ def _worst(campaign: "FirstCampaign") -> Iterator[str]:
 
 
 def _fails(campaign: "FirstCampaign") -> Iterator[str]:
-    yield "# The first test that violates the specification ends the campaign, and is its answer."
-    yield "until_counterexample = true"
+    yield from toml_comment(
+        "Search for a start that fails: the first test that violates the specification ends the campaign, and is its "
+        "answer. Every fourth test is drawn at random; if none fails, these say how often it fails at most."
+    )
+    yield "falsify = {}"
+    yield "# Tests at most."
+    yield f"max_tests = {min(campaign.size.max_tests, MOST_SEARCHED)}"
+
+
+def _safe(campaign: "FirstCampaign") -> Iterator[str]:
+    yield "# Divide the box: the starts that are certified safe, those that are certified unsafe, and the others."
+    yield "regions = true"
     yield from _worst(campaign)
 
 
@@ -92,6 +102,8 @@ def _samples(campaign: "FirstCampaign") -> Iterator[str]:
     yield f"max_tests = {samples}"
 
 
+MOST_SEARCHED = 299
+"""Tests of a first search."""
 FEW = 298
 """Samples that show less than 1 %."""
 
@@ -218,9 +230,17 @@ QUESTIONS: Mapping[str, Question] = {
     ),
     "fails": Question(
         "Is there a start from which it fails?",
-        "a start that fails; or, where none is found, the worst robustness is at least this",
-        "until_counterexample = true",
+        "a start that fails; or, where none is found, at most this share of all rollouts violates the specification",
+        "falsify = {}",
         _fails,
+        drawn=True,
+        clip=False,
+    ),
+    "safe": Question(
+        "Where is it safe?",
+        "shares of the box that are certified safe, certified unsafe or undecided, as map and list",
+        "regions = true",
+        _safe,
     ),
     "how-often": Question(
         "How often does it fail?",

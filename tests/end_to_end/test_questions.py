@@ -54,7 +54,8 @@ def slope(x):
 """
 QUANTITIES = {
     "worst": {"expected_robustness", "robustness"},
-    "fails": {"expected_robustness", "robustness"},
+    "fails": {"failure_probability"},
+    "safe": {"expected_robustness", "robustness", "safe_share"},
     "how-often": {"failure_probability"},
     "worst-cases": {"quantile"},
     "next": {"next_rollout"},

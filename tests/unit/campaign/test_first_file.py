@@ -234,7 +234,14 @@ def test_the_samples_are_those_of_a_minute_and_show_something(cost: float | None
 
 def test_a_search_for_a_failing_start_ends_with_it() -> None:
     config = parse_campaign(asking("fails").text().encode(), "robot.toml")
-    assert config.until_counterexample
+    (problem,) = config.problems
+    assert config.falsify is not None
+    assert (problem.method, config.max_tests) == ("sample", 299)
+
+
+def test_regions_are_a_key_beside_those_of_the_worst_start() -> None:
+    safe, worst = (parse_campaign(asking(each).text().encode(), "robot.toml") for each in ("safe", "worst"))
+    assert safe == worst.model_copy(update={"regions": True})
 
 
 def test_help_and_error_name_every_question() -> None:
