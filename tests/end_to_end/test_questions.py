@@ -22,7 +22,7 @@ HEAD = re.compile(r"^(?:CLAIM|also|COUNTEREXAMPLE)  .*$", re.MULTILINE)
 
 
 def test_every_file_of_the_page_is_an_example() -> None:
-    assert len(EXAMPLES) == PAGE.count("```toml") == 5
+    assert len(EXAMPLES) == PAGE.count("```toml") == 6
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=[each[0] for each in EXAMPLES])
