@@ -144,7 +144,7 @@ def _check_claims(config: "CampaignConfig") -> None:
             raise ValueError(f"claims.{number}: is there twice; list every claim once")
     for problem in sampled:
         for claim in config.claims_of(problem):
-            _check_samples(config, claim, problem)
+            _check_number(config, claim, problem)
     if sampled and config.clip is not None and config.clip[0] >= 0:
         raise ValueError(f"clip: {list(config.clip)} must begin below 0, or it hides every violation")
 
@@ -164,7 +164,7 @@ def _check_asked(config: "CampaignConfig", where: str, claim: ClaimRequest, prob
         raise ValueError(f"clip: required by {where} with until_counterexample: give [low, high]")
 
 
-def _check_samples(config: "CampaignConfig", claim: DrawnClaim, problem: SampleProblem) -> None:
+def _check_number(config: "CampaignConfig", claim: DrawnClaim, problem: SampleProblem) -> None:
     if claim.asked.quantity not in ORDERED:
         return
     least, tests = fewest_samples(claim), config.max_tests_of(problem)

@@ -16,7 +16,6 @@ from ...schemas.certificate import (
     Certificate,
     CertificateClaim,
     CompositionTerms,
-    Counterexample,
     MostStarts,
     Predicate,
     ProblemResult,
@@ -28,6 +27,7 @@ from ...schemas.claims import PROBABILITIES
 from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
+from .counterexample import counterexample_words
 from .region_text import region_sentences
 
 WIDTH = 100
@@ -224,31 +224,6 @@ def _varied(claim: CertificateClaim, value: float | None) -> str:
 
 def _bound(claim: CertificateClaim) -> str:
     return outward(claim.bound, claim.sense)
-
-
-def counterexample_words(found: Counterexample, unit: str) -> str:
-    """Return what a counterexample is; `unit` is that of the robustness, if it has one."""
-    start = _named_start(found.start)
-    margin = f"{found.robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()  # a value, no bound
-    others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
-    words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
-    return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit)}"
-
-
-def _shrunk_words(found: Counterexample, unit: str) -> str:
-    """Return where the system still fails nearer to the nominal start; empty where that was not sought."""
-    near = found.shrunk
-    if near is None:
-        return ""
-    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {_named_start(near.nominal)}"
-    if near.rollout == found.rollout:
-        return f"; after {tried} no nearer start fails"
-    margin = f"{near.robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()
-    return f"; nearest failing start, after {tried}: {_named_start(near.start)}, robustness {margin} (rollout {near.rollout})"
-
-
-def _named_start(start: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:.7g}" for name, value in start.items())
 
 
 def _claim(title: str, certificate: Certificate, number: int, console: Console, unit: str) -> None:

@@ -38,7 +38,7 @@ def _histogram(
     bounds = [
         (claim.asked, method.found(number)) for number, claim in enumerate(plan.claims) if claim.place == which[0]
     ]
-    marks = tuple(_mark(asked, bound) for asked, bound in bounds if _is_value(asked) and bound is not None)
+    marks = tuple(_bound_mark(asked, bound) for asked, bound in bounds if _is_value(asked) and bound is not None)
     least, most = _axis_ends(low, high, [mark.value for mark in marks])
     # The requirement is at 0: worth showing where it is near.
     edges = _edges(min(least, 0.0) if low <= NEAR * (high - low) else least, most)
@@ -66,7 +66,7 @@ def _is_value(asked: ClaimRequest) -> bool:
     return asked.quantity not in PROBABILITIES
 
 
-def _mark(asked: ClaimRequest, bound: float) -> Mark:
+def _bound_mark(asked: ClaimRequest, bound: float) -> Mark:
     level = "" if asked.level is None else f" {100 * asked.level:.6g} %"
     factor = "" if asked.factor == 1 else f", factor {asked.factor:g}"
     return Mark(f"{asked.quantity.replace('_', ' ')}{level}{factor}", bound, SAMPLED[asked.quantity].sense)

@@ -7,7 +7,8 @@ from ...schemas.certificate import OF_DRAWN_STARTS
 from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
 from ..campaign.clip import is_vacuous
-from ..certificate.text import claim_words, counterexample_words, notes, nothing_shown, outward, quantity_words
+from ..certificate.counterexample import counterexample_words
+from ..certificate.text import claim_words, notes, nothing_shown, outward, quantity_words
 from ..store.export_tables import robustness_unit
 from .data import Claim, Problem
 

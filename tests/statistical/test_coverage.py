@@ -89,7 +89,7 @@ def test_an_understated_delta_of_scenarios_is_noticed() -> None:
         ("uniform, fine atoms", "failures, lower", 300),
         ("two points", "failures, fixed n, upper", 300),
         ("normal", "quantile", 300),
-        ("normal", "next rollout", 100),
+        ("normal", "next rollout, fixed n", 100),
         ("a jump at the tenth", "CVaR", 100),
         ("two points", "mean", 100),
         ("two points", "risk", 100),
