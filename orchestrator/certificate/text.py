@@ -228,7 +228,7 @@ def _bound(claim: CertificateClaim) -> str:
 
 def counterexample_words(found: Counterexample, unit: str) -> str:
     """Return what a counterexample is; `unit` is that of the robustness, if it has one."""
-    start = _named_start(found.start)
+    start = _spot(found.start)
     margin = f"{found.robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()  # a value, no bound
     others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
     words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
@@ -240,14 +240,14 @@ def _shrunk_words(found: Counterexample, unit: str) -> str:
     near = found.shrunk
     if near is None:
         return ""
-    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {_named_start(near.nominal)}"
+    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {_spot(near.nominal)}"
     if near.rollout == found.rollout:
         return f"; after {tried} no nearer start fails"
     margin = f"{near.robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()
-    return f"; nearest failing start, after {tried}: {_named_start(near.start)}, robustness {margin} (rollout {near.rollout})"
+    return f"; nearest failing start, after {tried}: {_spot(near.start)}, robustness {margin} (rollout {near.rollout})"
 
 
-def _named_start(start: Mapping[str, float]) -> str:
+def _spot(start: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {value:.7g}" for name, value in start.items())
 
 
