@@ -55,7 +55,7 @@ def first_samples(cost: float | None) -> FirstSize:
     """Return the size of a campaign of drawn starts, of two digits, for rollouts that take `cost` seconds each.
 
     >>> [first_samples(cost).max_tests for cost in (0.001, 0.07, 0.5, 5.0)]
-    [2995, 1600, 220, 59]
+    [2995, 1700, 220, 59]
     """
     rate = min(PER_SECOND, WORKERS / max(cost or 0.0, LEAST_COST))
     affordable = float(f"{max(SECONDS * rate - RECHECK, 0.0):.2g}")

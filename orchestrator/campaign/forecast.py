@@ -40,11 +40,11 @@ def tests_left(config: CampaignConfig, problem: Problem, now: float | None, test
     return max(0, min(math.ceil(min(needed, 1e12)) - tests, budget))
 
 
-def tests_left_in_words(config: CampaignConfig, problem: Problem, left: int) -> str:
+def left_in_words(config: CampaignConfig, problem: Problem, left: int) -> str:
     """Return the remaining tests in words; a number of samples is no guess.
 
     >>> from types import SimpleNamespace
-    >>> tests_left_in_words(SimpleNamespace(until_counterexample=False), SampleProblem.model_construct(), 299)
+    >>> left_in_words(SimpleNamespace(until_counterexample=False), SampleProblem.model_construct(), 299)
     '299 samples'
     """
     if not isinstance(problem, SampleProblem):

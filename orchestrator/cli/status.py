@@ -12,7 +12,7 @@ from ...schemas.certificate import Certificate
 from ...schemas.errors import one_line
 from ...schemas.facts import Header
 from ...schemas.places import short_path
-from ..campaign.forecast import tests_left_in_words
+from ..campaign.forecast import left_in_words
 from ..certificate import files, text
 from ..fleet.child import in_file
 from ..run.format import duration, replay_command, resume_command
@@ -51,7 +51,7 @@ def print_status(directory: Path, console: Console) -> None:
     rows = []
     for problem, each in zip(config.problems, found.problems, strict=True):
         left = remaining_tests(config, problem, each)
-        rows.append((each, "-" if left is None else tests_left_in_words(config, problem, left)))
+        rows.append((each, "-" if left is None else left_in_words(config, problem, left)))
     console.print(progress_table(config, rows))
     for line in _work(found, running=running):
         console.print(Text(line), soft_wrap=True)

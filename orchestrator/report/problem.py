@@ -156,7 +156,7 @@ class ProblemCollector:
     def _left(self) -> str | None:
         now = self._tests.distance[-1] if self._tests.distance else None
         left = forecast.tests_left(self._header.config, self.problem, now, len(self.observed))
-        return None if left is None else forecast.tests_left_in_words(self._header.config, self.problem, left)
+        return None if left is None else forecast.left_in_words(self._header.config, self.problem, left)
 
     @property
     def _observed_sense(self) -> str:
