@@ -210,7 +210,9 @@ def _key(location: Location, table: dict[str, Any], one_problem: bool) -> str:
         name = problem.get("name") if isinstance(problem, dict) else None
         parts[1] = name if isinstance(name, str) and name in OBJECTIVES else parts[1]
     if parts[:1] == ["specifications"] and len(parts) > 1:
-        parts[1] = str(table["specifications"][int(parts[1])]["name"])
+        requirement = table["specifications"][int(parts[1])]
+        name = requirement.get("name") if isinstance(requirement, dict) else None
+        parts[1] = name if isinstance(name, str) and len(parts) > 2 else parts[1]
     return ".".join(parts)
 
 

@@ -36,7 +36,7 @@ SAMPLED: Mapping[SampledQuantity, Sampled] = {
     ),
     "quantile": Sampled(
         ">=",
-        "{level} quantile of the robustness{of} at drawn starts",
+        "{level} quantile of the robustness{of} at drawn starts{clipped}",
         level="share of the rollouts below the quantile",
         clip=False,
     ),
@@ -52,7 +52,7 @@ SAMPLED: Mapping[SampledQuantity, Sampled] = {
     ),
     "next_rollout": Sampled(
         ">=",
-        "robustness{of} of the next rollout at a drawn start",
+        "robustness{of} of the next rollout at a drawn start{clipped}",
         level="probability with which the next rollout may be below the bound",
         clip=False,
     ),

@@ -252,7 +252,8 @@ class Range(Model):
     @property
     def steps(self) -> int:
         """Number of steps from `low` to `high`; 0 without steps."""
-        return round((self.high - self.low) / self.step) if self.step else 0
+        # Of a step that is far too small as many as are refused.
+        return round(min((self.high - self.low) / self.step, 2.0 * MAX_STEPS)) if self.step else 0
 
     @property
     def for_draws(self) -> tuple[str, ...]:

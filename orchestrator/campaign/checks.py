@@ -8,6 +8,7 @@ from ...schemas.system import SystemSpec
 from ..mathematics.stl.horizon import check_horizon
 from ..mathematics.stl.parser import FormulaError, columns, parse_formula
 from .draws import check_distributions, check_where
+from .objectives import LARGEST
 
 
 def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
@@ -35,6 +36,10 @@ def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
 
     """
     check(config, spec, source)
+    if config.clip is not None and max(map(abs, config.clip)) > LARGEST:
+        raise CampaignError(
+            f"{source}: clip: {list(config.clip)} is beyond {LARGEST:g}; give a range of the robustness"
+        )
     # Robustness is recorded clipped, and a violation is one below 0.
     if config.formula is not None and config.clip is not None and config.clip[0] >= 0:
         raise CampaignError(
@@ -48,7 +53,7 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) 
     # One by one first, so that an error names the requirement.
     for each in config.specifications:
         try:
-            parse_formula(each.formula, known)
+            check_horizon(parse_formula(each.formula, known), config.horizon)
         except FormulaError as error:
             raise CampaignError(f"{source}: specifications.{each.name}: {error}") from None
     if config.formula is None:

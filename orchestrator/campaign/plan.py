@@ -222,7 +222,7 @@ def _hoeffding(
     config: CampaignConfig, spec: SystemSpec, problem: Problem, clip: tuple[float, float], gap: Gap
 ) -> float:
     measured = OBJECTIVES[problem.name].measured
-    if measured == "column" or clip == UNBOUNDED:
+    if measured == "column" or clip == UNBOUNDED or isinstance(problem, SampleProblem):
         return math.inf
     if isinstance(problem, RigorousProblem) and problem.linearised is not None:
         constants = problem.linearised

@@ -273,7 +273,8 @@ def _sample(account: Account, problem: SampleProblem) -> Iterator[Assumption]:
     tests = sum(map(account.plan.is_drawn, range(len(account.observations))))
     yield assumption(f"declared_distribution/{problem.name}", "assumed")
     form = "drawn_at_every_moment" if account.plan.until_counterexample else "drawn_fixed"
-    values = {"samples": tests}
+    drawn = [each for test, each in enumerate(account.each) if account.plan.is_drawn(test)]
+    values = {"samples": tests, "at_zero": sum(each[0] == 0.0 for each in drawn)}
     if account.plan.falsify is not None:
         form, values = "drawn_beside_a_search", values | {"random_every": account.plan.falsify.random_every}
     yield assumption(f"drawn_starts/{problem.name}", "derived", values, form=form)

@@ -21,6 +21,7 @@ from ..mathematics.bounds.composition import (
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.bounds.rounding import round_down, round_up
 from ..mathematics.bounds.sample import SampleMethod
+from .problem_results import confidence
 
 Results = Mapping[str, document.ProblemResult]
 PAIR: tuple[ProblemName, ProblemName] = ("nominal_robustness", "sim_gap")
@@ -94,7 +95,7 @@ def _of_drawn_starts(
         quantity=claim.asked.quantity,
         sense=SAMPLED[claim.asked.quantity].sense,
         bound=bound,
-        probability=round_down(1.0 - claim.delta),
+        probability=confidence(claim.delta),
         rule=basis.rule,
         method=results[name].method,
         assumptions=used,

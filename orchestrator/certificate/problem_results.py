@@ -8,7 +8,7 @@ from ...schemas.problems import Sense
 from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.paper_formulas import Tail, mills_probability
-from ..mathematics.bounds.rounding import round_down, round_up
+from ..mathematics.bounds.rounding import decimal, floor_to_step, round_down, round_up
 
 TAILS: tuple[Tail, ...] = ("gaussian", "sub-gaussian")
 GAPS = {
@@ -69,9 +69,18 @@ def _probabilities(plan: ProblemPlan) -> dict[Literal["gaussian", "sub-gaussian"
     if isinstance(problem, PaperProblem):
         return {tail: round_down(mills_probability(problem.c, problem.delta, plan.noise, tail)) for tail in TAILS}
     for claim in plan.claims[:1]:
-        return {"bound": round_down(1.0 - claim.delta)}
+        return {"bound": confidence(claim.delta)}
     # Without noise no delta is spent: given B, the bound is certain.
     return {"bound": 1.0 if plan.exact else round_down(1.0 - problem.delta)}
+
+
+def confidence(delta: float) -> float:
+    """Return 1 - delta, rounded down to 1e-9 and so below 1.
+
+    >>> confidence(0.05), confidence(1e-17)
+    (0.95, 0.999999999)
+    """
+    return floor_to_step(1 - decimal(delta))
 
 
 def _parameters(plan: ProblemPlan) -> dict[str, object]:

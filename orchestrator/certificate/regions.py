@@ -19,8 +19,8 @@ from ..campaign.plan import ProblemPlan, unsafe_below
 from ..campaign.spot_check import SpotCheck
 from ..mathematics.bounds.regions import MARGIN, SAFE, STATUSES, UNDECIDED, Regions, divide
 from ..mathematics.bounds.rigorous import RigorousMethod
-from ..mathematics.bounds.rounding import round_down
 from ..mathematics.gp.lattice import Lattice
+from .problem_results import confidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ def campaign_regions(ledger: Ledger) -> CampaignRegions | None:
         return None
     (account,) = ledger.accounts.values()
     text = table(account.plan, [each.unit for each in ledger.header.spec.parameters], boxes)
-    chances = 1.0 if account.plan.exact else round_down(1.0 - account.plan.problem.delta)
+    chances = 1.0 if account.plan.exact else confidence(account.plan.problem.delta)
     certified = _fresh_signs(ledger, boxes)
     found = document.CertifiedRegions(
         **{name: boxes.of(status) for status, name in enumerate(STATUSES)},

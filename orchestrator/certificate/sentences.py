@@ -179,16 +179,19 @@ SENTENCES: dict[str, dict[Status, str]] = {
     },
     "drawn_fixed": {
         "derived": "the {samples} starts follow from the seed and their numbers alone, and their number was fixed "
-        "beforehand: none was proposed, dropped or repeated because of an outcome.",
+        "beforehand: none was proposed, dropped or repeated because of an outcome. {at_zero} values are exactly 0, "
+        "which shows neither that the specification is met nor that it is violated, and count as violations.",
     },
     "drawn_at_every_moment": {
         "derived": "the {samples} starts follow from the seed and their numbers alone; the last one depends on the "
-        "outcomes, and the bounds are valid after every sample.",
+        "outcomes, and the bounds are valid after every sample. {at_zero} values are exactly 0, which shows neither "
+        "that the specification is met nor that it is violated, and count as violations.",
     },
     "drawn_beside_a_search": {
         "derived": "the {samples} starts follow from the seed and their numbers alone: of every {random_every} tests "
         "one is such a start, and those that the search chose by earlier outcomes enter no claim; the last test "
-        "depends on the outcomes, and the bounds are valid after every sample.",
+        "depends on the outcomes, and the bounds are valid after every sample. {at_zero} values are exactly 0, which "
+        "shows neither that the specification is met nor that it is violated, and count as violations.",
     },
     "limit_agrees": {
         "refuted": "the bound is {ell} and its limit is at most {limit}, each at its own confidence: they contradict "

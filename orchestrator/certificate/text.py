@@ -176,7 +176,10 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
 def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:
     """Whether an assumption is that of a clip whose lower end has hidden values behind a claim."""
     is_clip = assumption.id.startswith("clip/") and assumption.id in claim.assumptions
-    return is_clip and claim.sense == ">=" and float((assumption.values or {}).get("at_low", 0)) > 0
+    # The counts are those of the whole specification.
+    if not is_clip or claim.requirement is not None or claim.sense != ">=":
+        return False
+    return float((assumption.values or {}).get("at_low", 0)) > 0
 
 
 def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
@@ -278,8 +281,8 @@ def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
         yield f"{each.name}: {_spot_finding(each, 1 / spot.level)}."
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")
-        violate = f"{spot.failures} of {spot.starts} rollouts violate the specification"
-        yield f"{violate}; at a uniform start a rollout violates it with probability at most {share}."
+        violate = f"{spot.failures} of {spot.starts} rollouts have a robustness below 0"
+        yield f"{violate}; at a uniform start a rollout has one with probability at most {share}."
 
 
 def _spot_finding(found: SpotCheckedProblem, refuting: float) -> str:

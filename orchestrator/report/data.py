@@ -105,6 +105,8 @@ class Drawn:
     """Of the bars; 0 is one of them where it is inside."""
     counts: tuple[int, ...]
     violations: int
+    zeros: int
+    """Values that are exactly 0: they show neither, and count as violations."""
     unit: str
     marks: tuple[Mark, ...]
     failure: float | None

@@ -54,6 +54,7 @@ def _histogram(
         edges=tuple(edges),
         counts=tuple(counts),
         violations=sum(value < 0 for value in values),
+        zeros=sum(value == 0 for value in values),
         unit=unit,
         marks=marks,
         failure=next((bound for asked, bound in bounds if asked.quantity == "failure_probability"), None),

@@ -84,22 +84,28 @@ class Estimate(ABC):
 
 
 class FailureEstimate(Estimate):
-    """P'(v < 0) for every P' at once, from the first rollout of each start."""
+    """P'(violation) for every P' at once, from the first rollout of each start.
+
+    v < 0 is a violation and v > 0 is none; v = 0 may be one, so that it counts for the bound from above, and not for
+    the one from below.
+    """
 
     def __init__(self, terms: Terms) -> None:
-        self._sequence, self._delta, self._ratio = FailureSequence(delta=terms.delta), terms.delta, terms.ratio
+        self._possible, self._certain = FailureSequence(delta=terms.delta), FailureSequence(delta=terms.delta)
+        self._delta, self._ratio = terms.delta, terms.ratio
 
     def add(self, values: Sequence[float]) -> None:
         """Count the next start."""
-        self._sequence.add(values[0] < 0.0)
+        self._possible.add(values[0] <= 0.0)
+        self._certain.add(values[0] < 0.0)
 
     def anytime(self) -> float | None:
         """Return Lambda times the bound of the beta mixture."""
-        return shifted_failure_upper(self._sequence.upper(), self._ratio)
+        return shifted_failure_upper(self._possible.upper(), self._ratio)
 
     def exact(self) -> float | None:
         """Return Lambda times the bound of Clopper and Pearson."""
-        counts = self._sequence.failures, self._sequence.count
+        counts = self._possible.failures, self._possible.count
         return shifted_failure_upper(clopper_pearson_upper(*counts, self._delta), self._ratio)
 
     def partner(self, *, fixed: bool) -> float | None:
@@ -107,8 +113,8 @@ class FailureEstimate(Estimate):
         if self._ratio != 1.0:
             return None
         if not fixed:
-            return self._sequence.lower()
-        return clopper_pearson_lower(self._sequence.failures, self._sequence.count, self._delta)
+            return self._certain.lower()
+        return clopper_pearson_lower(self._certain.failures, self._certain.count, self._delta)
 
 
 class QuantileEstimate(Estimate):

@@ -50,6 +50,7 @@ function problemFacts(problem) {
     ["Tests", `${count(problem.tests.test.length)} of at most ${count(problem.budget)}`],
     ["Rollouts", count(problem.rollouts)],
     ["Samples that violate the specification", problem.drawn ? `${count(problem.drawn.violations)} of ${count(problem.tests.test.length)}` : null],
+    ["Robustness exactly 0, counted as violations", problem.drawn?.zeros ? count(problem.drawn.zeros) : null],
     ["Stop threshold alpha", problem.alpha === null ? null : quantity(problem.alpha, problem.unit)],
     ["Failure probability delta", num(problem.delta)],
     ["Stopped", problem.stopped_by === null ? null : stoppedText(problem)],

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 from rich.console import Console
 
-from perfbound.orchestrator.campaign.checks import check
+from perfbound.orchestrator.campaign.checks import check, check_new
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.mathematics.bounds.failures import beta_mixture_upper
@@ -171,7 +171,7 @@ def test_each_requirement_has_its_claim_after_that_of_the_whole(tmp_path: Path) 
         (quantity, name) for quantity in ("failure_probability", "quantile") for name in (None, "low", "high")
     ]
     assert found[1].subject == "probability that a rollout at a drawn start violates requirement low"
-    assert found[5].subject == "10 % quantile of the robustness of requirement high at drawn starts"
+    assert found[5].subject == "10 % quantile of the robustness of requirement high at drawn starts, clipped to [-1, 1]"
     assert certificate(tmp_path).predicate.question["specifications"] == TWO
     whole, low, high = (each.bound for each in found[:3])
     assert max(low, high) <= whole <= 1.0
@@ -228,6 +228,26 @@ stop = { formula = "eventually (speed < 1)", id = "REQ-7", text = "The car stops
     assert [each.id for each in found.specifications] == [None, "REQ-7"]
     assert [problem.method for problem in found.problems] == ["sample"]
     assert parse_campaign(text.replace('"REQ-7"', '"REQ-8"').encode(), "cars.toml").digest != found.digest
+
+
+@pytest.mark.parametrize("given", ["[1, 2]", '[{ formula = "distance > 0" }]', '["x"]', "[[1, 2]]", "3"])
+def test_requirements_that_are_none_are_one_line(given: str) -> None:
+    text = f'horizon = 5\nsystem.name = "cars"\nspace.gap = [5, 60]\nspecifications = {given}\n'
+    with pytest.raises(CampaignError, match=r"^c\.toml: specifications") as caught:
+        parse_campaign(text.encode(), "c.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_step_that_is_far_too_small_is_refused() -> None:
+    space = "space.w = { low = 0, high = 1e300, step = 1e-300 }"
+    text = f'horizon = 5\nspecification = "v > 0"\nsystem.name = "cars"\n{space}\n'
+    with pytest.raises(CampaignError, match=r"space\.w\.step: 1e-300 is not allowed"):
+        parse_campaign(text.encode(), "c.toml")
+
+
+def test_a_clip_beyond_every_number_is_refused() -> None:
+    with pytest.raises(CampaignError, match=r"clip: .* is beyond 1e\+100"):
+        check_new(sampled(clip=(-1e308, 1e308)), spec(noisy=True), "c.toml")
 
 
 def test_a_fault_in_a_requirement_names_it() -> None:
@@ -299,6 +319,32 @@ def test_a_counterexample_at_the_first_sample_of_a_noisy_system_is_certified(tmp
     simulate(tmp_path, sampled(until_counterexample=True), lambda _: -0.5, noisy=True)
     assert claims(tmp_path)[0].bound == 1.0
     assert verified(tmp_path) == []
+
+
+def test_values_of_exactly_0_count_as_violations(tmp_path: Path) -> None:
+    # A distance that ends at contact has the robustness 0 of `distance > 0`.
+    simulate(tmp_path, sampled(specification="value > 0"), lambda each: max(each.x[0] - 0.3, 0.0), noisy=False)
+    (found,) = claims(tmp_path)
+    zeros = sum(value == 0 for value in values(tmp_path))
+    assert 5 < zeros < 40
+    assert found.bound == clopper_pearson_upper(zeros, 60, 0.05)
+    drawn = next(each for each in certificate(tmp_path).predicate.assumptions if each.id.startswith("drawn_starts/"))
+    assert f"{zeros} values are exactly 0" in drawn.detail
+    assert not verified(tmp_path)
+
+
+def test_a_bound_at_the_lower_clip_says_that_it_is_about_clipped_values(tmp_path: Path) -> None:
+    asked = [{"quantity": "quantile", "level": 0.1}, {"quantity": "next_rollout", "level": 0.05}]
+    simulate(tmp_path, sampled(claims=asked), lambda _: -5.0, noisy=False)
+    for found in claims(tmp_path):
+        assert found.bound == -1.0
+        assert found.subject is not None
+        assert found.subject.endswith(", clipped to [-1, 1]")
+
+
+def test_a_delta_that_is_next_to_nothing_is_no_certainty(tmp_path: Path) -> None:
+    simulate(tmp_path, sampled(problem={"delta": 1e-17}), shaky, noisy=True)
+    assert claims(tmp_path)[0].probability == 0.999999999
 
 
 # What a file may ask

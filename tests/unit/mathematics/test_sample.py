@@ -174,3 +174,11 @@ def test_a_value_beyond_the_clip_changes_nothing() -> None:
     assert [method.found(k) for k in range(len(EVERY))] == before
     with pytest.raises(ValueError, match="clip: required"):
         SampleMethod([Terms("mean", 0.05)], start, fixed=1, largest=False)
+
+
+def test_a_value_of_exactly_0_may_be_a_violation() -> None:
+    # Neither is shown: it counts for the bound from above, and not for the one from below.
+    method = SampleMethod(EVERY[:1], start, fixed=100, largest=True)
+    for _ in range(100):
+        bound = method.observe(method.propose(), Observation(1.0, (0.0,)))
+    assert (bound.upper, bound.lower) == (1.0, 0.0)
