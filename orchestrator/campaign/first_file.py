@@ -102,7 +102,11 @@ class FirstCampaign:
         yield from toml_comment(f"All starting conditions of the claim, here the whole range of the system{where}.")
         for each in shapes.values():
             yield from toml_comment(f"{each.name} is an input over time through {each.knots} knots over the horizon.")
-        entries = {each.name: _range_value(each, shapes.get(each.name)) for each in parameters}
+        # A program has the units that its file gives; any other system knows its own.
+        entries = {
+            each.name: _range_value(each, shapes.get(each.name), unit=self.system.kind == "program")
+            for each in parameters
+        }
         yield from _table_lines("space", entries.items(), inline)
         fixed = [each for each in parameters if each.name not in shapes]
         if self.question.drawn and fixed:
@@ -130,10 +134,12 @@ def key_lines(text: str) -> int:
     return sum(not line.startswith("#") for line in map(str.strip, text.splitlines()) if line)
 
 
-def _range_value(parameter: Parameter, shape: SignalShape | None) -> object:
-    if shape is None:
+def _range_value(parameter: Parameter, shape: SignalShape | None, *, unit: bool) -> object:
+    described = {"unit": parameter.unit} if unit and parameter.unit else {}
+    if shape is None and not described:
         return [parameter.low, parameter.high]
-    return {"signal": shape.kind, "knots": shape.knots, "low": parameter.low, "high": parameter.high}
+    form = {} if shape is None else {"signal": shape.kind, "knots": shape.knots}
+    return {**form, "low": parameter.low, "high": parameter.high, **described}
 
 
 def _table_lines(name: str, entries: Iterable[tuple[str, object]], inline: bool) -> Iterator[str]:

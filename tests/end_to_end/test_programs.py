@@ -233,7 +233,7 @@ def test_a_program_without_a_campaign_is_described_checked_and_gets_one(
     written = started.run("perfbound", "init", folder / "program.toml", *wish)
     assert (written.code, written.err) == (0, ""), written.err
     made = load_campaign(out)
-    assert (made.name, made.horizon, made.specification) == ("pendulum", 3.0, "always (abs(angle) <= 0.5)")
+    assert (made.name, made.horizon, made.specification) == ("made", 3.0, "always (abs(angle) <= 0.5)")
     out.write_text(CHECKS + out.read_text().replace("max_tests = 60", "max_tests = 4"))
     ended = started.run("perfbound", "run", out, "--out", tmp_path / "run")
     assert ended.code == 0, ended.err
