@@ -9,13 +9,14 @@ from pathlib import Path
 from tests.end_to_end.processes import Processes, of_run, wait_for
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "how-to" / "failure-probability.md").read_text()
+PAGES = ROOT / "docs" / "how-to"
+PAGE = (PAGES / "failure-probability.md").read_text()
 
 
-def write(folder: Path, more: str = "") -> Path:
-    """Write the file of the page, and the system that it names."""
+def write(folder: Path, more: str = "", page: str = PAGE) -> Path:
+    """Write the file of a page, and the system that it names."""
     shutil.copy(ROOT / "deploy" / "examples" / "cars" / "cars.py", folder)
-    found = re.search(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+    found = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
     assert found is not None
     assert len(found[1].strip().splitlines()) <= 12
     path = folder / "braking.toml"
@@ -33,6 +34,17 @@ def test_the_file_of_the_page_gives_the_claim_of_the_page(started: Processes, tm
     verified = started.run("perfbound", "verify", run, "--resimulate", "5", "--system", f"{tmp_path / 'cars.py'}:cars")
     assert verified.code == 0, verified.err
     assert (run / "report.html").exists()
+
+
+def test_the_file_of_the_page_on_requirements_gives_its_claims(started: Processes, tmp_path: Path) -> None:
+    page = (PAGES / "requirements.md").read_text()
+    found = started.run("perfbound", "run", write(tmp_path, page=page), "--out", tmp_path / "run")
+    assert found.code == 0, found.err
+    printed = re.search(r"```text\n(.*?)```", page, re.DOTALL)
+    assert printed is not None
+    lines = [line for line in printed[1].splitlines() if line]
+    assert len(lines) == 3
+    assert set(lines) <= set(found.out.splitlines())
 
 
 def test_a_kill_in_between_changes_no_byte(started: Processes, tmp_path: Path) -> None:
