@@ -14,12 +14,14 @@ PAGE = (PAGES / "failure-probability.md").read_text()
 
 
 def write(folder: Path, more: str = "", page: str = PAGE) -> Path:
-    """Write the file of a page, and the system that it names."""
+    """Write the file of a page by the name in its command, and the system that it names."""
     shutil.copy(ROOT / "deploy" / "examples" / "cars" / "cars.py", folder)
     found = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
     assert found is not None
     assert len(found[1].strip().splitlines()) <= 12
-    path = folder / "braking.toml"
+    name = re.search(r"perfbound run (\S+\.toml)", page)
+    assert name is not None
+    path = folder / name[1]
     path.write_text(found[1] + more)
     return path
 
