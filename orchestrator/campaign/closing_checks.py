@@ -47,9 +47,12 @@ class ClosingChecks:
 
     def _shrink(self) -> Shrink | None:
         """Return the bisection of the counterexample; None without one, and where nothing is left to try."""
-        (account,) = self._accounts.values() if len(self._accounts) == 1 else (None,)
-        found = None if account is None else counterexample(account)
-        if account is None or found is None or not Shrink.wanted(self._header.config.falsify, found):
+        falsify = self._header.config.falsify
+        if falsify is None or not falsify.shrink:
+            return None
+        (account,) = self._accounts.values()  # a search is for one problem
+        found = counterexample(account)
+        if found is None:
             return None
         assert account.last_proposal is not None
         shrink = Shrink(self._header, found, account.last_proposal.x, self._observer)

@@ -3,7 +3,6 @@
 import numpy as np
 
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
-from ...schemas.falsify import Falsify
 from ...schemas.ids import SHRINK, RolloutId
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
@@ -31,7 +30,7 @@ class Shrink:
 
     def __init__(self, header: Header, found: RolloutFact, start: Start, observer: Observer) -> None:
         falsify = header.config.falsify
-        assert falsify is not None, "`wanted` was asked"
+        assert falsify is not None, "the file asks for it"
         self._found, self._observer = found, observer
         self._space = of_space(header)
         names = [parameter.name for parameter in header.spec.parameters]
@@ -48,11 +47,6 @@ class Shrink:
         budget = falsify.shrink_tests if self._is_open else 0
         variant = found.rollout.variant
         self.plan = state.Plan(SHRINK, 1, budget, ((variant, 0),))
-
-    @classmethod
-    def wanted(cls, falsify: Falsify | None, found: RolloutFact | None) -> bool:
-        """Whether the campaign asks for it, and has a counterexample."""
-        return falsify is not None and falsify.shrink and found is not None
 
     def proposal(self, series: Series, test: int) -> ProposalFact:  # noqa: ARG002  (one test at a time)
         """Return the start in the middle between what passes and what fails."""

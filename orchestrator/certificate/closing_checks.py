@@ -9,8 +9,8 @@ from ..campaign.ledger import Ledger
 from ..campaign.objectives import mean
 from ..campaign.spot_check import LEVEL, SpotCheck, SpotSeries, tested_variant
 from ..mathematics.bounds.predictable import CvarSequence, sample_quantile
-from ..mathematics.bounds.rounding import round_down, round_up
-from ..mathematics.bounds.share import clopper_pearson_upper, quantile_rank, unseen_share
+from ..mathematics.bounds.rounding import round_up
+from ..mathematics.bounds.share import clopper_pearson_upper, quantile_lower, unseen_share
 from ..mathematics.bounds.spot_check import SpotFinding
 
 SHARE = 0.1
@@ -54,8 +54,7 @@ def _most_starts(
 
 def _value_of_most(robustness: Sequence[tuple[float, ...]]) -> float | None:
     """Return a quantile bound of values without noise; None for too few starts."""
-    rank = quantile_rank(len(robustness), SHARE, LEVEL)
-    return None if rank is None else round_down(sorted(value for value, *_ in robustness)[rank - 1])
+    return quantile_lower((value for value, *_ in robustness), SHARE, LEVEL)
 
 
 def _mean_of_most(robustness: Sequence[tuple[float, ...]], clip: tuple[float, float] | None) -> float | None:

@@ -6,13 +6,14 @@ from ...schemas.certificate import Counterexample
 from ...schemas.errors import one_line
 
 DIGITS = 4
+"""After the point, of every printed number."""
 
 
 def counterexample_words(found: Counterexample, unit: str) -> str:
     """Return what a counterexample is; `unit` is that of the robustness, if it has one."""
     start = _named_start(found.start)
-    margin = f"{found.robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()  # a value, no bound
     others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
+    margin = _margin(found.robustness, unit)
     words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
     return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit)}"
 
@@ -25,9 +26,12 @@ def _shrunk_words(found: Counterexample, unit: str) -> str:
     tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {_named_start(near.nominal)}"
     if near.rollout == found.rollout:
         return f"; after {tried} no nearer start fails"
-    margin = f"{near.robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()
-    where = f"{_named_start(near.start)}, robustness {margin} (rollout {near.rollout})"
+    where = f"{_named_start(near.start)}, robustness {_margin(near.robustness, unit)} (rollout {near.rollout})"
     return f"; nearest failing start, after {tried}: {where}"
+
+
+def _margin(robustness: float, unit: str) -> str:
+    return f"{robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()  # a value, no bound
 
 
 def _named_start(start: Mapping[str, float]) -> str:

@@ -27,11 +27,10 @@ from ...schemas.claims import PROBABILITIES
 from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
-from .counterexample import counterexample_words
+from .counterexample import DIGITS, counterexample_words
 from .region_text import region_sentences
 
 WIDTH = 100
-DIGITS = 4
 COLOURS = {"refuted": "red", "derived": "green"}
 QUANTITIES: dict[Quantity, str] = {
     "rho_star": "rho* (robustness risk of the true system at its worst start)",

@@ -15,7 +15,7 @@ NEAR = 0.5
 """The axis begins at 0 where the least value is at most this share of the spread above it."""
 
 REACH = 0.5
-"""The axis goes on to a bound that is at most this share of the spread beyond the values."""
+"""The axis reaches a bound that is at most this share of the spread beyond the values."""
 
 
 def histograms(plan: ProblemPlan, method: SampleMethod, tests: Sequence[Sequence[float]], unit: str) -> list[Drawn]:

@@ -1,7 +1,7 @@
 """The five systems of the falsification benchmark: the robustness of a start as a function on the unit box.
 
 Each fails at few of its starts, at most a few per cent of the box. Where a rollout is random its seed follows from the
-start, so that a start has one value, whoever asks for it.
+start, so that a start has one value, however often it is asked for.
 """
 
 import hashlib

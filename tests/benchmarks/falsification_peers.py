@@ -1,6 +1,6 @@
 """The searches that a user would take instead, by question and answer: a point in the unit box out, its value in.
 
-Run in an environment of its own, which has nothing of ours: `.venv-bench/bin/python -m tests.benchmarks.
+Run in an environment of its own, which has no perfbound: `.venv-bench/bin/python -m tests.benchmarks.
 falsification_peers`. A line on stdin names a peer, the number of parameters and a seed; then every line out is a point
 (JSON) and every line in its value, until the line is empty. What the libraries print goes to stderr.
 """

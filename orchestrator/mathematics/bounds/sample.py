@@ -33,7 +33,7 @@ from .share import (
     clopper_pearson_lower,
     clopper_pearson_upper,
     next_rollout_rank,
-    quantile_rank,
+    quantile_lower,
     shifted_failure_upper,
     shifted_share,
 )
@@ -144,8 +144,8 @@ class QuantileEstimate(Estimate):
 
     def exact(self) -> float | None:
         """Return the value with the rank that the number of samples allows."""
-        rank = quantile_rank(len(self._values), self._share, self._delta)
-        return self._least if rank is None else round_down(sorted(self._values)[rank - 1])
+        found = quantile_lower(self._values, self._share, self._delta)
+        return self._least if found is None else found
 
 
 class NextEstimate(Estimate):

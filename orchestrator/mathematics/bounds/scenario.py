@@ -33,6 +33,7 @@ Stop when upper - ell <= alpha. `ell` is valid at every stopping time, so the st
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -143,7 +144,7 @@ class ScenarioMethod(Method):
         self._scenarios: list[_Scenario] = [
             _PredictableScenario(levels, self._reading, risk_weight)
             if risk == "predictable"
-            else _Scenario(levels, self._reading)
+            else _ConstantScenario(levels, self._reading)
             for _ in range(scenarios.size)
         ]
         # On the largest mean of 1 - x, all scenarios together.
@@ -263,13 +264,11 @@ class ScenarioMethod(Method):
         return Proposal(index, point_at(self._candidates, index), -lower, 0.0, None, None)
 
 
-class _Scenario:
-    """The rollouts of one scenario, the bets on them, and the bounds that follow."""
+class _Scenario(ABC):
+    """The rollouts of one scenario, the bets on them, and the bounds that follow; begun by the bets of a subclass."""
 
-    def __init__(self, levels: tuple[float, float], reading: RiskReading) -> None:
+    def __init__(self, reading: RiskReading) -> None:
         self._reading = reading
-        self._sequence = BettingSequence(levels)
-        self._past = Past(imaginary=1)  # of x
         self.complement = Past()  # of 1 - x
         self.tests = 0
         self.state = self._state()
@@ -277,8 +276,7 @@ class _Scenario:
     def observe(self, value: float) -> None:
         """Bet on one value, then add it to the past."""
         x = self._reading.unit(value)
-        self._sequence.observe(x, self._past)
-        self._past.add(x)
+        self._bet(value, x)
         self.complement.add(1.0 - x)
 
     def close_test(self) -> None:
@@ -291,12 +289,17 @@ class _Scenario:
         lower, mean = self._outlook()
         return mean - (mean - lower) * (self.tests / (self.tests + flying)) if flying else lower
 
-    def _outlook(self) -> tuple[float, float]:
-        """Return lower bound and mean of x."""
-        return self._sequence.lower(), 1.0 - self.complement.mean if self.complement.count else 1.0
+    @abstractmethod
+    def _bet(self, value: float, x: float) -> None:
+        """Bet on one value, which is x in [0, 1]."""
 
+    @abstractmethod
+    def _outlook(self) -> tuple[float, float]:
+        """Return lower bound and mean, on a scale that all scenarios share."""
+
+    @abstractmethod
     def _lower(self, level: int) -> float:
-        return self._reading.lower(Fraction(self._sequence.rejected(level), GRID))
+        """Return the lower bound of the risk at one level, unit of robustness."""
 
     def _state(self) -> ScenarioState:
         lower, simultaneous = (self._lower(level) for level in (0, 1))
@@ -305,18 +308,36 @@ class _Scenario:
         return ScenarioState(self.complement.count, mean, lower, simultaneous)
 
 
+class _ConstantScenario(_Scenario):
+    """Bets on x, which is X with constants, or the robustness."""
+
+    def __init__(self, levels: tuple[float, float], reading: RiskReading) -> None:
+        self._sequence = BettingSequence(levels)
+        self._past = Past(imaginary=1)  # of x
+        super().__init__(reading)
+
+    def _bet(self, value: float, x: float) -> None:  # noqa: ARG002
+        self._sequence.observe(x, self._past)
+        self._past.add(x)
+
+    def _outlook(self) -> tuple[float, float]:
+        """Return lower bound and mean of x."""
+        return self._sequence.lower(), 1.0 - self.complement.mean if self.complement.count else 1.0
+
+    def _lower(self, level: int) -> float:
+        return self._reading.lower(Fraction(self._sequence.rejected(level), GRID))
+
+
 class _PredictableScenario(_Scenario):
-    """The same with c and s from the earlier rollouts of the scenario; x is the robustness, for `upper`."""
+    """Bets with c and s from the earlier rollouts of the scenario; x is the robustness, for `upper`."""
 
     def __init__(self, levels: tuple[float, float], reading: RiskReading, risk_weight: float) -> None:
         self._risks = [RiskSequence(risk_weight, reading.clip, delta=level) for level in levels]
-        super().__init__(levels, reading)
+        super().__init__(reading)
 
-    def observe(self, value: float) -> None:
-        """Bet on one value, then add it to the past."""
+    def _bet(self, value: float, x: float) -> None:  # noqa: ARG002
         for risk in self._risks:
             risk.add(value)
-        self.complement.add(1.0 - self._reading.unit(value))
 
     def _outlook(self) -> tuple[float, float]:
         """Return lower bound and estimate of the risk, unit of robustness."""

@@ -15,6 +15,7 @@ and `predictable` are valid and these are not.
 """
 
 import math
+from collections.abc import Iterable
 from fractions import Fraction
 
 import numpy as np
@@ -101,6 +102,21 @@ def quantile_rank(count: int, share: float, delta: float) -> int | None:
         raise ValueError(f"count must be positive, share and delta in (0, 1); not {count!r}, {share!r}, {delta!r}")
     below = np.asarray(bdtr(np.arange(count), count, share)) <= delta * (1.0 - 1e-12)
     return int(below.sum()) or None
+
+
+def quantile_lower(values: Iterable[float], share: float, delta: float) -> float | None:
+    """Return the value with the rank of `quantile_rank`, rounded down to 1e-9; None where there are too few values.
+    Implements eq. (quantile) of [PB].
+
+    Formula, assumptions and errors as of `quantile_rank`.
+
+    >>> quantile_lower([0.1 * k for k in range(29)], 0.1, 0.05)
+    0.0
+
+    """
+    ordered = sorted(values)
+    rank = quantile_rank(len(ordered), share, delta)
+    return None if rank is None else round_down(ordered[rank - 1])
 
 
 def next_rollout_probability(rank: int, count: int) -> float:

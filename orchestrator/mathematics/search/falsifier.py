@@ -7,7 +7,7 @@ Gaussian process (`surrogate`) over candidates (`candidates`):
 | function                                  | when         | purpose                                           |
 |-------------------------------------------|--------------|---------------------------------------------------|
 | (t - mu)/sigma, as P(z < t) grows with it | two of three | far from 0 it explores, near 0 it goes there      |
-| E max(min z - Z, 0), Z ~ N(mu, sigma^2)   | one of three | goes on downwards where a jump hides the way to 0 |
+| E max(min z - Z, 0), Z ~ N(mu, sigma^2)   | one of three | leads downwards where a jump hides the way to 0 |
 
 Deviation: neither is a bound, and no claim follows from a search. Claims use the constants of the campaign, or random
 starts alone.

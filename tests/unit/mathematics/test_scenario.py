@@ -20,7 +20,7 @@ from perfbound.orchestrator.mathematics.bounds.betting import (
 )
 from perfbound.orchestrator.mathematics.bounds.predictable import RiskSequence
 from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis, linearised, linearised_range
-from perfbound.orchestrator.mathematics.bounds.scenario import MAX_SCENARIOS, ScenarioMethod
+from perfbound.orchestrator.mathematics.bounds.scenario import MAX_SCENARIOS, ScenarioMethod, _ConstantScenario
 from perfbound.orchestrator.mathematics.gp.points import Points
 from tests.fakes.observations import an_observation
 
@@ -209,7 +209,9 @@ def method(size: int = 3, **changed: Any) -> ScenarioMethod:
 
 
 def sequences(running: ScenarioMethod) -> list[BettingSequence]:
-    return [*(scenario._sequence for scenario in running._scenarios), running._upper]
+    bets = [scenario._sequence for scenario in running._scenarios if isinstance(scenario, _ConstantScenario)]
+    assert len(bets) == running.size
+    return [*bets, running._upper]
 
 
 def bhatia(size: int = 3, **changed: Any) -> ScenarioMethod:
