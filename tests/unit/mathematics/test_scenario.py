@@ -246,6 +246,12 @@ class TestConstantsFromThePast:
         assert best - 0.005 < past < 0.6 - 0.2 * 0.09
         assert past > without + 0.03
 
+    def test_the_claims_about_all_starts_at_once_are_bets_too(self) -> None:
+        running = fed(predictable(), 200)
+        least = predictable().bound().ell
+        for state in running.bound().scenarios:
+            assert least < state.simultaneous_lower < state.lower
+
     def test_the_opposite_bound_is_one_of_the_least_mean(self) -> None:
         running, of_mean = fed(predictable(), 100), method(risk="mean", constants=None)
         rng = np.random.default_rng(3)
