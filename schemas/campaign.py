@@ -2,19 +2,24 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from .base import Model, digest, merged
 from .campaign_rules import check_consistent
 from .claims import SAMPLED, ClaimRequest, DrawnClaim
+from .composition import ComposedClaim, Rule, is_composed
 from .falsify import Falsify
 from .method_spaces import MOST_STARTS, RESOLUTION, fixed_starts
 from .problem_models import Gap, Problem, SampleProblem
 from .problems import OBJECTIVES, Sense
-from .requirements import MOST, Requirement, conjunction
+from .requirements import MOST, Requirement, conjunction, problem_with
 from .space import Space, SystemChoice
 
-Rule = Literal["product", "sum", "bhatia-davis", "pointwise", "single"]
+Asked = Annotated[
+    Annotated[ClaimRequest, Tag("drawn")] | Annotated[ComposedClaim, Tag("composed")],
+    Discriminator(lambda asked: "composed" if is_composed(asked) else "drawn"),
+]
+"""An entry of `[[claims]]`."""
 
 DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline", "platform", "second_opinion"}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
@@ -56,15 +61,15 @@ class CampaignConfig(Model):
         default=(),
         max_length=MOST,
         exclude_if=lambda requirements: requirements == (),
-        description="several requirements instead of `specification`, one table each; method `sample` alone",
+        description="several requirements instead of `specification`, one table each; not with method `paper`",
     )
     gap: Gap | None = Field(
         default=None, description="how `sim_gap` compares two trajectories; required by it, here or in the problem"
     )
     composition: Rule = Field(
         default="single",
-        description="rule of the first claim: Theorem 2 with multiplied probabilities, or with added failure "
-        "probabilities; Bhatia-Davis with two extremes, or pointwise; one problem alone",
+        description="rule of the first claim, short for `[[claims]]` with this rule and then those of every other "
+        "rule that the methods allow",
     )
     falsify: Falsify | None = Field(
         default=None,
@@ -150,12 +155,12 @@ class CampaignConfig(Model):
         description="the optimisation problems; without it there is one, `robustness`, and its keys are those of the "
         "top level",
     )
-    claims: tuple[ClaimRequest, ...] = Field(
+    claims: tuple[Asked, ...] = Field(
         default=(),
         max_length=100,
         exclude_if=lambda claims: claims == (),
-        description="what is claimed of drawn starts, the answer to the question of the file first; method `sample` "
-        "alone, where the default is `failure_probability`",
+        description="what is claimed, the answer to the question of the file first: of drawn starts with method "
+        "`sample`, else from the bounds of problems by a rule",
     )
 
     @field_validator("until_counterexample")
@@ -173,6 +178,38 @@ class CampaignConfig(Model):
         """The specification; of several requirements that every one of them holds."""
         return conjunction(self.specifications) if self.specifications else self.specification
 
+    @property
+    def drawn(self) -> tuple[ClaimRequest, ...]:
+        """The claims about drawn starts that are asked for."""
+        return tuple(each for each in self.claims if isinstance(each, ClaimRequest))
+
+    @property
+    def composed(self) -> tuple[ComposedClaim, ...]:
+        """The claims from the bounds of problems that are asked for; without any, `composition` decides them."""
+        return tuple(each for each in self.claims if isinstance(each, ComposedClaim))
+
+    @property
+    def parts(self) -> tuple["CampaignConfig", ...]:
+        """The campaign of each requirement by itself, for methods that bound each one on its own; empty without any.
+
+        Raises:
+            ValueError: a requirement has a key that its method cannot have.
+
+        """
+        if not self.specifications or isinstance(self.problems[0], SampleProblem):
+            return ()
+        (problem,) = self.problems
+        return tuple(
+            self.model_copy(
+                update={
+                    "specification": each.formula,
+                    "specifications": (),
+                    "problems": (problem_with(problem, each),),
+                }
+            )
+            for each in self.specifications
+        )
+
     def claims_of(self, problem: Problem) -> tuple[DrawnClaim, ...]:
         """Return what is claimed of drawn starts, the first claim first; empty for a problem that draws none.
 
@@ -180,7 +217,7 @@ class CampaignConfig(Model):
         """
         if not isinstance(problem, SampleProblem):
             return ()
-        asked = self.claims or (ClaimRequest(quantity="failure_probability"),)
+        asked = self.drawn or (ClaimRequest(quantity="failure_probability"),)
         names = (None, *(each.name for each in self.specifications))
         share = problem.delta / (len(asked) * len(names) if problem.jointly else 1)
         return tuple(

@@ -3,10 +3,11 @@
 from typing import TYPE_CHECKING
 
 from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, fewest_samples
+from .composition import check_composition
 from .method_spaces import check_region, check_space, check_starts, draws_starts
 from .parameters import check_signals
 from .problem_models import Problem, RigorousProblem, SampleProblem
-from .problems import CLAIMS, OBJECTIVES, OF_ROBUSTNESS, any_of
+from .problems import OBJECTIVES, OF_ROBUSTNESS, any_of
 from .region_check import check_regions
 
 if TYPE_CHECKING:
@@ -39,7 +40,9 @@ def check_consistent(config: "CampaignConfig") -> None:
         _check_until_counterexample(config, config.problems[0])
     if config.regions:
         check_regions(config)
-    _check_composition(config)
+    check_composition(config)
+    if config.specifications:
+        _check_specifications(config)
     _check_claims(config)
 
 
@@ -103,44 +106,39 @@ def _check_method(config: "CampaignConfig", problem: Problem) -> None:
             raise ValueError(f"{where}.max_tests: method 'paper' gives no bound before the second test")
 
 
-def _check_composition(config: "CampaignConfig") -> None:
-    names = {problem.name for problem in config.problems}
-    methods = {problem.method for problem in config.problems}
-    rule = config.composition
-    pair = {"nominal_robustness", "sim_gap"}
-    if rule == "single":
-        if len(names) != 1:
-            raise ValueError("composition: 'single' is for one problem; allowed here: 'product', 'sum'")
-        if names & pair:
-            raise ValueError(f"composition: 'single' makes a claim of {any_of(CLAIMS)} only")
-        return
-    if not pair <= names:
-        raise ValueError(f"composition: {rule!r} needs the problems 'nominal_robustness' and 'sim_gap'")
-    if rule == "product" and methods != {"paper"}:
-        raise ValueError("composition: 'product' is for method 'paper'; 'sum' holds for every method")
-    if rule in ("bhatia-davis", "pointwise") and methods != {"rigorous"}:
-        raise ValueError(f"composition: {rule!r} needs method 'rigorous' in both problems")
-    resolutions = {config.resolution_of(problem) for problem in config.problems if problem.name in pair}
-    if rule == "pointwise" and len(resolutions) != 1:
-        raise ValueError("composition: 'pointwise' needs one resolution for both problems")
+def _check_specifications(config: "CampaignConfig") -> None:
+    names = [each.name for each in config.specifications]
+    for repeated in {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"specifications: {repeated!r} appears twice; give each its own name")
+    if config.specification is not None:
+        raise ValueError("specification: not allowed beside specifications; give it a name there")
+    problem = config.problems[0]
+    join = "join them with `and` in `specification`"
+    if len(config.problems) > 1 or problem.name not in OF_ROBUSTNESS:
+        raise ValueError(f"specifications: only for one problem, {any_of(OF_ROBUSTNESS)}; {join}")
+    if problem.method == "paper":
+        raise ValueError(f"specifications: Algorithm 1 chooses every test by its own bound; {join}")
+    if config.regions:
+        raise ValueError(f"regions: divides the box by one specification; {join}, or remove this key")
+    for each in config.specifications:
+        if isinstance(problem, SampleProblem) and each.constants:
+            key = next(iter(each.constants))
+            raise ValueError(f"specifications.{each.name}.{key}: has no meaning in method 'sample'; remove this key")
+    for part in config.parts:
+        _check_objective(part, part.problems[0])
 
 
 def _check_claims(config: "CampaignConfig") -> None:
     sampled = [problem for problem in config.problems if isinstance(problem, SampleProblem)]
-    if config.claims and not sampled:
+    if config.drawn and config.composed:
+        raise ValueError("claims: of drawn starts, or by a rule from the bounds of problems, not both in one campaign")
+    if config.composed and (sampled or config.specifications):
+        raise ValueError("claims: a rule is for methods that bound a worst start, and for one specification")
+    if config.drawn and not sampled:
         raise ValueError("claims: only method 'sample' claims anything of drawn starts; choose it, or remove this")
-    if config.specifications and not sampled:
-        raise ValueError(
-            "specifications: only method 'sample' claims several; choose it, or join them with `and` in `specification`"
-        )
-    names = [each.name for each in config.specifications]
-    for repeated in {name for name in names if names.count(name) > 1}:
-        raise ValueError(f"specifications: {repeated!r} appears twice; give each its own name")
-    if config.specifications and config.specification is not None:
-        raise ValueError("specification: not allowed beside specifications; give it a name there")
-    for number, asked in enumerate(config.claims):
+    for number, asked in enumerate(config.drawn):
         _check_asked(config, f"claims.{number}", asked, sampled[0])
-        if asked in config.claims[:number]:
+        if asked in config.drawn[:number]:
             raise ValueError(f"claims.{number}: is there twice; list every claim once")
     for problem in sampled:
         for claim in config.claims_of(problem):
@@ -170,7 +168,7 @@ def _check_number(config: "CampaignConfig", claim: DrawnClaim, problem: SamplePr
         return
     least, tests = fewest_samples(claim), config.max_tests_of(problem)
     if tests < least:
-        number = config.claims.index(claim.asked)
+        number = config.drawn.index(claim.asked)
         raise ValueError(
             f"max_tests: claims.{number} needs at least {least} samples, not {tests}; raise it or the level"
         )

@@ -6,7 +6,7 @@ from typing import Literal
 from pydantic import Field
 
 from .base import Model
-from .campaign import Rule
+from .composition import ClaimRule, Rule
 from .problems import MethodName, ProblemName, Quantity, Sense
 from .values import StoppedBy
 
@@ -44,7 +44,7 @@ class CertificateClaim(Model):
     sense: Literal[">=", "<="]
     bound: float
     probability: float
-    rule: Rule
+    rule: ClaimRule
     method: str
     assumptions: tuple[str, ...]
     refuted: tuple[str, ...] = Field(description="those of the assumptions that are refuted: do not rely on the claim")
@@ -107,6 +107,16 @@ class ProblemResult(Model):
     by_clip: float | None = Field(
         default=None, description="what the clip alone proves of the objective; since rules 2"
     )
+    requirement: str | None = Field(
+        default=None,
+        exclude_if=lambda name: name is None,
+        description="that is bounded; null for the whole specification",
+    )
+
+    @property
+    def key(self) -> str:
+        """Name of the problem, with that of the requirement behind it where there is one."""
+        return self.name if self.requirement is None else f"{self.name}/{self.requirement}"
 
 
 class Assumption(Model):
@@ -192,6 +202,16 @@ class SpotCheckedProblem(Model):
     start: tuple[float, ...] | None = Field(description="a start at which the bound is refuted, if one is known")
     wealth: float | None = Field(description="of the test of noisy values; 1 / level refutes")
     undecided: int | None = Field(description="starts whose noisy values are suspicious, and not refuted")
+    requirement: str | None = Field(
+        default=None,
+        exclude_if=lambda name: name is None,
+        description="whose bound is tested; null for that of the whole specification",
+    )
+
+    @property
+    def key(self) -> str:
+        """Name of the problem, with that of the requirement behind it where there is one."""
+        return self.name if self.requirement is None else f"{self.name}/{self.requirement}"
 
 
 class MostStarts(Model):

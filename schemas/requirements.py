@@ -1,17 +1,31 @@
-"""Several requirements instead of one specification: each has a name, a formula, and where it comes from."""
+"""Several requirements instead of one specification: each has a name, a formula, and where it comes from.
+
+Method `sample` makes every claim from the same draws. A method that chooses its tests bounds each requirement on its
+own, from the same rollouts, with the constants of the problem or with those that the requirement has.
+"""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from .base import Model
+from .kernel import MaternKernel
+from .problem_models import Linearised, Problem
 
 MOST = 50
 
 
 def _left_out(text: str, longest: int) -> Any:
     return Field(default=None, max_length=longest, exclude_if=lambda value: value is None, description=text)
+
+
+def _of_problem() -> Any:
+    return Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of this requirement instead of the problem; not with method `sample`",
+    )
 
 
 class Requirement(Model):
@@ -22,6 +36,18 @@ class Requirement(Model):
     id: str | None = _left_out("of the requirement in its document", 200)
     text: str | None = _left_out("the requirement as it is written there", 2000)
     link: str | None = _left_out("to it", 2000)
+    alpha: Annotated[float, Field(gt=0)] | None = _of_problem()
+    rkhs_norm: Annotated[float, Field(gt=0)] | None = _of_problem()
+    prior_mean: float | None = _of_problem()
+    noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] | None = _of_problem()
+    misspecification: Annotated[float, Field(ge=0)] | None = _of_problem()
+    kernel: MaternKernel | None = _of_problem()
+    linearised: Linearised | None = _of_problem()
+
+    @property
+    def constants(self) -> dict[str, Any]:
+        """The keys of the problem that this requirement has a value of its own for."""
+        return self.model_dump(exclude_none=True, exclude={"name", "formula", "id", "text", "link"})
 
 
 def listed(table: Any) -> Any:
@@ -45,3 +71,23 @@ def conjunction(requirements: Sequence[Requirement]) -> str:
     '(d > 2) and (v < 1)'
     """
     return " and ".join(f"({each.formula})" for each in requirements)
+
+
+def problem_with(problem: Problem, requirement: Requirement) -> Problem:
+    """Return the problem of one requirement.
+
+    Raises:
+        ValueError: one line with the requirement, the key and the remedy.
+
+    """
+    known = type(problem).model_fields
+    for key in requirement.constants:
+        if key not in known:
+            raise ValueError(
+                f"specifications.{requirement.name}.{key}: has no meaning in method {problem.method!r}; remove this key"
+            )
+    try:
+        return type(problem).model_validate(problem.model_dump(exclude_unset=True) | requirement.constants)
+    except ValidationError as error:
+        # The problem alone was valid, so that a key of the requirement is at fault.
+        raise ValueError(f"specifications.{requirement.name}: {error.errors()[0]['msg']}") from None

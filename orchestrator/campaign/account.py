@@ -25,10 +25,14 @@ class Account(Series):
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
 
     @property
+    def observed(self) -> list[Observation]:
+        """The observations of the closed tests, in test order."""
+        return list(map(Observation, self.observations, self.each))
+
+    @property
     def closed(self) -> list[tuple[Proposal, Observation]]:
         """The closed tests of a problem with a kernel, in test order."""
-        observed = map(Observation, self.observations, self.each)
-        return list(zip(self.proposed, observed, strict=True))
+        return list(zip(self.proposed, self.observed, strict=True))
 
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test, as every series does, and take the robustness of its rollouts."""

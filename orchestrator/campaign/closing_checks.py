@@ -6,7 +6,9 @@ from ...schemas.facts import Header, first_link
 from ...schemas.ids import RolloutId
 from . import state
 from .account import Account
+from .bounded import bounded
 from .counterexample import counterexample
+from .methods import Methods
 from .observation import Observer
 from .plan import ProblemPlan
 from .recheck import Recheck
@@ -21,8 +23,16 @@ Check = SpotCheck | Shrink | Recheck
 class ClosingChecks:
     """The checks that have begun; `spot_check` and `recheck` are None before."""
 
-    def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer, recorded: Recorded) -> None:
-        self._header, self._accounts, self._observer, self._recorded = header, accounts, observer, recorded
+    def __init__(
+        self,
+        header: Header,
+        accounts: Mapping[str, Account],
+        methods: Methods,
+        observer: Observer,
+        recorded: Recorded,
+    ) -> None:
+        self._header, self._accounts, self._methods = header, accounts, methods
+        self._observer, self._recorded = observer, recorded
         self.spot_check: SpotCheck | None = None
         self.shrink: Shrink | None = None
         self.recheck: Recheck | None = None
@@ -32,7 +42,8 @@ class ClosingChecks:
         header = self._header
         # In this order: a recheck repeats rollouts of the spot check as well.
         if self.recheck is None and self.spot_check is None and SpotCheck.wanted(header, self._accounts):
-            self.spot_check = SpotCheck(header, self._accounts, self._observer, self._recorded)
+            tested = bounded(self._accounts, self._methods)
+            self.spot_check = SpotCheck(header, tested, self._observer, self._recorded)
             return self.spot_check, SpotSeries(first_link(header, SpotCheck.name))
         if self.recheck is None and self.shrink is None and (shrink := self._shrink()) is not None:
             self.shrink = shrink

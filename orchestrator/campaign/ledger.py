@@ -61,7 +61,7 @@ class Ledger:
         }
         self._directory, self._store = directory, store
         self.recorded = Recorded(directory, store)
-        self.closing = ClosingChecks(header, self.accounts, self.observer, self.recorded)
+        self.closing = ClosingChecks(header, self.accounts, self.methods, self.observer, self.recorded)
         self._files: FileStore = files or evidence.Batch()
         self._template = header.template
         self._restoration = Restoration(directory)

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 from ...schemas.claims import DrawnClaim
 from ...schemas.errors import CampaignError
 from ...schemas.facts import Header
 from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
 from ..mathematics.bounds.confidence import Premises, mixture
+from ..mathematics.bounds.joint import JointMethod
 from ..mathematics.bounds.paper import PaperMethod
 from ..mathematics.bounds.paper_formulas import PaperParameters
 from ..mathematics.bounds.rigorous import RigorousMethod
@@ -16,16 +18,24 @@ from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
 from .draws import Draws
+from .observation import split
 from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below
 
-ProblemMethod = PaperMethod | RigorousMethod | ScenarioMethod | SampleMethod
+OneMethod = PaperMethod | RigorousMethod | ScenarioMethod | SampleMethod
+"""The method of one objective."""
+ProblemMethod = OneMethod | JointMethod[OneMethod]
 Methods = Mapping[str, ProblemMethod]
-"""The method of each problem, by name."""
+"""The method of each problem and of each requirement with one of its own, by the key of its plan."""
 
 
 def methods(plans: Plans, header: Header) -> Methods:
     """Return the method of every problem, before its first observation; raises as `method`."""
-    return {name: method(plan, header) for name, plan in plans.items()}
+    found: dict[str, ProblemMethod] = {}
+    for plan in plans.values():
+        found[plan.key] = whole = method(plan, header)
+        if isinstance(whole, JointMethod):
+            found |= {part.key: each for part, each in zip(plan.parts, whole.parts, strict=True)}
+    return found
 
 
 def method(plan: ProblemPlan, header: Header) -> ProblemMethod:
@@ -35,6 +45,14 @@ def method(plan: ProblemPlan, header: Header) -> ProblemMethod:
         ValueError: a parameter is outside the range of the method.
 
     """
+    if not plan.parts:
+        return _one_method(plan, header)
+    # Each requirement on its own, from the same tests.
+    alphas = [alpha for part in plan.parts if (alpha := part.problem.alpha) is not None]
+    return JointMethod([_one_method(part, header) for part in plan.parts], alphas, partial(split, plan))
+
+
+def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
     problem = plan.problem
     match problem:
         case PaperProblem() | RigorousProblem():

@@ -1,6 +1,6 @@
 """The observation of a test: the value y of the maximised objective J and its parts, from the trajectories."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from weakref import WeakKeyDictionary
 
 from ...schemas.campaign import CampaignConfig
@@ -37,6 +37,9 @@ class Observer:
         self._clip = config.clip or (None if columns_alone else UNBOUNDED)
         self._parsed = None if config.formula is None else parse_formula(config.formula, self._columns)
         self._requirements = [parse_formula(each.formula, self._columns) for each in config.specifications]
+        self._parts = {
+            each.name: Observer(part, spec) for each, part in zip(config.specifications, config.parts, strict=False)
+        }
         self._scored: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
         self._compared: WeakKeyDictionary[Trajectory, WeakKeyDictionary[Trajectory, float]] = WeakKeyDictionary()
 
@@ -90,6 +93,10 @@ class Observer:
             ValueError: a value is not finite, or two trajectories have different time grids.
 
         """
+        if plan.parts:
+            return _joined([self.observe(part, trajectories) for part in plan.parts])
+        if plan.requirement is not None and plan.requirement in self._parts:
+            return self._parts[plan.requirement].observe(plan, trajectories)
         match plan.objective.measured:
             case "robustness":
                 return self._risk(plan, trajectories) if plan.objective.risk else self._robustness(plan, trajectories)
@@ -159,6 +166,23 @@ class Observer:
     def _scores(self, trajectories: Trajectories) -> list[float]:
         values = [self.robustness(trajectory) for trajectory in trajectories.values()]
         return [value for value in values if value is not None]
+
+
+def _joined(each: Sequence[Observation]) -> Observation:
+    """Return the observations of the requirements as one: of the largest J, followed by the replicates of each."""
+    return Observation(max(one.y for one in each), tuple(value for one in each for value in one.each))
+
+
+def split(plan: ProblemPlan, observation: Observation) -> list[Observation]:
+    """Return the observation of each requirement of a problem that bounds each on its own."""
+    width = len(observation.each) // len(plan.parts)
+    mirrored = replicates_are_robustness(plan.name, plan.problem.method)
+    found = []
+    for place in range(len(plan.parts)):
+        each = observation.each[place * width : (place + 1) * width]
+        mean = objectives.mean(list(each))
+        found.append(Observation(-mean if mirrored else mean, each))
+    return found
 
 
 def _mean(each: list[float]) -> Observation:

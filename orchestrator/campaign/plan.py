@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import DrawnClaim
@@ -66,6 +66,10 @@ class ProblemPlan:
     requirements: tuple[str, ...] = ()
     """Names of the requirements that are claimed beside the whole specification, where starts are drawn."""
     until_counterexample: bool = False
+    requirement: str | None = None
+    """The one requirement that it is about; None for the whole specification."""
+    parts: tuple["ProblemPlan", ...] = ()
+    """The plans of the requirements that are bounded each on its own, from the tests of this one."""
     falsify: Falsify | None = None
     """The search that the tests come from; None where they come from the method."""
 
@@ -73,6 +77,11 @@ class ProblemPlan:
     def name(self) -> ProblemName:
         """Name of the problem."""
         return self.problem.name
+
+    @property
+    def key(self) -> str:
+        """Name of the problem, with that of the requirement behind it where there is one."""
+        return self.name if self.requirement is None else f"{self.name}/{self.requirement}"
 
     @property
     def objective(self) -> Objective:
@@ -101,6 +110,8 @@ class ProblemPlan:
     @property
     def exact(self) -> bool:
         """Whether an observation is the objective itself: R = 0, which method `rigorous` alone has."""
+        if self.parts:
+            return all(part.exact for part in self.parts)
         return isinstance(self.problem, RigorousProblem) and self.noise == 0
 
     @property
@@ -170,6 +181,10 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         tests = min(tests, candidates.size)  # without noise a second test at a candidate adds nothing
     # A deterministic variant gives one trajectory for every seed: one rollout serves all replicates of a test.
     common = objective.measured == "gap" and problem.method == "rigorous"
+    parts = [
+        replace(plan(part, spec, part.problems[0]), requirement=each.name)
+        for part, each in zip(config.parts, config.specifications, strict=False)
+    ]
     # R / sqrt(replicates) is for means; the paper observes mean - r sd, whose R is in the file as it is.
     mean = not (problem.method == "paper" and objective.risk)
     return ProblemPlan(
@@ -195,6 +210,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         deterministic=not set(variants) & set(spec.noisy),
         requirements=tuple(each.name for each in config.specifications),
         until_counterexample=config.until_counterexample,
+        parts=tuple(parts),
         falsify=config.falsify,
     )
 

@@ -9,7 +9,6 @@ import numpy as np
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import SPOT_CHECK, RolloutId
 from ...schemas.problem_models import RigorousProblem
-from ...schemas.problems import ProblemName
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.risk import linearised_range
@@ -53,7 +52,7 @@ class SpotCheck:
     """The decider of the spot check; a test has rollouts of every variant that some problem needs, at one start.
 
     A follow-up has rollouts of noisy variants alone: the others are those of the first test there, test j at start j.
-    `each` of an observation has J of every tested problem, in the order of the campaign file, for each replicate.
+    `each` of an observation has J of every tested bound, in the order of the campaign file, for each replicate.
     """
 
     name = SPOT_CHECK
@@ -67,8 +66,8 @@ class SpotCheck:
         self.variants = tuple(dict.fromkeys(variant for variant, _ in plan.rollouts))
         self._replicates = 1 + max(replicate for _, replicate in plan.rollouts)
         noisy = set(header.spec.noisy)
-        hypotheses = [_hypothesis(each, _limit(accounts[each.name]), noisy) for each in self._plans]
-        self.hypotheses = {each.name: found for each, found in zip(self._plans, hypotheses, strict=True)}
+        hypotheses = [_hypothesis(each, _limit(accounts[each.key]), noisy) for each in self._plans]
+        self.hypotheses = {each.key: found for each, found in zip(self._plans, hypotheses, strict=True)}
         self.starts = _uniform_starts(header, self._plans)
         followups = plan.max_tests - len(self.starts)
         self._tests = SpotTests(self.starts, hypotheses, followups=followups, replicates=self._replicates, delta=LEVEL)
@@ -135,9 +134,9 @@ class SpotCheck:
         """Return the seed of a rollout."""
         return rollout_seed(self._header, rollout)
 
-    def findings(self) -> dict[ProblemName, SpotFinding]:
-        """Return the finding of every tested problem, by name."""
-        return {plan.name: self._tests.finding(k) for k, plan in enumerate(self._plans)}
+    def findings(self) -> list[tuple[ProblemPlan, SpotFinding]]:
+        """Return the finding about every tested bound."""
+        return [(plan, self._tests.finding(k)) for k, plan in enumerate(self._plans)]
 
     def _value(self, plan: ProblemPlan, trajectories: Trajectories, replicate: int) -> float:
         used: Trajectories = {
@@ -190,7 +189,7 @@ def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:
     """Return what the spot check tests of a problem; without a range, with the noise scale that its bound rests on."""
     low, high = _range(plan)
     scale = plan.noise_per_rollout if low is None and 0.0 < plan.noise_per_rollout < math.inf else None
-    return Hypothesis(plan.name, limit, low, high, noisy=not noisy.isdisjoint(plan.variants), scale=scale)
+    return Hypothesis(plan.key, limit, low, high, noisy=not noisy.isdisjoint(plan.variants), scale=scale)
 
 
 def _limit(account: Account) -> float:

@@ -2,10 +2,11 @@
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Literal
 
 from ...schemas.certificate import Assumption, CertifiedRegions, Recheck, SpotCheck, Status
+from ...schemas.composition import PAIR
 from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
 from ..campaign.account import Account
 from ..campaign.copies import copies
@@ -17,7 +18,6 @@ from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.bounds.stationarity import AdaptiveOrderTest
 from ..mathematics.gp.lattice import Lattice
-from .claims import PAIR
 from .sentences import assumption
 
 ROUNDING = 1e-9
@@ -37,6 +37,7 @@ MEASURED = {"simulator_is_the_system": "measured_system", "workers_honest": "tol
 
 def assumptions(
     ledger: Ledger,
+    accounts: Mapping[str, Account],
     spot_check: SpotCheck | None,
     recheck: Recheck | None,
     *,
@@ -44,12 +45,13 @@ def assumptions(
     honest: Assumption | None = None,
     regions: CertifiedRegions | None = None,
 ) -> list[Assumption]:
-    """Return every assumption of the campaign, problem by problem, then those of the whole.
+    """Return every assumption of the campaign, bound by bound, then those of the whole.
 
+    `accounts` has everything with a bound of its own, see `campaign.bounded`.
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later. `honest` takes the place
     of what is assumed of the workers. `regions` that a fresh start contradicts refute the norm.
     """
-    accounts, repeated = ledger.accounts, ledger.header.spec.repeated
+    repeated = ledger.header.spec.repeated
     measured = repeated == "nowhere"
     found: list[Assumption] = []
     for name, account in accounts.items():
@@ -67,7 +69,7 @@ def assumptions(
         if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account))
     rollouts: dict[str, int | float | str] = {
-        "rollouts": sum(sum(account.counts.values()) for account in accounts.values())
+        "rollouts": sum(sum(account.counts.values()) for account in ledger.accounts.values())
     }
     if ledger.header.rules == 1:
         found.append(assumption("finite_rollouts", "derived", rollouts, form="finite_rollouts_1"))
@@ -94,14 +96,13 @@ def assumptions(
 
 def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:
     """Yield the assumptions of a problem; the one on its norm is refuted where the spot check refutes the bound."""
-    results = {each.name: each for each in check.problems} if check else {}
-    result = results.get(name)  # type: ignore[call-overload]
+    result = next((each for each in check.problems if each.key == name), None) if check else None
     for each in found:
         if each.id != f"rkhs_norm/{name}" or result is None or result.status != "refuted":
             yield each
             continue
         start = "one of its starts" if result.start is None else ", ".join(f"{v:.6g}" for v in result.start)
-        values = {"limit": result.limit, "start": start}
+        values: dict[str, int | float | str] = {"limit": result.limit, "start": start}
         yield assumption(each.id, "refuted", values, form="norm_noisy_start" if result.noisy else "norm_start")
 
 
@@ -117,7 +118,7 @@ def _of_regions(found: Iterable[Assumption], name: str, regions: CertifiedRegion
 
 def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     """Yield what the bound of a noisy problem needs of its samples: independence, and one law per start."""
-    name, plan = account.plan.name, account.plan
+    name, plan = account.plan.key, account.plan
     noisy = set(plan.variants) & set(ledger.header.spec.noisy)
     if not noisy:
         return
@@ -156,7 +157,7 @@ def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assu
         case PaperProblem():
             return _paper(account, problem)
         case RigorousProblem():
-            method = methods[problem.name]
+            method = methods[account.plan.key]
             assert isinstance(method, RigorousMethod)
             return _rigorous(account, problem, method)
         case ScenarioProblem():
@@ -166,7 +167,7 @@ def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assu
 
 
 def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
-    name, plan = problem.name, account.plan
+    name, plan = account.plan.key, account.plan
     # k(z, z) = 1, so |J - m0| <= B everywhere: an observation far above B refutes it.
     norm = audit.norm_from_tests(
         account.observations,
@@ -194,12 +195,12 @@ def _paper(account: Account, problem: PaperProblem) -> Iterator[Assumption]:
         form = "lattice_refined" if problem.refine else "lattice_alone"
         yield assumption(f"lattice/{name}", "assumed", values, form=form)
     # E[s] < sd: the sample risk is biased to the unsafe side, by derivation and not by data.
-    if name == "true_risk":
+    if plan.name == "true_risk":
         yield assumption(f"centred_noise/{name}", *audit.centred_risk(plan.replicates))
 
 
 def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod) -> Iterator[Assumption]:
-    name, bound, last = problem.name, method.bound(), account.last_bound
+    name, bound, last = account.plan.key, method.bound(), account.last_bound
     # Without noise the observations are the function: no delta is spent, and the norm that they need is certain.
     confidence = 1.0 if account.plan.noise == 0 else 1.0 - problem.delta
     norm = audit.norm_from_set(b_min=bound.b_min, rkhs_norm=problem.rkhs_norm, confidence=confidence)
@@ -227,7 +228,7 @@ def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod
 
 
 def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:
-    name, plan = problem.name, account.plan
+    name, plan = account.plan.key, account.plan
     if plan.noise == 0:
         places = sorted(zip(account.nodes, account.each, strict=True))
         by_place = itertools.groupby(places, key=lambda place: place[0])
@@ -236,7 +237,7 @@ def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[A
         return
     per_rollout = plan.noise_per_rollout
     # A column has no clip, so Hoeffding's lemma gives no scale to compare with.
-    if name == "maximum":
+    if plan.name == "maximum":
         yield _mean_noise(account)
     else:
         noise = audit.noise_range(noise_scale=per_rollout, hoeffding=plan.hoeffding)
@@ -251,7 +252,7 @@ def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[A
 
 
 def _scenario(account: Account, problem: ScenarioProblem, rules: int) -> Iterator[Assumption]:
-    name, last = problem.name, account.last_bound
+    name, last = account.plan.key, account.last_bound
     yield _listed(account)
     # Rules 1 derive independence from the seeds; since rules 2 `_sampled` compares trajectories and their order.
     first = rules == 1
@@ -282,13 +283,13 @@ def _sample(account: Account, problem: SampleProblem) -> Iterator[Assumption]:
 def _mean_noise(account: Account) -> Assumption:
     plan = account.plan
     values = {"noise_scale": plan.noise, "replicates": plan.replicates}
-    return assumption(f"noise_scale/{plan.name}", "assumed", values, form="mean_noise")
+    return assumption(f"noise_scale/{plan.key}", "assumed", values, form="mean_noise")
 
 
 def _listed(account: Account) -> Assumption:
     form = "finite_box" if account.plan.box else "finite_space"
     values = {"starts": account.plan.chosen_from.size}
-    return assumption(f"finite_space/{account.plan.name}", "derived", values, form=form)
+    return assumption(f"finite_space/{account.plan.key}", "derived", values, form=form)
 
 
 def _linearised(name: str, constants: Linearised | Literal["past"]) -> Assumption:
@@ -306,7 +307,7 @@ def _clip(account: Account) -> Assumption:
         "high": high,
         "at_high": sum(value >= high for value in account.robustness),
     }
-    return assumption(f"clip/{account.plan.name}", "derived", values)
+    return assumption(f"clip/{account.plan.key}", "derived", values)
 
 
 def _dominates(account: Account) -> Assumption:

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeGuard
 
 from ...schemas import certificate as document
-from ...schemas.campaign import CampaignConfig, Rule
+from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import SAMPLED
+from ...schemas.composition import PAIR, ClaimRule, Rule
 from ...schemas.method_spaces import candidates
-from ...schemas.problems import ProblemName, Quantity
+from ...schemas.problems import Quantity
 from ..campaign.methods import Methods
 from ..campaign.plan import Plans
 from ..mathematics.bounds.composition import (
@@ -24,17 +26,16 @@ from ..mathematics.bounds.sample import SampleMethod
 from .problem_results import confidence
 
 Results = Mapping[str, document.ProblemResult]
-PAIR: tuple[ProblemName, ProblemName] = ("nominal_robustness", "sim_gap")
 MULTIPLIED, ADDED = "independence", "accounting"
 """Assumptions of the two ways in which the probabilities of a pair are combined."""
 
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """What a claim follows from: its rule, and the problems that the rule combines."""
+    """What a claim follows from: its rule, and the keys of the bounds that the rule combines."""
 
-    rule: Rule
-    problems: tuple[ProblemName, ...]
+    rule: ClaimRule
+    problems: tuple[str, ...]
     drawn: int | None = None
     """The place of a claim about drawn starts among those of its problem; None for every other claim."""
 
@@ -49,6 +50,10 @@ class Claimed:
 
 def bases(config: CampaignConfig) -> tuple[Basis, ...]:
     """Return the bases in the order: chosen beforehand, other rules over the same pair, direct ones."""
+    if config.composed:
+        return tuple(Basis(each.rule, each.problems) for each in config.composed)
+    if config.parts:
+        return _of_requirements(config)
     names = [problem.name for problem in config.problems]
     found: list[Basis] = []
     if set(PAIR) <= set(names):
@@ -63,6 +68,13 @@ def bases(config: CampaignConfig) -> tuple[Basis, ...]:
     return tuple(found)
 
 
+def _of_requirements(config: CampaignConfig) -> tuple[Basis, ...]:
+    """Return the basis of the claim about every requirement, then those of each."""
+    (problem,) = config.problems
+    keys = tuple(f"{problem.name}/{each.name}" for each in config.specifications)
+    return Basis("every", keys), *(Basis("single", (key,)) for key in keys)
+
+
 def claims(
     config: CampaignConfig, plans: Plans, results: Results, methods: Methods, assumptions: Sequence[document.Assumption]
 ) -> Claimed:
@@ -75,8 +87,8 @@ def claims(
         if basis.drawn is not None:
             found.append((_of_drawn_starts(basis, plans, results, methods, assumptions), None))
             continue
-        composed = None if basis.rule == "single" else terms(plans, results, methods, basis.rule)
-        found.append((_claim(basis, _quantity(basis, plans), results, composed, assumptions), composed))
+        composed = terms(plans, results, methods, basis.rule) if composes(basis.rule) else None
+        found.append((_claim(basis, plans, results, composed, assumptions), composed))
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
 
 
@@ -119,9 +131,19 @@ def of_listed_starts(
 
 def bound(basis: Basis, plans: Plans, results: Results, methods: Methods | None) -> float:
     """Return the bound of a claim from those of its problems; see `terms`."""
-    if basis.rule == "single":
-        return results[basis.problems[0]].bound
-    return terms(plans, results, methods, basis.rule).bound
+    if composes(basis.rule):
+        return terms(plans, results, methods, basis.rule).bound
+    return _weakest(basis, results)
+
+
+def _weakest(basis: Basis, results: Results) -> float:
+    """Return the bound of one problem; of every requirement the least, each at the full delta: see `bounds.joint`."""
+    return min(results[key].bound for key in basis.problems)
+
+
+def composes(rule: ClaimRule) -> TypeGuard[Rule]:
+    """Whether a rule composes the bounds of the pair."""
+    return rule not in ("single", "every")
 
 
 def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
@@ -140,12 +162,12 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
 
 def _quantity(basis: Basis, plans: Plans) -> Quantity:
     """Return what a claim is about; the terms of a composition compose to the risk."""
-    return "rho_star" if basis.rule != "single" else plans[basis.problems[0]].statement.quantity or "rho_star"
+    return "rho_star" if composes(basis.rule) else plans[basis.problems[0]].statement.quantity or "rho_star"
 
 
 def _claim(
     basis: Basis,
-    quantity: Quantity,
+    plans: Plans,
     results: Results,
     composed: document.CompositionTerms | None,
     assumptions: Sequence[document.Assumption],
@@ -154,14 +176,15 @@ def _claim(
     minimum = composed is not None or first.sense == "min"
     used, refuted = _resting_on(assumptions, basis)
     return document.CertificateClaim(
-        quantity=quantity,
+        quantity=_quantity(basis, plans),
         sense=">=" if minimum else "<=",
-        bound=first.bound if composed is None else composed.bound,
-        probability=first.probability if composed is None else _probability(results, basis.rule),
+        bound=_weakest(basis, results) if composed is None else composed.bound,
+        probability=first.probability if composed is None else _probability(results, composed.rule),
         rule=basis.rule,
         method=" + ".join(dict.fromkeys(results[name].method for name in basis.problems)),
         assumptions=used,
         refuted=refuted,
+        requirement=first.requirement if basis.rule == "single" else None,
     )
 
 
@@ -228,10 +251,10 @@ def _resting_on(assumptions: Sequence[document.Assumption], basis: Basis) -> tup
     """Return the assumptions of a claim, and those of them that are refuted: of its problems, rule and campaign."""
     problems, rule = set(basis.problems), basis.rule
     # A claim that adds failures needs no independence, a single one needs neither.
-    others = {"product": {ADDED}, "single": {ADDED, MULTIPLIED}}.get(rule, {MULTIPLIED})
+    others = {"product": {ADDED}, "single": {ADDED, MULTIPLIED}, "every": {ADDED, MULTIPLIED}}.get(rule, {MULTIPLIED})
     used = [
         each
         for each in assumptions
-        if each.id not in others and ("/" not in each.id or each.id.split("/")[1] in problems)
+        if each.id not in others and ("/" not in each.id or each.id.split("/", 1)[1] in problems)
     ]
     return tuple(each.id for each in used), tuple(each.id for each in used if each.status == "refuted")

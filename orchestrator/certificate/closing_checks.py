@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import Literal
 
 from ...schemas import certificate as document
-from ...schemas.problems import OBJECTIVES, ProblemName
 from ..campaign.ledger import Ledger
 from ..campaign.objectives import mean
+from ..campaign.plan import ProblemPlan
 from ..campaign.spot_check import LEVEL, SpotCheck, SpotSeries, tested_variant
 from ..mathematics.bounds.predictable import CvarSequence, sample_quantile
 from ..mathematics.bounds.rounding import round_up
@@ -36,7 +36,7 @@ def spot_check(ledger: Ledger) -> document.SpotCheck | None:
         failures=failures,
         failure_probability=None if failures is None else clopper_pearson_upper(failures, starts, LEVEL),
         most_starts=_most_starts(ledger, check, robustness) if robustness else None,
-        problems=tuple(_problem(check, name, found) for name, found in check.findings().items()),
+        problems=tuple(_problem(check, plan, found) for plan, found in check.findings()),
     )
 
 
@@ -68,12 +68,12 @@ def _mean_of_most(robustness: Sequence[tuple[float, ...]], clip: tuple[float, fl
     return bound.lower() if bound.lower() > clip[0] else None
 
 
-def _problem(check: SpotCheck, name: ProblemName, found: SpotFinding) -> document.SpotCheckedProblem:
-    hypothesis = check.hypotheses[name]
+def _problem(check: SpotCheck, plan: ProblemPlan, found: SpotFinding) -> document.SpotCheckedProblem:
+    hypothesis = check.hypotheses[plan.key]
     return document.SpotCheckedProblem(
-        name=name,
+        name=plan.name,
         status=found.status,
-        limit=-hypothesis.limit if OBJECTIVES[name].sense == "min" else hypothesis.limit,
+        limit=-hypothesis.limit if plan.sense == "min" else hypothesis.limit,
         noisy=hypothesis.noisy,
         rollouts=found.rollouts,
         violations=found.violations,
@@ -81,6 +81,7 @@ def _problem(check: SpotCheck, name: ProblemName, found: SpotFinding) -> documen
         start=None if found.start is None else check.starts[found.start],
         wealth=None if found.wealth is None else float(f"{found.wealth:.{DIGITS}g}"),
         undecided=found.undecided,
+        requirement=plan.requirement,
     )
 
 

@@ -9,6 +9,7 @@ from ...schemas import certificate as document
 from ...schemas.base import digest
 from ...schemas.facts import DiscardFact, Header
 from ...schemas.ids import RolloutId
+from ..campaign.bounded import bounded
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
 from .assumptions import assumptions
@@ -51,24 +52,27 @@ def issue(
     """
     regions = regions or campaign_regions(ledger)
     irreproducible = irreproducible or bool(observed_discards(ledger))
-    header, config, accounts = ledger.header, ledger.config, ledger.accounts
+    header, config = ledger.header, ledger.config
+    accounts = bounded(ledger.accounts, ledger.methods)
+    plans = {name: account.plan for name, account in accounts.items()}
     results: Results = {name: result(account, header.rules) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)
     honest = workers_honest(header, _listed(evidence), contradicted)
     found = assumptions(
         ledger,
+        accounts,
         checked,
         repeated,
         irreproducible=irreproducible,
         honest=honest,
         regions=None if regions is None else regions.document,
     )
-    claimed = claims(config, ledger.plans, results, ledger.methods, found)
+    claimed = claims(config, plans, results, ledger.methods, found)
     varied = None
     if header.rules >= 2:
         results = with_clip(results, config)
-        found_claims = without_rollouts(claimed.claims, config, ledger.plans, results)
-        claimed = replace(claimed, claims=of_listed_starts(found_claims, bases(config), ledger.plans))
+        found_claims = without_rollouts(claimed.claims, config, plans, results)
+        claimed = replace(claimed, claims=of_listed_starts(found_claims, bases(config), plans))
         varied = sensitivity(claimed.claims, config, accounts, results)
     if regions is not None:
         first, *others = claimed.claims

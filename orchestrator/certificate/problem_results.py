@@ -45,6 +45,7 @@ def result(account: Account, rules: int) -> document.ProblemResult:
         stopped_by=last.stopped_by,
         parameters=_parameters(plan),
         last_F=proposal.F,
+        requirement=plan.requirement,
     )
 
 

@@ -16,7 +16,7 @@ from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_s
 from ..campaign.methods import Methods, ProblemMethod, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
 from ..mathematics.bounds.rounding import decimal
-from .claims import Basis, Results, bases, bound
+from .claims import Basis, Results, bases, bound, composes
 from .problem_results import in_sense
 
 Constant = Literal["rkhs_norm", "length_scale"]
@@ -36,7 +36,7 @@ class Varied:
 def with_clip(results: Results, config: CampaignConfig) -> Results:
     """Return the results with what the clip alone proves of each objective."""
     limits = {problem.name: by_clip(config, problem) for problem in config.problems}
-    return {name: each.model_copy(update={"by_clip": limits[each.name]}) for name, each in results.items()}
+    return {key: each.model_copy(update={"by_clip": limits[each.name]}) for key, each in results.items()}
 
 
 def without_rollouts(
@@ -134,7 +134,7 @@ def _without_data(plan: ProblemPlan, otherwise: float) -> float:
 
 def _limit(basis: Basis, config: CampaignConfig, results: Results) -> float | None:
     """Return what the clip alone proves of the quantity of a claim; a composition is about the risk."""
-    if basis.rule != "single":
+    if composes(basis.rule):
         return least_risk(config)
     name = basis.problems[0]
     if basis.drawn is None:

@@ -23,7 +23,7 @@ from ...schemas.certificate import (
     SpotCheck,
     SpotCheckedProblem,
 )
-from ...schemas.claims import PROBABILITIES
+from ...schemas.claims import PROBABILITIES, is_sampled
 from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
@@ -251,7 +251,7 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
 
 def _validity(claim: CertificateClaim) -> str:
     """Return for which number of samples a claim about drawn starts holds; empty for every other claim."""
-    if claim.subject is None:
+    if not is_sampled(claim.quantity):
         return ""
     return "valid after every sample, " if claim.samples is None else f"{claim.samples} samples, fixed beforehand, "
 
@@ -277,7 +277,7 @@ def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
     confidence = outward(1 - spot.level, ">=")
     yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
     for each in spot.problems:
-        yield f"{each.name}: {_spot_finding(each, 1 / spot.level)}."
+        yield f"{each.key}: {_spot_finding(each, 1 / spot.level)}."
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")
         violate = f"{spot.failures} of {spot.starts} rollouts have a robustness below 0"
@@ -312,7 +312,7 @@ def _signed_term(term: float) -> str:
 def _problem(problem: ProblemResult, console: Console) -> None:
     sense = ">=" if problem.sense == "min" else "<="
     end = _ending(problem)
-    _line(console, f"  {problem.name}", "bold")
+    _line(console, f"  {problem.key}", "bold")
     shown = floored(problem.bound, sense, problem.by_clip)
     alone = " (the clip alone proves it)" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
     bound, probability = outward(shown, sense), outward(problem.probability, ">=")

@@ -19,7 +19,6 @@ from perfbound.orchestrator.report.paper.figures import Decay
 from perfbound.orchestrator.store import read as queries
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import ObservedTest
-from perfbound.schemas.campaign import Rule
 from perfbound.schemas.certificate import (
     CampaignId,
     CertificateClaim,
@@ -29,6 +28,7 @@ from perfbound.schemas.certificate import (
     ProblemResult,
     Rollouts,
 )
+from perfbound.schemas.composition import Rule
 from perfbound.schemas.errors import CampaignError, PerfboundError
 from perfbound.schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from perfbound.schemas.problems import ProblemName
