@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from .campaign import CampaignConfig
+from .composition import is_composed
 from .problem_models import PROBLEM_MODELS, RigorousProblem
 from .problems import MethodName, ProblemName
 from .requirements import listed
@@ -153,7 +154,13 @@ def _method(problem: Mapping[str, Any], table: Mapping[str, Any]) -> MethodName:
         return "scenario"
     # Every other method has a tolerance: where it is given, the space is at fault and not the method.
     asked = bool(table.keys() & {"specifications", "falsify"}) or (isinstance(space, Mapping) and _is_drawn(space))
-    return "sample" if "claims" in table or (asked and "alpha" not in problem) else "rigorous"
+    return "sample" if _claims_draws(table) or (asked and "alpha" not in problem) else "rigorous"
+
+
+def _claims_draws(table: Mapping[str, Any]) -> bool:
+    claims = table.get("claims", ())
+    # A fault in them is theirs, whatever the method.
+    return "claims" in table and not (isinstance(claims, list) and any(map(is_composed, claims)))
 
 
 def _is_drawn(space: Mapping[str, Any]) -> bool:

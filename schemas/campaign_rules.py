@@ -130,10 +130,6 @@ def _check_specifications(config: "CampaignConfig") -> None:
 
 def _check_claims(config: "CampaignConfig") -> None:
     sampled = [problem for problem in config.problems if isinstance(problem, SampleProblem)]
-    if config.drawn and config.composed:
-        raise ValueError("claims: of drawn starts, or by a rule from the bounds of problems, not both in one campaign")
-    if config.composed and (sampled or config.specifications):
-        raise ValueError("claims: a rule is for methods that bound a worst start, and for one specification")
     if config.drawn and not sampled:
         raise ValueError("claims: only method 'sample' claims anything of drawn starts; choose it, or remove this")
     for number, asked in enumerate(config.drawn):

@@ -46,6 +46,10 @@ def check_composition(config: "CampaignConfig") -> None:
 
     """
     if config.composed:
+        if config.drawn:
+            raise ValueError("claims: of drawn starts, or by a rule, not both in one campaign")
+        if config.specifications or any(problem.method == "sample" for problem in config.problems):
+            raise ValueError("claims: a rule is for methods that bound a worst start, and for one specification")
         if config.composition != "single":
             raise ValueError("composition: is short for one entry of [[claims]]; remove one of the two")
         _check_claims(config, config.composed)

@@ -8,6 +8,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from .campaign import CampaignConfig
 from .claims import ClaimRequest
+from .composition import ComposedClaim
 from .falsify import Falsify
 from .kernel import MaternKernel, Weighted
 from .method_spaces import SPACES
@@ -73,6 +74,12 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ),
     ("[[claims]]", "What method `sample` claims, the answer to the question of the file first.", ClaimRequest),
     (
+        "[[claims]] by a rule",
+        "With the other methods, the claims that are made from the bounds of the problems, the answer to the question "
+        "of the file first. Each problem is used by one of them or more.",
+        ComposedClaim,
+    ),
+    (
         "[specifications]",
         'Instead of `specification`: `gap = "always (distance >= 2)"`, or a table each, '
         '`gap = { formula = "always (distance >= 2)", id = "REQ-7" }`.',
@@ -95,6 +102,8 @@ ALLOWED = {
     (ScenarioProblem, "sense"): "`min`",
     (SampleProblem, "name"): ", ".join(f"`{name}`" for name, each in OBJECTIVES.items() if "sample" in each.methods),
     (Range, "choices"): "list of numbers",
+    (CampaignConfig, "claims"): "tables, of [drawn starts](#claims) or [by a rule](#claims-by-a-rule)",
+    (ComposedClaim, "problems"): "list of names of problems",
     (CampaignConfig, "specifications"): "one entry per requirement, a formula or a [table](#specifications)",
     (Scenarios, "scenarios"): "lists of numbers, or text",
     (Scenarios, "header"): "list of texts",

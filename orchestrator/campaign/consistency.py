@@ -11,7 +11,7 @@ from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.audit import replicate_spread
 from ..mathematics.gp.lattice import Lattice
-from .plan import Plans, ProblemPlan
+from .plan import Plans, ProblemPlan, bounded_plans
 
 FEWEST = 10
 """Values before a clip or a spread is worth a sentence."""
@@ -21,7 +21,7 @@ FAR = 100.0
 
 def before(plans: Plans, spec: SystemSpec) -> list[str]:
     """Return a line for every contradiction within the campaign file."""
-    return [line for plan in plans.values() for line in of_plan(plan, spec)]
+    return [line for plan in bounded_plans(plans) for line in of_plan(plan, spec)]
 
 
 def of_plan(plan: ProblemPlan, spec: SystemSpec) -> Iterator[str]:
@@ -29,7 +29,7 @@ def of_plan(plan: ProblemPlan, spec: SystemSpec) -> Iterator[str]:
     problem = plan.problem
     if not isinstance(problem, PaperProblem | RigorousProblem):
         return
-    name, length = problem.name, problem.kernel.length_scale
+    name, length = plan.key, problem.kernel.length_scale
     if isinstance(plan.candidates, Lattice):
         steps = zip(plan.parameters, plan.candidates.spacing, strict=True)
         lengths = length if isinstance(length, dict) else dict.fromkeys(plan.parameters, length)
@@ -87,7 +87,7 @@ def _clip(plan: ProblemPlan, robustness: Sequence[float]) -> dict[str, str]:
         end = f"upper clip {high:g}"
     else:
         return {}
-    line = f"{plan.name}: all {len(robustness)} robustness values so far are at the {end}"
+    line = f"{plan.key}: all {len(robustness)} robustness values so far are at the {end}"
     return {"clip": f"{line}: the clip hides every difference between starts; choose one that contains them"}
 
 
@@ -99,7 +99,7 @@ def _norm(plan: ProblemPlan, problem: PaperProblem | RigorousProblem, y: Sequenc
         return {}
     noise = f", with noise of scale {plan.noise:.3g}" if plan.noise else ""
     return {
-        "rkhs_norm": f"{plan.name}: rkhs_norm = {problem.rkhs_norm:g} is below |y - prior_mean| = {largest:.3g} of a "
+        "rkhs_norm": f"{plan.key}: rkhs_norm = {problem.rkhs_norm:g} is below |y - prior_mean| = {largest:.3g} of a "
         f"test{noise}: B bounds this distance everywhere, so B is too small, or prior_mean = {problem.prior_mean:g} "
         "is far off"
     }
@@ -120,7 +120,7 @@ def _noise(
     times = "while replicates do not differ at all" if sd == 0 else f"{_round(plan.noise_per_rollout / sd)} times that"
     observed = "" if sd == 0 else f" of replicates, {sd:.3g}"
     return {
-        "noise_scale": f"{plan.name}: the noise scale per rollout is {plan.noise_per_rollout:.3g}, {times}{observed}: "
+        "noise_scale": f"{plan.key}: the noise scale per rollout is {plan.noise_per_rollout:.3g}, {times}{observed}: "
         "the bound pays for noise that the data do not show. Take more replicates, or assume a smaller noise_scale"
     }
 

@@ -55,7 +55,7 @@ def left_in_words(config: CampaignConfig, problem: Problem, left: int) -> str:
 
 def warnings(plans: "Plans") -> list[str]:
     """Return a line for every problem whose budget cannot reach its tolerance."""
-    return [line for plan in plans.values() if (line := out_of_reach(plan))]
+    return [line for plan in plans.values() for part in plan.parts or (plan,) if (line := out_of_reach(part))]
 
 
 def out_of_reach(plan: "ProblemPlan") -> str | None:
@@ -64,7 +64,7 @@ def out_of_reach(plan: "ProblemPlan") -> str | None:
     if problem.alpha is None or least <= problem.alpha:
         return None
     return (
-        f"{problem.name}: {tests} tests cannot be expected to reach alpha = {problem.alpha:g}: even with all tests "
+        f"{plan.key}: {tests} tests cannot be expected to reach alpha = {problem.alpha:g}: even with all tests "
         f"at one point, upper and lower bound stay about {least:.3g} apart. The budget ends the problem then; raise "
         "max_tests or alpha, or continue with the wider bound"
     )

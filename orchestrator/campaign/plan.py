@@ -164,6 +164,11 @@ Plans = Mapping[str, ProblemPlan]
 """The plan of each problem by name, in the order of the campaign file."""
 
 
+def bounded_plans(plans: Plans) -> list[ProblemPlan]:
+    """Return the plan of everything that has a bound of its own: each problem, or each of its requirements."""
+    return [part for plan in plans.values() for part in plan.parts or (plan,)]
+
+
 def plans(config: CampaignConfig, spec: SystemSpec) -> Plans:
     """Return the plans of a campaign."""
     return {problem.name: plan(config, spec, problem) for problem in config.problems}

@@ -61,6 +61,10 @@ def objective(plan: ProblemPlan, rules: int) -> str:
     # A reader takes "over d" for the box. Rules 1: the words are those that a certificate was issued with.
     if rules > 1 and plan.listed is not None:
         text = text.replace("over d", f"over the {plan.listed} listed starts", 1)
+    if plan.parts:
+        text = f"{text}, of every requirement"
+    elif plan.requirement is not None:
+        text = f"{text}, of requirement {plan.requirement}"
     linear = isinstance(problem, RigorousProblem | ScenarioProblem) and isinstance(problem.linearised, Linearised)
     return f"{text}, through the expectation that bounds it" if linear else text
 

@@ -93,7 +93,12 @@ def nothing_shown(quantity: Quantity | None) -> str:
 
 def claim_words(claim: CertificateClaim) -> str:
     """Return the subject of a claim in words."""
-    return claim.subject or quantity_words(claim.quantity, claim.starts)
+    if claim.subject is not None:
+        return claim.subject
+    words = quantity_words(claim.quantity, claim.starts)
+    if claim.rule == "every":
+        return f"{words}, of every requirement"
+    return words if claim.requirement is None else f"{words}, of requirement {claim.requirement}"
 
 
 def print_certificate(certificate: Certificate, console: Console, unit: str = "") -> None:

@@ -3,8 +3,9 @@
 It reads the run directory of a running, stopped or finished campaign and changes no file in it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ...schemas.certificate import Certificate, Predicate
@@ -12,7 +13,9 @@ from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, ProposalFact, RolloutFact
 from ...schemas.ids import CLOSING, RECHECK, RolloutId
 from ...schemas.parameters import parameter_ranges
-from ..campaign.plan import plans
+from ...schemas.values import Observation
+from ..campaign.observation import split
+from ..campaign.plan import ProblemPlan, plans
 from ..certificate import files
 from ..certificate.text import check_sentences
 from ..run.format import replay_command, resume_command
@@ -94,8 +97,7 @@ class Collector:
             )
         self._certificate = certificate
         if not self._problems:
-            found = plans(header.config, header.spec).items()
-            self._problems = {name: ProblemCollector(header, plan) for name, plan in found}
+            self._problems = dict(_collectors(header))
         self._system = changes.origin[0] if changes.origin else None
         self._code = ", ".join(filter(None, changes.origin or ())) or None
         self._add(changes)
@@ -105,12 +107,14 @@ class Collector:
         try:
             for fact in changes.decisions:
                 if fact.problem not in CLOSING:
-                    self._problems[fact.problem].add(fact)
+                    for collector in self._of_problem(fact.problem):
+                        collector.add(fact)
                 elif isinstance(fact, ProposalFact):
                     self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
                 if problem not in CLOSING:
-                    self._problems[problem].rollouts += number
+                    for collector in self._of_problem(problem):
+                        collector.rollouts += number
         except (KeyError, ValueError) as error:
             raise JournalError(
                 f"{self.directory}: the facts contradict each other ({error}); restore the database from a copy"
@@ -123,10 +127,10 @@ class Collector:
 
     def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
         config, predicate = header.config, self._certificate.predicate if self._certificate else None
-        results = {each.name: each for each in predicate.problems} if predicate else {}
+        results = {each.key: each for each in predicate.problems} if predicate else {}
         problems = tuple(
-            replace(each.data(results.get(each.problem.name)), regions=self._regions(each, predicate))
-            for each in self._problems.values()
+            replace(each.data(results.get(key)), regions=self._regions(each, predicate))
+            for key, each in self._problems.items()
         )
         claims = wording.worded(predicate) if predicate else ()
         workers, more = self._workers.rows(live, self._trust.workers)
@@ -153,11 +157,7 @@ class Collector:
             assumptions=predicate.assumptions if predicate else (),
             checks=check_sentences(predicate) if predicate else (),
             problems=problems,
-            scenes=tuple(
-                self._rollouts(name, test)
-                for name, each in self._problems.items()
-                for test in each.worst_tests(WORST_STARTS)
-            ),
+            scenes=tuple(self._rollouts(*test) for test in self._worst_tests()),
             counterexamples=tuple(
                 rollouts.described(
                     fact,
@@ -167,7 +167,7 @@ class Collector:
                 for fact in self._violations[:MOST_COUNTEREXAMPLES]
             ),
             violations=len(self._violations),
-            rollouts=sum(each.rollouts for each in self._problems.values()),
+            rollouts=sum(each.rollouts for each in problems if each.requirement is None),
             workers=workers,
             throughput=self._workers.throughput(),
             software=header.software,
@@ -179,6 +179,20 @@ class Collector:
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
         )
+
+    def _of_problem(self, problem: str) -> list[ProblemCollector]:
+        """Return the collector of a problem, and those of its requirements."""
+        found = [each for each in self._problems.values() if each.problem.name == problem]
+        if not found:
+            raise KeyError(problem)
+        return found
+
+    def _worst_tests(self) -> list[tuple[str, int]]:
+        """Return the worst tests of every problem and requirement, each once."""
+        tests = (
+            (each.problem.name, test) for each in self._problems.values() for test in each.worst_tests(WORST_STARTS)
+        )
+        return list(dict.fromkeys(tests))
 
     def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
         # A certificate is final, and so is its table.
@@ -213,6 +227,18 @@ class Collector:
             if len(self._cache) > MOST_CACHED:
                 del self._cache[next(iter(self._cache))]
         return found
+
+
+def _collectors(header: Header) -> Iterator[tuple[str, ProblemCollector]]:
+    """Yield the collector of each problem, followed by those of its requirements, with the keys of their plans."""
+    for plan in plans(header.config, header.spec).values():
+        yield plan.key, ProblemCollector(header, plan, header.config)
+        for place, (part, config) in enumerate(zip(plan.parts, header.config.parts, strict=True)):
+            yield part.key, ProblemCollector(header, part, config, partial(_own, plan, place))
+
+
+def _own(plan: ProblemPlan, place: int, observation: Observation) -> Observation:
+    return split(plan, observation)[place]
 
 
 def _axes(header: Header) -> tuple[Axis, ...]:

@@ -190,6 +190,8 @@ class Problem:
     """The same of each requirement, where there are several."""
     regions: RegionMap | None = None
     """Of a finished campaign with `regions`."""
+    requirement: str | None = None
+    """The one that is bounded here on its own, from the tests of the problem; None for the whole specification."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,21 +1,26 @@
-"""The part of the collector for one problem: its tests, and its method fed with them.
+"""The part of the collector for one problem, or for one of its requirements: its tests, and its method fed with them.
 
 Facts are in terms of the maximised objective J; the data carry the sign of the problem's own objective, so upper and
 lower change places for a minimum.
 """
 
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
+from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Predicate, ProblemResult
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
-from ...schemas.values import Observation, Proposal
+from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import method
 from ..campaign.plan import ProblemPlan
 from ..certificate.problem_results import objective
+from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.bounds.sample import SampleMethod
+from ..mathematics.bounds.scenario import ScenarioMethod
 from ..store.changes import Decision
 from ..store.export_tables import robustness_unit, unit
 from ..store.read import ObservedTest
@@ -25,17 +30,26 @@ from .drawn import histograms
 from .regions import region_map
 from .wording import typeset
 
+Own = Callable[[Observation], Observation]
+"""The observation of one requirement in that of a test."""
+
 
 class ProblemCollector:
-    """The facts of one problem so far; surface and columns are computed again only after a new bound."""
+    """The facts of one problem so far; surface and columns are computed again only after a new bound.
 
-    def __init__(self, header: Header, plan: ProblemPlan) -> None:
+    A requirement that is bounded on its own has the tests of the problem, of which `own` returns its observation; its
+    bound is not recorded, and follows from them. `config` is the campaign of what is bounded.
+    """
+
+    def __init__(self, header: Header, plan: ProblemPlan, config: CampaignConfig, own: Own | None = None) -> None:
         self.problem = plan.problem
         self.rollouts = 0
         self.starts: list[tuple[float, ...]] = []
         """z of every proposed test."""
         self.observed: list[ObservedTest] = []
         self._plan, self._method, self._header = plan, method(plan, header), header
+        self._config, self._own = config, own
+        self._bound: Bound | None = None
         self._sense = plan.sense
         self._proposals: dict[int, ProposalFact] = {}
         self._values: dict[int, ObservationFact] = {}
@@ -58,10 +72,12 @@ class ProblemCollector:
                 self._proposals[fact.test] = fact
                 self.starts.append(fact.proposal.x)
             case ObservationFact():
+                fact = fact if self._own is None else replace(fact, observation=self._own(fact.observation))
                 if self._plan.is_evidence(fact.test):
                     self._pending.append((self._proposals[fact.test].proposal, fact.observation))
                 self._values[fact.test] = fact
             case BoundFact():
+                fact = fact if self._own is None else replace(fact, bound=Bound(None, None, fact.bound.verdict))
                 proposal, observation = self._proposals.pop(fact.test), self._values.pop(fact.test)
                 self.observed.append(ObservedTest.of(proposal, observation, fact))
 
@@ -74,31 +90,32 @@ class ProblemCollector:
         """
         problem, last = self.problem, self.observed[-1] if self.observed else None
         if last and len(self._tests.test) != len(self.observed):
-            self._method.recall(self._pending)
+            self._bound = self._bound_after(last)
             self._pending.clear()
             if isinstance(self._method, SampleMethod):
                 self._drawn = self._histograms(self._method)
             else:
-                self._surface = band.surface(self._plan, self._method, last.bound)
+                self._surface = band.surface(self._plan, self._method, self._bound)
             self._tests = self._columns()
             self._warnings = self._contradictions()
-        stopped_by = last.stopped_by if last else None
-        bound = result.bound if result else signed(last.bound.upper if last else None, self._sense)
+        now = self._bound if last else None
+        stopped_by = result.stopped_by if result else self._stopped_by(last)
+        bound = result.bound if result else signed(now.upper if now else None, self._sense)
         rules = self._header.rules
         later = rules >= 2  # the bound is then never weaker than the clip, as in the certificate
-        limit = by_clip(self._header.config, problem) if later else None
+        limit = by_clip(self._config, problem) if later else None
         return Problem(
             name=problem.name,
             objective=typeset(result.objective if result else objective(self._plan, rules)),
             quantity=self._plan.statement.quantity,
             method=problem.method,
             sense=self._sense,
-            unit=unit(problem, self._header.config, self._header.spec),
+            unit=unit(problem, self._config, self._header.spec),
             distance="F_i" if problem.method == "paper" else "U - L",
             alpha=problem.alpha,
             delta=problem.delta,
             bound=None if bound is None else floored(bound, self._sense, limit),
-            partner=result.partner if result else signed(last.bound.lower if last else None, self._sense),
+            partner=result.partner if result else signed(now.lower if now else None, self._sense),
             probability=result.probability if result else self._probability(last),
             budget=self._plan.budget,
             rollouts=self.rollouts,
@@ -111,6 +128,7 @@ class ProblemCollector:
             starts=self._plan.listed if rules > 1 else None,
             drawn=self._drawn[0] if self._drawn else None,
             requirements=tuple(self._drawn[1:]),
+            requirement=self._plan.requirement,
         )
 
     def regions(self, directory: Path, predicate: Predicate | None) -> RegionMap | None:
@@ -127,6 +145,19 @@ class ProblemCollector:
             found.setdefault(each.proposal.x, each.test)
         return list(islice(found.values(), number))
 
+    def _bound_after(self, last: ObservedTest) -> Bound:
+        """Give the pending observations to the method and return the bound after them, which is that of `last`."""
+        if self._own is None:
+            self._method.recall(self._pending)
+            return last.bound
+        assert isinstance(self._method, RigorousMethod | ScenarioMethod), "no other method bounds each requirement"
+        return self._method.bound_after(self._pending)
+
+    def _stopped_by(self, last: ObservedTest | None) -> StoppedBy | None:
+        # A requirement may be done before the others are.
+        verdict = self._bound.verdict if self._bound and self._own else None
+        return verdict or (last.stopped_by if last else None)
+
     def _badness(self, observation: Observation) -> float:
         """Return J, which is maximised; where starts are drawn the worst robustness, whatever is bounded."""
         return -min(observation.each[: self._plan.replicates]) if self._plan.candidates is None else observation.y
@@ -135,7 +166,7 @@ class ProblemCollector:
         header = self._header
         values = [each.observation.each for each in self.observed if self._plan.is_drawn(each.test)]
         # A search may have found its counterexample before the first drawn start.
-        return histograms(self._plan, method, values, robustness_unit(header.config, header.spec)) if values else []
+        return histograms(self._plan, method, values, robustness_unit(self._config, header.spec)) if values else []
 
     def _probability(self, last: ObservedTest | None) -> float | None:
         """Return the probability of the current bound; None where there is no valid one."""
@@ -154,9 +185,11 @@ class ProblemCollector:
         return tuple(map(typeset, (*consistency.of_plan(self._plan, self._header.spec), *found.values())))
 
     def _left(self) -> str | None:
+        if self._own is not None:
+            return None  # its tests are those of the whole
         now = self._tests.distance[-1] if self._tests.distance else None
-        left = forecast.tests_left(self._header.config, self.problem, now, len(self.observed))
-        return None if left is None else forecast.left_in_words(self._header.config, self.problem, left)
+        left = forecast.tests_left(self._config, self.problem, now, len(self.observed))
+        return None if left is None else forecast.left_in_words(self._config, self.problem, left)
 
     @property
     def _observed_sense(self) -> str:

@@ -60,8 +60,9 @@ def current_bound(problems: Sequence[Problem], claims: Sequence[Claim]) -> str:
     """Return the first claim of a finished campaign, or the current bound of every problem."""
     if claims:
         return claims[0].sentence
-    text = " ".join(map(_problem_bound, problems))
-    return text if len(problems) == 1 else f"{text} The composed claim follows when all problems have stopped."
+    whole = [each for each in problems if each.requirement is None]
+    text = " ".join(_problem_bound(each, several=len(problems) > len(whole)) for each in whole)
+    return text if len(whole) == 1 else f"{text} The composed claim follows when all problems have stopped."
 
 
 def counterexample_sentence(predicate: document.Predicate | None, header: Header) -> str | None:
@@ -72,11 +73,13 @@ def counterexample_sentence(predicate: document.Predicate | None, header: Header
     return typeset(f"{words[0].upper()}{words[1:]}.")
 
 
-def _problem_bound(problem: Problem) -> str:
+def _problem_bound(problem: Problem, *, several: bool) -> str:
     sense = ">=" if problem.sense == "min" else "<="
     objective = problem.objective.partition(", through")[0]
     drawn = problem.quantity is None or is_sampled(problem.quantity)
     quantity = objective if drawn or problem.quantity is None else quantity_words(problem.quantity, problem.starts)
+    if several and problem.quantity is not None:
+        quantity += ", of every requirement"
     if problem.stopped_by == "refuted":
         return f"{problem.name}: its assumptions are refuted, so its bound is worth nothing."
     if problem.bound is None:

@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 
 from ..campaign import consistency
 from ..campaign.account import Account
+from ..campaign.bounded import bounded
+from ..campaign.methods import Methods
 from .service import RunStatus
 
 GROWTH = 1.1
@@ -13,8 +15,8 @@ GROWTH = 1.1
 class Contradictions:
     """A listener that prints a line for every contradiction, once in a run."""
 
-    def __init__(self, accounts: Mapping[str, Account], print_line: Callable[[str], None]) -> None:
-        self._accounts, self._print_line = accounts, print_line
+    def __init__(self, accounts: Mapping[str, Account], methods: Methods, print_line: Callable[[str], None]) -> None:
+        self._accounts, self._methods, self._print_line = accounts, methods, print_line
         self._examined = dict.fromkeys(accounts, 0)
         self._printed: set[tuple[str, str]] = set()
 
@@ -28,7 +30,8 @@ class Contradictions:
             if tests == self._examined[name] or (tests < GROWTH * self._examined[name] and not ended):
                 continue
             self._examined[name] = tests
-            self._examine(name, account)
+            for key, each in bounded({name: account}, self._methods).items():
+                self._examine(key, each)
 
     def _examine(self, name: str, account: Account) -> None:
         found = consistency.of_tests(account.plan, account.observations, account.each, account.robustness)

@@ -349,7 +349,7 @@ def _conduct(
                 *consistency.before(plans, ledger.header.spec),
             ):
                 terminal.print_line(sentence)
-            contradictions = Contradictions(ledger.accounts, terminal.print_line)
+            contradictions = Contradictions(ledger.accounts, ledger.methods, terminal.print_line)
             listeners = (terminal, SystemdStatus(systemd), page, contradictions)
             service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))

@@ -80,7 +80,10 @@ def _parameters_of(predicate: Mapping[str, Any]) -> Any:
 
 def _drop_later_keys(header: Header, problems: Sequence[Mapping[str, Any]]) -> None:
     """Drop the keys of a campaign file that did not exist when this campaign was run."""
-    for problem, result in zip(header.config.problems, problems, strict=True):
+    config = header.config
+    # Of several requirements each has a result.
+    bounded = [part.problems[0] for part in config.parts] or config.problems
+    for problem, result in zip(bounded, problems, strict=True):
         for key in set(type(problem).model_fields) - problem.model_fields_set:
             result["parameters"].pop(key, None)
 

@@ -201,7 +201,11 @@ class ScenarioMethod(Method):
             IndexError: no scenario has this index.
 
         """
-        self.recall([(proposal, observation)])
+        return self.bound_after([(proposal, observation)])
+
+    def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
+        """Add observations, and return the bound that follows from all of them; raises as `observe`."""
+        self.recall(tests)
         found = self.bound()
         return Bound(-found.ell, -found.upper, found.verdict(self._alpha))
 

@@ -89,7 +89,7 @@ def test_every_line_is_printed_once_in_a_run(tmp_path: Path) -> None:
     stage = play(tmp_path / "run", campaign)
     stage.journal.close()
     accounts = stage.ledger.accounts
-    listener = Contradictions(accounts, lines.append)
+    listener = Contradictions(accounts, stage.ledger.methods, lines.append)
     progress = {name: account.progress for name, account in accounts.items()}
     for _ in range(3):
         listener.show(RunStatus(campaign, progress, {}, {}, {}, 0, 0, 0.0))

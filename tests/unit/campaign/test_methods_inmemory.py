@@ -40,13 +40,22 @@ def scenario(**changes: Any) -> CampaignConfig:
     )
 
 
+def requirements() -> CampaignConfig:
+    """The same starts, two requirements of the risk, each with its own constants."""
+    own = {"linearised": {"centre": 0.4, "spread": 0.2}, "alpha": 0.02}
+    formulas = {"below": "always (value <= 0.6)", "above": "always (value >= -0.4)"}
+    listed = [{"name": name, "formula": formula} for name, formula in formulas.items()]
+    base = scenario().model_dump(mode="json", exclude_unset=True)
+    return a_config({**base, "specification": None}, specifications=[listed[0], listed[1] | own])
+
+
 def refined() -> CampaignConfig:
     """Method `paper` with points between the nodes."""
     base = table("test-function", resolution=9, max_tests=20)
     return a_config(base, problems=[{**base["problems"][0], "refine": True, "alpha": 0.001}])
 
 
-CONFIGS = {"refined": refined(), "rigorous": rigorous(), "scenario": scenario()}
+CONFIGS = {"refined": refined(), "rigorous": rigorous(), "scenario": scenario(), "requirements": requirements()}
 
 
 @pytest.fixture(autouse=True)

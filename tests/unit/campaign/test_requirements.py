@@ -1,0 +1,254 @@
+"""Several requirements by methods that choose their tests: one design, and for each requirement a bound of its own."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from rich.console import Console
+
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.text import print_certificate
+from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.run import service
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.rollout import RolloutRequest
+from tests.fakes.simulators import noise, predicate, robustness, simulate, statuses, verified
+
+RIGOROUS = {
+    "method": "rigorous",
+    "alpha": 0.1,
+    "rkhs_norm": 2.0,
+    "noise_scale": 0.0,
+    "kernel": {"nu": 2.5, "length_scale": 0.7},
+}
+NOISY = RIGOROUS | {"noise_scale": "derived", "alpha": 0.5}
+THREE: list[dict[str, Any]] = [
+    {"name": "low", "formula": "value >= 0", "id": "REQ-1"},
+    {"name": "high", "formula": "1.2 - value >= 0"},
+    {"name": "double", "formula": "2 * value >= 0", "alpha": 0.3, "rkhs_norm": 4.0},
+]
+LEAST = {"low": 0.2, "high": 0.4, "double": 0.4}
+"""Of each requirement, for `plane`, whose values are .2 to .8."""
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    monkeypatch.setattr(service, "TICK", 0.01)
+
+
+def plane(request: RolloutRequest) -> float:
+    return 0.2 + 0.5 * request.x[0] + 0.1 * request.x[1]
+
+
+def shaky(request: RolloutRequest) -> float:
+    return plane(request) + 0.02 * min(max(noise(request.seed), -3.0), 3.0)
+
+
+def several(requirements: list[dict[str, Any]] = THREE, **changes: Any) -> CampaignConfig:
+    """Return a campaign about the unit square, without checks afterwards."""
+    problem = {**RIGOROUS, **changes.pop("problem", {})}
+    found = {"specification": None, "specifications": requirements, "recheck": 0, "spot_check": 0}
+    return robustness(problem, **found | changes)
+
+
+def certificate(directory: Path) -> Certificate:
+    found = files.read(directory)
+    assert found is not None
+    return found
+
+
+def test_every_requirement_has_its_claim_after_that_of_all(tmp_path: Path) -> None:
+    simulate(tmp_path, several(spot_check=20), plane, noisy=False)
+    found = certificate(tmp_path).predicate
+    whole, *each = found.claims
+    assert (whole.rule, whole.requirement, whole.quantity) == ("every", None, "robustness")
+    assert [(claim.rule, claim.requirement) for claim in each] == [("single", name) for name in LEAST]
+    alphas = {"low": 0.1, "high": 0.1, "double": 0.3}
+    for claim in each:
+        assert claim.requirement is not None
+        least = LEAST[claim.requirement]
+        assert least - alphas[claim.requirement] <= claim.bound <= least
+    assert whole.bound == min(claim.bound for claim in each)
+    assert {claim.probability for claim in found.claims} == {1.0}, "nothing is random"
+    assert [(result.requirement, result.parameters["alpha"]) for result in found.problems] == list(alphas.items())
+    assert [result.parameters["rkhs_norm"] for result in found.problems] == [2.0, 2.0, 4.0]
+    assert {(result.tests, result.rollouts.nominal) for result in found.problems} == {(found.problems[0].tests,) * 2}
+    assert found.spot_check is not None
+    assert [(row.requirement, row.status) for row in found.spot_check.problems] == [
+        (name, "not refuted") for name in LEAST
+    ]
+    assert not verified(tmp_path)
+
+
+def test_a_claim_rests_on_the_assumptions_of_its_requirement(tmp_path: Path) -> None:
+    simulate(tmp_path, several(), plane, noisy=False)
+    whole, low, *_ = certificate(tmp_path).predicate.claims
+    norms = {f"rkhs_norm/robustness/{name}" for name in LEAST}
+    assert norms <= set(whole.assumptions)
+    assert norms & set(low.assumptions) == {"rkhs_norm/robustness/low"}
+    assert "only_campaign" in low.assumptions
+
+
+def test_a_norm_that_is_too_small_refutes_its_requirement_and_the_whole(tmp_path: Path) -> None:
+    requirements = [THREE[0], {**THREE[1], "rkhs_norm": 0.3}]
+    text = simulate(tmp_path, several(requirements), plane, noisy=False)
+    whole, low, high = predicate(text)["claims"]
+    assert whole["refuted"] == high["refuted"]
+    assert "rkhs_norm/robustness/high" in high["refuted"]
+    assert not low["refuted"]
+    assert statuses(text)["rkhs_norm/robustness/low"] == "not refuted"
+    assert [row["stopped_by"] for row in predicate(text)["problems"]] == ["converged", "refuted"]
+    assert not verified(tmp_path)
+
+
+def test_a_fresh_start_that_violates_one_bound_refutes_that_one(tmp_path: Path) -> None:
+    def hole(request: RolloutRequest) -> float:
+        x, y = request.x
+        return -1.0 if 0.51 < x < 0.61 and 0.51 < y < 0.61 else plane(request)
+
+    text = simulate(tmp_path, several(spot_check=299, max_tests=12, resolution=3), hole, noisy=False)
+    spot = {row["requirement"]: row["status"] for row in predicate(text)["spot_check"]["problems"]}
+    assert spot == {"low": "refuted", "high": "not refuted", "double": "refuted"}
+    assert statuses(text)["rkhs_norm/robustness/low"] == "refuted"
+    assert not verified(tmp_path)
+
+
+def test_noisy_requirements_each_have_the_whole_delta(tmp_path: Path) -> None:
+    config = several(problem=NOISY, clip=(-1.0, 2.0), replicates=2, max_tests=30, spot_check=20)
+    text = simulate(tmp_path, config, shaky, noisy=True)
+    found = predicate(text)
+    assert [claim["probability"] for claim in found["claims"]] == [0.95] * 4
+    assert all(claim["bound"] <= LEAST[claim["requirement"]] for claim in found["claims"][1:])
+    assert statuses(text)["one_law_per_start/robustness/low"] == "not refuted"
+    assert not verified(tmp_path)
+
+
+def test_scenarios_serve_every_requirement(tmp_path: Path) -> None:
+    config = robustness(
+        {"method": "scenario", "alpha": 0.2},
+        specification=None,
+        specifications=[{key: each[key] for key in ("name", "formula")} for each in THREE],
+        space={"scenarios": [[0.0, 0.0], [0.5, 0.5], [1.0, 1.0]]},
+        clip=(-1.0, 2.0),
+        replicates=20,
+        max_tests=300,
+        recheck=0,
+    )
+    text = simulate(tmp_path, config, shaky, noisy=True)
+    assert all(claim["bound"] <= LEAST[claim["requirement"]] for claim in predicate(text)["claims"][1:])
+    assert {row["stopped_by"] for row in predicate(text)["problems"]} == {"converged"}
+    assert not verified(tmp_path)
+
+
+def test_workers_and_a_stop_in_between_change_no_byte(tmp_path: Path) -> None:
+    config = several(problem=NOISY, clip=(-1.0, 2.0), replicates=2, max_tests=20, window=3, spot_check=10, recheck=2)
+    for name, workers in (("one", 1), ("five", 5)):
+        simulate(tmp_path / name, config, shaky, noisy=True, workers=workers)
+    cut = 0
+
+    def stop(_: RolloutRequest) -> bool:
+        nonlocal cut
+        cut += 1
+        return cut == 25
+
+    simulate(tmp_path / "cut", config, shaky, noisy=True, stop=stop)
+    simulate(tmp_path / "cut", config, shaky, noisy=True)
+    assert len({(tmp_path / name / "certificate.json").read_bytes() for name in ("one", "five", "cut")}) == 1
+
+
+def test_a_counterexample_to_any_requirement_ends_the_campaign(tmp_path: Path) -> None:
+    requirements = [THREE[0], {"name": "small", "formula": "0.75 - value >= 0"}]
+    text = simulate(tmp_path, several(requirements, falsify={}), plane, noisy=False)
+    found = predicate(text)
+    assert found["counterexample"]["robustness"] < 0
+    assert {row["stopped_by"] for row in found["problems"]} == {"counterexample"}
+    assert not verified(tmp_path)
+
+
+def test_the_report_has_a_panel_for_each_requirement(tmp_path: Path) -> None:
+    simulate(tmp_path, several(), plane, noisy=False)
+    for finished in (True, False):
+        if not finished:
+            (tmp_path / files.CERTIFICATE).unlink()
+        whole, low, high, double = Collector(tmp_path).refresh().problems
+        assert [each.requirement for each in (whole, low, high, double)] == [None, *LEAST]
+        for each in (low, high, double):
+            assert each.bound is not None
+            assert each.requirement is not None
+            assert each.bound <= LEAST[each.requirement]
+            assert each.surface is not None
+            assert each.stopped_by == "converged"
+            assert each.rollouts == whole.rollouts
+        each_y = zip(low.tests.y, high.tests.y, double.tests.y, strict=True)
+        assert whole.tests.y == tuple(min(value for value in values if value is not None) for values in each_y)
+        assert "of requirement low" in low.objective
+
+
+def test_the_terminal_names_the_requirement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    simulate(tmp_path, several(), plane, noisy=False)
+    print_certificate(certificate(tmp_path), Console(width=100))
+    out = " ".join(capsys.readouterr().out.split())
+    assert "CLAIM worst robustness over all starts, of every requirement >= " in out
+    assert "also worst robustness over all starts, of requirement double >= " in out
+
+
+TEXT = """horizon = 5
+clip = [-5, 60]
+system.name = "cars"
+[space]
+gap = [5, 60]
+speed = [5, 35]
+[specifications]
+gap = "always (distance > 0)"
+stop = { formula = "eventually (speed < 1)", rkhs_norm = 9 }
+[[problems]]
+name = "robustness"
+method = "rigorous"
+alpha = 1
+rkhs_norm = 40
+noise_scale = 0
+"""
+
+
+def test_the_constants_of_a_requirement_are_beside_its_formula() -> None:
+    found = parse_campaign(TEXT.encode(), "cars.toml")
+    assert [part.problems[0].model_dump()["rkhs_norm"] for part in found.parts] == [40.0, 9.0]
+    assert [part.specification for part in found.parts] == ["always (distance > 0)", "eventually (speed < 1)"]
+    other = parse_campaign(TEXT.replace("rkhs_norm = 9", "rkhs_norm = 8").encode(), "cars.toml")
+    assert found.digest != other.digest
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        (
+            "rkhs_norm = 9",
+            "linearised = { centre = 1, spread = 1 }",
+            r"specifications\.stop: .*linearised",
+        ),
+        ("rkhs_norm = 9", "rkhs_norm = -1", r"specifications\.stop\.rkhs_norm"),
+        ("rkhs_norm = 9", "resolution = 3", r"specifications\.stop\.resolution"),
+        ('name = "robustness"', 'name = "maximum"\ncolumn = "speed"', "specifications: only for one problem"),
+        ("horizon = 5", "horizon = 5\nregions = true", "regions: divides the box by one specification"),
+        ("horizon = 5", 'horizon = 5\nspecification = "speed > 0"', "specification: not allowed beside"),
+    ],
+)
+def test_requirements_that_do_not_go_together(old: str, new: str, reason: str) -> None:
+    with pytest.raises(CampaignError, match=reason) as caught:
+        parse_campaign(TEXT.replace(old, new).encode(), "c.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_method_paper_and_method_sample_say_why_not() -> None:
+    paper = {"method": "paper", "alpha": 0.1, "c": 0.2, "rkhs_norm": 2.0, "noise_scale": 0.1}
+    kernel = {"kernel": RIGOROUS["kernel"]}
+    config = {"specification": None, "specifications": THREE, "clip": (-1.0, 1.0)}
+    with pytest.raises(ValidationError, match="specifications: Algorithm 1 chooses every test by its own bound"):
+        robustness(paper | kernel, **config)
+    with pytest.raises(ValidationError, match=r"specifications\.double\.alpha: has no meaning in method 'sample'"):
+        robustness({"method": "sample"}, **config)
