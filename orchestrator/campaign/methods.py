@@ -21,9 +21,11 @@ from .draws import Draws
 from .observation import split
 from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below
 
-OneMethod = PaperMethod | RigorousMethod | ScenarioMethod | SampleMethod
+PartMethod = RigorousMethod | ScenarioMethod
+"""A method that bounds one of several requirements."""
+OneMethod = PaperMethod | PartMethod | SampleMethod
 """The method of one objective."""
-ProblemMethod = OneMethod | JointMethod[OneMethod]
+ProblemMethod = OneMethod | JointMethod[PartMethod]
 Methods = Mapping[str, ProblemMethod]
 """The method of each problem and of each requirement with one of its own, by the key of its plan."""
 
@@ -49,7 +51,9 @@ def method(plan: ProblemPlan, header: Header) -> ProblemMethod:
         return _one_method(plan, header)
     # Each requirement on its own, from the same tests.
     alphas = [alpha for part in plan.parts if (alpha := part.problem.alpha) is not None]
-    return JointMethod([_one_method(part, header) for part in plan.parts], alphas, partial(split, plan))
+    parts = [_one_method(part, header) for part in plan.parts]
+    shared = [each for each in parts if isinstance(each, RigorousMethod | ScenarioMethod)]
+    return JointMethod(shared, alphas, partial(split, plan), plan.chosen_from.nodes)
 
 
 def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:

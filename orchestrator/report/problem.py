@@ -15,12 +15,10 @@ from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
-from ..campaign.methods import method
+from ..campaign.methods import PartMethod, method
 from ..campaign.plan import ProblemPlan
 from ..certificate.problem_results import objective
-from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.bounds.sample import SampleMethod
-from ..mathematics.bounds.scenario import ScenarioMethod
 from ..store.changes import Decision
 from ..store.export_tables import robustness_unit, unit
 from ..store.read import ObservedTest
@@ -150,7 +148,7 @@ class ProblemCollector:
         if self._own is None:
             self._method.recall(self._pending)
             return last.bound
-        assert isinstance(self._method, RigorousMethod | ScenarioMethod), "no other method bounds each requirement"
+        assert isinstance(self._method, PartMethod), "no other method bounds each requirement"
         return self._method.bound_after(self._pending)
 
     def _stopped_by(self, last: ObservedTest | None) -> StoppedBy | None:

@@ -13,21 +13,37 @@ that chooses a test from the observations before it, and so for tests that anoth
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from ....schemas.values import Band, Bound, Observation, Proposal, Verdict
+from ..gp.acquisition import maximiser, rival_node
+from ..gp.kernels import Floats
 from .method import Method
 
-Part = TypeVar("Part", bound=Method)
+
+class SharedMethod(Method, Protocol):
+    """A method whose next test may be chosen together with others."""
+
+    def acquisition(self, pending: Sequence[int]) -> Floats:
+        """Return how large J may be at each candidate (m,), which its own rule maximises."""
+        ...
+
+    def proposal_at(self, index: int, pending: Sequence[int]) -> Proposal:
+        """Return the proposal of a candidate that another rule chose."""
+        ...
+
+
+Part = TypeVar("Part", bound=SharedMethod)
 
 
 class JointMethod(Method, Generic[Part]):
     """The methods of several objectives, which observe the same tests and take turns in proposing them.
 
-    The next test is that of the method whose bounds are furthest apart in units of its tolerance, so that tests go
-    where the end of the campaign needs them. `split` returns the observation of each objective.
+    The method whose bounds are furthest apart in units of its tolerance leads; where it is nearly as well served, the
+    test is where the others are open too. `split` returns the observation of each objective, `nodes` are the candidates
+    (m, p) that all methods share.
     Implements eq. (several) of [PB].
     """
 
@@ -36,10 +52,11 @@ class JointMethod(Method, Generic[Part]):
         parts: Sequence[Part],
         alphas: Sequence[float],
         split: Callable[[Observation], Sequence[Observation]],
+        nodes: Floats,
     ) -> None:
         if not parts or len(parts) != len(alphas):
             raise ValueError(f"needs one tolerance for each of its methods, not {len(alphas)} for {len(parts)}")
-        self.parts, self._alphas, self._split = tuple(parts), tuple(alphas), split
+        self.parts, self._alphas, self._split, self._nodes = tuple(parts), tuple(alphas), split, nodes
         self.bounds = (Bound(None, None, None),) * len(self.parts)
         """The last bound of each method."""
 
@@ -54,12 +71,23 @@ class JointMethod(Method, Generic[Part]):
         return min(part.probability for part in self.parts)
 
     def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:
-        """Return the test of the method whose turn it is; it changes nothing."""
-        return self._next.propose(first, pending)
+        """Return the test that is best for the method with the furthest way to go, and good for the others.
+
+        Formula: argmax over the candidates of a_l(z) + alpha_l mean_i (a_i(z) - L_i)^+ / alpha_i, a the acquisition
+        functions, l the lead, i over the other methods that have not stopped. It changes nothing; it raises as they do.
+        """
+        lead, values = self._lead, self._acquisition(pending)
+        if first is not None or not math.isfinite(values.max()):
+            return self.parts[lead].propose(first, pending)
+        return self.parts[lead].proposal_at(maximiser(values), pending)
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
-        """Return the proposal of `x` (p,) of the method whose turn it is."""
-        return self._next.rival(x, pending)
+        """Return the proposal of `x` (p,) if another CPU could have chosen it as maximiser."""
+        lead, values = self._lead, self._acquisition(pending)
+        if not math.isfinite(values.max()):
+            return self.parts[lead].rival(x, pending)
+        index = rival_node(values, self._nodes, x)
+        return None if index is None else self.parts[lead].proposal_at(index, pending)
 
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
         """Give every method its observation, and return the bound of the largest objective.
@@ -87,8 +115,20 @@ class JointMethod(Method, Generic[Part]):
         return Band(mean, lower, upper, tuple(map(any, zip(*(band.possible for band in found), strict=True))))
 
     @property
-    def _next(self) -> Part:
-        return self.parts[max(range(len(self.parts)), key=lambda place: (self._distance(place), -place))]
+    def _lead(self) -> int:
+        """The place of the method that is furthest from its end."""
+        return max(range(len(self.parts)), key=lambda place: (self._distance(place), -place))
+
+    def _acquisition(self, pending: Sequence[int]) -> Floats:
+        """Return the sum that the next test maximises (m,), in the unit of the J of the lead."""
+        lead = self._lead
+        gains = [
+            np.maximum(part.acquisition(pending) - bound.lower, 0.0) / alpha
+            for place, (part, bound, alpha) in enumerate(zip(self.parts, self.bounds, self._alphas, strict=True))
+            if place != lead and bound.verdict is None and bound.lower is not None
+        ]
+        values = self.parts[lead].acquisition(pending)
+        return values + self._alphas[lead] * np.mean(gains, axis=0) if gains else values
 
     def _distance(self, place: int) -> float:
         """Return how far a method is from its end, in units of its tolerance; negative after it."""

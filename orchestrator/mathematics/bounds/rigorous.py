@@ -23,7 +23,7 @@ import numpy as np
 
 from ....schemas.values import Band, Bound, Observation, Proposal
 from ..gp.acquisition import maximiser, rival_node
-from ..gp.kernels import Matern
+from ..gp.kernels import Floats, Matern
 from ..gp.lattice import check_index
 from ..gp.observations import Observations
 from ..gp.points import Candidates, Points, point_at
@@ -167,6 +167,17 @@ class RigorousMethod(Method):
             return Proposal(first, point_at(self.candidates, first), self._prior_mean + 0.0, 1.0, None, None)
         found = self._scores(pending)
         return self._proposal(maximiser(found.values), found)
+
+    def acquisition(self, pending: Sequence[int]) -> Floats:
+        """Return how large J may be at each candidate (m,), given the tests in flight; -inf where none may follow.
+
+        Raises as `propose`.
+        """
+        return self._prior_mean + self._scores(pending).values
+
+    def proposal_at(self, index: int, pending: Sequence[int]) -> Proposal:
+        """Return the proposal of a candidate that another rule than `propose` chose."""
+        return self._proposal(index, self._scores(pending))
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the proposal of `x` (p,) if another CPU could have chosen it as maximiser."""

@@ -43,6 +43,7 @@ import numpy as np
 
 from ....schemas.values import Band, Bound, Observation, Proposal, Verdict
 from ..gp.acquisition import rival_node
+from ..gp.kernels import Floats
 from ..gp.lattice import check_index
 from ..gp.points import Candidates, point_at
 from .betting import CAREFUL, GRID, BettingSequence, Past
@@ -182,6 +183,21 @@ class ScenarioMethod(Method):
                 return self._proposal(k)
         return self._proposal(min(range(self.size), key=lambda k: (self._scenarios[k].outlook(flying[k]), k)))
 
+    def acquisition(self, pending: Sequence[int]) -> Floats:
+        """Return how large J is expected to be proven at each scenario (K,), unit J; inf where no test has been.
+
+        Raises as `propose`.
+        """
+        flying = self._in_flight(pending)
+        pairs = zip(self._scenarios, flying, strict=True)
+        return np.array(
+            [-scenario.expected(flown) if scenario.tests or flown else math.inf for scenario, flown in pairs]
+        )
+
+    def proposal_at(self, index: int, pending: Sequence[int]) -> Proposal:  # noqa: ARG002
+        """Return the proposal of a scenario that another rule than `propose` chose."""
+        return self._proposal(index)
+
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the scenario at `x` (p,) if another CPU could have proposed it."""
         flying = self._in_flight(pending)
@@ -288,6 +304,16 @@ class _Scenario(ABC):
         self.tests += 1
         self.state = self._state()
 
+    def expected(self, flying: int) -> float:
+        """Return the outlook in the unit of robustness."""
+        low, high = self.scale
+        return low + (high - low) * self.outlook(flying)
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """The values, unit of robustness, that 0 and 1 of an outlook stand for."""
+        return 0.0, 1.0
+
     def outlook(self, flying: int) -> float:
         """Return the lower bound that is expected after the tests in flight, on a scale that all scenarios share."""
         lower, mean = self._outlook()
@@ -314,6 +340,11 @@ class _Scenario(ABC):
 
 class _ConstantScenario(_Scenario):
     """Bets on x, which is X with constants, or the robustness."""
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """The values of X that 0 and 1 stand for."""
+        return self._reading.ends
 
     def __init__(self, levels: tuple[float, float], reading: RiskReading) -> None:
         self._sequence = BettingSequence(levels)

@@ -11,21 +11,25 @@ from perfbound.orchestrator.mathematics.bounds.confidence import Premises
 from perfbound.orchestrator.mathematics.bounds.joint import JointMethod, joined
 from perfbound.orchestrator.mathematics.bounds.rigorous import RigorousMethod
 from perfbound.orchestrator.mathematics.bounds.scenario import ScenarioMethod
-from perfbound.orchestrator.mathematics.gp.kernels import Matern
+from perfbound.orchestrator.mathematics.gp.kernels import Floats, Matern
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.mathematics.gp.points import Points
 from perfbound.schemas.values import Bound, Observation
 
 ALPHA = 0.05
+NODES = Lattice((0.0,), (1.0,), 41).nodes
 
 
 def split(observation: Observation) -> list[Observation]:
     return [Observation(value, (value,)) for value in observation.each]
 
 
+def premises(rkhs_norm: float) -> Premises:
+    return Premises(rkhs_norm=rkhs_norm, noise_scale=0.0, delta=0.05, regularisers=(), tau=0.0, round_off=1e-9)
+
+
 def part(rkhs_norm: float = 2.0) -> RigorousMethod:
-    premises = Premises(rkhs_norm=rkhs_norm, noise_scale=0.0, delta=0.05, regularisers=(), tau=0.0, round_off=1e-9)
-    return RigorousMethod(Lattice((0.0,), (1.0,), 41), Matern(2.5, 0.5), premises, alpha=ALPHA)
+    return RigorousMethod(Lattice((0.0,), (1.0,), 41), Matern(2.5, 0.5), premises(rkhs_norm), alpha=ALPHA)
 
 
 def objectives(x: float) -> tuple[float, ...]:
@@ -45,7 +49,7 @@ def run(method: JointMethod[RigorousMethod], *, most: int = 60) -> tuple[list[Bo
 
 
 def test_it_ends_when_every_method_has_converged_and_the_bound_is_that_of_the_largest() -> None:
-    method = JointMethod([part(), part()], [ALPHA, ALPHA], split)
+    method = JointMethod([part(), part()], [ALPHA, ALPHA], split, NODES)
     bounds, _ = run(method)
     assert bounds[-1].verdict == "converged"
     assert [each.verdict for each in method.bounds] == ["converged", "converged"]
@@ -59,7 +63,7 @@ def test_it_ends_when_every_method_has_converged_and_the_bound_is_that_of_the_la
 
 
 def test_each_method_proves_what_it_proves_alone_from_the_same_tests() -> None:
-    method = JointMethod([part(), part()], [ALPHA, ALPHA], split)
+    method = JointMethod([part(), part()], [ALPHA, ALPHA], split, NODES)
     alone = [part(), part()]
     for k in range(12):
         proposal = method.propose(None if k else 20)
@@ -71,19 +75,38 @@ def test_each_method_proves_what_it_proves_alone_from_the_same_tests() -> None:
         assert method.bounds == tuple(found)
 
 
-def test_the_next_test_is_that_of_the_method_furthest_from_its_tolerance() -> None:
-    method = JointMethod([part(), part()], [ALPHA, 100 * ALPHA], split)
-    proposal = method.propose(20)
-    method.observe(proposal, Observation(0.5, (0.4, 0.3)))
-    assert method.propose() == method.parts[0].propose()
-    eager = JointMethod([part(), part()], [100 * ALPHA, ALPHA], split)
+def test_the_method_furthest_from_its_tolerance_leads() -> None:
+    method = JointMethod([part(), part()], [ALPHA, 100 * ALPHA], split, NODES)
+    method.observe(method.propose(20), Observation(0.5, (0.4, 0.3)))
+    lead, other = (each.acquisition(()) for each in method.parts)
+    loss = lead.max() - lead[method.propose().node]
+    assert loss <= 0.01 * (other.max() - other.min()), "what the other one can gain"
+    eager = JointMethod([part(), part()], [100 * ALPHA, ALPHA], split, NODES)
     eager.observe(eager.propose(20), Observation(0.5, (0.4, 0.3)))
-    assert eager.propose() == eager.parts[1].propose() != eager.parts[0].propose()
-    assert eager.propose(pending=(3,)) == eager.parts[1].propose(pending=(3,))
+    assert eager.propose().mu != method.propose().mu, "its numbers are those of the other method"
+    assert eager.propose(pending=(3,)).node != 3
+    assert eager.rival((2.0,)) is None
+    assert eager.rival(eager.propose().x) == eager.propose()
+
+
+def test_of_equal_starts_the_one_that_serves_the_others_is_tested() -> None:
+    class Fixed(RigorousMethod):
+        values: Sequence[float] = ()
+
+        def acquisition(self, pending: Sequence[int]) -> Floats:
+            return np.array([*self.values, *[-1.0] * (self.size - len(self.values))])
+
+    methods = [Fixed(Lattice((0.0,), (1.0,), 41), Matern(2.5, 0.5), premises(2.0), alpha=ALPHA) for _ in range(2)]
+    method = JointMethod(methods, [ALPHA, 20 * ALPHA], split, NODES)
+    method.bounds = (Bound(0.5, 0.0, None), Bound(9.0, 0.0, None))
+    methods[0].values, methods[1].values = (0.5, 0.49), (0.0, 0.1)
+    assert method.propose().node == 0, "a twentieth of .1 is not worth .01"
+    methods[0].values, methods[1].values = (0.5, 0.49, 0.2), (0.0, 0.1, 9.0)
+    assert method.propose().node == 2, "a twentieth of 9 is worth .3"
 
 
 def test_a_refuted_method_ends_only_when_the_others_do_and_marks_the_whole() -> None:
-    method = JointMethod([part(), part(rkhs_norm=0.05)], [ALPHA, ALPHA], split)
+    method = JointMethod([part(), part(rkhs_norm=0.05)], [ALPHA, ALPHA], split, NODES)
     bounds, _ = run(method)
     verdicts = [each.verdict for each in method.bounds]
     assert verdicts == ["converged", "refuted"]
@@ -92,7 +115,7 @@ def test_a_refuted_method_ends_only_when_the_others_do_and_marks_the_whole() -> 
 
 
 def test_recall_gives_the_same_state_as_observing() -> None:
-    method, again = (JointMethod([part(), part()], [ALPHA, ALPHA], split) for _ in range(2))
+    method, again = (JointMethod([part(), part()], [ALPHA, ALPHA], split, NODES) for _ in range(2))
     tests = []
     for k in range(6):
         proposal = method.propose(None if k else 20)
@@ -130,7 +153,10 @@ def test_lists_of_starts_are_shared_too() -> None:
         return ScenarioMethod(points, clip=(-1.0, 1.0), risk_weight=0.2, delta=0.05, alpha=0.2, constants=(centre, 0.2))
 
     method = JointMethod(
-        [one(0.5), one(0.2)], [0.2, 0.2], lambda found: [Observation(-value, (value,)) for value in found.each]
+        [one(0.5), one(0.2)],
+        [0.2, 0.2],
+        lambda found: [Observation(-value, (value,)) for value in found.each],
+        points.nodes,
     )
     rng, bound = np.random.default_rng(1), Bound(None, None, None)
     for k in range(3000):
@@ -146,4 +172,4 @@ def test_lists_of_starts_are_shared_too() -> None:
 
 def test_a_tolerance_for_each_method() -> None:
     with pytest.raises(ValueError, match="one tolerance for each"):
-        JointMethod([part(), part()], [ALPHA], split)
+        JointMethod([part(), part()], [ALPHA], split, NODES)
