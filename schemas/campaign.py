@@ -232,6 +232,10 @@ class CampaignConfig(Model):
             return "min" if SAMPLED[claim.asked.quantity].sense == ">=" else "max"
         return OBJECTIVES[problem.name].sense
 
+    def alpha_of(self, problem: Problem) -> float | None:
+        """Return the tolerance that ends a problem; None where it has none, or each of its requirements its own."""
+        return None if self.parts else problem.alpha
+
     def gap_of(self, problem: Problem) -> Gap | None:
         """Return the gap of one problem; None for one that compares no trajectories."""
         return problem.gap or self.gap if OBJECTIVES[problem.name].measured == "gap" else None

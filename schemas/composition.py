@@ -1,7 +1,7 @@
 """Claims from the bounds of problems, the rules that compose two bounds, and the methods that each rule is for."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeGuard
 
 from pydantic import Field
 
@@ -27,6 +27,11 @@ class ComposedClaim(Model):
         "multiplied probabilities, or with added failure probabilities; Bhatia-Davis with two extremes, or pointwise"
     )
     problems: tuple[ProblemName, ...] = Field(min_length=1, max_length=2, description="whose bounds it is made from")
+
+
+def composes(rule: ClaimRule) -> TypeGuard[Rule]:
+    """Whether a rule composes the bounds of the pair."""
+    return rule not in ("single", "every")
 
 
 def is_composed(asked: object) -> bool:

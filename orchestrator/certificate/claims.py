@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeGuard
 
 from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import SAMPLED
-from ...schemas.composition import PAIR, ClaimRule, Rule
+from ...schemas.composition import PAIR, ClaimRule, Rule, composes
 from ...schemas.method_spaces import candidates
 from ...schemas.problems import Quantity
 from ..campaign.methods import Methods
@@ -139,11 +138,6 @@ def bound(basis: Basis, plans: Plans, results: Results, methods: Methods | None)
 def _weakest(basis: Basis, results: Results) -> float:
     """Return the bound of one problem; of every requirement the least, each at the full delta: see `bounds.joint`."""
     return min(results[key].bound for key in basis.problems)
-
-
-def composes(rule: ClaimRule) -> TypeGuard[Rule]:
-    """Whether a rule composes the bounds of the pair."""
-    return rule not in ("single", "every")
 
 
 def _rules(config: CampaignConfig) -> tuple[Rule, ...]:

@@ -10,13 +10,14 @@ from typing import Literal
 
 from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig
+from ...schemas.composition import composes
 from ...schemas.problem_models import PaperProblem, RigorousProblem
 from ..campaign.account import Account
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
 from ..campaign.methods import Methods, ProblemMethod, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
 from ..mathematics.bounds.rounding import decimal
-from .claims import Basis, Results, bases, bound, composes
+from .claims import Basis, Results, bases, bound
 from .problem_results import in_sense
 
 Constant = Literal["rkhs_norm", "length_scale"]

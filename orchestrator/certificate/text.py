@@ -24,6 +24,7 @@ from ...schemas.certificate import (
     SpotCheckedProblem,
 )
 from ...schemas.claims import PROBABILITIES, is_sampled
+from ...schemas.composition import composes
 from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
@@ -169,7 +170,7 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
     if claim.without_data is not None and not claim.vacuous:
         found.append(_without_data(claim, claim.without_data))
     if rows and not (claim.vacuous and all(_nothing(claim, row.bound) for row in rows)):
-        both = "" if claim.rule == "single" else ", in both problems"
+        both = ", in both problems" if composes(claim.rule) else ""
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
     if number == 0 and predicate.spot_check is not None and predicate.spot_check.most_starts is not None:

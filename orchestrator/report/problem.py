@@ -110,7 +110,7 @@ class ProblemCollector:
             sense=self._sense,
             unit=unit(problem, self._config, self._header.spec),
             distance="F_i" if problem.method == "paper" else "U - L",
-            alpha=problem.alpha,
+            alpha=self._config.alpha_of(problem),
             delta=problem.delta,
             bound=None if bound is None else floored(bound, self._sense, limit),
             partner=result.partner if result else signed(now.lower if now else None, self._sense),
@@ -189,6 +189,10 @@ class ProblemCollector:
         left = forecast.tests_left(self._config, self.problem, now, len(self.observed))
         return None if left is None else forecast.left_in_words(self._config, self.problem, left)
 
+    def _distance(self, test: ObservedTest) -> float | None:
+        # Of several requirements each has its own.
+        return None if self._plan.parts else forecast.distance(self.problem, test.proposal.F, test.bound)
+
     @property
     def _observed_sense(self) -> str:
         return "min" if self._plan.candidates is None else self._sense
@@ -201,7 +205,7 @@ class ProblemCollector:
             test=tuple(each.test for each in tests),
             x=tuple(each.proposal.x for each in tests),
             y=tuple(signed(self._badness(each.observation), self._observed_sense) for each in tests),
-            distance=tuple(forecast.distance(self.problem, each.proposal.F, each.bound) for each in tests),
+            distance=tuple(self._distance(each) for each in tests),
             lower=upper if sense == "min" else lower,
             upper=lower if sense == "min" else upper,
         )

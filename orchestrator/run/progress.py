@@ -84,11 +84,12 @@ class Plain:
         return news
 
     def _problem(self, config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> None:
-        away, bound = remaining_distance(problem, progress), bound_in_sense(config, problem, progress)
+        away, bound = remaining_distance(config, problem, progress), bound_in_sense(config, problem, progress)
+        alpha = config.alpha_of(problem)
         if self._json is None:
             name = "F" if problem.method == "paper" else "upper - lower"
             end = f"; {ENDS[progress.stopped_by]}" if progress.stopped_by else ""
-            distance = "" if problem.alpha is None else f"{name} {figure(away)} (alpha {problem.alpha:g}), "
+            distance = "" if alpha is None else f"{name} {figure(away)} (alpha {alpha:g}), "
             self.print_line(f"{problem.name}: test {progress.tests}, {distance}bound so far {figure(bound, 3)}{end}")
             return
         self._json.line(
@@ -97,7 +98,7 @@ class Plain:
             tests=progress.tests,
             rollouts=progress.rollouts,
             distance=away,
-            alpha=problem.alpha,
+            alpha=alpha,
             bound=bound,
             stopped_by=progress.stopped_by,
         )

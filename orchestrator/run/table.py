@@ -22,14 +22,16 @@ def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemPr
     return floored(-upper if sense == "min" else upper, sense, by_clip(config, problem))
 
 
-def remaining_distance(problem: Problem, progress: ProblemProgress) -> float | None:
+def remaining_distance(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
     """Return the quantity that has to fall to alpha: F_i, or upper - lower."""
+    if config.alpha_of(problem) is None:
+        return None
     return forecast.distance(problem, progress.F, progress.bound)
 
 
 def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> int | None:
     """Guess the tests until a problem ends; None where its decay is too short for a guess."""
-    return forecast.tests_left(config, problem, remaining_distance(problem, progress), progress.tests)
+    return forecast.tests_left(config, problem, remaining_distance(config, problem, progress), progress.tests)
 
 
 def progress_table(
@@ -45,11 +47,12 @@ def progress_table(
     for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
         found.add_column(name, justify="left" if name == "problem" else "right")
     for problem, (progress, left) in zip(config.problems, rows, strict=True):
+        alpha = config.alpha_of(problem)
         found.add_row(
             problem.name,
             f"{progress.tests} of {config.max_tests_of(problem)}",
-            figure(remaining_distance(problem, progress)),
-            figure(problem.alpha) if problem.alpha is None else f"{problem.alpha:g}",
+            figure(remaining_distance(config, problem, progress)),
+            figure(alpha) if alpha is None else f"{alpha:g}",
             figure(bound_in_sense(config, problem, progress)),
             str(progress.rollouts),
             ENDS[progress.stopped_by] if progress.stopped_by else left,

@@ -27,6 +27,7 @@ from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     proposal,
     reactions,
     report,
+    requirements,
     rigorous,
     rollout,
     scenario,
@@ -44,6 +45,7 @@ PARTS = (
     "rigorous",
     "scenario",
     "falsification",
+    "requirements",
     "stl",
     "rollout",
     "forms",
@@ -105,7 +107,13 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
         return durability.main(None if alone else lambda: child("peers_storage"))
     if part == "falsification":
         return falsification.main(alone=alone)
-    plain = {"scenario": scenario.main, "rollout": rollout.main, "forms": forms.main, "fleet": fleet.main}
+    plain = {
+        "scenario": scenario.main,
+        "requirements": requirements.main,
+        "rollout": rollout.main,
+        "forms": forms.main,
+        "fleet": fleet.main,
+    }
     whole = {
         "campaign": campaign.main,
         "reactions": reactions.main,

@@ -13,12 +13,12 @@ PAGES = ROOT / "docs" / "how-to"
 PAGE = (PAGES / "failure-probability.md").read_text()
 
 
-def write(folder: Path, more: str = "", page: str = PAGE) -> Path:
+def write(folder: Path, more: str = "", page: str = PAGE, lines: int = 12) -> Path:
     """Write the file of a page by the name in its command, and the system that it names."""
     shutil.copy(ROOT / "deploy" / "examples" / "cars" / "cars.py", folder)
     found = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
     assert found is not None
-    assert len(found[1].strip().splitlines()) <= 12
+    assert len(found[1].strip().splitlines()) <= lines
     name = re.search(r"perfbound run (\S+\.toml)", page)
     assert name is not None
     path = folder / name[1]
@@ -39,7 +39,7 @@ def test_the_file_of_the_page_gives_the_claim_of_the_page(started: Processes, tm
 
 
 def test_the_file_of_the_page_on_requirements_gives_its_claims(started: Processes, tmp_path: Path) -> None:
-    page = (PAGES / "requirements.md").read_text()
+    page, worst = (PAGES / "requirements.md").read_text().split("## The worst start of each requirement")
     found = started.run("perfbound", "run", write(tmp_path, page=page), "--out", tmp_path / "run")
     assert found.code == 0, found.err
     printed = re.search(r"```text\n(.*?)```", page, re.DOTALL)
@@ -47,6 +47,14 @@ def test_the_file_of_the_page_on_requirements_gives_its_claims(started: Processe
     lines = [line for line in printed[1].splitlines() if line]
     assert len(lines) == 3
     assert set(lines) <= set(found.out.splitlines())
+    run = tmp_path / "worst"
+    found = started.run("perfbound", "run", write(tmp_path, page=worst, lines=15), "--out", run)
+    assert found.code == 0, found.err
+    printed = re.search(r"```text\n(.*?)```", worst, re.DOTALL)
+    assert printed is not None
+    assert {line for line in printed[1].splitlines() if line} <= set(found.out.splitlines())
+    verified = started.run("perfbound", "verify", run, "--resimulate", "5", "--system", f"{tmp_path / 'cars.py'}:cars")
+    assert verified.code == 0, verified.err
 
 
 def test_a_kill_in_between_changes_no_byte(started: Processes, tmp_path: Path) -> None:
