@@ -4,9 +4,12 @@ import itertools
 from collections.abc import Iterator
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -19,6 +22,11 @@ from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
 MAP_HEIGHT, DECAY_HEIGHT, HISTOGRAM_HEIGHT = 2.8, 1.8, 2.4
 """Inches."""
+PER_PARAMETER = 0.25
+"""Inches of each parameter's axis."""
+MOST_LINES = 500
+"""Tests drawn as lines across all parameters, the worst ones."""
+LINES = ListedColormap(mpl.colormaps["Greys"](np.linspace(0.2, 0.85, 20)))
 DASHES = ("--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), "-", (0, (1, 3)), (0, (8, 3)))
 DISTANCES = {"F_i": "$F_i$", "U - L": "$U - L$"}
 
@@ -36,10 +44,14 @@ def _figures_of(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figur
         with style.new_figure(HISTOGRAM_HEIGHT) as figure:
             draw_histogram(figure, problem, problem.drawn)
         yield "histogram", figure
-    if problem.surface is not None:
+    if problem.surfaces:
         with style.new_figure(MAP_HEIGHT) as figure:
             draw_problem_map(figure, data.axes, problem)
         yield "map", figure
+    if len(data.axes) > 2 and problem.tests.x:
+        with style.new_figure(1.2 + PER_PARAMETER * len(data.axes)) as figure:
+            draw_problem_tests(figure, data.axes, problem)
+        yield "tests", figure
     if decays(problem):
         with style.new_figure(DECAY_HEIGHT) as figure:
             draw_problem_decay(figure, problem)
@@ -52,9 +64,8 @@ def decays(problem: Problem) -> bool:
 
 
 def draw_problem_map(figure: Figure, parameters: tuple[Axis, ...], problem: Problem) -> Axes:
-    """Draw the band of a problem that has a surface over the first two parameters, with its tests."""
-    surface, axes = problem.surface, figure.subplots()
-    assert surface is not None, "the caller has checked it"
+    """Draw the band of a problem that has one in the plane of the first two parameters, with its tests."""
+    surface, axes = problem.surfaces[0], figure.subplots()
     axes.set(title=_title(problem), xlabel=style.with_unit(parameters[0].name, parameters[0].unit))
     if len(parameters) == 1:
         _profile(axes, parameters[0], problem, surface)
@@ -106,6 +117,35 @@ def _scattered(axes: Axes, surface: Surface) -> tuple[Any, list[Artist]]:
     drawn = axes.scatter(z1, z2, 60, c=_array(surface.mean), cmap=GREYS, edgecolor=edges, linewidth=THICK, zorder=3)
     key = Line2D([], [], linestyle="", marker="o", color="white", markeredgecolor=RED, label="may be the worst start")
     return drawn, [key]
+
+
+def draw_problem_tests(figure: Figure, parameters: tuple[Axis, ...], problem: Problem) -> Axes:
+    """Draw the worst tests of a problem as lines across all parameters, dark where the observed value is bad."""
+    axes, y, rows = figure.subplots(), _array(problem.tests.y), np.arange(len(parameters))
+    badness = y if problem.sense == "max" and problem.method != "sample" else 0.0 - y
+    kept = np.argsort(np.where(np.isnan(badness), -np.inf, badness), kind="stable")[-MOST_LINES:]  # the worst on top
+    low, high = np.array([(each.low, each.high) for each in parameters]).T
+    shares = (np.array(problem.tests.x)[kept] - low) / np.where(high > low, high - low, 1.0)  # (n, p)
+    lines = LineCollection([np.column_stack((each, rows)) for each in shares], cmap=LINES, linewidths=2 * THIN)
+    lines.set_array(badness[kept])
+    axes.add_collection(lines)
+    axes.plot(shares[-1], rows, color=RED, linewidth=THICK, clip_on=False, label="worst observed")
+    axes.hlines(rows, 0.0, 1.0, color="black", linewidth=THIN)
+    names = [style.with_unit(each.name, each.unit) for each in parameters]
+    axes.set_yticks(rows, [f"{name}   {each.low:.4g}" for name, each in zip(names, parameters, strict=True)])
+    for row, each in enumerate(parameters):
+        axes.text(1.04, row, f"{each.high:.4g}", verticalalignment="center")
+    axes.tick_params(axis="y", length=0)
+    axes.set(xlim=(-0.02, 1.02), ylim=(rows[-1] + 0.4, -0.4), xticks=())
+    axes.set_title(_title(problem) if len(kept) == len(y) else f"the worst {len(kept)} of {len(y)} tests")
+    axes.spines[:].set_visible(False)
+    colours = figure.colorbar(lines, ax=axes, orientation="horizontal", pad=0.02, aspect=40)
+    values = np.linspace(*lines.get_clim(), 3).tolist()
+    colours.set_ticks(values, labels=[f"{value if badness is y else 0.0 - value:.4g}" for value in values])
+    unit = problem.unit if problem.drawn is None else problem.drawn.unit
+    colours.set_label(style.with_unit("observed", unit))
+    figure.legend(loc="outside lower center", borderaxespad=0)
+    return axes
 
 
 def draw_histogram(figure: Figure, problem: Problem, drawn: Drawn) -> Axes:

@@ -10,8 +10,8 @@ from itertools import islice
 from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.certificate import Predicate, ProblemResult
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.certificate import Counterexample, Predicate, ProblemResult
+from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
@@ -53,7 +53,7 @@ class ProblemCollector:
         self._values: dict[int, ObservationFact] = {}
         self._pending: list[tuple[Proposal, Observation]] = []
         """Observations not yet passed to the method."""
-        self._surface: Surface | None = None
+        self._surfaces: tuple[Surface, ...] = ()
         self._drawn: list[Drawn] = []
         self._tests = self._columns()
         self._warnings = self._contradictions()
@@ -93,7 +93,7 @@ class ProblemCollector:
             if isinstance(self._method, SampleMethod):
                 self._drawn = self._histograms(self._method)
             else:
-                self._surface = band.surface(self._plan, self._method, self._bound)
+                self._surfaces = band.surfaces(self._plan, self._method, self._bound, self._worst.proposal.x)
             self._tests = self._columns()
             self._warnings = self._contradictions()
         now = self._bound if last else None
@@ -119,7 +119,7 @@ class ProblemCollector:
             rollouts=self.rollouts,
             stopped_by=stopped_by,
             left=None if stopped_by else self._left(),
-            surface=self._surface,
+            surfaces=self._surfaces,
             tests=self._tests,
             by_clip=limit,
             warnings=self._warnings,
@@ -133,15 +133,38 @@ class ProblemCollector:
         """Return the regions of a finished campaign; None for any other."""
         if predicate is None or predicate.regions is None or not self.observed:
             return None
-        worst = max(self.observed, key=lambda each: (each.observation.y, -each.test))
-        return region_map(directory, self._plan, predicate, worst.proposal.x)
+        return region_map(directory, self._plan, predicate, self._worst.proposal.x)
+
+    @property
+    def ended_by_counterexample(self) -> ObservedTest | None:
+        """The last test, if a rollout of it ended the campaign."""
+        last = self.observed[-1] if self.observed else None
+        return last if last and last.stopped_by == "counterexample" else None
+
+    def counterexample(self, worst: RolloutFact) -> Counterexample:
+        """Return the counterexample before the certificate has it; `worst` is the worst rollout of its test."""
+        return Counterexample(
+            rollout=str(worst.rollout),
+            test=worst.rollout.test,
+            rollouts=len(self._plan.rollouts),
+            start=dict(zip(self._plan.parameters, self.starts[worst.rollout.test], strict=True)),
+            seed=worst.seed,
+            robustness=worst.robustness or 0.0,
+        )
 
     def worst_tests(self, number: int) -> list[int]:
         """Return the worst test of each of the worst `number` starts, the worst first."""
         found: dict[tuple[float, ...], int] = {}
-        for each in sorted(self.observed, key=lambda each: (-self._badness(each.observation), each.test)):
+        for each in sorted(self.observed, key=self._goodness):
             found.setdefault(each.proposal.x, each.test)
         return list(islice(found.values(), number))
+
+    @property
+    def _worst(self) -> ObservedTest:
+        return min(self.observed, key=self._goodness)
+
+    def _goodness(self, test: ObservedTest) -> tuple[float, int]:
+        return -self._badness(test.observation), test.test
 
     def _bound_after(self, last: ObservedTest) -> Bound:
         """Give the pending observations to the method and return the bound after them, which is that of `last`."""
@@ -162,7 +185,7 @@ class ProblemCollector:
 
     def _histograms(self, method: SampleMethod) -> list[Drawn]:
         header = self._header
-        values = [each.observation.each for each in self.observed if self._plan.is_drawn(each.test)]
+        values = {each.test: each.observation.each for each in self.observed if self._plan.is_drawn(each.test)}
         # A search may have found its counterexample before the first drawn start.
         return histograms(self._plan, method, values, robustness_unit(self._config, header.spec)) if values else []
 

@@ -7,17 +7,14 @@ from perfbound.orchestrator.report.data import (
     Axis,
     Claim,
     Curve,
-    FailedAttempt,
     Problem,
     ReportData,
     Rollout,
     RolloutsOfTest,
-    SetAsideRow,
     Surface,
     TestSeries,
-    Throughput,
-    WorkerRow,
 )
+from perfbound.orchestrator.report.worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 from perfbound.orchestrator.store.changes import ComparedResult
 from perfbound.schemas.certificate import Assumption, CompositionTerms
 
@@ -58,6 +55,7 @@ def small(tests: int = 6) -> ReportData:
         scenes=tuple(rollouts_of_test(each.name, test) for each in problems for test in (worst(each), 0)),
         counterexamples=(),
         violations=0,
+        later_violations=0,
         rollouts=4 * tests,
         workers=(WorkerRow("local-1", "vm", 4 * tests, 0, 9.0, 8.5, STARTED + 9, "unknown", None, None),),
         throughput=Throughput(12.0, STARTED, (0.0, 5.0, 9.0), (0, 10, 4 * tests), 1, 0),
@@ -92,7 +90,7 @@ def begun() -> ReportData:
     """A running campaign before its first test is observed."""
     report = running(1)
     none = TestSeries((), (), (), (), (), ())
-    problems = tuple(replace(each, tests=none, surface=None, bound=None, stopped_by=None) for each in report.problems)
+    problems = tuple(replace(each, tests=none, surfaces=(), bound=None, stopped_by=None) for each in report.problems)
     return replace(
         report,
         problems=problems,
@@ -107,8 +105,8 @@ def starts() -> ReportData:
     """Listed starts; no start has an upper bound of its own."""
     report = small()
     surface = _surface(shape=None)
-    listed = replace(surface, points=NODES, upper=(None,) * len(NODES))
-    problem = replace(report.problems[0], method="scenario", distance="U - L", surface=listed)
+    listed = replace(surface, through=(), points=NODES, upper=(None,) * len(NODES))
+    problem = replace(report.problems[0], method="scenario", distance="U - L", surfaces=(listed,))
     return replace(report, problems=(problem,))
 
 
@@ -116,7 +114,8 @@ def profile() -> ReportData:
     """A system with one parameter."""
     report = small()
     problem = report.problems[0]
-    line = replace(problem, surface=_surface(shape=(20,)), tests=replace(problem.tests, x=((0.5,), (1.5,)) * 3))
+    band = replace(_surface(shape=(20,)), axes=(0,), through=(0.5,))
+    line = replace(problem, surfaces=(band,), tests=replace(problem.tests, x=((0.5,), (1.5,)) * 3))
     return replace(report, axes=AXES[:1], problems=(line,))
 
 
@@ -217,7 +216,7 @@ def _problem(name: str, sense: str, tests: int) -> Problem:
         rollouts=tests,
         stopped_by="converged",
         left=None,
-        surface=_surface(shape=(5, 4)),
+        surfaces=(_surface(shape=(5, 4)),),
         tests=TestSeries(
             test=numbers,
             x=x,
@@ -232,4 +231,5 @@ def _problem(name: str, sense: str, tests: int) -> Problem:
 def _surface(shape: tuple[int, ...] | None) -> Surface:
     mean = tuple(0.3 + 0.02 * k for k in range(20))
     lower, upper = tuple(each - 0.1 for each in mean), tuple(each + 0.1 for each in mean)
-    return Surface(shape, (), mean, lower, upper, tuple(k < 7 for k in range(20)), band="with probability 0.95")
+    worst = tuple(k < 7 for k in range(20))
+    return Surface((0, 1), (1.0, 2.0), shape, (), mean, lower, upper, worst, band="with probability 0.95")

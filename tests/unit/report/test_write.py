@@ -200,16 +200,18 @@ def drawn(story: ReportData) -> dict[str, bytes]:
 
 
 def test_a_problem_without_tests_has_no_figures(story: ReportData) -> None:
-    nothing = tuple(replace(each, surface=None, tests=replace(each.tests, distance=())) for each in story.problems)
+    nothing = tuple(replace(each, surfaces=(), tests=replace(each.tests, distance=())) for each in story.problems)
     assert drawn(replace(story, problems=nothing)) == {}
 
 
 def test_one_parameter_is_drawn_as_a_band(story: ReportData) -> None:
     problem, points = story.problems[0], tuple((float(k),) for k in (2, 0, 1))
     for shape, starts in (((3,), ()), (None, points)):
-        band = Surface(shape, starts, (1.0, 2.0, 3.0), (0.0, None, 2.0), (None,) * 3, (False, True, False))
+        band = Surface((0,), (), shape, starts, (1.0, 2.0, 3.0), (0.0, None, 2.0), (None,) * 3, (False, True, False))
         tests = replace(problem.tests, x=tuple((0.5,) for _ in problem.tests.x))
-        flat = replace(story, axes=(Axis("d", "m", 0.0, 2.0),), problems=(replace(problem, surface=band, tests=tests),))
+        flat = replace(
+            story, axes=(Axis("d", "m", 0.0, 2.0),), problems=(replace(problem, surfaces=(band,), tests=tests),)
+        )
         assert list(drawn(flat)) == [
             f"{problem.name}-{kind}" for kind in ("map.svg", "map.png", "decay.svg", "decay.png")
         ]
