@@ -36,12 +36,12 @@ def surfaces(plan: ProblemPlan, method: ProblemMethod, bound: Bound, worst: Sequ
     if not isinstance(space, Lattice):
         listed = _signed(band, minimum=plan.sense == "min")
         return (Surface(tuple(range(len(worst))), (), None, space.points, *listed, band=meaning),)
-    node = _nearest(space, worst)
+    node = _node_near(space, worst)
     through = tuple(np.array(space.low) + node * np.array(space.spacing))
     planes: list[tuple[int, ...]] = [*combinations(range(space.dimension), 2)] or [(0,)]
     surfaces = []
     for axes in planes:
-        thin, shape = _thinned(_plane(band, space, axes, node))
+        thin, shape = _thinned(_cut(band, space, axes, node))
         signed = _signed(thin, minimum=plan.sense == "min")
         surfaces.append(Surface(axes, through, shape, (), *signed, band=meaning))
     return tuple(surfaces)
@@ -77,13 +77,13 @@ class _Arrays(NamedTuple):
     possible: NDArray[np.bool_]
 
 
-def _nearest(lattice: Lattice, x: Sequence[float]) -> NDArray[np.intp]:
+def _node_near(lattice: Lattice, x: Sequence[float]) -> NDArray[np.intp]:
     """Return the index of the nearest node along each axis (p,); a refined start is between nodes."""
     steps = (np.array(x) - np.array(lattice.low)) / np.array(lattice.spacing)
     return np.array(np.clip(np.rint(steps), 0, lattice.resolution - 1), dtype=np.intp)
 
 
-def _plane(band: _Arrays, lattice: Lattice, axes: tuple[int, ...], node: NDArray[np.intp]) -> _Arrays:
+def _cut(band: _Arrays, lattice: Lattice, axes: tuple[int, ...], node: NDArray[np.intp]) -> _Arrays:
     """Return the band in the plane of `axes` through a node, each array of shape (resolution,) * len(axes)."""
     shape = (lattice.resolution,) * lattice.dimension
     cut = tuple(slice(None) if axis in axes else node[axis] for axis in range(lattice.dimension))

@@ -178,7 +178,7 @@ function drawDots(context, { kind, band, dots, nodes }) {
   const edge = dots.length > MANY_DOTS ? 0.6 : 1.2;
   for (const dot of own ? [] : dots.filter((each) => !each.violates)) {
     context.globalAlpha = dot.off ? 0.4 : 1;
-    disc(context, dot.at, dot.radius, band ? WHITE : dot.colour, BLACK, edge);
+    disc(context, dot.at, dot.radius, ...(band ? [WHITE, BLACK] : [dot.colour, theme().empty]), edge);
   }
   for (const dot of own ? [] : dots.filter((each) => each.violates)) {
     context.globalAlpha = dot.off ? 0.6 : 1;

@@ -190,7 +190,7 @@ function markedDots(view, { toX, toY, rangeY }) {
   const { y } = view.problem.tests;
   const dots = marked(view, dotsOf(view.report, view.problem, view.chosen));
   // Many starts would cover one another.
-  const least = dots.length > MANY_DOTS ? 1.7 : 3;
+  const least = dots.length > MANY_DOTS ? 2 : 3;
   const inPlane = planeTest(view);
   return dots.map((dot) => ({
     ...dot,
@@ -269,16 +269,16 @@ function nodeNear({ kind, box, nodes, chosen: [first, second], toX, toY }, [x, y
 
 /** The tests that the reader points at, and the values at a pixel of a map, as text; empty where there is nothing. */
 function readout(model) {
-  const { report, problem, band, nodes, pointer } = model;
+  const { axes, problem, band, nodes, chosen, pointer } = model;
   const dot = model.dots.find((each) => each.pointed);
   const n = band && pointer ? nodeNear(model, pointer) : -1;
   const lines = [];
-  if (dot) lines.push(`${place(problem.tests.x[dot.rows[0]], report.axes)}: ${dotText(problem, dot)}`);
+  if (dot) lines.push(`${dotText(problem, dot)} at ${place(dot.x, axes)}`);
   if (n >= 0) {
     const values = SERIES.map((name) => [name, band[name][n]]).filter(([, value]) => value !== null);
     const sense = { lower: ">=", upper: "<=" };
     const text = values.map(([name, value]) => `${name} ${legendText(value, { sense: sense[name], unit: problem.unit })}`).join(", ");
-    lines.push(`${place(nodes[n], report.axes)}: ${text || "no value yet"}`);
+    lines.push(`${place(chosen.map((k) => nodes[n][k]), axes)}: ${text || "no value yet"}`);
   }
   return lines.join("\n");
 }

@@ -36,7 +36,7 @@ function parallelFigure(report, index) {
 function parallelModel(view, width) {
   const { axes } = view.report;
   const step = Math.min(Math.max(ROW.height / axes.length, ROW.least), ROW.most);
-  const names = Math.min(width * COLUMN.share, COLUMN.most, Math.max(...axes.map((axis) => measured(axisName(axis)))));
+  const names = Math.min(width * COLUMN.share, COLUMN.most, Math.max(...axes.map((axis) => measured(short(axis.name) + unitOf(axis)))));
   const left = names + COLUMN.number + COLUMN.gap;
   const box = { left, top: ROW.top + step / 2, width: Math.max(60, width - left - COLUMN.number), height: step * (axes.length - 1) };
   const rows = axes.map(({ low, high }, k) => ({ ...frame(box, [low, high], [0, 1]), y: box.top + k * step }));
@@ -45,8 +45,9 @@ function parallelModel(view, width) {
   return { ...model, dotAt: (pixel) => lineNear(model, pixel) };
 }
 
-function axisName({ name, unit }) {
-  return short(name, 200) + (unitText(unit) && ` (${unitText(unit)})`);
+/** " (m/s)"; nothing for a number without a unit. */
+function unitOf({ unit }) {
+  return unitText(unit) && ` (${unitText(unit)})`;
 }
 
 /** The tested starts that are drawn, the worst first: the worst half, and an even choice of the others. */
@@ -77,6 +78,7 @@ function drawParallel(canvas, view) {
   const context = canvasContext(canvas, width, model.height);
   drawStartLines(context, model);
   drawParallelAxes(context, model);
+  drawPointedValues(context, model);
   mapModels.set(canvas, model);
   Object.assign(canvas.dataset, { lines: model.dots.length, problem: model.problem.name });
 }
@@ -96,13 +98,15 @@ function drawStartLines(context, { dots }) {
   const thin = dots.length > MANY_DOTS ? 0.8 : 1.2;
   context.lineJoin = "round";
   // The worst first in the list, last on the canvas.
+  context.globalAlpha = dots.length > MANY_DOTS ? 0.6 : 1;
   for (const dot of [...dots].reverse()) if (!dot.violates) stroke(dot, dot.colour, thin);
   for (const dot of [...dots].reverse()) if (dot.violates) stroke(dot, colours.red, thin);
+  context.globalAlpha = 1;
   for (const mark of ["worst", "selected", "pointed"]) {
     const dot = dots.find((each) => each[mark]);
     if (!dot) continue;
-    if (mark !== "worst") stroke(dot, colours.paper, 6), stroke(dot, colours.ink, 4);
-    stroke(dot, dot.worst ? WORST : dot.violates ? colours.red : dot.colour, mark === "worst" ? 3 : 2);
+    if (mark !== "worst") for (const [colour, width] of [[colours.paper, 7], [colours.ink, 5]]) stroke(dot, colour, width);
+    stroke(dot, dot.worst ? WORST : dot.violates ? colours.red : dot.colour, 2.6);
   }
 }
 
@@ -118,7 +122,7 @@ function drawParallelAxes(context, { axes, box, step, names }) {
     for (const x of [box.left, right]) line(context, x, y - 4, x, y + 4);
     context.fillStyle = colours.ink;
     align(context, "left", "middle");
-    context.fillText(fitted(axisName(axis), names), 0, y);
+    context.fillText(fitted(axis, names), 0, y);
     context.fillStyle = colours.muted;
     align(context, "right", "middle");
     context.fillText(num(axis.low), box.left - COLUMN.gap, y, COLUMN.number);
@@ -127,11 +131,29 @@ function drawParallelAxes(context, { axes, box, step, names }) {
   });
 }
 
-/** A text whose middle is left out where it is wider than `width`: names differ at their ends. */
-function fitted(text, width) {
-  let kept = text.length;
-  while (kept > 3 && measured(shortMiddle(text, kept)) > width) kept -= 1;
-  return shortMiddle(text, kept);
+/** The values of the test that the reader points at, on their axes. */
+function drawPointedValues(context, { dots, box }) {
+  const dot = dots.find((each) => each.pointed);
+  if (!dot) return;
+  const colours = theme();
+  context.strokeStyle = colours.paper;
+  context.fillStyle = colours.ink;
+  context.lineWidth = 4;
+  dot.path.forEach(([x, y], k) => {
+    const left = x > box.left + box.width / 2;
+    align(context, left ? "right" : "left", "middle");
+    const at = [num(dot.x[k]), x + (left ? -7 : 7), y];
+    context.strokeText(...at);
+    context.fillText(...at);
+  });
+}
+
+/** A name with its unit, the middle of the name left out where they are wider than `width`: names differ at their ends. */
+function fitted(axis, width) {
+  const unit = unitOf(axis);
+  let kept = axis.name.length;
+  while (kept > 3 && measured(shortMiddle(axis.name, kept) + unit) > width) kept -= 1;
+  return shortMiddle(axis.name, kept) + unit;
 }
 
 /** The width of a text in pixels. */

@@ -92,7 +92,7 @@ function planeText(report, band, chosen) {
 
 /** The choice of the two axes of a map. */
 function axisSwitch(report, problem, chosen) {
-  const option = (axis, k, at) => el("option", { value: k, selected: k === chosen[at] }, `${shortMiddle(axis.name, 20)}${unitText(axis.unit) && ` (${unitText(axis.unit)})`}`);
+  const option = (axis, k, at) => el("option", { value: k, selected: k === chosen[at] }, shortMiddle(axis.name, 20) + unitOf(axis));
   const choice = (name, at) =>
     el("select", { "data-axis": at, "data-problem": problem.name, "aria-label": name, title: name }, report.axes.map((axis, k) => option(axis, k, at)));
   return el("span.axes", choice("Horizontal axis", 0), "\u00d7", choice("Vertical axis", 1));
