@@ -41,7 +41,7 @@ def surfaces(plan: ProblemPlan, method: ProblemMethod, bound: Bound, worst: Sequ
     planes: list[tuple[int, ...]] = [*combinations(range(space.dimension), 2)] or [(0,)]
     surfaces = []
     for axes in planes:
-        thin, shape = _thinned(_cut(band, space, axes, node))
+        thin, shape = _thinned(_through_node(band, space, axes, node))
         signed = _signed(thin, minimum=plan.sense == "min")
         surfaces.append(Surface(axes, through, shape, (), *signed, band=meaning))
     return tuple(surfaces)
@@ -83,7 +83,7 @@ def _node_near(lattice: Lattice, x: Sequence[float]) -> NDArray[np.intp]:
     return np.array(np.clip(np.rint(steps), 0, lattice.resolution - 1), dtype=np.intp)
 
 
-def _cut(band: _Arrays, lattice: Lattice, axes: tuple[int, ...], node: NDArray[np.intp]) -> _Arrays:
+def _through_node(band: _Arrays, lattice: Lattice, axes: tuple[int, ...], node: NDArray[np.intp]) -> _Arrays:
     """Return the band in the plane of `axes` through a node, each array of shape (resolution,) * len(axes)."""
     shape = (lattice.resolution,) * lattice.dimension
     cut = tuple(slice(None) if axis in axes else node[axis] for axis in range(lattice.dimension))

@@ -21,7 +21,8 @@ from ..run.format import replay_command, resume_command
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, rollouts_of
 from . import rollouts, wording
-from .data import Axis, FoundCounterexample, RegionMap, ReportData, RolloutsOfTest, State
+from .counterexample import ending_counterexample
+from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State
 from .problem import ProblemCollector
 from .ranges import ranges
 from .trust import TrustStatistics
@@ -175,7 +176,13 @@ class Collector:
             resume=resume_command(self.directory),
             failed_attempts=self._workers.failed_attempts(),
             more_workers=more,
-            counterexample=self._counterexample(header, predicate),
+            counterexample=ending_counterexample(
+                self._problems.values(),
+                self._violations,
+                predicate.counterexample if predicate else None,
+                header,
+                lambda rollout: replay_command(self.directory, header, rollout, self._system),
+            ),
             compared=self._trust.compared_rows(),
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
@@ -200,21 +207,6 @@ class Collector:
         if predicate is not None and collector.problem.name not in self._divided:
             self._divided[collector.problem.name] = collector.regions(self.directory, predicate)
         return self._divided.get(collector.problem.name)
-
-    def _counterexample(self, header: Header, predicate: Predicate | None) -> FoundCounterexample | None:
-        for each in self._problems.values():
-            name, last = each.problem.name, each.ended_by_counterexample
-            # The violations are sorted: the first one of the test is its worst rollout.
-            of_test = (fact for fact in self._violations if last and fact.rollout[:2] == (name, last.test))
-            if (worst := next(of_test, None)) is not None:
-                found = predicate.counterexample if predicate else None
-                return FoundCounterexample(
-                    problem=name,
-                    test=worst.rollout.test,
-                    sentence=wording.counterexample_sentence(found or each.counterexample(worst), header),
-                    command=replay_command(self.directory, header, str(worst.rollout), self._system),
-                )
-        return None
 
     def _start(self, rollout: RolloutId) -> tuple[float, ...]:
         if rollout.problem in CLOSING:

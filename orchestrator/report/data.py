@@ -76,7 +76,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class TestSeries:
-    """The observed tests of a problem, column by column."""
+    """Observed tests of a problem, column by column, in their order: all, or `MOST_TESTS` of more."""
 
     test: tuple[int, ...]
     x: tuple[tuple[float, ...], ...]
@@ -194,6 +194,8 @@ class Problem:
     """The same of each requirement, where there are several."""
     regions: RegionMap | None = None
     """Of a finished campaign with `regions`."""
+    observed: int = 0
+    """Number of observed tests; `tests` has a choice of very many."""
     requirement: str | None = None
     """The one that is bounded here on its own, from the tests of the problem; None for the whole specification."""
 

@@ -163,7 +163,7 @@ def draw_problem_tests(figure: Figure, parameters: tuple[Axis, ...], problem: Pr
         axes.text(1.04, row, f"{each.high:.4g}", verticalalignment="center")
     axes.tick_params(axis="y", length=0)
     axes.set(xlim=(-0.02, 1.02), ylim=(rows[-1] + 0.4, -0.4), xticks=())
-    axes.set_title(_title(problem) if len(kept) == len(y) else f"the worst {len(kept)} of {len(y)} tests")
+    axes.set_title(_title(problem) if len(kept) == len(y) else f"the worst {len(kept)} of {problem.observed} tests")
     axes.spines[:].set_visible(False)
     colours = figure.colorbar(lines, ax=axes, orientation="horizontal", pad=0.02, aspect=40)
     values = np.unique(ends).tolist()
@@ -227,5 +227,5 @@ def _array(values: Series) -> Floats:
 
 
 def _title(problem: Problem) -> str:
-    number = len(problem.tests.test)
+    number = problem.observed
     return f"{problem.name.replace('_', ' ')}: {number} test{'' if number == 1 else 's'}, method {problem.method}"

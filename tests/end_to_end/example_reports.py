@@ -94,7 +94,9 @@ def begun() -> ReportData:
     """A running campaign before its first test is observed."""
     report = running(1)
     none = TestSeries((), (), (), (), (), ())
-    problems = tuple(replace(each, tests=none, surfaces=(), bound=None, stopped_by=None) for each in report.problems)
+    problems = tuple(
+        replace(each, tests=none, observed=0, surfaces=(), bound=None, stopped_by=None) for each in report.problems
+    )
     return replace(
         report,
         problems=problems,
@@ -149,6 +151,7 @@ def many(parameters: int = 12, tests: int = 30) -> ReportData:
         sense="max",
         surfaces=(),
         drawn=drawn,
+        observed=tests,
         tests=TestSeries(tuple(numbers), x, y, none, (0.0,) * tests, (1.0,) * tests),
     )
     return replace(report, axes=axes, problems=(problem,), scenes=())
@@ -272,6 +275,7 @@ def _problem(name: str, sense: str, tests: int) -> Problem:
         stopped_by="converged",
         left=None,
         surfaces=(_surface(shape=(5, 4)),),
+        observed=tests,
         tests=TestSeries(
             test=numbers,
             x=x,

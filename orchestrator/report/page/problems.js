@@ -18,8 +18,9 @@ function problemSection(report, index, shown, selected) {
   return el(
     `section.problem#problem-${index}`,
     { "data-problem": problem.name },
-    el("h2", nameElement(words(problem.name)), el("span.muted", ` ${sentence(problem.objective, 200)}; method ${words(problem.method)}`)),
+    el("h2", nameElement(words(problem.name) + (problem.requirement === null ? "" : `: ${problem.requirement}`)), el("span.muted", ` ${sentence(problem.objective, 200)}; method ${words(problem.method)}`)),
     problemFacts(problem),
+    problem.observed > problem.tests.test.length ? el("p.muted", `Pictures and lists have ${count(problem.tests.test.length)} of the tests: the worst half, and an even choice of the others.`) : null,
     problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
@@ -47,7 +48,7 @@ function problemFacts(problem) {
     ["Bound", bounded(problem.bound, sense, problem.unit) ?? "none yet"],
     [problem.method === "scenario" ? "Limit of the bound" : "Opposite bound", bounded(problem.partner, opposite, problem.unit)],
     ["Probability", bounded(problem.probability, ">=", "")],
-    ["Tests", `${count(problem.tests.test.length)} of at most ${count(problem.budget)}`],
+    ["Tests", `${count(problem.observed)} of at most ${count(problem.budget)}`],
     ["Rollouts", count(problem.rollouts)],
     ["Samples that violate the specification", problem.drawn ? `${count(problem.drawn.violations)} of ${count(samplesOf(problem))}` : null],
     ["Robustness exactly 0, counted as violations", problem.drawn?.zeros ? count(problem.drawn.zeros) : null],
