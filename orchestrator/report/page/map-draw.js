@@ -89,8 +89,9 @@ function drawStarts(context, model) {
     const x = chosen.map((k) => nodes[n][k]);
     const value = scale.values[n];
     const fill = value === null ? theme().empty : `rgb(${scale.colour(value)})`;
-    const [radius, edge] = many ? [2, 0.3] : [6 + (radii.get(x.join()) ?? 0), 0.75];
-    disc(context, [toX(x[0]), toY(x[1])], radius, fill, theme().ink, band.worst[n] ? 3.3 * edge : edge);
+    const possible = band.worst[n];
+    const [radius, edge] = many ? [possible ? 3.5 : 2, possible ? 1.5 : 0.3] : [6 + (radii.get(x.join()) ?? 0), possible ? 2.5 : 0.75];
+    disc(context, [toX(x[0]), toY(x[1])], radius, fill, theme().ink, edge);
   }
   drawColourBar(context, model);
 }
