@@ -13,8 +13,22 @@ function observesRobustness({ method }) {
   return method === "sample";
 }
 
+const results = new WeakMap(); // problem -> Map of results, which are the same until the next data: a pointer moves often
+
+/** The result of `compute` for a problem, computed once for each name. */
+function once(problem, name, compute) {
+  if (!results.has(problem)) results.set(problem, new Map());
+  const known = results.get(problem);
+  if (!known.has(name)) known.set(name, compute());
+  return known.get(name);
+}
+
 /** Rows of the observed tests, the worst first. */
 function worstFirst(report, problem) {
+  return once(problem, "worst first", () => sortedRows(report, problem));
+}
+
+function sortedRows(report, problem) {
   const sign = problem.sense === "max" && !observesRobustness(problem) ? -1 : 1;
   const withCurves = new Set(report.scenes.filter((each) => each.problem === problem.name).map((each) => each.test));
   const { test, y } = problem.tests;
@@ -32,6 +46,10 @@ function axesOf(report, chosen) {
 
 /** The tests of which a rollout violates the specification. */
 function violating(report, problem) {
+  return once(problem, "violating", () => violatingTests(report, problem));
+}
+
+function violatingTests(report, problem) {
   const { test, y } = problem.tests;
   // The report lists the worst violations alone.
   const drawn = observesRobustness(problem) ? test.filter((_, row) => y[row] !== null && y[row] < 0) : [];
@@ -43,6 +61,10 @@ function violating(report, problem) {
  * the tests, the worst first.
  */
 function dotsOf(report, problem, chosen = report.axes.map((_, k) => k)) {
+  return once(problem, `dots ${chosen}`, () => groupedTests(report, problem, chosen));
+}
+
+function groupedTests(report, problem, chosen) {
   const dots = new Map();
   const rank = new Map(worstFirst(report, problem).map((row, position) => [row, position]));
   problem.tests.x.forEach((start, row) => {

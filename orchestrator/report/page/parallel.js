@@ -52,9 +52,13 @@ function unitOf({ unit }) {
 
 /** The tested starts that are drawn, the worst first: the worst half, and an even choice of the others. */
 function drawnStarts({ report, problem }) {
+  return once(problem, "drawn starts", () => choiceOfStarts(report, problem));
+}
+
+function choiceOfStarts(report, problem) {
   const rank = new Map(worstFirst(report, problem).map((row, position) => [row, position]));
   const position = ({ rows }) => rank.get(rows[0]) ?? Infinity; // a test without a value comes last
-  const starts = dotsOf(report, problem).sort((a, b) => position(a) - position(b));
+  const starts = [...dotsOf(report, problem)].sort((a, b) => position(a) - position(b));
   if (starts.length <= MOST_LINES) return starts;
   const half = MOST_LINES / 2;
   const others = starts.length - half;
