@@ -1,6 +1,8 @@
-"""The band of a method over D, reduced for a map: few nodes, two axes, the sign of the objective."""
+"""The band of a method over D, reduced for maps: planes of few nodes, with the sign of the objective."""
 
 import math
+from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -16,32 +18,35 @@ from .data import Series, Surface
 Floats = NDArray[np.float64]
 
 MOST_NODES = 3000
-"""Nodes of one surface, about; a finer lattice is thinned."""
+"""Nodes of one plane, about; a finer lattice is thinned. With a lattice's `MAX_NODES` all planes have at most 9000."""
 
 
-def surface(plan: ProblemPlan, method: ProblemMethod, bound: Bound) -> Surface:
-    """Return the band of `method` after at least one observation; `bound` is the one after the last.
+def surfaces(plan: ProblemPlan, method: ProblemMethod, bound: Bound, worst: Sequence[float]) -> tuple[Surface, ...]:
+    """Return the band of `method` in every plane of two parameters through the start `worst` (p,), or at listed starts.
+
+    `method` has at least one observation, and `bound` is the one after the last.
 
     Raises:
         ValueError: the method has no observation, or its kernel matrix is singular.
 
     """
-    problem, space, found = plan.problem, plan.chosen_from, method.band(bound)
+    space, found = plan.chosen_from, method.band(bound)
     band = _Arrays(*map(np.array, (found.mean, found.lower, found.upper, found.possible)))
-    shape = None
-    if isinstance(space, Lattice):
-        band, shape = _thinned(_projected(band, space))
-    minimum = plan.sense == "min"
-    mean, lower, upper = (_series(each, minimum=minimum) for each in (band.mean, band.lower, band.upper))
-    return Surface(
-        shape=shape,
-        points=() if isinstance(space, Lattice) else space.points,
-        mean=mean,
-        lower=upper if minimum else lower,
-        upper=lower if minimum else upper,
-        worst=tuple(band.possible.ravel().tolist()),
-        band=_meaning(problem, method),
-    )
+    meaning = _meaning(plan.problem, method)
+    if plan.parts:
+        meaning = f"of the worst requirement at each start; for one requirement {meaning}"
+    if not isinstance(space, Lattice):
+        listed = _signed(band, minimum=plan.sense == "min")
+        return (Surface(tuple(range(len(worst))), (), None, space.points, *listed, band=meaning),)
+    node = _node_near(space, worst)
+    through = tuple(np.array(space.low) + node * np.array(space.spacing))
+    planes: list[tuple[int, ...]] = [*combinations(range(space.dimension), 2)] or [(0,)]
+    surfaces = []
+    for axes in planes:
+        thin, shape = _thinned(_through_node(band, space, axes, node))
+        signed = _signed(thin, minimum=plan.sense == "min")
+        surfaces.append(Surface(axes, through, shape, (), *signed, band=meaning))
+    return tuple(surfaces)
 
 
 def _meaning(problem: Problem, method: ProblemMethod) -> str:
@@ -74,12 +79,18 @@ class _Arrays(NamedTuple):
     possible: NDArray[np.bool_]
 
 
-def _projected(band: _Arrays, lattice: Lattice) -> _Arrays:
-    """Return the worst over all axes but the first two, each array of shape (resolution,) or (resolution,) * 2."""
+def _node_near(lattice: Lattice, x: Sequence[float]) -> NDArray[np.intp]:
+    """Return the index of the nearest node along each axis (p,); a refined start is between nodes."""
+    steps = (np.array(x) - np.array(lattice.low)) / np.array(lattice.spacing)
+    return np.array(np.clip(np.rint(steps), 0, lattice.resolution - 1), dtype=np.intp)
+
+
+def _through_node(band: _Arrays, lattice: Lattice, axes: tuple[int, ...], node: NDArray[np.intp]) -> _Arrays:
+    """Return the band in the plane of `axes` through a node, each array of shape (resolution,) * len(axes)."""
     shape = (lattice.resolution,) * lattice.dimension
-    others = tuple(range(2, lattice.dimension))
-    # max for all fields, any for the flags: J is maximised, so the projection hides no bad start
-    return _Arrays(*(np.max(each.reshape(shape), axis=others) for each in band))
+    cut = tuple(slice(None) if axis in axes else node[axis] for axis in range(lattice.dimension))
+    mean, lower, upper = (each.reshape(shape)[cut] for each in (band.mean, band.lower, band.upper))
+    return _Arrays(mean, lower, upper, band.possible.reshape(shape)[cut])
 
 
 def _thinned(band: _Arrays) -> tuple[_Arrays, tuple[int, ...]]:
@@ -105,6 +116,13 @@ def _kept(size: int, most: int) -> int:
     if size <= most:
         return size
     return next((count for count in range(most, most // 2, -1) if (size - 1) % (count - 1) == 0), most)
+
+
+def _signed(band: _Arrays, *, minimum: bool) -> tuple[Series, Series, Series, tuple[bool, ...]]:
+    """Return mean, lower, upper and flags with the sign of the objective: for a minimum the sides change places."""
+    mean, lower, upper = (_series(each, minimum=minimum) for each in (band.mean, band.lower, band.upper))
+    sides = (upper, lower) if minimum else (lower, upper)
+    return mean, *sides, tuple(band.possible.ravel().tolist())
 
 
 def _series(values: Floats, *, minimum: bool) -> Series:

@@ -12,7 +12,6 @@ from ...schemas.certificate import Certificate, Predicate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, ProposalFact, RolloutFact
 from ...schemas.ids import CLOSING, RECHECK, RolloutId
-from ...schemas.parameters import parameter_ranges
 from ...schemas.values import Observation
 from ..campaign.observation import split
 from ..campaign.plan import ProblemPlan, plans
@@ -22,8 +21,10 @@ from ..run.format import replay_command, resume_command
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, rollouts_of
 from . import rollouts, wording
+from .counterexample import ending_counterexample
 from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State
 from .problem import ProblemCollector
+from .ranges import ranges
 from .trust import TrustStatistics
 from .workers import LiveState, WorkerStatistics
 
@@ -167,6 +168,7 @@ class Collector:
                 for fact in self._violations[:MOST_COUNTEREXAMPLES]
             ),
             violations=len(self._violations),
+            later_violations=sum(fact.rollout.problem in CLOSING for fact in self._violations),
             rollouts=sum(each.rollouts for each in problems if each.requirement is None),
             workers=workers,
             throughput=self._workers.throughput(),
@@ -174,7 +176,13 @@ class Collector:
             resume=resume_command(self.directory),
             failed_attempts=self._workers.failed_attempts(),
             more_workers=more,
-            counterexample=wording.counterexample_sentence(predicate, header),
+            counterexample=ending_counterexample(
+                self._problems.values(),
+                self._violations,
+                predicate.counterexample if predicate else None,
+                header,
+                lambda rollout: replay_command(self.directory, header, rollout, self._system),
+            ),
             compared=self._trust.compared_rows(),
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
@@ -242,11 +250,5 @@ def _own(plan: ProblemPlan, place: int, observation: Observation) -> Observation
 
 
 def _axes(header: Header) -> tuple[Axis, ...]:
-    """Return the parameters with the ranges of D, in the order of the system."""
-    space, parameters = header.config.space, header.spec.parameters
-    if isinstance(space, dict):
-        boxes = parameter_ranges(space)
-        ranges = [(boxes[each.name].low, boxes[each.name].high) for each in parameters]
-    else:
-        ranges = [(min(values), max(values)) for values in zip(*space.rows, strict=True)]
-    return tuple(Axis(each.name, each.unit, *ends) for each, ends in zip(parameters, ranges, strict=True))
+    ends = ranges(header)
+    return tuple(Axis(each.name, each.unit, *ends[each.name]) for each in header.spec.parameters)

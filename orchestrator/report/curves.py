@@ -21,7 +21,8 @@ from ..mathematics.stl.tree import (
     columns,
     predicates,
 )
-from .data import Curve
+from .data import Curve, InputCurve
+from .ranges import ranges
 
 Floats = NDArray[np.float64]
 
@@ -77,17 +78,28 @@ def of_trajectory(
         yield Curve(label, variant, name, column_unit(header, name), t, values)
 
 
-def of_signals(header: Header, x: Sequence[float]) -> Iterator[Curve]:
+def of_signals(header: Header, x: Sequence[float]) -> Iterator[InputCurve]:
     """Yield the input signals of a start (p,) over time."""
     spec, horizon = header.spec, header.config.horizon
     if not spec.signals:
         return
     units = {each.name: each.unit for each in spec.declared.parameters}
-    for name, signal in start_values(spec, x, horizon).items():
-        if isinstance(signal, InputSignal):
-            # Steps are vertical: a point before each knot, and one at it.
-            t = np.unique([*np.linspace(0.0, horizon, INPUT_POINTS), *signal.times, *_before(signal)])
-            yield Curve("input", "true", name, units[name], tuple(t.tolist()), tuple(signal(t).tolist()))
+    ends, values = ranges(header), start_values(spec, x, horizon)
+    for shape in spec.signals:
+        signal = values[shape.name]
+        assert isinstance(signal, InputSignal), "the system declares it"
+        # Steps are vertical: a point before each knot, and one at it.
+        t = np.unique([*np.linspace(0.0, horizon, INPUT_POINTS), *signal.times, *_before(signal)])
+        yield InputCurve(
+            name=shape.name,
+            unit=units[shape.name],
+            kind=signal.kind,
+            t=tuple(t.tolist()),
+            values=tuple(signal(t).tolist()),
+            knots=signal.times,
+            low=min(ends[name][0] for name in shape.names),
+            high=max(ends[name][1] for name in shape.names),
+        )
 
 
 def _before(signal: InputSignal) -> list[float]:

@@ -14,7 +14,9 @@ from pydantic import BaseModel
 
 from ...schemas.certificate import Assumption, CompositionTerms
 from ...schemas.problems import Quantity
+from ...schemas.signals import SignalKind
 from ..store.changes import ComparedResult
+from .worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
@@ -53,15 +55,16 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """The band of a method over D: on a lattice of `shape` (last axis fastest), or at listed points.
+    """The band of a method at the nodes of a plane through D (last axis fastest), or at all listed starts."""
 
-    For a box with more than two parameters it is projected on the first two: the worst value over the others.
-    """
-
+    axes: tuple[int, ...]
+    """The parameters of the plane, one or two; all of them for listed starts."""
+    through: tuple[float, ...]
+    """A start in the plane: the node at the worst observed one. Empty for listed starts."""
     shape: tuple[int, ...] | None
     """None where D is a list of starts."""
     points: tuple[tuple[float, ...], ...]
-    """The listed starts; empty for a lattice."""
+    """The listed starts; empty for a plane."""
     mean: Series
     lower: Series
     upper: Series
@@ -73,7 +76,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class TestSeries:
-    """The observed tests of a problem, column by column."""
+    """Observed tests of a problem, column by column, in their order: all, or `MOST_TESTS` of more."""
 
     test: tuple[int, ...]
     x: tuple[tuple[float, ...], ...]
@@ -176,7 +179,8 @@ class Problem:
     stopped_by: str | None
     left: str | None
     """Forecast of the remaining tests, in words."""
-    surface: Surface | None
+    surfaces: tuple[Surface, ...]
+    """The plane of every two parameters, or the listed starts; empty where nothing is observed, or starts are drawn."""
     tests: TestSeries
     by_clip: float | None = None
     """What the clip alone proves of the objective; `bound` is never weaker."""
@@ -190,6 +194,8 @@ class Problem:
     """The same of each requirement, where there are several."""
     regions: RegionMap | None = None
     """Of a finished campaign with `regions`."""
+    observed: int = 0
+    """Number of observed tests; `tests` has a choice of very many."""
     requirement: str | None = None
     """The one that is bounded here on its own, from the tests of the problem; None for the whole specification."""
 
@@ -205,6 +211,22 @@ class Curve:
     unit: str
     t: tuple[float, ...]
     values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class InputCurve:
+    """An input signal of a start over time, as the system gets it."""
+
+    name: str
+    unit: str
+    kind: SignalKind
+    t: tuple[float, ...]
+    values: tuple[float, ...]
+    knots: tuple[float, ...]
+    """The times of its knots."""
+    low: float
+    high: float
+    """The range of its knots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,72 +261,20 @@ class RolloutsOfTest:
     """The column of each limit."""
     error: str | None = None
     """Files that could not be read, in words; their curves are missing."""
-    inputs: tuple[Curve, ...] = ()
-    """The input signals of the test's start over time."""
+    inputs: tuple[InputCurve, ...] = ()
+    """The input signals of the test's start."""
 
 
 @dataclass(frozen=True, slots=True)
-class WorkerRow:
-    """One worker; state and heartbeat are known on the live page of a run only."""
+class FoundCounterexample:
+    """The rollout that ended a campaign because it violates the specification."""
 
-    name: str
-    host: str
-    rollouts: int
-    failures: int
-    busy_seconds: float
-    cpu_seconds: float
-    last: float | None
-    """Unix time of its last result."""
-    state: str
-    """"idle", "busy", "lost", ..., or "unknown"."""
-    rollout: str | None
-    heartbeat: float | None
-    """Unix time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Throughput:
-    """Rollouts recorded over time."""
-
-    rate: float
-    """Rollouts per second over the last minute of work."""
-    start: float | None
-    """Unix time of the first result."""
-    seconds: tuple[float, ...]
-    recorded: tuple[int, ...]
-    """`recorded[k]` rollouts are recorded `seconds[k]` after the start; at most 200 points."""
-    sessions: int
-    failures: int
-    system_failures: int = 0
-    """Failures of the system among them; 0 in a database that does not tell."""
-
-
-@dataclass(frozen=True, slots=True)
-class FailedAttempt:
-    """One attempt without a result."""
-
-    rollout: str
-    attempt: int
-    worker: str
-    kind: str | None
-    """"infrastructure" or "system"; None in a database that does not tell."""
-    reason: str
-    ended: float
-    """Unix time."""
-
-
-@dataclass(frozen=True, slots=True)
-class SetAsideRow:
-    """A worker or host that was set aside."""
-
-    kind: str
-    """"worker" or "host"."""
-    name: str
-    times: int
-    for_good: bool
-    last: float
-    """Unix time at which its last pause began."""
-    reason: str
+    problem: str
+    test: int
+    sentence: str
+    """Its start, seed and robustness in words; also the nearest failing start, if it was sought."""
+    command: str
+    """Command that simulates it again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,6 +311,8 @@ class ReportData:
     """Rollouts with robustness below 0, the worst first, at most 1000."""
     violations: int
     """Number of all rollouts with robustness below 0."""
+    later_violations: int
+    """Those of them that checks after the campaign simulated, which `rollouts` does not count."""
     rollouts: int
     workers: tuple[WorkerRow, ...]
     throughput: Throughput
@@ -351,8 +323,8 @@ class ReportData:
     """The latest first, at most 50."""
     more_workers: int = 0
     """Workers without a row in `workers`, which has at most 100: those set aside, then those with most attempts."""
-    counterexample: str | None = None
-    """The rollout that ended the campaign because it violates the specification, in words."""
+    counterexample: FoundCounterexample | None = None
+    """Of a campaign that ends with the first one."""
     compared: tuple[ComparedResult, ...] = ()
     """The latest first, those that differ before all others, at most 50."""
     compared_results: int = 0

@@ -1,7 +1,7 @@
 """The rollouts at drawn starts as a histogram of their robustness, with the bounds that are numbers of its axis."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ...schemas.claims import PROBABILITIES, SAMPLED, ClaimRequest
 from ..campaign.plan import ProblemPlan
@@ -18,22 +18,23 @@ REACH = 0.5
 """The axis reaches a bound that is at most this share of the spread beyond the values."""
 
 
-def histograms(plan: ProblemPlan, method: SampleMethod, tests: Sequence[Sequence[float]], unit: str) -> list[Drawn]:
+def histograms(plan: ProblemPlan, method: SampleMethod, tests: Mapping[int, Sequence[float]], unit: str) -> list[Drawn]:
     """Return the histogram of the whole specification, then that of each requirement.
 
-    `tests` has the robustness of each start, as in its observation; there is at least one start.
+    `tests` has the robustness of each drawn test by its number, as in its observation; there is at least one.
     """
     names = (None, *plan.requirements)
-    width = len(tests[0]) // len(names)
+    width = len(next(iter(tests.values()))) // len(names)
     return [
-        _histogram(plan, method, [values[place * width] for values in tests], (place, name), unit)
+        _histogram(plan, method, {test: each[place * width] for test, each in tests.items()}, (place, name), unit)
         for place, name in enumerate(names)
     ]
 
 
 def _histogram(
-    plan: ProblemPlan, method: SampleMethod, values: Sequence[float], which: tuple[int, str | None], unit: str
+    plan: ProblemPlan, method: SampleMethod, tests: Mapping[int, float], which: tuple[int, str | None], unit: str
 ) -> Drawn:
+    values = list(tests.values())
     low, high = min(values), max(values)
     bounds = [
         (claim.asked, method.found(number)) for number, claim in enumerate(plan.claims) if claim.place == which[0]
@@ -58,7 +59,7 @@ def _histogram(
         unit=unit,
         marks=marks,
         failure=next((bound for asked, bound in bounds if asked.quantity == "failure_probability"), None),
-        worst=values.index(low),
+        worst=min(tests, key=lambda test: (tests[test], test)),
         least=low,
     )
 

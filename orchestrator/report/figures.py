@@ -1,12 +1,16 @@
 """The maps and decays of a report as files, in the style of the paper's figures; equal data give equal bytes."""
 
 import itertools
+import textwrap
 from collections.abc import Iterator
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -14,11 +18,20 @@ from matplotlib.patches import Patch
 from ..certificate.text import outward
 from ..mathematics.gp.kernels import Floats
 from . import style
-from .data import Axis, Drawn, Problem, ReportData, Series, Surface
+from .data import Axis, Drawn, InputCurve, Problem, ReportData, Series, Surface
 from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
-MAP_HEIGHT, DECAY_HEIGHT, HISTOGRAM_HEIGHT = 2.8, 1.8, 2.4
+MAP_HEIGHT, DECAY_HEIGHT, HISTOGRAM_HEIGHT, INPUT_HEIGHT = 2.8, 1.8, 2.4, 1.0
 """Inches."""
+MANY = 200
+"""More listed starts are drawn smaller."""
+MAP_CHARACTERS = 60
+"""Of a line of the title of a map."""
+PER_PARAMETER = 0.25
+"""Inches of each parameter's axis."""
+MOST_LINES = 500
+"""Tests drawn as lines across all parameters, the worst ones."""
+LINES = ListedColormap(mpl.colormaps["Greys"](np.linspace(0.2, 0.85, 20)))
 DASHES = ("--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), "-", (0, (1, 3)), (0, (8, 3)))
 DISTANCES = {"F_i": "$F_i$", "U - L": "$U - L$"}
 
@@ -36,10 +49,19 @@ def _figures_of(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figur
         with style.new_figure(HISTOGRAM_HEIGHT) as figure:
             draw_histogram(figure, problem, problem.drawn)
         yield "histogram", figure
-    if problem.surface is not None:
+    if problem.surfaces:
         with style.new_figure(MAP_HEIGHT) as figure:
             draw_problem_map(figure, data.axes, problem)
         yield "map", figure
+    inputs = next((each.inputs for each in data.scenes if each.problem == problem.name), ())
+    if inputs:
+        with style.new_figure(INPUT_HEIGHT * len(inputs) + 0.3) as figure:
+            _draw_inputs(figure, inputs)
+        yield "inputs", figure
+    if len(data.axes) > 2 and problem.tests.x:
+        with style.new_figure(1.2 + PER_PARAMETER * len(data.axes)) as figure:
+            draw_problem_tests(figure, data.axes, problem)
+        yield "tests", figure
     if decays(problem):
         with style.new_figure(DECAY_HEIGHT) as figure:
             draw_problem_decay(figure, problem)
@@ -52,10 +74,11 @@ def decays(problem: Problem) -> bool:
 
 
 def draw_problem_map(figure: Figure, parameters: tuple[Axis, ...], problem: Problem) -> Axes:
-    """Draw the band of a problem that has a surface over the first two parameters, with its tests."""
-    surface, axes = problem.surface, figure.subplots()
-    assert surface is not None, "the caller has checked it"
+    """Draw the band of a problem that has one in the plane of the first two parameters, with its tests."""
+    surface, axes = problem.surfaces[0], figure.subplots()
     axes.set(title=_title(problem), xlabel=style.with_unit(parameters[0].name, parameters[0].unit))
+    if surface.shape and len(parameters) > 2:
+        axes.set_title(textwrap.fill(f"{_title(problem)}; {_through(parameters, surface)}", MAP_CHARACTERS))
     if len(parameters) == 1:
         _profile(axes, parameters[0], problem, surface)
         return axes
@@ -69,6 +92,15 @@ def draw_problem_map(figure: Figure, parameters: tuple[Axis, ...], problem: Prob
     if keys:
         figure.legend(handles=keys, loc="outside lower center", borderaxespad=0)
     return axes
+
+
+def _through(parameters: tuple[Axis, ...], surface: Surface) -> str:
+    """Return where the plane of the first two parameters is in the others."""
+    others = list(zip(parameters, surface.through, strict=True))[2:]
+    values = (
+        f"{each.name} = {value:.4g} {style.plain_text(each.unit)}".removesuffix(" 1").rstrip() for each, value in others
+    )
+    return f"at the worst start observed, {', '.join(values)}"
 
 
 def _profile(axes: Axes, parameter: Axis, problem: Problem, surface: Surface) -> None:
@@ -103,9 +135,60 @@ def _scattered(axes: Axes, surface: Surface) -> tuple[Any, list[Artist]]:
     """Draw the listed starts, dark where the mean is high, with a red edge where the worst one may be."""
     z1, z2 = np.array(surface.points)[:, :2].T
     edges = [RED if worst else "white" for worst in surface.worst]
-    drawn = axes.scatter(z1, z2, 60, c=_array(surface.mean), cmap=GREYS, edgecolor=edges, linewidth=THICK, zorder=3)
+    area, width = (60, THICK) if len(z1) <= MANY else (8, THIN)
+    drawn = axes.scatter(z1, z2, area, c=_array(surface.mean), cmap=GREYS, edgecolor=edges, linewidth=width, zorder=3)
     key = Line2D([], [], linestyle="", marker="o", color="white", markeredgecolor=RED, label="may be the worst start")
     return drawn, [key]
+
+
+def draw_problem_tests(figure: Figure, parameters: tuple[Axis, ...], problem: Problem) -> Axes:
+    """Draw the worst tests of a problem as lines across all parameters, dark where the observed value is bad."""
+    axes, y, rows = figure.subplots(), _array(problem.tests.y), np.arange(len(parameters))
+    badness = y if problem.sense == "max" and problem.method != "sample" else 0.0 - y
+    kept = np.argsort(np.where(np.isnan(badness), -np.inf, badness), kind="stable")[-MOST_LINES:]  # the worst on top
+    low, high = np.array([(each.low, each.high) for each in parameters]).T
+    shares = (np.array(problem.tests.x)[kept] - low) / np.where(high > low, high - low, 1.0)  # (n, p)
+    lines = LineCollection([np.column_stack((each, rows)) for each in shares], cmap=LINES, linewidths=2 * THIN)
+    lines.set_array(badness[kept])
+    # Half of the tests have either half of the colours: one value far away would leave one colour for the others.
+    ends = np.nanquantile(badness, (0.0, 0.5, 1.0)) if np.isfinite(badness).any() else np.zeros(3)
+    if ends[0] < ends[1] < ends[2]:
+        lines.set_norm(TwoSlopeNorm(ends[1], ends[0], ends[2]))
+    axes.add_collection(lines)
+    axes.plot(shares[-1], rows, color=RED, linewidth=THICK, clip_on=False, label="worst observed")
+    axes.hlines(rows, 0.0, 1.0, color="black", linewidth=THIN)
+    names = [style.with_unit(each.name, each.unit) for each in parameters]
+    axes.set_yticks(rows, [f"{name}   {each.low:.4g}" for name, each in zip(names, parameters, strict=True)])
+    for row, each in enumerate(parameters):
+        axes.text(1.04, row, f"{each.high:.4g}", verticalalignment="center")
+    axes.tick_params(axis="y", length=0)
+    axes.set(xlim=(-0.02, 1.02), ylim=(rows[-1] + 0.4, -0.4), xticks=())
+    axes.set_title(_title(problem) if len(kept) == len(y) else f"the worst {len(kept)} of {problem.observed} tests")
+    axes.spines[:].set_visible(False)
+    colours = figure.colorbar(lines, ax=axes, orientation="horizontal", pad=0.02, aspect=40)
+    values = np.unique(ends).tolist()
+    colours.set_ticks(values, labels=[f"{value if badness is y else 0.0 - value:.4g}" for value in values])
+    unit = problem.unit if problem.drawn is None else problem.drawn.unit
+    colours.set_label(style.with_unit("observed", unit))
+    figure.legend(loc="outside lower center", borderaxespad=0)
+    return axes
+
+
+def _draw_inputs(figure: Figure, inputs: tuple[InputCurve, ...]) -> None:
+    """Draw the input signals of the worst test over time, as the system gets them, with their knots."""
+    panels: list[Axes] = list(figure.subplots(len(inputs), 1, sharex=True, squeeze=False).flat)
+    for axes, each in zip(panels, inputs, strict=True):
+        t, values = np.array(each.t), np.array(each.values)
+        axes.plot(t, values, color=BLUE, linewidth=THICK)
+        knots = np.isin(t, each.knots)
+        axes.plot(t[knots], values[knots], "o", color=BLUE, markersize=2.5, clip_on=False)
+        axes.set_ylabel(style.with_unit(each.name, each.unit))
+        margin = 0.05 * (each.high - each.low)
+        axes.set_ylim(each.low - margin, each.high + margin)  # one scale for the inputs of all tests
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(x=0.01)
+    panels[0].set_title("input signals of the worst test")
+    panels[-1].set_xlabel("t / s")
 
 
 def draw_histogram(figure: Figure, problem: Problem, drawn: Drawn) -> Axes:
@@ -144,5 +227,5 @@ def _array(values: Series) -> Floats:
 
 
 def _title(problem: Problem) -> str:
-    number = len(problem.tests.test)
+    number = problem.observed
     return f"{problem.name.replace('_', ' ')}: {number} test{'' if number == 1 else 's'}, method {problem.method}"

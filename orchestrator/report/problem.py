@@ -23,8 +23,9 @@ from ..store.changes import Decision
 from ..store.export_tables import robustness_unit, unit
 from ..store.read import ObservedTest
 from . import band
-from .data import Drawn, Problem, RegionMap, Surface, TestSeries
+from .data import Drawn, Problem, RegionMap, Surface
 from .drawn import histograms
+from .observed import observed_series, signed, worst_first
 from .regions import region_map
 from .wording import typeset
 
@@ -45,7 +46,7 @@ class ProblemCollector:
         self.starts: list[tuple[float, ...]] = []
         """z of every proposed test."""
         self.observed: list[ObservedTest] = []
-        self._plan, self._method, self._header = plan, method(plan, header), header
+        self.plan, self._method, self._header = plan, method(plan, header), header
         self._config, self._own = config, own
         self._bound: Bound | None = None
         self._sense = plan.sense
@@ -53,9 +54,11 @@ class ProblemCollector:
         self._values: dict[int, ObservationFact] = {}
         self._pending: list[tuple[Proposal, Observation]] = []
         """Observations not yet passed to the method."""
-        self._surface: Surface | None = None
+        self._surfaces: tuple[Surface, ...] = ()
         self._drawn: list[Drawn] = []
-        self._tests = self._columns()
+        self._tests = observed_series(self.plan, self.observed)
+        self._described = 0
+        """Tests in surfaces and columns."""
         self._warnings = self._contradictions()
 
     def add(self, fact: Decision) -> None:
@@ -71,7 +74,7 @@ class ProblemCollector:
                 self.starts.append(fact.proposal.x)
             case ObservationFact():
                 fact = fact if self._own is None else replace(fact, observation=self._own(fact.observation))
-                if self._plan.is_evidence(fact.test):
+                if self.plan.is_evidence(fact.test):
                     self._pending.append((self._proposals[fact.test].proposal, fact.observation))
                 self._values[fact.test] = fact
             case BoundFact():
@@ -87,14 +90,15 @@ class ProblemCollector:
 
         """
         problem, last = self.problem, self.observed[-1] if self.observed else None
-        if last and len(self._tests.test) != len(self.observed):
+        if last and self._described != len(self.observed):
+            self._described = len(self.observed)
             self._bound = self._bound_after(last)
             self._pending.clear()
             if isinstance(self._method, SampleMethod):
                 self._drawn = self._histograms(self._method)
             else:
-                self._surface = band.surface(self._plan, self._method, self._bound)
-            self._tests = self._columns()
+                self._surfaces = band.surfaces(self.plan, self._method, self._bound, self._worst_start)
+            self._tests = observed_series(self.plan, self.observed)
             self._warnings = self._contradictions()
         now = self._bound if last else None
         stopped_by = result.stopped_by if result else self._stopped_by(last)
@@ -104,8 +108,8 @@ class ProblemCollector:
         limit = by_clip(self._config, problem) if later else None
         return Problem(
             name=problem.name,
-            objective=typeset(result.objective if result else objective(self._plan, rules)),
-            quantity=self._plan.statement.quantity,
+            objective=typeset(result.objective if result else objective(self.plan, rules)),
+            quantity=self.plan.statement.quantity,
             method=problem.method,
             sense=self._sense,
             unit=unit(problem, self._config, self._header.spec),
@@ -115,33 +119,43 @@ class ProblemCollector:
             bound=None if bound is None else floored(bound, self._sense, limit),
             partner=result.partner if result else signed(now.lower if now else None, self._sense),
             probability=result.probability if result else self._probability(last),
-            budget=self._plan.budget,
+            budget=self.plan.budget,
             rollouts=self.rollouts,
             stopped_by=stopped_by,
             left=None if stopped_by else self._left(),
-            surface=self._surface,
+            surfaces=self._surfaces,
             tests=self._tests,
             by_clip=limit,
             warnings=self._warnings,
-            starts=self._plan.listed if rules > 1 else None,
+            starts=self.plan.listed if rules > 1 else None,
             drawn=self._drawn[0] if self._drawn else None,
             requirements=tuple(self._drawn[1:]),
-            requirement=self._plan.requirement,
+            requirement=self.plan.requirement,
+            observed=len(self.observed),
         )
 
     def regions(self, directory: Path, predicate: Predicate | None) -> RegionMap | None:
         """Return the regions of a finished campaign; None for any other."""
         if predicate is None or predicate.regions is None or not self.observed:
             return None
-        worst = max(self.observed, key=lambda each: (each.observation.y, -each.test))
-        return region_map(directory, self._plan, predicate, worst.proposal.x)
+        return region_map(directory, self.plan, predicate, self._worst_start)
+
+    @property
+    def ended_by_counterexample(self) -> ObservedTest | None:
+        """The last test, if a rollout of it ended the campaign."""
+        last = self.observed[-1] if self.observed else None
+        return last if last and last.stopped_by == "counterexample" else None
 
     def worst_tests(self, number: int) -> list[int]:
         """Return the worst test of each of the worst `number` starts, the worst first."""
         found: dict[tuple[float, ...], int] = {}
-        for each in sorted(self.observed, key=lambda each: (-self._badness(each.observation), each.test)):
+        for each in worst_first(self.plan, self.observed):
             found.setdefault(each.proposal.x, each.test)
         return list(islice(found.values(), number))
+
+    @property
+    def _worst_start(self) -> tuple[float, ...]:
+        return worst_first(self.plan, self.observed)[0].proposal.x
 
     def _bound_after(self, last: ObservedTest) -> Bound:
         """Give the pending observations to the method and return the bound after them, which is that of `last`."""
@@ -156,15 +170,11 @@ class ProblemCollector:
         verdict = self._bound.verdict if self._bound and self._own else None
         return verdict or (last.stopped_by if last else None)
 
-    def _badness(self, observation: Observation) -> float:
-        """Return J, which is maximised; where starts are drawn the worst robustness, whatever is bounded."""
-        return -min(observation.each[: self._plan.replicates]) if self._plan.candidates is None else observation.y
-
     def _histograms(self, method: SampleMethod) -> list[Drawn]:
         header = self._header
-        values = [each.observation.each for each in self.observed if self._plan.is_drawn(each.test)]
+        values = {each.test: each.observation.each for each in self.observed if self.plan.is_drawn(each.test)}
         # A search may have found its counterexample before the first drawn start.
-        return histograms(self._plan, method, values, robustness_unit(self._config, header.spec)) if values else []
+        return histograms(self.plan, method, values, robustness_unit(self._config, header.spec)) if values else []
 
     def _probability(self, last: ObservedTest | None) -> float | None:
         """Return the probability of the current bound; None where there is no valid one."""
@@ -176,11 +186,11 @@ class ProblemCollector:
         return self._method.probability
 
     def _contradictions(self) -> tuple[str, ...]:
-        each = [test.observation.each[: self._plan.replicates] for test in self.observed]
+        each = [test.observation.each[: self.plan.replicates] for test in self.observed]
         y = [test.observation.y for test in self.observed]
         robustness = consistency.robustness_of(self.problem, each)
-        found = consistency.of_tests(self._plan, y, each, robustness)
-        return tuple(map(typeset, (*consistency.of_plan(self._plan, self._header.spec), *found.values())))
+        found = consistency.of_tests(self.plan, y, each, robustness)
+        return tuple(map(typeset, (*consistency.of_plan(self.plan, self._header.spec), *found.values())))
 
     def _left(self) -> str | None:
         if self._own is not None:
@@ -188,34 +198,3 @@ class ProblemCollector:
         now = self._tests.distance[-1] if self._tests.distance else None
         left = forecast.tests_left(self._config, self.problem, now, len(self.observed))
         return None if left is None else forecast.left_in_words(self._config, self.problem, left)
-
-    def _distance(self, test: ObservedTest) -> float | None:
-        # Of several requirements each has its own.
-        return None if self._plan.parts else forecast.distance(self.problem, test.proposal.F, test.bound)
-
-    @property
-    def _observed_sense(self) -> str:
-        return "min" if self._plan.candidates is None else self._sense
-
-    def _columns(self) -> TestSeries:
-        tests, sense = self.observed, self._sense
-        upper = tuple(signed(each.bound.upper, sense) for each in tests)
-        lower = tuple(signed(each.bound.lower, sense) for each in tests)
-        return TestSeries(
-            test=tuple(each.test for each in tests),
-            x=tuple(each.proposal.x for each in tests),
-            y=tuple(signed(self._badness(each.observation), self._observed_sense) for each in tests),
-            distance=tuple(self._distance(each) for each in tests),
-            lower=upper if sense == "min" else lower,
-            upper=lower if sense == "min" else upper,
-        )
-
-
-def signed(value: float | None, sense: str) -> float | None:
-    """Return a value of J with the sign of the objective.
-
-    >>> signed(0.25, "min"), signed(0.25, "max"), signed(0.0, "min")
-    (-0.25, 0.25, 0.0)
-    """
-    # 0.0 - value: -0.0 would be printed as a negative number
-    return value if value is None or sense == "max" else 0.0 - value

@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from ..store.changes import Changes, ComparedResult, PauseChange
-from .data import SetAsideRow
+from .worker_data import SetAsideRow
 
 MOST = 50
 """Rows of each kind; the export lists all of them."""

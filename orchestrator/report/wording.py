@@ -65,11 +65,9 @@ def current_bound(problems: Sequence[Problem], claims: Sequence[Claim]) -> str:
     return text if len(whole) == 1 else f"{text} The composed claim follows when all problems have stopped."
 
 
-def counterexample_sentence(predicate: document.Predicate | None, header: Header) -> str | None:
-    """Return the sentence on the rollout that ended a campaign; None without one."""
-    if predicate is None or predicate.counterexample is None:
-        return None
-    words = counterexample_words(predicate.counterexample, robustness_unit(header.config, header.spec))
+def counterexample_sentence(found: document.Counterexample, header: Header) -> str:
+    """Return the sentence on the rollout that ended a campaign."""
+    words = counterexample_words(found, robustness_unit(header.config, header.spec))
     return typeset(f"{words[0].upper()}{words[1:]}.")
 
 

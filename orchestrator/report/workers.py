@@ -9,7 +9,7 @@ from typing import NamedTuple
 from ...schemas.facts import RECORDED, RESTORED
 from ..store.changes import AttemptOutcome, Changes
 from ..store.progress import RECENT, rate
-from .data import FailedAttempt, Throughput, WorkerRow
+from .worker_data import FailedAttempt, Throughput, WorkerRow
 
 MOST_POINTS = 200
 MOST_WORKERS = 100

@@ -29,12 +29,21 @@ def relocatable(data: ReportData) -> ReportData:
     """Return the data with commands for a shell in the run directory, since a report may be moved with it."""
 
     def moved(rollout: Rollout) -> Rollout:
-        words = shlex.split(rollout.command)
-        return replace(rollout, command=shlex.join([*words[:2], ".", *words[3:]]) if words else "")
+        return replace(rollout, command=_in_its_directory(rollout.command))
 
-    scenes = tuple(replace(scene, rollouts=tuple(map(moved, scene.rollouts))) for scene in data.scenes)
-    counterexamples = tuple(map(moved, data.counterexamples))
-    return replace(data, scenes=scenes, counterexamples=counterexamples, resume=resume_command(Path()))
+    found = data.counterexample
+    return replace(
+        data,
+        scenes=tuple(replace(scene, rollouts=tuple(map(moved, scene.rollouts))) for scene in data.scenes),
+        counterexamples=tuple(map(moved, data.counterexamples)),
+        counterexample=found and replace(found, command=_in_its_directory(found.command)),
+        resume=resume_command(Path()),
+    )
+
+
+def _in_its_directory(command: str) -> str:
+    words = shlex.split(command)
+    return shlex.join([*words[:2], ".", *words[3:]]) if words else ""
 
 
 def write_page(directory: Path, data: ReportData) -> tuple[Path, ...]:

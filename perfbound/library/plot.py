@@ -35,7 +35,7 @@ class Plot:
 
         """
         found = self._problem(problem)
-        if found.surface is None:
+        if not found.surfaces:
             raise PerfboundError(f"{self._directory}: problem {found.name} has no test yet; retry later")
         with _figure(figures.MAP_HEIGHT) as figure:
             return figures.draw_problem_map(figure, self._data.axes, found)

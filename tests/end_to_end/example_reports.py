@@ -1,5 +1,6 @@
 """Small report data for the page: two problems over a lattice, listed starts, one parameter, hostile names."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -7,17 +8,17 @@ from perfbound.orchestrator.report.data import (
     Axis,
     Claim,
     Curve,
-    FailedAttempt,
+    Drawn,
+    FoundCounterexample,
+    InputCurve,
     Problem,
     ReportData,
     Rollout,
     RolloutsOfTest,
-    SetAsideRow,
     Surface,
     TestSeries,
-    Throughput,
-    WorkerRow,
 )
+from perfbound.orchestrator.report.worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 from perfbound.orchestrator.store.changes import ComparedResult
 from perfbound.schemas.certificate import Assumption, CompositionTerms
 
@@ -58,6 +59,7 @@ def small(tests: int = 6) -> ReportData:
         scenes=tuple(rollouts_of_test(each.name, test) for each in problems for test in (worst(each), 0)),
         counterexamples=(),
         violations=0,
+        later_violations=0,
         rollouts=4 * tests,
         workers=(WorkerRow("local-1", "vm", 4 * tests, 0, 9.0, 8.5, STARTED + 9, "unknown", None, None),),
         throughput=Throughput(12.0, STARTED, (0.0, 5.0, 9.0), (0, 10, 4 * tests), 1, 0),
@@ -92,7 +94,9 @@ def begun() -> ReportData:
     """A running campaign before its first test is observed."""
     report = running(1)
     none = TestSeries((), (), (), (), (), ())
-    problems = tuple(replace(each, tests=none, surface=None, bound=None, stopped_by=None) for each in report.problems)
+    problems = tuple(
+        replace(each, tests=none, observed=0, surfaces=(), bound=None, stopped_by=None) for each in report.problems
+    )
     return replace(
         report,
         problems=problems,
@@ -107,16 +111,66 @@ def starts() -> ReportData:
     """Listed starts; no start has an upper bound of its own."""
     report = small()
     surface = _surface(shape=None)
-    listed = replace(surface, points=NODES, upper=(None,) * len(NODES))
-    problem = replace(report.problems[0], method="scenario", distance="U - L", surface=listed)
+    listed = replace(surface, through=(), points=NODES, upper=(None,) * len(NODES))
+    problem = replace(report.problems[0], method="scenario", distance="U - L", surfaces=(listed,))
     return replace(report, problems=(problem,))
+
+
+def cube() -> ReportData:
+    """Three parameters of 0 to 3; in every plane the mean at a node is its digits, as in 321 of x = 3, y = 2, z = 1."""
+    report = small()
+    axes = tuple(Axis(name, "m", 0.0, 3.0) for name in "xyz")
+    through, number = (2.0, 1.0, 0.0), (100.0, 10.0, 1.0)
+    planes = []
+    for pair in ((0, 1), (0, 2), (1, 2)):
+        mean = []
+        for node in itertools.product(range(4), repeat=2):
+            start = list(through)
+            for axis, value in zip(pair, node, strict=True):
+                start[axis] = float(value)
+            mean.append(sum(value * digit for value, digit in zip(start, number, strict=True)))
+        planes.append(Surface(pair, through, (4, 4), (), tuple(mean), (None,) * 16, (None,) * 16, (True,) * 16))
+    problem = report.problems[0]
+    x = ((2.0, 1.0, 0.0), (3.0, 3.0, 3.0), (2.0, 1.0, 3.0), (0.0, 0.0, 0.0), (0.0, 3.0, 0.0), (1.0, 2.0, 3.0))
+    found = replace(problem, surfaces=tuple(planes), tests=replace(problem.tests, x=x))
+    return replace(report, axes=axes, problems=(found,))
+
+
+def many(parameters: int = 12, tests: int = 30) -> ReportData:
+    """Drawn starts of many parameters with long names, which differ at their ends; every tenth violates."""
+    report = small()
+    axes = tuple(Axis(f"a_parameter_of_a_long_name_{k:04d}", "m/s2", -1.0, 1.0) for k in range(parameters))
+    numbers = range(tests)
+    x = tuple(tuple(math.sin(1.0 + k * (axis + 1)) for axis in range(parameters)) for k in numbers)
+    y = tuple(-0.1 - k / tests if k % 10 == 9 else 0.5 + k / tests for k in numbers)
+    none = (None,) * tests
+    drawn = Drawn(None, (-1.5, 0.0, 1.5), (tests // 10, tests - tests // 10), tests // 10, 0, "m", (), 0.2, 0, min(y))
+    problem = replace(
+        report.problems[0],
+        method="sample",
+        sense="max",
+        surfaces=(),
+        drawn=drawn,
+        observed=tests,
+        tests=TestSeries(tuple(numbers), x, y, none, (0.0,) * tests, (1.0,) * tests),
+    )
+    return replace(report, axes=axes, problems=(problem,), scenes=())
+
+
+def ended_by_counterexample(report: ReportData, test: int) -> ReportData:
+    """The same, ended by a rollout of a test of the first problem."""
+    name = report.problems[0].name
+    rollouts = (rollout(name, test, "true", 0, -0.2), rollout("shrink", 3, "true", 0, -0.1))
+    found = FoundCounterexample(name, test, f"Test {test} violates the specification.", rollouts[0].command)
+    return replace(report, counterexample=found, counterexamples=rollouts, violations=2, later_violations=1)
 
 
 def profile() -> ReportData:
     """A system with one parameter."""
     report = small()
     problem = report.problems[0]
-    line = replace(problem, surface=_surface(shape=(20,)), tests=replace(problem.tests, x=((0.5,), (1.5,)) * 3))
+    band = replace(_surface(shape=(20,)), axes=(0,), through=(0.5,))
+    line = replace(problem, surfaces=(band,), tests=replace(problem.tests, x=((0.5,), (1.5,)) * 3))
     return replace(report, axes=AXES[:1], problems=(line,))
 
 
@@ -179,7 +233,10 @@ def rollouts_of_test(problem: str, test: int) -> RolloutsOfTest:
         Curve(f"{variant} {k}", variant, "phi", "rad", t, tuple(0.3 * math.sin(each + 0.2 * k) for each in t))
         for variant, k in variants
     )
-    return RolloutsOfTest(problem, test, traces, (-0.95, 0.95), rollouts, limit_columns=("phi", "phi"))
+    signal = InputCurve("push", "N", "constant", (0.0, 0.9999, 1.0, 2.0), (0.5, 0.5, -1.0, -1.0), (0.0, 1.0), -2.0, 2.0)
+    return RolloutsOfTest(
+        problem, test, traces, (-0.95, 0.95), rollouts, limit_columns=("phi", "phi"), inputs=(signal,)
+    )
 
 
 def rollout(problem: str, test: int, variant: str, replicate: int, robustness: float = 0.4) -> Rollout:
@@ -217,7 +274,8 @@ def _problem(name: str, sense: str, tests: int) -> Problem:
         rollouts=tests,
         stopped_by="converged",
         left=None,
-        surface=_surface(shape=(5, 4)),
+        surfaces=(_surface(shape=(5, 4)),),
+        observed=tests,
         tests=TestSeries(
             test=numbers,
             x=x,
@@ -232,4 +290,5 @@ def _problem(name: str, sense: str, tests: int) -> Problem:
 def _surface(shape: tuple[int, ...] | None) -> Surface:
     mean = tuple(0.3 + 0.02 * k for k in range(20))
     lower, upper = tuple(each - 0.1 for each in mean), tuple(each + 0.1 for each in mean)
-    return Surface(shape, (), mean, lower, upper, tuple(k < 7 for k in range(20)), band="with probability 0.95")
+    worst = tuple(k < 7 for k in range(20))
+    return Surface((0, 1), (1.0, 2.0), shape, (), mean, lower, upper, worst, band="with probability 0.95")

@@ -23,6 +23,8 @@ REPORTS = {
     "starts": example_reports.starts,
     "profile": example_reports.profile,
     "no test yet": example_reports.begun,
+    "three parameters": example_reports.cube,
+    "drawn starts": example_reports.many,
     "hostile": example_reports.hostile,
 }
 TYPESET = "\u03c1* \u2265\u00a00.1743 with probability at least 0.8544 (product)"
@@ -141,7 +143,7 @@ def test_a_dot_of_the_map_shows_its_test(browser: Browser, tmp_path: Path) -> No
         spot = _place(watch, 0.0, 0.0)
         watch.page.locator("#map-0").hover(position=spot)
         text = watch.page.locator("#read-0").inner_text()
-        assert "x = 0 m, y = 0 m: test 0 observed 0.7 rad" in text
+        assert "test 0 observed 0.7 rad at x = 0 m, y = 0 m" in text
         assert "x = 0 m, y = 0 m: mean 0.3 rad, lower 0.2000 rad, upper 0.4000 rad" in text
         watch.page.locator("#map-0").click(position=spot)
         assert watch.page.locator("#test").get_attribute("data-test") == "0"
@@ -221,7 +223,7 @@ def test_counterexamples_are_counted_and_linked(browser: Browser, tmp_path: Path
 def test_hostile_names_become_no_links(browser: Browser, tmp_path: Path) -> None:
     with opened(browser, tmp_path, example_reports.hostile()) as watch:
         links = watch.page.locator("a").evaluate_all("all => all.map(each => each.getAttribute('href'))")
-        assert {link for link in links if not link.startswith("#problem-")} == {
+        assert {link for link in links if not link.startswith("#")} == {
             "certificate.json",
             "counterexamples.csv",
         }

@@ -1,12 +1,12 @@
 """The live page in a real browser; the test simulates its server."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 from playwright.sync_api import Browser, Route
 
 from perfbound.orchestrator.report import html
-from perfbound.orchestrator.report.data import to_json
+from perfbound.orchestrator.report.data import ReportData, to_json
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Watched
@@ -21,6 +21,7 @@ class Campaign:
 
     def __init__(self, watch: Watched) -> None:
         self.watch, self.tests, self.refusing = watch, 4, 0
+        self.report: Callable[[int], ReportData] = example_reports.running
         self.fetched: list[str] = []
         watch.page.route(f"{ORIGIN}/**", self._answer)
 
@@ -34,7 +35,7 @@ class Campaign:
             self.refusing -= 1
             route.fulfill(status=503)
         elif path == "/events":
-            text = f"retry: 20\n\nevent: story\ndata: {to_json(example_reports.running(self.tests))}\n\n"
+            text = f"retry: 20\n\nevent: story\ndata: {to_json(self.report(self.tests))}\n\n"
             route.fulfill(content_type="text/event-stream", body=text)
         else:
             self.fetched.append(path)
@@ -97,3 +98,14 @@ def test_a_live_page_reconnects_after_its_server_was_away(campaign: Campaign) ->
     campaign.wait_for_tests(9)
     assert campaign.refusing == 0
     assert page.evaluate("page.connection") in ("live", "lost")
+
+
+def test_a_counterexample_appears_on_a_live_page_with_its_trajectory(campaign: Campaign) -> None:
+    page = campaign.watch.page
+    assert page.locator("#counterexample").count() == 0
+    campaign.report = lambda tests: example_reports.ended_by_counterexample(example_reports.running(tests), tests - 1)
+    campaign.tests = 5
+    page.wait_for_selector("#counterexample")
+    assert "Test 4 violates the specification." in page.locator("#counterexample").inner_text()
+    page.wait_for_selector("#test[data-test='4'][data-curves='3']")
+    assert campaign.watch.errors == []

@@ -3,11 +3,11 @@
 /** Colours of Okabe and Ito, distinct in colour blindness too; lighter ones on a dark page. */
 const LIGHT = {
   ink: "#1a1d21", muted: "#555c66", line: "#d9dde2", paper: "#ffffff", empty: "#e9ebee",
-  blue: "#0072b2", red: "#c24f00",
+  blue: "#0072b2", red: "#c24f00", weak: "#c3daea", strong: "#08306b",
 };
 const DARK = {
   ink: "#e8eaed", muted: "#a9b1ba", line: "#353b43", paper: "#15181c", empty: "#2a2f36",
-  blue: "#56b4e9", red: "#f28e4b",
+  blue: "#56b4e9", red: "#f28e4b", weak: "#31495c", strong: "#d4ecfb",
 };
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
 const onPaper = window.matchMedia("print");
@@ -24,8 +24,8 @@ const charts = new Map(); // element -> {plot, key}
 /**
  * Draw a chart in its element. A present chart of the same spec and colours gets the new data only.
  * @param {HTMLElement} host
- * @param {{height: number, x: string, y: {label: string, log?: boolean, fromZero?: boolean},
- *   series: Array<{label: string, colour: string, dash?: number[], width?: number, points?: boolean, bars?: boolean, unit?: string, sense?: string}>,
+ * @param {{height: number, x: string, y: {label: string, log?: boolean, fromZero?: boolean, range?: [number, number]},
+ *   series: Array<{label: string, colour: string, dash?: number[], width?: number, points?: boolean, size?: number, bars?: boolean, unit?: string, sense?: string}>,
  *   legend?: boolean, range?: [number, number], lines?: Array<{value: number, colour: string, label?: string}>}} spec colours are
  *   names of the theme; `range` is that of x, `lines` are drawn upright at values of x
  * @param {Array<Array<number|null>>} data x first
@@ -55,7 +55,7 @@ function chartOptions(host, spec, colours) {
     height: spec.height,
     cursor: { drag: { x: false, y: false }, points: { size: 7 } },
     legend: { show: spec.legend !== false },
-    scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1, range: spec.y.fromZero ? (plot, low, high) => [0, 1.05 * high] : undefined } },
+    scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1, range: spec.y.range ?? (spec.y.fromZero ? (plot, low, high) => [0, 1.05 * high] : undefined) } },
     axes: [axis({ label: spec.x, size: 30, values: names }), axis({ label: spec.y.label, size: 52, values: names })],
     series: [{ label: spec.x, colour: "ink" }, ...spec.series].map((each) => chartSeries(each, colours)),
   };
@@ -70,7 +70,7 @@ function chartSeries(each, colours) {
     spanGaps: true,
     paths: each.points ? () => null : each.bars ? uPlot.paths.bars({ size: [0.96, Infinity] }) : undefined,
     fill: each.bars ? colours[each.colour] : undefined,
-    points: { show: each.points === true, size: 3, width: 0, fill: colours[each.colour] },
+    points: { show: each.points === true, size: each.size ?? 3, width: 0, fill: colours[each.colour] },
     value: (plot, value, k, row) => legendText(row === null || row === undefined ? plot.data[k].at(-1) : value, each),
   };
 }

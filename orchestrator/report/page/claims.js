@@ -31,7 +31,7 @@ function titleSection(report) {
 }
 
 function spaceText(report) {
-  const starts = report.problems.find((each) => each.surface?.points.length)?.surface.points.length;
+  const starts = report.problems.find(isListed)?.surfaces[0].points.length;
   const box = report.axes.map(({ name, low, high, unit }) => `${short(name, 24)} from ${num(low)} to ${quantity(high, unit)}`);
   const region = report.where === null ? "" : `, where ${short(report.where, 300)}`;
   return (starts ? `${plural(starts, "start")} with ` : "") + box.join(", ") + region;
@@ -49,6 +49,7 @@ function claimSection(report) {
     el("p.claim#claim", sentence(first ? first.sentence : report.now)),
     first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
     first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
+    report.violations && !report.counterexample ? el("p", el("a", { href: "#counterexamples" }, `${plural(report.violations, "rollout")} violated the specification.`)) : null,
     others.length ? otherClaims(others) : null,
   );
 }
@@ -58,10 +59,16 @@ function claimBasis(claim, unit) {
   return `${unit && `Bound in ${unit}. `}Method ${words(claim.method)}${rule}. Depends on ${plural(claim.assumptions.length, "assumption")}.`;
 }
 
-/** The rollout that ended the campaign; the section of the counterexamples has the command that repeats it. */
-function counterexample(report) {
-  if (report.counterexample === null) return null;
-  return el("div.refuted#counterexample", el("p.shout", "COUNTEREXAMPLE"), el("p", sentence(report.counterexample, 1000)));
+/** The rollout that ended the campaign, its test and the command that repeats it. */
+function counterexample({ counterexample: found }) {
+  if (found === null) return null;
+  return el(
+    "div.refuted#counterexample",
+    el("p.shout", "COUNTEREXAMPLE"),
+    el("p", sentence(found.sentence, 1000)),
+    el("p", el("button", { "data-select": `${found.problem}:${found.test}` }, "Show its trajectory")),
+    commandLine(found.command),
+  );
 }
 
 /** The refuted assumptions of the first claim; without a claim, all that are refuted. */

@@ -15,6 +15,14 @@ function short(value, longest = LONGEST) {
   return text.length > longest ? `${text.slice(0, longest - 1)}\u2026` : text;
 }
 
+/** A name, its middle left out where it is long: names of one series differ at their ends. */
+function shortMiddle(value, longest) {
+  const text = visible(value);
+  if (text.length <= longest) return text;
+  const end = Math.floor((longest - 1) / 2);
+  return `${text.slice(0, longest - 1 - end)}\u2026${text.slice(text.length - end)}`;
+}
+
 /**
  * Build an element: el("p.note#id", {title: "..."}, "text", child, null) or el("p", "text").
  * @param {string} selector tag, classes and id

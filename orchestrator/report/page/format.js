@@ -50,7 +50,7 @@ function plural(value, word) {
 
 /** "x = 5 m, y = 0 m". */
 function place(x, axes) {
-  return x.map((value, k) => `${axes[k] ? `${short(axes[k].name, 24)} = ` : ""}${quantity(value, axes[k]?.unit)}`).join(", ");
+  return x.map((value, k) => `${axes[k] ? `${shortMiddle(axes[k].name, 24)} = ` : ""}${quantity(value, axes[k]?.unit)}`).join(", ");
 }
 
 /** A duration: "95 s", "12 min", "3.4 h". */

@@ -38,13 +38,18 @@ function drawHistogram(drawn, id) {
   );
 }
 
+/** Number of the tests whose starts were drawn; a search proposes others. */
+function samplesOf({ drawn }) {
+  return drawn.counts.reduce((sum, each) => sum + each, 0);
+}
+
 /** One row for each requirement: how often it was violated, what is claimed, and its worst test as a button. */
 function requirementTable(problem) {
   if (!problem.requirements.length) return null;
-  const samples = problem.tests.test.length;
+  const samples = samplesOf(problem);
   const bounded = problem.requirements.some(({ marks }) => marks.length > 0);
   const row = (each) => {
-    const id = `${problem.name}:${problem.tests.test[each.worst]}`;
+    const id = `${problem.name}:${each.worst}`;
     return el(
       "tr",
       el("th", { scope: "row" }, nameElement(each.requirement, 40)),

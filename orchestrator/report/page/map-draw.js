@@ -14,8 +14,8 @@ function drawMap(canvas, view) {
   drawDots(context, model);
   drawCrosshair(context, model);
   mapModels.set(canvas, model);
-  const { problem, series } = model;
-  Object.assign(canvas.dataset, { tests: problem.tests.test.length, series, problem: problem.name });
+  const { problem, series, chosen } = model;
+  Object.assign(canvas.dataset, { tests: problem.tests.test.length, series, problem: problem.name, axes: chosen.join() });
 }
 
 /** Give a canvas `width` by `height` CSS pixels, sharp on this screen; returns its cleared context. */
@@ -33,11 +33,11 @@ function canvasContext(canvas, width, height) {
 }
 
 function drawLattice(context, model) {
-  const { box, scale, problem } = model;
+  const { box, scale, band } = model;
   context.fillStyle = theme().empty;
   context.fillRect(box.left, box.top, box.width, box.height);
   if (scale === null) return;
-  const [columns, rows] = problem.surface.shape;
+  const [columns, rows] = band.shape;
   const cells = new OffscreenCanvas(columns, rows);
   const pixels = new ImageData(columns, rows);
   scale.values.forEach((value, n) => {
@@ -78,28 +78,34 @@ function hatch(context, inside, { left, top, width, height }) {
 }
 
 function drawStarts(context, model) {
-  const { problem, scale, nodes, toX, toY } = model;
+  const { band, scale, nodes, problem, chosen, toX, toY } = model;
   if (scale === null) return;
+  const many = nodes.length > MANY_DOTS;
   const radii = new Map(model.dots.map((dot) => [dot.x.join(), dot.radius]));
-  nodes.forEach((x, n) => {
+  const order = nodes.map((_, n) => n);
+  // The worst ones on top.
+  if (many) order.sort((a, b) => (problem.sense === "max" ? 1 : -1) * (scale.values[a] - scale.values[b]));
+  for (const n of order) {
+    const x = chosen.map((k) => nodes[n][k]);
     const value = scale.values[n];
     const fill = value === null ? theme().empty : `rgb(${scale.colour(value)})`;
-    const radius = 6 + (radii.get(x.join()) ?? 0);
-    disc(context, [toX(x[0]), toY(x[1])], radius, fill, theme().ink, problem.surface.worst[n] ? 2.5 : 0.75);
-  });
+    const possible = band.worst[n];
+    const [radius, edge] = many ? [possible ? 3.5 : 2, possible ? 1.5 : 0.3] : [6 + (radii.get(x.join()) ?? 0), possible ? 2.5 : 0.75];
+    disc(context, [toX(x[0]), toY(x[1])], radius, fill, theme().ink, edge);
+  }
   drawColourBar(context, model);
 }
 
-function drawProfile(context, { problem, nodes, box, toX, toY }) {
-  if (problem.surface === null) return;
-  const { lower, upper, mean, worst } = problem.surface;
+function drawProfile(context, { band, nodes, box, toX, toY }) {
+  if (band === null) return;
+  const { lower, upper, mean, worst } = band;
   const colours = theme();
   const bounded = nodes.map((x, n) => n).filter((n) => lower[n] !== null && upper[n] !== null);
-  const band = new Path2D();
-  bounded.forEach((n) => band.lineTo(toX(nodes[n][0]), toY(upper[n])));
-  bounded.reverse().forEach((n) => band.lineTo(toX(nodes[n][0]), toY(lower[n])));
+  const area = new Path2D();
+  bounded.forEach((n) => area.lineTo(toX(nodes[n][0]), toY(upper[n])));
+  bounded.reverse().forEach((n) => area.lineTo(toX(nodes[n][0]), toY(lower[n])));
   context.fillStyle = `${colours.blue}33`;
-  context.fill(band);
+  context.fill(area);
   const curve = new Path2D();
   nodes.forEach((x, n) => mean[n] !== null && curve.lineTo(toX(x[0]), toY(mean[n])));
   context.strokeStyle = colours.blue;
@@ -117,10 +123,10 @@ function drawProfile(context, { problem, nodes, box, toX, toY }) {
 }
 
 /** Border, ticks and names of both axes. */
-function drawAxes(context, { kind, report, problem, box, rangeX, rangeY, toX, toY }) {
+function drawAxes(context, { kind, axes, problem, box, rangeX, rangeY, toX, toY }) {
   const { left, top, width, height } = box;
   const colours = theme();
-  const [nameX, nameY] = report.axes.map((axis) => withUnit(axis.name, axis.unit));
+  const [nameX, nameY] = axes.map((axis) => withUnit(axis.name, axis.unit));
   context.strokeStyle = colours.muted;
   context.fillStyle = colours.ink;
   context.lineWidth = 1;
@@ -167,21 +173,29 @@ function drawColourBar(context, { box: { left, top, width, height }, scale, prob
   context.fillText("dark = worse", bar.left + 60, top + height + 22, MARGIN.bar);
 }
 
-function drawDots(context, { kind, dots }) {
-  const starts = kind === "starts";
-  // A listed start is its own dot. The worst one is drawn on top of its neighbours.
-  const others = starts ? [] : dots.filter((dot) => !dot.worst);
+function drawDots(context, { kind, band, dots, nodes }) {
+  // A listed start is its own dot, unless there are too many. Violations and the worst are drawn on top.
+  const own = kind === "starts" && nodes.length <= MANY_DOTS;
   const edge = dots.length > MANY_DOTS ? 0.6 : 1.2;
-  for (const dot of others) if (!dot.violates) disc(context, dot.at, dot.radius, WHITE, BLACK, edge);
-  for (const dot of others) if (dot.violates) disc(context, dot.at, Math.max(dot.radius, 2.5), WORST, BLACK, edge);
+  for (const dot of own ? [] : dots.filter((each) => !each.violates)) {
+    context.globalAlpha = dot.off ? 0.4 : 1;
+    disc(context, dot.at, dot.radius, ...(band ? [WHITE, BLACK] : [dot.colour, theme().empty]), edge);
+  }
+  for (const dot of own ? [] : dots.filter((each) => each.violates)) {
+    context.globalAlpha = dot.off ? 0.6 : 1;
+    disc(context, dot.at, Math.max(dot.radius, 2.5), WORST, BLACK, edge);
+  }
+  context.globalAlpha = 1;
   for (const dot of dots) {
-    const around = dot.radius + (starts ? 9 : 4);
+    const around = dot.radius + (own ? 9 : 4);
     if (dot.worst) disc(context, dot.at, Math.min(dot.radius + 2, 7), WORST, WHITE);
     if (dot.first) square(context, dot.at, around, 0);
     if (dot.last) square(context, dot.at, around, Math.PI / 4);
   }
-  const selected = dots.find((dot) => dot.selected);
-  if (selected) strokeOutlined(context, 1.8, () => context.stroke(circle(selected.at, selected.radius + (starts ? 13 : 9))));
+  for (const [mark, more] of [["selected", 9], ["pointed", 6]]) {
+    const dot = dots.find((each) => each[mark]);
+    if (dot) strokeOutlined(context, 1.8, () => context.stroke(circle(dot.at, dot.radius + more + (own ? 4 : 0))));
+  }
 }
 
 function circle([x, y], radius) {

@@ -8,9 +8,28 @@ const VIRIDIS = [
 const REACH = 14; // pixels around the centre of a dot that select it
 const MARGIN = { left: 44, top: 24, bottom: 40, right: 12, bar: 74 }; // pixels; bar: to the right, with a colour bar
 
+/** Whether a test observes the robustness itself, whatever is bounded: where starts are drawn. */
+function observesRobustness({ method }) {
+  return method === "sample";
+}
+
+const results = new WeakMap(); // problem -> Map of results, which are the same until the next data: a pointer moves often
+
+/** The result of `compute` for a problem, computed once for each name. */
+function once(problem, name, compute) {
+  if (!results.has(problem)) results.set(problem, new Map());
+  const known = results.get(problem);
+  if (!known.has(name)) known.set(name, compute());
+  return known.get(name);
+}
+
 /** Rows of the observed tests, the worst first. */
 function worstFirst(report, problem) {
-  const sign = problem.sense === "max" && !problem.drawn ? -1 : 1;
+  return once(problem, "worst first", () => sortedRows(report, problem));
+}
+
+function sortedRows(report, problem) {
+  const sign = problem.sense === "max" && !observesRobustness(problem) ? -1 : 1;
   const withCurves = new Set(report.scenes.filter((each) => each.problem === problem.name).map((each) => each.test));
   const { test, y } = problem.tests;
   return test
@@ -20,11 +39,36 @@ function worstFirst(report, problem) {
     .sort((a, b) => sign * (y[a] - y[b]) || withCurves.has(test[b]) - withCurves.has(test[a]) || test[a] - test[b]);
 }
 
-/** One dot per tested start: {x, rows: its rows in the columns of the tests, the worst first}. */
-function dotsOf(report, problem) {
+/** The axes of a report that a choice of axes names by their numbers. */
+function axesOf(report, chosen) {
+  return chosen.map((k) => report.axes[k]);
+}
+
+/** The tests of which a rollout violates the specification. */
+function violating(report, problem) {
+  return once(problem, "violating", () => violatingTests(report, problem));
+}
+
+function violatingTests(report, problem) {
+  const { test, y } = problem.tests;
+  // The report lists the worst violations alone.
+  const drawn = observesRobustness(problem) ? test.filter((_, row) => y[row] !== null && y[row] < 0) : [];
+  return new Set([...drawn, ...report.counterexamples.filter((each) => each.problem === problem.name).map((each) => each.test)]);
+}
+
+/**
+ * One dot per place of tested starts on some axes, by default on all: {x, rows}, x on these axes, rows in the columns of
+ * the tests, the worst first.
+ */
+function dotsOf(report, problem, chosen = report.axes.map((_, k) => k)) {
+  return once(problem, `dots ${chosen}`, () => groupedTests(report, problem, chosen));
+}
+
+function groupedTests(report, problem, chosen) {
   const dots = new Map();
   const rank = new Map(worstFirst(report, problem).map((row, position) => [row, position]));
-  problem.tests.x.forEach((x, row) => {
+  problem.tests.x.forEach((start, row) => {
+    const x = chosen.map((k) => start[k]);
     const key = x.join();
     if (!dots.has(key)) dots.set(key, { x, rows: [] });
     dots.get(key).rows.push(row);
@@ -34,48 +78,68 @@ function dotsOf(report, problem) {
   return [...dots.values()];
 }
 
-/** The first two parameters of every node of a surface, in its order: last axis fastest. */
-function nodesOf(surface, axes) {
-  if (surface === null) return [];
-  if (surface.shape === null) return surface.points;
-  const [columns, rows] = surface.shape;
-  const node = ({ low, high }, size, step) => low + ((high - low) * step) / Math.max(1, size - 1);
-  if (rows === undefined) return Array.from({ length: columns }, (_, i) => [node(axes[0], columns, i)]);
-  return Array.from({ length: columns * rows }, (_, n) => [node(axes[0], columns, Math.floor(n / rows)), node(axes[1], rows, n % rows)]);
+/** The band of a problem over the chosen axes: its listed starts, or the plane of these axes; null without a band. */
+function bandOver(problem, chosen) {
+  const found = problem.surfaces.find(({ axes, shape }) => shape === null || chosen.every((k) => axes.includes(k)));
+  if (!found || found.shape === null || chosen.length < 2 || found.axes[0] === chosen[0]) return found ?? null;
+  const [columns, rows] = found.shape;
+  const turned = (values) => Array.from(values, (_, n) => values[(n % columns) * rows + Math.floor(n / columns)]);
+  const [mean, lower, upper, worst] = [found.mean, found.lower, found.upper, found.worst].map(turned);
+  return { ...found, axes: chosen, shape: [rows, columns], mean, lower, upper, worst };
+}
+
+/** The start of every node of a band, in its order: last axis fastest. */
+function nodesOf(band, axes) {
+  if (band === null) return [];
+  if (band.shape === null) return band.points;
+  const [columns, rows = 1] = band.shape;
+  const along = (k, size, step) => axes[k].low + ((axes[k].high - axes[k].low) * step) / Math.max(1, size - 1);
+  return Array.from({ length: columns * rows }, (_, n) => {
+    const node = [...band.through];
+    node[band.axes[0]] = along(band.axes[0], columns, Math.floor(n / rows));
+    if (band.axes.length > 1) node[band.axes[1]] = along(band.axes[1], rows, n % rows);
+    return node;
+  });
+}
+
+/** Whether the band of a problem is at listed starts. */
+function isListed(problem) {
+  return problem.surfaces[0]?.shape === null;
 }
 
 /** Kind of map: "lattice", "starts" (dots), "profile" (one parameter), or null where only bars can show the starts. */
 function mapKind(report, problem) {
-  const listed = problem.surface !== null && problem.surface.shape === null;
-  if (report.axes.length === 1) return listed ? null : "profile";
-  if (listed) return report.axes.length === 2 ? "starts" : null;
-  return "lattice";
+  if (report.axes.length === 1) return isListed(problem) ? null : "profile";
+  return isListed(problem) ? "starts" : "lattice";
 }
 
 /**
  * Everything that a map of this width draws.
- * @param {{report: object, problem: object, kind: string, series: string, selected: number|null, pointer: [number, number]|null}} view
+ * @param {{report: object, problem: object, kind: string, chosen: number[], series: string, selected: number|null,
+ *   pointer: [number, number]|null, pointed: number|null}} view `chosen` are the numbers of its axes, `pointed` is the
+ *   row of the test that the reader points at
  */
 function mapModel(view, width) {
-  const { report, problem, kind } = view;
-  const at = mapFrame(view, width);
-  return {
-    ...view, ...at,
-    nodes: nodesOf(problem.surface, report.axes),
-    dots: markedDots(view, at),
-    scale: colourScale(view),
-    region: kind === "lattice" && problem.surface ? worstRegion(problem.surface) : null,
+  const band = bandOver(view.problem, view.chosen);
+  const over = { ...view, band, axes: axesOf(view.report, view.chosen) };
+  const at = mapFrame(over, width);
+  const nodes = nodesOf(band, view.report.axes);
+  const model = {
+    ...over, ...at, nodes,
+    dots: markedDots({ ...over, nodes }, at),
+    scale: colourScale(over),
+    region: view.kind === "lattice" && band ? worstRegion(band) : null,
   };
+  return { ...model, dotAt: (pixel) => dotNear(model, pixel) };
 }
 
 /** Frame of a map. */
-function mapFrame({ report, problem, kind }, width) {
-  const [first, second] = report.axes;
+function mapFrame({ axes: [first, second], band, problem, kind }, width) {
   const profile = kind === "profile";
-  const box = { left: MARGIN.left, top: MARGIN.top, width: Math.max(80, width - MARGIN.left - (profile ? MARGIN.right : MARGIN.bar)) };
-  const range = (axis, k) => parameterRange(axis, profile ? 0 : problem.surface?.shape?.[k] ?? null);
+  const box = { left: MARGIN.left, top: MARGIN.top, width: Math.max(80, width - MARGIN.left - (band && !profile ? MARGIN.bar : MARGIN.right)) };
+  const range = (axis, k) => parameterRange(axis, profile ? 0 : band?.shape?.[k] ?? null);
   const rangeX = range(first, 0);
-  const rangeY = profile ? profileRange(problem) : range(second, 1);
+  const rangeY = profile ? profileRange(band, problem.tests) : range(second, 1);
   // Parameters of one unit have one scale, unless the map became a strip.
   const ratio = !profile && first.unit === second.unit ? (rangeY[1] - rangeY[0]) / (rangeX[1] - rangeX[0]) : 0;
   box.height = box.width * (ratio > 0.4 && ratio < 1.3 ? ratio : 0.7);
@@ -98,15 +162,15 @@ function parameterRange({ low, high }, nodes) {
   return [low - margin, high + margin];
 }
 
-function profileRange({ surface, tests }) {
-  const [low, high] = extent(tests.y, ...(surface ? [surface.lower, surface.upper, surface.mean] : [])) ?? [0, 1];
+function profileRange(band, tests) {
+  const [low, high] = extent(tests.y, ...(band ? [band.lower, band.upper, band.mean] : [])) ?? [0, 1];
   const margin = (high - low) * 0.06 || 0.5;
   return [low - margin, high + margin];
 }
 
 /** The values of the chosen series and their colours; null without a value. */
-function colourScale({ problem, series }) {
-  const values = problem.surface?.[series] ?? [];
+function colourScale({ band, problem, series }) {
+  const values = band?.[series] ?? [];
   const range = extent(values);
   if (range === null) return null;
   const [low, high] = range;
@@ -144,24 +208,65 @@ function worstRegion({ shape: [columns, rows], worst }) {
 const MANY_DOTS = 400;
 
 /** The dots with their pixels, radii and marks. */
-function markedDots({ report, problem, kind, selected }, { toX, toY, rangeY }) {
+function markedDots(view, { toX, toY, rangeY }) {
+  const { y } = view.problem.tests;
+  const dots = marked(view, dotsOf(view.report, view.problem, view.chosen));
+  // Many starts would cover one another.
+  const least = dots.length > MANY_DOTS ? 2 : 3;
+  const inPlane = planeTest(view);
+  return dots.map((dot) => ({
+    ...dot,
+    // On a profile a test without a value is drawn at the lower edge.
+    at: [toX(dot.x[0]), toY((view.kind === "profile" ? y[dot.rows[0]] : dot.x[1]) ?? rangeY[0])],
+    radius: Math.min(least + 1.1 * Math.sqrt(dot.rows.length - 1), 8),
+    off: !dot.rows.some(inPlane),
+  }));
+}
+
+/** Dots with the marks that maps and lines share, and with the colour of their worst value. */
+function marked({ report, problem, selected, pointed }, dots) {
   const { test, y } = problem.tests;
   const [worst] = worstFirst(report, problem);
-  const dots = dotsOf(report, problem);
-  // Many starts would cover one another.
-  const least = dots.length > MANY_DOTS ? 1.7 : 3;
-  return dots.map(({ x, rows }) => ({
-    x, rows,
-    // On a profile a test without a value is drawn at the lower edge.
-    at: [toX(x[0]), toY((kind === "profile" ? y[rows[0]] : x[1]) ?? rangeY[0])],
-    radius: Math.min(least + 1.1 * Math.sqrt(rows.length - 1), 8),
-    first: rows.includes(0),
-    last: rows.includes(test.length - 1),
-    worst: rows.includes(worst),
-    // Of drawn starts the observation is the robustness itself.
-    violates: problem.drawn ? y[rows[0]] !== null && y[rows[0]] < 0 : false,
-    selected: rows.some((row) => test[row] === selected),
+  const violations = violating(report, problem);
+  const colour = observedColour(report, problem);
+  return dots.map((dot) => ({
+    ...dot,
+    colour: colour(y[dot.rows[0]]),
+    first: dot.rows.includes(0),
+    last: dot.rows.includes(test.length - 1),
+    worst: dot.rows.includes(worst),
+    violates: dot.rows.some((row) => violations.has(test[row])),
+    selected: dot.rows.some((row) => test[row] === selected),
+    pointed: dot.rows.includes(pointed),
   }));
+}
+
+/** Whether the test of a row is in the plane of a map, to within half the distance of its nodes; all are without one. */
+function planeTest({ report, problem, band, chosen }) {
+  if (!band || band.shape === null) return () => true;
+  const others = report.axes.map((axis, k) => [axis, k]).filter(([, k]) => !chosen.includes(k));
+  const near = ({ low, high }) => (high - low) / Math.max(1, band.shape[0] - 1) / 2 + 1e-9 * (high - low);
+  return (row) => others.every(([axis, k]) => Math.abs(problem.tests.x[row][k] - band.through[k]) <= near(axis));
+}
+
+/** Worst, middle and best observed value; null where nothing is observed. */
+function observedValues(report, problem) {
+  const rows = worstFirst(report, problem);
+  return rows.length ? [0, Math.floor(rows.length / 2), rows.length - 1].map((k) => problem.tests.y[rows[k]]) : null;
+}
+
+/** The colour of an observed value: the stronger the worse, on a light as on a dark page; half of the tests have either half. */
+function observedColour(report, problem) {
+  const [worst, middle, best] = observedValues(report, problem) ?? [0, 0, 0];
+  const { weak, strong, muted } = theme();
+  const share = (value, from, to) => (to === from ? 1 : Math.min(Math.max((value - from) / (to - from), 0), 1));
+  return (value) => (value === null ? muted : mixed(strong, weak, (share(value, worst, middle) + share(value, middle, best)) / 2));
+}
+
+/** The colour between two hexadecimal ones, at a share of the way. */
+function mixed(from, to, share) {
+  const parts = [1, 3, 5].map((k) => [from, to].map((colour) => parseInt(colour.slice(k, k + 2), 16)));
+  return `rgb(${parts.map(([a, b]) => Math.round(a + share * (b - a))).join()})`;
 }
 
 /** The index of the least distance below `limit`, or -1. */
@@ -179,22 +284,23 @@ function dotNear({ dots }, [x, y]) {
 }
 
 /** The index of the node nearest to a pixel, or -1 outside of the map. */
-function nodeNear({ kind, box, nodes, toX, toY }, [x, y]) {
+function nodeNear({ kind, box, nodes, chosen: [first, second], toX, toY }, [x, y]) {
   if (x < box.left || x > box.left + box.width || y < box.top || y > box.top + box.height) return -1;
-  return nearest(nodes.map((node) => Math.hypot(toX(node[0]) - x, kind === "profile" ? 0 : toY(node[1]) - y)));
+  return nearest(nodes.map((node) => Math.hypot(toX(node[first]) - x, kind === "profile" ? 0 : toY(node[second]) - y)));
 }
 
-/** The tests and values at a pixel as text; empty where there is nothing. */
-function readout(model, pixel) {
-  const { report, problem, nodes } = model;
-  const [dot, n] = [dotNear(model, pixel), nodeNear(model, pixel)];
+/** The tests that the reader points at, and the values at a pixel of a map, as text; empty where there is nothing. */
+function readout(model) {
+  const { axes, problem, band, nodes, chosen, pointer } = model;
+  const dot = model.dots.find((each) => each.pointed);
+  const n = band && pointer ? nodeNear(model, pointer) : -1;
   const lines = [];
-  if (dot) lines.push(`${place(dot.x, report.axes)}: ${dotText(problem, dot)}`);
-  if (n >= 0 && problem.surface) {
-    const values = SERIES.map((name) => [name, problem.surface[name][n]]).filter(([, value]) => value !== null);
+  if (dot) lines.push(`${dotText(problem, dot)} at ${place(dot.x, axes)}`);
+  if (n >= 0) {
+    const values = SERIES.map((name) => [name, band[name][n]]).filter(([, value]) => value !== null);
     const sense = { lower: ">=", upper: "<=" };
     const text = values.map(([name, value]) => `${name} ${legendText(value, { sense: sense[name], unit: problem.unit })}`).join(", ");
-    lines.push(`${place(nodes[n], report.axes)}: ${text || "no value yet"}`);
+    lines.push(`${place(chosen.map((k) => nodes[n][k]), axes)}: ${text || "no value yet"}`);
   }
   return lines.join("\n");
 }

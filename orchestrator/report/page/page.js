@@ -5,7 +5,8 @@ const page = {
   live: null, // URL of the event stream, null in a report
   chosen: null, // {problem, test} selected by the reader; null: the worst test of the first problem
   series: new Map(), // problem -> series on its map
-  pointer: new Map(), // index of a problem -> [x, y] on its map
+  axes: new Map(), // problem -> numbers of the two axes of its map
+  pointer: new Map(), // index of a problem -> {canvas, at: [x, y] on it, row of the test there or null}
   fetched: new Map(), // "problem:test" -> rollouts of that test, null (there are none) or undefined (being loaded)
   connection: "connecting",
   updated: null, // Date.now() of the last event
@@ -23,7 +24,7 @@ function draw() {
   const data = selected && rolloutsOf(selected);
   morph(document.getElementById("page"), tree(report, selected, data));
   report.problems.forEach((problem, index) => {
-    redrawMap(index);
+    redrawMaps(index);
     drawProblemCharts(problem, index);
     drawRegions(report, problem, index);
   });
@@ -44,7 +45,7 @@ function tree(report, selected, data) {
     report.problems.map((problem, index) => regionSection(report, problem, index)),
     checkSection(report),
     assumptionSection(report),
-    report.problems.map((problem, index) => problemSection(report, index, shownSeries(problem), selected)),
+    report.problems.map((problem, index) => problemSection(report, index, shownOn(problem), selected)),
     testSection(report, selected, data, page.live !== null),
     counterexampleSection(report),
     workerSection(report),
@@ -52,15 +53,20 @@ function tree(report, selected, data) {
   );
 }
 
-/** The series on the map of a problem: the choice of the reader, else the mean; of listed starts the claimed bound. */
-function shownSeries(problem) {
+/**
+ * Series and axes on the map of a problem: the choice of the reader, else the first two axes, and the mean; of listed
+ * starts the claimed bound.
+ */
+function shownOn(problem) {
   const bound = problem.sense === "max" ? "upper" : "lower";
-  return page.series.get(problem.name) ?? (problem.surface?.shape === null ? bound : "mean");
+  const first = page.report.axes.slice(0, 2).map((_, k) => k);
+  return { series: page.series.get(problem.name) ?? (isListed(problem) ? bound : "mean"), chosen: page.axes.get(problem.name) ?? first };
 }
 
-/** The selected test: the choice of the reader, else the worst of the first problem that has one. */
+/** The selected test: the choice of the reader, else the counterexample, else the worst of the first problem that has one. */
 function selection() {
   if (page.chosen !== null) return page.chosen;
+  if (page.report.counterexample !== null) return page.report.counterexample;
   for (const problem of page.report.problems) {
     const [worst] = worstFirst(page.report, problem);
     if (worst !== undefined) return { problem: problem.name, test: problem.tests.test[worst] };
@@ -91,19 +97,24 @@ async function fetchRollouts(key, selected) {
   draw();
 }
 
-function redrawMap(index) {
+/** Draw the pictures of the tests of a problem: the map of two parameters, and the lines over all. */
+function redrawMaps(index) {
   const { report } = page;
-  const canvas = document.getElementById(`map-${index}`);
-  if (!(canvas instanceof HTMLCanvasElement)) return;
   const problem = report.problems[index];
   const selected = selection();
-  drawMap(canvas, {
+  const pointer = page.pointer.get(index);
+  const view = (canvas) => ({
     report, problem,
     kind: mapKind(report, problem),
-    series: shownSeries(problem),
+    ...shownOn(problem),
     selected: selected?.problem === problem.name ? selected.test : null,
-    pointer: page.pointer.get(index) ?? null,
+    pointer: pointer?.canvas === canvas.id ? pointer.at : null,
+    pointed: pointer?.row ?? null,
   });
+  for (const [name, drawOn] of [["map", drawMap], ["parallel", drawParallel]]) {
+    const canvas = document.getElementById(`${name}-${index}`);
+    if (canvas instanceof HTMLCanvasElement) drawOn(canvas, view(canvas));
+  }
 }
 
 /** Select "problem:test" (a problem's name may contain colons, a number none), and scroll to its section on request. */
@@ -122,8 +133,10 @@ function select(text, scroll) {
 function onClick(event) {
   const target = event.target.closest("[data-select], [data-series], [data-copy], canvas[data-index]");
   if (target === null) return;
-  if (target instanceof HTMLCanvasElement) selectOnMap(target, [event.offsetX, event.offsetY]);
-  else if (target.dataset.copy !== undefined) copy(target);
+  if (target instanceof HTMLCanvasElement) {
+    movePointer(target, [event.offsetX, event.offsetY]); // a finger comes without moving there
+    selectOnMap(target);
+  } else if (target.dataset.copy !== undefined) copy(target);
   else if (target.dataset.select !== undefined) select(target.dataset.select, target.closest("#test") === null);
   else {
     page.series.set(target.dataset.problem, target.dataset.series);
@@ -131,10 +144,10 @@ function onClick(event) {
   }
 }
 
-/** Select the worst test of the dot at a pixel; repeated, the next test there. */
-function selectOnMap(canvas, pixel) {
+/** Select the worst test that the reader points at; repeated, the next test there. */
+function selectOnMap(canvas) {
   const view = mapModels.get(canvas);
-  const dot = view && dotNear(view, pixel);
+  const dot = view?.dots.find((each) => each.pointed);
   if (!dot) return;
   const tests = dot.rows.map((k) => view.problem.tests.test[k]);
   const next = tests[(tests.indexOf(view.selected) + 1) % tests.length];
@@ -145,13 +158,24 @@ function onPointer(event) {
   if (mapModels.has(event.target)) movePointer(event.target, [event.offsetX, event.offsetY]);
 }
 
-/** Draw the crosshair of a map at a pixel (none for null), and write the values there. */
-function movePointer(canvas, pixel) {
+/** Point at a pixel of a canvas (nowhere for null), by default at the test there, and write the values. */
+function movePointer(canvas, at, dot = at && mapModels.get(canvas).dotAt(at)) {
   const index = Number(canvas.dataset.index);
-  page.pointer.set(index, pixel);
-  redrawMap(index);
-  const text = pixel === null ? "" : readout(mapModels.get(canvas), pixel);
-  if (text) document.getElementById(`read-${index}`).textContent = text;
+  if (at === null) page.pointer.delete(index);
+  else page.pointer.set(index, { canvas: canvas.id, at, row: dot?.rows[0] ?? null });
+  redrawMaps(index);
+  const text = at === null ? "" : readout(mapModels.get(canvas));
+  if (text) document.getElementById(canvas.getAttribute("aria-describedby")).textContent = text;
+}
+
+/** Take a choice of an axis; the other axis gets the former one where both would be the same. */
+function chooseAxis({ dataset: { problem, axis }, value }) {
+  const { chosen } = shownOn(page.report.problems.find((each) => each.name === problem));
+  const [place, wanted] = [Number(axis), Number(value)];
+  const next = chosen.map((k, at) => (at === place ? wanted : k === wanted ? chosen[place] : k));
+  page.axes.set(problem, next);
+  draw();
+  for (const each of document.querySelectorAll("select[data-axis]")) if (each.dataset.problem === problem) each.value = next[each.dataset.axis];
 }
 
 function onPointerOut(event) {
@@ -164,10 +188,11 @@ function onKey(event) {
   if (!mapModels.has(canvas)) return;
   const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
   const view = mapModels.get(canvas);
-  if (event.key === "Enter" && view.pointer) selectOnMap(canvas, view.pointer);
+  if (event.key === "Enter" && view.pointer) selectOnMap(canvas);
   else if (step && view.dots.length) {
-    const at = view.pointer ? view.dots.indexOf(dotNear(view, view.pointer)) : step < 0 ? 0 : -1;
-    movePointer(canvas, view.dots[(at + step + view.dots.length) % view.dots.length].at);
+    const at = view.pointer ? view.dots.findIndex((each) => each.pointed) : step < 0 ? 0 : -1;
+    const dot = view.dots[(at + step + view.dots.length) % view.dots.length];
+    movePointer(canvas, dot.at ?? dot.path[0], dot);
   } else return;
   event.preventDefault();
 }
@@ -236,6 +261,7 @@ function setPrinting(begins) {
 function start() {
   page.live = document.body.dataset.live ?? null;
   const text = document.getElementById("story").textContent.trim();
+  document.addEventListener("change", ({ target }) => target.dataset.axis !== undefined && chooseAxis(target));
   const listeners = { click: onClick, pointermove: onPointer, pointerdown: onPointer, pointerout: onPointerOut, keydown: onKey };
   for (const [name, listener] of Object.entries(listeners)) document.addEventListener(name, listener);
   window.addEventListener("beforeprint", () => setPrinting(true));

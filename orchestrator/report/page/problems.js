@@ -10,20 +10,21 @@ const STOPPED = {
 const MOST_BARS = 60;
 const MOST_WORST = 8;
 
-/** The section of the problem with this index; `series` is the one on its map. */
-function problemSection(report, index, series, selected) {
+/** The section of the problem with this index; `shown` are series and axes of its map. */
+function problemSection(report, index, shown, selected) {
   const problem = report.problems[index];
   const kind = mapKind(report, problem);
-  const bars = problem.surface?.shape === null ? startBars(report, index, kind === null) : null;
+  const bars = isListed(problem) ? startBars(report, index, kind === null) : null;
   return el(
     `section.problem#problem-${index}`,
     { "data-problem": problem.name },
-    el("h2", nameElement(words(problem.name)), el("span.muted", ` ${sentence(problem.objective, 200)}; method ${words(problem.method)}`)),
+    el("h2", nameElement(words(problem.name) + (problem.requirement === null ? "" : `: ${problem.requirement}`)), el("span.muted", ` ${sentence(problem.objective, 200)}; method ${words(problem.method)}`)),
     problemFacts(problem),
+    problem.observed > problem.tests.test.length ? el("p.muted", `Pictures and lists have ${count(problem.tests.test.length)} of the tests: the worst half, and an even choice of the others.`) : null,
     problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
-      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), kind === null ? null : mapFigure(report, index, kind, series), bars),
+      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars),
       el(
         "div",
         problem.alpha === null ? null : chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`),
@@ -47,9 +48,9 @@ function problemFacts(problem) {
     ["Bound", bounded(problem.bound, sense, problem.unit) ?? "none yet"],
     [problem.method === "scenario" ? "Limit of the bound" : "Opposite bound", bounded(problem.partner, opposite, problem.unit)],
     ["Probability", bounded(problem.probability, ">=", "")],
-    ["Tests", `${count(problem.tests.test.length)} of at most ${count(problem.budget)}`],
+    ["Tests", `${count(problem.observed)} of at most ${count(problem.budget)}`],
     ["Rollouts", count(problem.rollouts)],
-    ["Samples that violate the specification", problem.drawn ? `${count(problem.drawn.violations)} of ${count(problem.tests.test.length)}` : null],
+    ["Samples that violate the specification", problem.drawn ? `${count(problem.drawn.violations)} of ${count(samplesOf(problem))}` : null],
     ["Robustness exactly 0, counted as violations", problem.drawn?.zeros ? count(problem.drawn.zeros) : null],
     ["Stop threshold alpha", problem.alpha === null ? null : quantity(problem.alpha, problem.unit)],
     ["Failure probability delta", num(problem.delta)],
@@ -64,52 +65,75 @@ function stoppedText(problem) {
   return STOPPED[problem.stopped_by] ?? short(problem.stopped_by);
 }
 
-function mapFigure(report, index, kind, series) {
+function mapFigure(report, index, kind, { series, chosen }) {
   const problem = report.problems[index];
+  const band = bandOver(problem, chosen);
   const title = { lattice: "Map of the starting conditions", starts: "Map of the starts", profile: "Objective over the starting conditions" }[kind];
   const id = `map-${index}`;
   return el(
     "figure.map",
-    el("figcaption", title, kind === "profile" || problem.surface === null ? null : seriesSwitch(problem, series)),
+    el("figcaption", title, report.axes.length > 2 ? axisSwitch(report, problem, chosen) : null, kind === "profile" || band === null ? null : seriesSwitch(problem, band, series)),
     el(`canvas#${id}`, { "data-keep": true, "data-index": index, tabindex: 0, role: "img", "aria-describedby": `read-${index}`, "aria-label": `${title} of ${words(problem.name)}. Arrow keys move between tests, Enter selects one.` }),
     el(`p.readout#read-${index}`, { "data-keep": true }, "Point at the map to read values; select a test to plot its rollouts."),
-    mapLegend(report, problem, kind),
-    bandText(problem.surface),
+    mapLegend(report, problem, kind, band),
+    band?.shape && report.axes.length > 2 ? el("p.muted", planeText(report, band, chosen)) : null,
+    bandText(band),
   );
 }
 
-function bandText(surface) {
-  return surface?.band ? el("p.muted", `Lower and upper bounds: ${sentence(surface.band, 400)}.`) : null;
+function bandText(band) {
+  return band?.band ? el("p.muted", `Lower and upper bounds: ${sentence(band.band, 400)}.`) : null;
 }
 
-function seriesSwitch(problem, series) {
-  const hasValues = (name) => problem.surface?.[name].some((value) => value !== null);
+/** Where a plane is in the other parameters. */
+function planeText(report, band, chosen) {
+  const others = report.axes.map((_, k) => k).filter((k) => !chosen.includes(k));
+  return `The plane through the worst start observed: ${place(others.map((k) => band.through[k]), axesOf(report, others))}. Tests beside it are faint.`;
+}
+
+/** The choice of the two axes of a map. */
+function axisSwitch(report, problem, chosen) {
+  const option = (axis, k, at) => el("option", { value: k, selected: k === chosen[at] }, shortMiddle(axis.name, 20) + unitOf(axis));
+  const choice = (name, at) =>
+    el("select", { "data-axis": at, "data-problem": problem.name, "aria-label": name, title: name }, report.axes.map((axis, k) => option(axis, k, at)));
+  return el("span.axes", choice("Horizontal axis", 0), "\u00d7", choice("Vertical axis", 1));
+}
+
+function seriesSwitch(problem, band, series) {
+  const hasValues = (name) => band[name].some((value) => value !== null);
   const button = (name) => el("button", { "data-series": name, "data-problem": problem.name, disabled: !hasValues(name), "aria-pressed": String(name === series) }, name);
   return el("span.switch", { role: "group", "aria-label": "Values on the map" }, SERIES.map(button));
 }
 
-function mapLegend(report, problem, kind) {
-  const worst = problem.surface?.worst ?? [];
+function mapLegend(report, problem, kind, band) {
+  const worst = band?.worst ?? [];
   const excludesNone = worst.length > 0 && worst.every(Boolean) && kind !== "starts";
   return el(
     "ul.legend",
     legendItem("mark.dot", "test, larger where repeated"),
     legendItem("mark.first", "first test"),
     legendItem("mark.last", "last test"),
-    problem.drawn?.violations ? legendItem("mark.violates", "violates the specification") : null,
+    band ? null : observedLegend(report, problem),
+    violating(report, problem).size ? legendItem("mark.violates", "violates the specification") : null,
     legendItem("mark.worst", "worst observed"),
     legendItem("mark.ring", "selected test"),
     worst.some(Boolean) && !excludesNone ? legendItem(`mark.region-${kind}`, "possible worst start") : null,
     kind === "profile" ? legendItem("mark.band", "mean and band") : null,
-    excludesNone ? el("li", "every start is a possible worst start so far") : null,
-    report.axes.length > 2 && problem.surface ? el("li", "worst value over the other parameters") : null,
+    excludesNone ? el("li", `every start ${report.axes.length > 2 ? "of this plane " : ""}is a possible worst start so far`) : null,
   );
+}
+
+/** The colours of the observed values. */
+function observedLegend(report, problem) {
+  const values = observedValues(report, problem);
+  return values && el("li", el("span.ramp"), `observed: ${num(values[0])} (worst), ${num(values[1])} (middle), ${quantity(values[2], observedUnit(problem))} (best)`);
 }
 
 /** Starts as intervals, the worst bound first, as buttons; `alone`: without a map. */
 function startBars(report, index, alone) {
   const problem = report.problems[index];
-  const { points, lower, upper, mean } = problem.surface;
+  const [band] = problem.surfaces;
+  const { points, lower, upper, mean } = band;
   const up = problem.sense === "max";
   const side = up ? upper : lower;
   const order = points.map((x, n) => n).filter((n) => side[n] !== null).sort((a, b) => (up ? side[b] - side[a] : side[a] - side[b]));
@@ -126,13 +150,13 @@ function startBars(report, index, alone) {
     order.length > MOST_BARS ? el("p.muted", `${order.length - MOST_BARS} starts with better bounds are not shown.`) : null,
     barScale(range, marks),
     el("ul.legend", legendItem("key.open", "possible worst start"), legendItem("key.interval", "excluded"), legendItem("key.mean", "mean; a bar with one bound only ends here")),
-    alone ? bandText(problem.surface) : null,
+    alone ? bandText(band) : null,
   );
 }
 
 /** One start: from its lower to its upper bound; without one of them, to its mean. */
 function startRow(report, problem, n, dot, range, marks) {
-  const { points, lower, upper, mean, worst } = problem.surface;
+  const { points, lower, upper, mean, worst } = problem.surfaces[0];
   const [from, to] = [lower[n] ?? mean[n] ?? upper[n], upper[n] ?? mean[n] ?? lower[n]];
   const bars = [[from, to, worst[n] ? "interval open" : "interval"]];
   if (mean[n] !== null) bars.push([mean[n], mean[n], "mean"]);
@@ -161,7 +185,7 @@ function worstTests(report, problem, selected) {
       el(
         "button",
         { "data-test": id, "data-select": id, "aria-current": current ? "true" : null },
-        el("b", quantity(y[rows[0]], observedUnit(problem))), el("span", `test ${test[rows[0]]}`), el("span.muted", place(x, report.axes) + more),
+        el("b", quantity(y[rows[0]], observedUnit(problem))), el("span", `test ${test[rows[0]]}`), el("span.muted.start", { title: place(x, report.axes) }, place(x, report.axes) + more),
       ),
     );
   };
@@ -201,7 +225,7 @@ function drawBounds(problem, index) {
   const { test, lower, upper, y } = problem.tests;
   const { unit } = problem;
   // A probability has another axis than the robustness that is observed.
-  const observed = problem.drawn && problem.sense === "max" ? y.map(() => null) : y;
+  const observed = observesRobustness(problem) && problem.sense === "max" ? y.map(() => null) : y;
   const bounds = [
     [{ label: "observed", colour: "muted", points: true, unit }, observed],
     [{ label: "lower bound", colour: "blue", unit, sense: ">=" }, lower],

@@ -65,7 +65,7 @@ function drawSlice(canvas, report, problem, slice) {
 }
 
 function sliceModel(report, problem, slice, width) {
-  const axes = slice.axes.map((k) => report.axes[k]);
+  const axes = axesOf(report, slice.axes);
   const [first, second] = axes;
   const strip = second === undefined;
   const box = { left: MARGIN.left, top: strip ? 4 : MARGIN.top, width: Math.max(80, width - MARGIN.left - MARGIN.right) };
@@ -75,7 +75,7 @@ function sliceModel(report, problem, slice, width) {
   // In more dimensions only the start that the slice goes through is in it.
   const starts = report.axes.length > 2 ? [slice.through] : dotsOf(report, problem).map(({ x }) => x);
   const dots = starts.map((x) => [at.toX(x[slice.axes[0]]), strip ? box.top + STRIP / 2 : at.toY(x[slice.axes[1]])]);
-  return { ...at, dots, kind: strip ? "strip" : "slice", report: { axes }, problem, height: box.top + box.height + MARGIN.bottom };
+  return { ...at, dots, kind: strip ? "strip" : "slice", axes, problem, height: box.top + box.height + MARGIN.bottom };
 }
 
 function drawCells(context, { box }, { shape: [columns, rows = 1], cells }) {

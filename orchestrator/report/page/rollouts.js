@@ -4,6 +4,7 @@ const VARIANTS = {
   nominal: { colour: "blue", width: 3, dash: [8, 5] },
   true: { colour: "red", width: 1.1 },
 };
+const INTERPOLATION = { pchip: "joined by monotone cubics", linear: "joined by straight lines", constant: "each held until the next one" };
 const FIRST_ROWS = 10;
 
 /**
@@ -72,7 +73,9 @@ function curveFigures(data) {
 
 /** The input signals of the test's start, one picture each. */
 function inputFigures(data) {
-  return data.inputs.map(({ column, unit }, k) => chartFigure(`inputs-${k}`, `Input ${withUnit(column, unit)} against time`));
+  return data.inputs.map(({ name, unit, kind, knots }, k) =>
+    chartFigure(`inputs-${k}`, `Input ${withUnit(name, unit)} against time`, el("ul.legend", legendItem("mark.knot", `${plural(knots.length, "knot")}, ${INTERPOLATION[kind] ?? short(kind)}`))),
+  );
 }
 
 /** "true (the worst 3 of 8 rollouts)": the report data have the curves of the worst ones only. */
@@ -95,11 +98,21 @@ function drawCurves(data) {
     const host = document.getElementById(`curves-${k}`);
     if (host) drawColumn(host, column, k);
   });
-  (data?.inputs ?? []).forEach(({ column, unit, t, values }, k) => {
+  (data?.inputs ?? []).forEach((input, k) => {
     const host = document.getElementById(`inputs-${k}`);
-    const spec = { height: 160, x: "time (s)", y: { label: withUnit(column, unit) }, series: [{ label: short(column, 40), colour: "blue", width: 2 }], legend: false };
-    if (host) chart(host, spec, [t, values]);
+    if (host) drawInput(host, input);
   });
+}
+
+/** Draw an input over the whole range of its knots, so that the inputs of all tests have one scale. */
+function drawInput(host, { name, unit, t, values, knots, low, high }) {
+  const margin = 0.06 * (high - low) || 0.5;
+  const spec = {
+    height: 160, x: "time (s)", y: { label: withUnit(name, unit), range: [low - margin, high + margin] }, legend: false,
+    series: [{ label: short(name, 40), colour: "blue", width: 2 }, { label: "knots", colour: "ink", points: true, size: 6 }],
+  };
+  const places = new Set(knots);
+  chart(host, spec, [t, values, t.map((each, k) => (places.has(each) ? values[k] : null))]);
 }
 
 function drawColumn(host, column, k) {
@@ -149,24 +162,24 @@ function rolloutTable(heads, rollouts, cells) {
 
 /** Rollouts that violate the specification, or the statement that there are none. */
 function counterexampleSection(report) {
-  const { counterexamples: found, violations } = report;
+  const { counterexamples: found, violations, later_violations: later } = report;
   const head = el("h2", "Counterexamples");
   if (violations === 0) {
     const none = `None among ${plural(report.rollouts, "recorded rollout")}: no robustness is below 0.`;
     const text = report.specification === null ? "Not applicable: the campaign has no specification." : none;
     return el("section#counterexamples", { "data-violations": 0 }, head, el("p", text));
   }
-  const cells = (each) => [
-    el("button", { "data-select": `${each.problem}:${each.test}` }, `${words(each.problem)}, test ${each.test}`),
-    words(each.variant), place(each.x, report.axes),
-  ];
+  const name = (each) => `${words(each.problem)}, test ${each.test}`;
+  // A check after the campaign has no section of its own.
+  const test = (each) => (report.problems.some((problem) => problem.name === each.problem) ? el("button", { "data-select": `${each.problem}:${each.test}` }, name(each)) : name(each));
+  const cells = (each) => [test(each), words(each.variant), place(each.x, report.axes)];
   const list = (rollouts) => rolloutTable(["Test", "Variant", "Start"], rollouts, cells);
   const rest = found.slice(FIRST_ROWS);
   return el(
     "section#counterexamples",
     { "data-violations": violations },
     head,
-    el("p", el("strong.bad", plural(violations, "rollout")), ` of ${count(report.rollouts)} violated the specification (robustness below 0), the worst first. Complete list: `, el("a", { href: "counterexamples.csv" }, "counterexamples.csv"), "."),
+    el("p", el("strong.bad", plural(violations - later, "rollout")), ` of ${count(report.rollouts)} violated the specification (robustness below 0)${later ? `, and ${count(later)} after the campaign` : ""}, the worst first. Complete list: `, el("a", { href: "counterexamples.csv" }, "counterexamples.csv"), "."),
     found.length ? list(found.slice(0, FIRST_ROWS)) : null,
     rest.length ? el("details.more", el("summary", `${rest.length} more`), list(rest)) : null,
   );

@@ -125,7 +125,12 @@ def test_the_certificate_is_verified_and_says_it_first(tmp_path: Path) -> None:
     assert any(line.startswith("CLAIM") for line in lines)
     page = Collector(tmp_path).refresh()
     assert page.counterexample is not None
-    assert page.counterexample.startswith(f"Test {certificate.predicate.counterexample.test} violates the spec")
+    test = certificate.predicate.counterexample.test
+    assert page.counterexample.sentence.startswith(f"Test {test} violates the spec")
+    assert (page.counterexample.problem, page.counterexample.test) == ("robustness", test)
+    (tmp_path / files.CERTIFICATE).unlink()
+    before = Collector(tmp_path).refresh()
+    assert before.counterexample == page.counterexample, "the live page shows it before there is a certificate"
 
 
 def test_another_counterexample_is_not_verified(tmp_path: Path) -> None:

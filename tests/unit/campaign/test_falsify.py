@@ -138,6 +138,7 @@ def test_samples_are_the_drawn_starts_alone(tmp_path: Path) -> None:
     histogram = Collector(tmp_path).refresh().problems[0].drawn
     assert histogram is not None
     assert sum(histogram.counts) == 15
+    assert histogram.worst % 4 == 3, "the number of a test, and not of a sample"
     assert verified(tmp_path) == []
 
 

@@ -181,7 +181,7 @@ def test_the_report_has_a_panel_for_each_requirement(tmp_path: Path) -> None:
             assert each.bound is not None
             assert each.requirement is not None
             assert each.bound <= LEAST[each.requirement]
-            assert each.surface is not None
+            assert each.surfaces
             assert each.stopped_by == "converged"
             assert each.rollouts == whole.rollouts
         each_y = zip(low.tests.y, high.tests.y, double.tests.y, strict=True)

@@ -4,9 +4,10 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,11 +16,11 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign.methods import methods
 from perfbound.orchestrator.campaign.plan import plans
-from perfbound.orchestrator.mathematics.gp.lattice import Lattice
+from perfbound.orchestrator.mathematics.gp.lattice import MAX_NODES, Lattice
 from perfbound.orchestrator.report import band as surfaces
 from perfbound.orchestrator.report import curves, rollouts
 from perfbound.orchestrator.report.collect import Collector
-from perfbound.orchestrator.report.data import Problem, ReportData, Surface, to_json
+from perfbound.orchestrator.report.data import Problem, ReportData, to_json
 from perfbound.orchestrator.report.workers import MOST_FAILED, LiveState, WorkerStatistics
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.format import replay_command
@@ -39,6 +40,7 @@ from tests.campaigns import config
 from tests.fakes.finished import a_list, a_pair, contents, finish, insert, play
 
 CONFIGS = {"paper": a_pair("paper"), "rigorous": a_pair("rigorous"), "scenario": a_list()}
+TEST_FUNCTION = load_system("test-function").spec
 HOSTILE = "</script ><!--<script></script><script>alert(1)</script>\x00\x1b[2J\u2028\n../../" + "x" * 10_000
 
 
@@ -125,7 +127,7 @@ def test_an_empty_log_is_not_touched(one: Path) -> None:
 def test_a_surface_is_worked_out_again_only_after_a_new_test(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     collector = Collector(finished)
     first = collector.refresh()
-    monkeypatch.setattr(surfaces, "surface", lambda *_: pytest.fail("nothing is new"))
+    monkeypatch.setattr(surfaces, "surfaces", lambda *_: pytest.fail("nothing is new"))
     monkeypatch.setattr(rollouts, "of_test", lambda *_: pytest.fail("nothing is new"))
     assert collector.refresh() == first
 
@@ -202,8 +204,7 @@ def test_a_surface_is_what_the_method_says(tmp_path: Path, name: str) -> None:
     """The method of the campaign also proposed; that of the collector was fed with the facts alone."""
     stage = play(tmp_path, CONFIGS[name])
     for problem in collected(tmp_path).problems:
-        method, surface = stage.ledger.methods[problem.name], problem.surface
-        assert surface is not None
+        method, (surface,) = stage.ledger.methods[problem.name], problem.surfaces
         last = stage.ledger.accounts[problem.name].last_bound
         assert last is not None
         band = method.band(replace(last.bound, verdict=None))
@@ -218,8 +219,7 @@ def test_a_surface_is_what_the_method_says(tmp_path: Path, name: str) -> None:
 
 def test_the_worst_start_is_where_the_band_is_worst(finished: Path) -> None:
     for problem in collected(finished).problems:
-        surface = problem.surface
-        assert surface is not None
+        (surface,) = problem.surfaces
         outer = numbers(surface.lower if problem.sense == "min" else surface.upper)
         worst = int(np.argmin(outer) if problem.sense == "min" else np.argmax(outer))
         assert surface.worst[worst]
@@ -310,13 +310,33 @@ def test_the_words_promise_no_more_than_the_numbers(finished: Path) -> None:
 # More than two parameters, fine lattices
 
 
-def test_a_box_is_projected_on_the_worst_of_the_other_parameters() -> None:
-    lattice = Lattice((0.0,) * 3, (1.0,) * 3, 4)
-    values = np.arange(64.0)
-    band = surfaces._Arrays(values, values - 1, values + 1, values == 63)
-    flat = surfaces._projected(band, lattice)
-    assert flat.mean.tolist() == values.reshape(4, 4, 4).max(axis=2).tolist()
-    assert flat.possible.tolist() == [[False] * 4] * 3 + [[False, False, False, True]]
+@pytest.mark.parametrize("dimension", [1, 2, 3, 4])
+def test_every_two_parameters_have_a_plane_through_the_worst_start(dimension: int) -> None:
+    """The mean at a node tells the node; the worst start was refined, and is nearest to the nodes 2, 1, 0, 1."""
+    lattice = Lattice((0.0,) * dimension, (3.0,) * dimension, 4)
+    mean = lattice.nodes @ 10.0 ** np.arange(dimension)
+    flags = tuple((mean == mean.max()).tolist())
+    found = Band(tuple(mean), tuple(mean - 0.5), tuple(mean + 0.5), flags)
+    method = SimpleNamespace(band=lambda _: found, probability=0.95)
+    (plan,) = (each for each in plans(CONFIGS["rigorous"], TEST_FUNCTION).values() if each.sense == "max")
+    worst = (2.1, 0.8, 0.0, 1.4)[:dimension]
+    planes = surfaces.surfaces(replace(plan, candidates=lattice), cast(Any, method), cast(Any, None), worst)
+    assert [each.axes for each in planes] == ([(0,)] if dimension == 1 else [*combinations(range(dimension), 2)])
+    for plane in planes:
+        assert plane.through == (2.0, 1.0, 0.0, 1.0)[:dimension]
+        assert plane.shape == (4,) * len(plane.axes)
+        for number, node in enumerate(np.ndindex(*plane.shape)):
+            start = np.array(plane.through)
+            start[list(plane.axes)] = node
+            assert plane.mean[number] == start @ 10.0 ** np.arange(dimension)
+            assert plane.worst[number] == (start == 3.0).all()
+
+
+def test_all_planes_together_are_small() -> None:
+    for dimension in range(2, 18):
+        most = int(MAX_NODES ** (1 / dimension) + 1e-9)
+        nodes = surfaces._kept(most, int(surfaces.MOST_NODES**0.5)) ** 2
+        assert math.comb(dimension, 2) * nodes <= 9000
 
 
 @pytest.mark.parametrize(("resolution", "count"), [(51, 51), (101, 51), (98, 54), (400, 54), (2, 2)])
@@ -604,8 +624,15 @@ def test_the_inputs_of_a_start_are_curves_with_their_steps() -> None:
         found.model_copy(update={"space": space}), system.model_copy(update={"parameters": over_time}), {}
     )
     ramp, steps = curves.of_signals(about, (0.0, 1.0, 0.25, 0.75))
-    assert [(each.column, each.unit) for each in (ramp, steps)] == [("x", "N"), ("y", "N")]
+    assert [(each.name, each.unit) for each in (ramp, steps)] == [("x", "N"), ("y", "N")]
     assert (ramp.t[0], ramp.t[-1]) == (steps.t[0], steps.t[-1]) == (0.0, found.horizon)
+    assert [(each.kind, each.low, each.high) for each in (ramp, steps)] == [
+        ("linear", 0.0, 1.0),
+        ("constant", 0.0, 1.0),
+    ]
+    assert ramp.knots == (0.0, found.horizon)
+    assert steps.knots == (0.0, found.horizon / 2)
+    assert set(ramp.knots) <= set(ramp.t), "the page marks the points of the curve that are knots"
     assert ramp.values == pytest.approx(np.array(ramp.t) / found.horizon)
     (rise,) = np.flatnonzero(np.diff(steps.values))
     assert steps.t[rise + 1] - steps.t[rise] < 1e-5 * found.horizon, "drawn as a vertical line"
@@ -616,7 +643,7 @@ def test_the_inputs_of_a_start_are_curves_with_their_steps() -> None:
 def test_listed_starts_have_points_and_no_shape(tmp_path: Path, no_disk: None) -> None:
     finish(play(tmp_path, a_list()), tmp_path)
     report_data = collected(tmp_path)
-    surface = report_data.problems[0].surface
-    assert isinstance(surface, Surface)
+    (surface,) = report_data.problems[0].surfaces
+    assert (surface.axes, surface.through) == ((0, 1), ())
     assert (surface.shape, surface.points[3], set(surface.upper)) == (None, (4.5, 2.0), {None})
     assert [(axis.low, axis.high) for axis in report_data.axes] == [(0.0, 4.5), (0.0, 3.0)]

@@ -28,6 +28,7 @@ from perfbound.schemas.facts import Header
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory
 from perfbound.workers.systems import load_system
+from tests.end_to_end import example_reports
 from tests.fakes.finished import a_list, a_pair, contents, finish, insert, play
 
 HOSTILE = (
@@ -200,16 +201,18 @@ def drawn(story: ReportData) -> dict[str, bytes]:
 
 
 def test_a_problem_without_tests_has_no_figures(story: ReportData) -> None:
-    nothing = tuple(replace(each, surface=None, tests=replace(each.tests, distance=())) for each in story.problems)
+    nothing = tuple(replace(each, surfaces=(), tests=replace(each.tests, distance=())) for each in story.problems)
     assert drawn(replace(story, problems=nothing)) == {}
 
 
 def test_one_parameter_is_drawn_as_a_band(story: ReportData) -> None:
     problem, points = story.problems[0], tuple((float(k),) for k in (2, 0, 1))
     for shape, starts in (((3,), ()), (None, points)):
-        band = Surface(shape, starts, (1.0, 2.0, 3.0), (0.0, None, 2.0), (None,) * 3, (False, True, False))
+        band = Surface((0,), (), shape, starts, (1.0, 2.0, 3.0), (0.0, None, 2.0), (None,) * 3, (False, True, False))
         tests = replace(problem.tests, x=tuple((0.5,) for _ in problem.tests.x))
-        flat = replace(story, axes=(Axis("d", "m", 0.0, 2.0),), problems=(replace(problem, surface=band, tests=tests),))
+        flat = replace(
+            story, axes=(Axis("d", "m", 0.0, 2.0),), problems=(replace(problem, surfaces=(band,), tests=tests),)
+        )
         assert list(drawn(flat)) == [
             f"{problem.name}-{kind}" for kind in ("map.svg", "map.png", "decay.svg", "decay.png")
         ]
@@ -331,3 +334,24 @@ def test_counterexamples_with_a_hostile_path_harm_no_file(tmp_path: Path, no_dis
     for path in write.write_page(tmp_path / "run", write.collected(tmp_path / "run")):
         assert path.is_relative_to(tmp_path / "run")
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_more_parameters_have_lines_and_planes_and_inputs_a_picture() -> None:
+    cube, many = example_reports.cube(), example_reports.many(12, 700)
+    assert set(drawn(cube)) == {
+        f"nominal_robustness-{kind}.{form}" for kind in ("map", "inputs", "tests", "decay") for form in ("svg", "png")
+    }
+    assert {name for name in drawn(many) if name.endswith("svg")} == {
+        f"nominal_robustness-{kind}.svg" for kind in ("histogram", "tests")
+    }
+    moved = replace(cube.problems[0].surfaces[0], through=(2.0, 1.0, 3.0))
+    elsewhere = replace(cube, problems=(replace(cube.problems[0], surfaces=(moved,)),))
+    name = "nominal_robustness-map.svg"
+    assert drawn(elsewhere)[name] != drawn(cube)[name], "the title names the plane"
+
+
+def test_lines_of_tests_without_a_value_are_drawn() -> None:
+    cube = example_reports.cube()
+    tests = replace(cube.problems[0].tests, y=(None,) * 6)
+    none = replace(cube, problems=(replace(cube.problems[0], tests=tests),))
+    assert "nominal_robustness-tests.svg" in drawn(none)
