@@ -6,13 +6,13 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator,
 
 from .base import Model, digest, merged
 from .campaign_rules import check_consistent
-from .claims import SAMPLED, ClaimRequest, DrawnClaim
+from .claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
 from .composition import ComposedClaim, Rule, is_composed
 from .falsify import Falsify
 from .method_spaces import MOST_STARTS, RESOLUTION, fixed_starts
 from .problem_models import Gap, Problem, SampleProblem
 from .problems import OBJECTIVES, Sense
-from .requirements import MOST, Requirement, conjunction, problem_with
+from .requirements import MOST, Requirement, conjunction
 from .space import Space, SystemChoice
 
 Asked = Annotated[
@@ -178,38 +178,6 @@ class CampaignConfig(Model):
         """The specification; of several requirements that every one of them holds."""
         return conjunction(self.specifications) if self.specifications else self.specification
 
-    @property
-    def drawn(self) -> tuple[ClaimRequest, ...]:
-        """The claims about drawn starts that are asked for."""
-        return tuple(each for each in self.claims if isinstance(each, ClaimRequest))
-
-    @property
-    def composed(self) -> tuple[ComposedClaim, ...]:
-        """The claims from the bounds of problems that are asked for; without any, `composition` decides them."""
-        return tuple(each for each in self.claims if isinstance(each, ComposedClaim))
-
-    @property
-    def parts(self) -> tuple["CampaignConfig", ...]:
-        """The campaign of each requirement by itself, for methods that bound each one on its own; empty without any.
-
-        Raises:
-            ValueError: a requirement has a key that its method cannot have.
-
-        """
-        if not self.specifications or isinstance(self.problems[0], SampleProblem):
-            return ()
-        (problem,) = self.problems
-        return tuple(
-            self.model_copy(
-                update={
-                    "specification": each.formula,
-                    "specifications": (),
-                    "problems": (problem_with(problem, each),),
-                }
-            )
-            for each in self.specifications
-        )
-
     def claims_of(self, problem: Problem) -> tuple[DrawnClaim, ...]:
         """Return what is claimed of drawn starts, the first claim first; empty for a problem that draws none.
 
@@ -217,7 +185,7 @@ class CampaignConfig(Model):
         """
         if not isinstance(problem, SampleProblem):
             return ()
-        asked = self.drawn or (ClaimRequest(quantity="failure_probability"),)
+        asked = drawn_claims(self.claims) or (ClaimRequest(quantity="failure_probability"),)
         names = (None, *(each.name for each in self.specifications))
         share = problem.delta / (len(asked) * len(names) if problem.jointly else 1)
         return tuple(
@@ -231,10 +199,6 @@ class CampaignConfig(Model):
         for claim in self.claims_of(problem)[:1]:
             return "min" if SAMPLED[claim.asked.quantity].sense == ">=" else "max"
         return OBJECTIVES[problem.name].sense
-
-    def alpha_of(self, problem: Problem) -> float | None:
-        """Return the tolerance that ends a problem; None where it has none, or each of its requirements its own."""
-        return None if self.parts else problem.alpha
 
     def gap_of(self, problem: Problem) -> Gap | None:
         """Return the gap of one problem; None for one that compares no trajectories."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from .campaign import CampaignConfig
-from .claims import fewest_samples
+from .claims import drawn_claims, fewest_samples
 from .errors import CampaignError
 from .parameters import signal_shapes
 from .problem_models import PaperProblem, Problem, RigorousProblem
@@ -139,7 +139,7 @@ def _claim_faults(config: CampaignConfig, problem: Problem, *, noisy: bool) -> I
     for claim in config.claims_of(problem):
         if claim.asked.quantity != "share_of_starts":
             continue
-        where, tests = f"claims.{config.drawn.index(claim.asked)}", config.max_tests_of(problem)
+        where, tests = f"claims.{drawn_claims(config.claims).index(claim.asked)}", config.max_tests_of(problem)
         if (noisy or config.until_counterexample) and config.clip is None:
             yield f"clip: required by {where}, the bound of a mean: give [low, high]"
         elif not noisy and tests < (least := fewest_samples(claim)):

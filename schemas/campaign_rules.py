@@ -2,13 +2,14 @@
 
 from typing import TYPE_CHECKING
 
-from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, fewest_samples
+from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, drawn_claims, fewest_samples
 from .composition import check_composition
 from .method_spaces import check_region, check_space, check_starts, draws_starts
 from .parameters import check_signals
 from .problem_models import Problem, RigorousProblem, SampleProblem
 from .problems import OBJECTIVES, OF_ROBUSTNESS, any_of
 from .region_check import check_regions
+from .requirements import parts_of
 
 if TYPE_CHECKING:
     from .campaign import CampaignConfig
@@ -124,17 +125,18 @@ def _check_specifications(config: "CampaignConfig") -> None:
         if isinstance(problem, SampleProblem) and each.constants:
             key = next(iter(each.constants))
             raise ValueError(f"specifications.{each.name}.{key}: has no meaning in method 'sample'; remove this key")
-    for part in config.parts:
+    for part in parts_of(config):
         _check_objective(part, part.problems[0])
 
 
 def _check_claims(config: "CampaignConfig") -> None:
     sampled = [problem for problem in config.problems if isinstance(problem, SampleProblem)]
-    if config.drawn and not sampled:
+    drawn = drawn_claims(config.claims)
+    if drawn and not sampled:
         raise ValueError("claims: only method 'sample' claims anything of drawn starts; choose it, or remove this")
-    for number, asked in enumerate(config.drawn):
+    for number, asked in enumerate(drawn):
         _check_asked(config, f"claims.{number}", asked, sampled[0])
-        if asked in config.drawn[:number]:
+        if asked in drawn[:number]:
             raise ValueError(f"claims.{number}: is there twice; list every claim once")
     for problem in sampled:
         for claim in config.claims_of(problem):
@@ -164,7 +166,7 @@ def _check_number(config: "CampaignConfig", claim: DrawnClaim, problem: SamplePr
         return
     least, tests = fewest_samples(claim), config.max_tests_of(problem)
     if tests < least:
-        number = config.drawn.index(claim.asked)
+        number = drawn_claims(config.claims).index(claim.asked)
         raise ValueError(
             f"max_tests: claims.{number} needs at least {least} samples, not {tests}; raise it or the level"
         )

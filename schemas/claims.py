@@ -4,7 +4,7 @@ A new quantity is a name and a row here, and a row of `orchestrator.mathematics.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -131,6 +131,11 @@ class DrawnClaim:
         if asked.factor == 1:
             return text
         return f"{text}, for every distribution with at most {asked.factor:g} times the declared density"
+
+
+def drawn_claims(asked: Iterable[object]) -> tuple[ClaimRequest, ...]:
+    """Return the claims about drawn starts among the entries of `[[claims]]`."""
+    return tuple(each for each in asked if isinstance(each, ClaimRequest))
 
 
 def is_sampled(quantity: Quantity) -> bool:

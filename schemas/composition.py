@@ -1,6 +1,6 @@
 """Claims from the bounds of problems, the rules that compose two bounds, and the methods that each rule is for."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Literal, TypeGuard
 
 from pydantic import Field
@@ -43,6 +43,11 @@ def is_composed(asked: object) -> bool:
     return "rule" in asked if isinstance(asked, dict) else isinstance(asked, ComposedClaim)
 
 
+def composed_claims(asked: Iterable[object]) -> tuple[ComposedClaim, ...]:
+    """Return the claims by a rule among the entries of `[[claims]]`; without any, `composition` decides them."""
+    return tuple(each for each in asked if isinstance(each, ComposedClaim))
+
+
 def check_composition(config: "CampaignConfig") -> None:
     """Refuse a rule that the problems or their methods have no bound for.
 
@@ -50,14 +55,15 @@ def check_composition(config: "CampaignConfig") -> None:
         ValueError: one line with the key and the remedy.
 
     """
-    if config.composed:
-        if config.drawn:
+    composed = composed_claims(config.claims)
+    if composed:
+        if len(composed) < len(config.claims):
             raise ValueError("claims: of drawn starts, or by a rule, not both in one campaign")
         if config.specifications or any(problem.method == "sample" for problem in config.problems):
             raise ValueError("claims: a rule is for methods that bound a worst start, and for one specification")
         if config.composition != "single":
             raise ValueError("composition: is short for one entry of [[claims]]; remove one of the two")
-        _check_claims(config, config.composed)
+        _check_composed(config, composed)
         return
     names = tuple(problem.name for problem in config.problems)
     if config.composition == "single":
@@ -70,7 +76,7 @@ def check_composition(config: "CampaignConfig") -> None:
     _check_rule(config, config.composition, "composition")
 
 
-def _check_claims(config: "CampaignConfig", composed: Sequence[ComposedClaim]) -> None:
+def _check_composed(config: "CampaignConfig", composed: Sequence[ComposedClaim]) -> None:
     names = [problem.name for problem in config.problems]
     for number, claim in enumerate(composed):
         where = f"claims.{number}"

@@ -5,13 +5,16 @@ own, from the same rollouts, with the constants of the problem or with those tha
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
 from .base import Model
 from .kernel import MaternKernel
 from .problem_models import Linearised, Problem
+
+if TYPE_CHECKING:
+    from .campaign import CampaignConfig
 
 MOST = 50
 
@@ -20,7 +23,7 @@ def _left_out(text: str, longest: int) -> Any:
     return Field(default=None, max_length=longest, exclude_if=lambda value: value is None, description=text)
 
 
-def _of_problem() -> Any:
+def _own_constant() -> Any:
     return Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -36,13 +39,13 @@ class Requirement(Model):
     id: str | None = _left_out("of the requirement in its document", 200)
     text: str | None = _left_out("the requirement as it is written there", 2000)
     link: str | None = _left_out("to it", 2000)
-    alpha: Annotated[float, Field(gt=0)] | None = _of_problem()
-    rkhs_norm: Annotated[float, Field(gt=0)] | None = _of_problem()
-    prior_mean: float | None = _of_problem()
-    noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] | None = _of_problem()
-    misspecification: Annotated[float, Field(ge=0)] | None = _of_problem()
-    kernel: MaternKernel | None = _of_problem()
-    linearised: Linearised | None = _of_problem()
+    alpha: Annotated[float, Field(gt=0)] | None = _own_constant()
+    rkhs_norm: Annotated[float, Field(gt=0)] | None = _own_constant()
+    prior_mean: float | None = _own_constant()
+    noise_scale: Literal["derived"] | Annotated[float, Field(ge=0)] | None = _own_constant()
+    misspecification: Annotated[float, Field(ge=0)] | None = _own_constant()
+    kernel: MaternKernel | None = _own_constant()
+    linearised: Linearised | None = _own_constant()
 
     @property
     def constants(self) -> dict[str, Any]:
@@ -73,7 +76,30 @@ def conjunction(requirements: Sequence[Requirement]) -> str:
     return " and ".join(f"({each.formula})" for each in requirements)
 
 
-def problem_with(problem: Problem, requirement: Requirement) -> Problem:
+def alpha_of(config: "CampaignConfig", problem: Problem) -> float | None:
+    """Return the tolerance that ends a problem; None where it has none, or each of its requirements its own."""
+    return None if config.specifications else problem.alpha
+
+
+def parts_of(config: "CampaignConfig") -> tuple["CampaignConfig", ...]:
+    """Return the campaign of each requirement by itself, for methods that bound each one on its own; else none.
+
+    Raises:
+        ValueError: a requirement has a key that its method cannot have.
+
+    """
+    if not config.specifications or config.problems[0].method == "sample":
+        return ()
+    (problem,) = config.problems
+    return tuple(
+        config.model_copy(
+            update={"specification": each.formula, "specifications": (), "problems": (_with_constants(problem, each),)}
+        )
+        for each in config.specifications
+    )
+
+
+def _with_constants(problem: Problem, requirement: Requirement) -> Problem:
     """Return the problem of one requirement.
 
     Raises:

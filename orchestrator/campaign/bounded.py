@@ -9,11 +9,11 @@ from ...schemas.values import Bound
 from ..mathematics.bounds.joint import JointMethod
 from .account import Account
 from .methods import Methods
-from .observation import split
+from .observation import by_requirement
 from .plan import ProblemPlan
 
 
-def bounded(accounts: Mapping[str, Account], methods: Methods) -> dict[str, Account]:
+def bounded_accounts(accounts: Mapping[str, Account], methods: Methods) -> dict[str, Account]:
     """Return the account of everything that has a bound of its own, by the key of its plan.
 
     The requirements of a problem share its tests and rollouts; each has its own observations and its own bound.
@@ -30,7 +30,7 @@ def bounded(accounts: Mapping[str, Account], methods: Methods) -> dict[str, Acco
 
 
 def _part(account: Account, place: int, plan: ProblemPlan, bound: Bound) -> Account:
-    each = [split(account.plan, observation)[place] for observation in account.observed]
+    each = [by_requirement(account.plan, observation)[place] for observation in account.observed]
     last = account.last_bound
     return Account(
         account.link,
@@ -40,13 +40,13 @@ def _part(account: Account, place: int, plan: ProblemPlan, bound: Bound) -> Acco
         nodes=account.nodes,
         counts=account.counts,
         last_proposal=account.last_proposal,
-        last_bound=None if last is None else _own(last, bound),
+        last_bound=None if last is None else _with_end(last, bound),
         proposed=account.proposed,
         # Of the whole specification: its clip is that of every requirement.
         robustness=account.robustness,
     )
 
 
-def _own(last: BoundFact, bound: Bound) -> BoundFact:
+def _with_end(last: BoundFact, bound: Bound) -> BoundFact:
     # A requirement without a verdict ended with the whole: by its budget, or by a counterexample.
     return replace(last, bound=replace(bound, verdict=bound.verdict or last.bound.verdict))

@@ -6,7 +6,7 @@ from ...schemas.facts import Header, first_link
 from ...schemas.ids import RolloutId
 from . import state
 from .account import Account
-from .bounded import bounded
+from .bounded import bounded_accounts
 from .counterexample import counterexample
 from .methods import Methods
 from .observation import Observer
@@ -42,7 +42,7 @@ class ClosingChecks:
         header = self._header
         # In this order: a recheck repeats rollouts of the spot check as well.
         if self.recheck is None and self.spot_check is None and SpotCheck.wanted(header, self._accounts):
-            tested = bounded(self._accounts, self._methods)
+            tested = bounded_accounts(self._accounts, self._methods)
             self.spot_check = SpotCheck(header, tested, self._observer, self._recorded)
             return self.spot_check, SpotSeries(first_link(header, SpotCheck.name))
         if self.recheck is None and self.shrink is None and (shrink := self._shrink()) is not None:

@@ -18,7 +18,7 @@ from ..mathematics.bounds.scenario import Risk, ScenarioMethod
 from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
 from .draws import Draws
-from .observation import split
+from .observation import by_requirement
 from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below
 
 PartMethod = RigorousMethod | ScenarioMethod
@@ -53,7 +53,7 @@ def method(plan: ProblemPlan, header: Header) -> ProblemMethod:
     alphas = [alpha for part in plan.parts if (alpha := part.problem.alpha) is not None]
     parts = [_one_method(part, header) for part in plan.parts]
     shared = [each for each in parts if isinstance(each, RigorousMethod | ScenarioMethod)]
-    return JointMethod(shared, alphas, partial(split, plan), plan.chosen_from.nodes)
+    return JointMethod(shared, alphas, partial(by_requirement, plan), plan.chosen_from.nodes)
 
 
 def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:

@@ -7,6 +7,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import CampaignError
 from ...schemas.problem_models import RigorousProblem
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
+from ...schemas.requirements import parts_of
 from ...schemas.system import SystemSpec
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Observation
@@ -38,7 +39,7 @@ class Observer:
         self._parsed = None if config.formula is None else parse_formula(config.formula, self._columns)
         self._requirements = [parse_formula(each.formula, self._columns) for each in config.specifications]
         self._parts = {
-            each.name: Observer(part, spec) for each, part in zip(config.specifications, config.parts, strict=False)
+            each.name: Observer(part, spec) for each, part in zip(config.specifications, parts_of(config), strict=False)
         }
         self._scored: WeakKeyDictionary[Trajectory, float] = WeakKeyDictionary()
         self._compared: WeakKeyDictionary[Trajectory, WeakKeyDictionary[Trajectory, float]] = WeakKeyDictionary()
@@ -94,7 +95,7 @@ class Observer:
 
         """
         if plan.parts:
-            return _joined([self.observe(part, trajectories) for part in plan.parts])
+            return _together([self.observe(part, trajectories) for part in plan.parts])
         if plan.requirement is not None and plan.requirement in self._parts:
             return self._parts[plan.requirement].observe(plan, trajectories)
         match plan.objective.measured:
@@ -168,12 +169,12 @@ class Observer:
         return [value for value in values if value is not None]
 
 
-def _joined(each: Sequence[Observation]) -> Observation:
+def _together(each: Sequence[Observation]) -> Observation:
     """Return the observations of the requirements as one: of the largest J, followed by the replicates of each."""
     return Observation(max(one.y for one in each), tuple(value for one in each for value in one.each))
 
 
-def split(plan: ProblemPlan, observation: Observation) -> list[Observation]:
+def by_requirement(plan: ProblemPlan, observation: Observation) -> list[Observation]:
     """Return the observation of each requirement of a problem that bounds each on its own."""
     width = len(observation.each) // len(plan.parts)
     mirrored = replicates_are_robustness(plan.name, plan.problem.method)

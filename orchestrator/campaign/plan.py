@@ -10,6 +10,7 @@ from ...schemas.falsify import Falsify
 from ...schemas.parameters import parameter_ranges
 from ...schemas.problem_models import Gap, Problem, RigorousProblem, SampleProblem, ScenarioProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
+from ...schemas.requirements import parts_of
 from ...schemas.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
 from ..mathematics.bounds.composition import derived_noise_scale
@@ -188,7 +189,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
     common = objective.measured == "gap" and problem.method == "rigorous"
     parts = [
         replace(plan(part, spec, part.problems[0]), requirement=each.name)
-        for part, each in zip(config.parts, config.specifications, strict=False)
+        for part, each in zip(parts_of(config), config.specifications, strict=False)
     ]
     # R / sqrt(replicates) is for means; the paper observes mean - r sd, whose R is in the file as it is.
     mean = not (problem.method == "paper" and objective.risk)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import SAMPLED
-from ...schemas.composition import PAIR, ClaimRule, Rule, composes
+from ...schemas.composition import PAIR, ClaimRule, Rule, composed_claims, composes
 from ...schemas.method_spaces import candidates
 from ...schemas.problems import Quantity
+from ...schemas.requirements import parts_of
 from ..campaign.methods import Methods
 from ..campaign.plan import Plans
 from ..mathematics.bounds.composition import (
@@ -49,9 +50,9 @@ class Claimed:
 
 def bases(config: CampaignConfig) -> tuple[Basis, ...]:
     """Return the bases in the order: chosen beforehand, other rules over the same pair, direct ones."""
-    if config.composed:
-        return tuple(Basis(each.rule, each.problems) for each in config.composed)
-    if config.parts:
+    if composed_claims(config.claims):
+        return tuple(Basis(each.rule, each.problems) for each in composed_claims(config.claims))
+    if parts_of(config):
         return _of_requirements(config)
     names = [problem.name for problem in config.problems]
     found: list[Basis] = []

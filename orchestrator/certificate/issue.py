@@ -9,7 +9,7 @@ from ...schemas import certificate as document
 from ...schemas.base import digest
 from ...schemas.facts import DiscardFact, Header
 from ...schemas.ids import RolloutId
-from ..campaign.bounded import bounded
+from ..campaign.bounded import bounded_accounts
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
 from .assumptions import assumptions
@@ -53,7 +53,7 @@ def issue(
     regions = regions or campaign_regions(ledger)
     irreproducible = irreproducible or bool(observed_discards(ledger))
     header, config = ledger.header, ledger.config
-    accounts = bounded(ledger.accounts, ledger.methods)
+    accounts = bounded_accounts(ledger.accounts, ledger.methods)
     plans = {name: account.plan for name, account in accounts.items()}
     results: Results = {name: result(account, header.rules) for name, account in accounts.items()}
     checked, repeated = spot_check(ledger), recheck(ledger)

@@ -12,8 +12,9 @@ from ...schemas.certificate import Certificate, Predicate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import Header, ProposalFact, RolloutFact
 from ...schemas.ids import CLOSING, RECHECK, RolloutId
+from ...schemas.requirements import parts_of
 from ...schemas.values import Observation
-from ..campaign.observation import split
+from ..campaign.observation import by_requirement
 from ..campaign.plan import ProblemPlan, plans
 from ..certificate import files
 from ..certificate.text import check_sentences
@@ -241,12 +242,12 @@ def _collectors(header: Header) -> Iterator[tuple[str, ProblemCollector]]:
     """Yield the collector of each problem, followed by those of its requirements, with the keys of their plans."""
     for plan in plans(header.config, header.spec).values():
         yield plan.key, ProblemCollector(header, plan, header.config)
-        for place, (part, config) in enumerate(zip(plan.parts, header.config.parts, strict=True)):
-            yield part.key, ProblemCollector(header, part, config, partial(_own, plan, place))
+        for place, (part, config) in enumerate(zip(plan.parts, parts_of(header.config), strict=True)):
+            yield part.key, ProblemCollector(header, part, config, partial(_of_requirement, plan, place))
 
 
-def _own(plan: ProblemPlan, place: int, observation: Observation) -> Observation:
-    return split(plan, observation)[place]
+def _of_requirement(plan: ProblemPlan, place: int, observation: Observation) -> Observation:
+    return by_requirement(plan, observation)[place]
 
 
 def _axes(header: Header) -> tuple[Axis, ...]:

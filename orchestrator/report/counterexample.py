@@ -26,12 +26,12 @@ def ending_counterexample(
         name = (each.problem.name, None if last is None else last.test)
         worst = next((fact for fact in violations if fact.rollout[:2] == name), None)
         if worst is not None:
-            sentence = wording.counterexample_sentence(certified or _recorded(each, worst), header)
+            sentence = wording.counterexample_sentence(certified or _of_facts(each, worst), header)
             return FoundCounterexample(worst.rollout.problem, worst.rollout.test, sentence, command(str(worst.rollout)))
     return None
 
 
-def _recorded(problem: ProblemCollector, worst: RolloutFact) -> Counterexample:
+def _of_facts(problem: ProblemCollector, worst: RolloutFact) -> Counterexample:
     plan, start = problem.plan, problem.starts[worst.rollout.test]
     return Counterexample(
         rollout=str(worst.rollout),

@@ -12,6 +12,7 @@ from pathlib import Path
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Predicate, ProblemResult
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.requirements import alpha_of
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
@@ -114,7 +115,7 @@ class ProblemCollector:
             sense=self._sense,
             unit=unit(problem, self._config, self._header.spec),
             distance="F_i" if problem.method == "paper" else "U - L",
-            alpha=self._config.alpha_of(problem),
+            alpha=alpha_of(self._config, problem),
             delta=problem.delta,
             bound=None if bound is None else floored(bound, self._sense, limit),
             partner=result.partner if result else signed(now.lower if now else None, self._sense),

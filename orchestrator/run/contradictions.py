@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from ..campaign import consistency
 from ..campaign.account import Account
-from ..campaign.bounded import bounded
+from ..campaign.bounded import bounded_accounts
 from ..campaign.methods import Methods
 from .service import RunStatus
 
@@ -30,7 +30,7 @@ class Contradictions:
             if tests == self._examined[name] or (tests < GROWTH * self._examined[name] and not ended):
                 continue
             self._examined[name] = tests
-            for key, each in bounded({name: account}, self._methods).items():
+            for key, each in bounded_accounts({name: account}, self._methods).items():
                 self._examine(key, each)
 
     def _examine(self, name: str, account: Account) -> None:

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.problem_models import Problem
+from ...schemas.requirements import alpha_of
 from ...schemas.values import ProblemProgress
 from .format import ENDS, duration, figure
 from .json_lines import JsonLines
@@ -85,7 +86,7 @@ class Plain:
 
     def _problem(self, config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> None:
         away, bound = remaining_distance(config, problem, progress), bound_in_sense(config, problem, progress)
-        alpha = config.alpha_of(problem)
+        alpha = alpha_of(config, problem)
         if self._json is None:
             name = "F" if problem.method == "paper" else "upper - lower"
             end = f"; {ENDS[progress.stopped_by]}" if progress.stopped_by else ""

@@ -7,6 +7,7 @@ from rich.table import Table
 from ...schemas.campaign import CampaignConfig
 from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK
 from ...schemas.problem_models import Problem
+from ...schemas.requirements import alpha_of
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
 from ..campaign.clip import by_clip, floored
@@ -24,7 +25,7 @@ def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemPr
 
 def remaining_distance(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
     """Return the quantity that has to fall to alpha: F_i, or upper - lower."""
-    if config.alpha_of(problem) is None:
+    if alpha_of(config, problem) is None:
         return None
     return forecast.distance(problem, progress.F, progress.bound)
 
@@ -47,7 +48,7 @@ def progress_table(
     for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
         found.add_column(name, justify="left" if name == "problem" else "right")
     for problem, (progress, left) in zip(config.problems, rows, strict=True):
-        alpha = config.alpha_of(problem)
+        alpha = alpha_of(config, problem)
         found.add_row(
             problem.name,
             f"{progress.tests} of {config.max_tests_of(problem)}",

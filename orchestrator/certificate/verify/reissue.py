@@ -5,6 +5,7 @@ from typing import Any
 
 from ....schemas.certificate import Assumption, Certificate
 from ....schemas.facts import Header
+from ....schemas.requirements import parts_of
 from ...campaign.ledger import observed_discards
 from ..issue import issue, manifest
 from . import compare
@@ -82,7 +83,7 @@ def _drop_later_keys(header: Header, problems: Sequence[Mapping[str, Any]]) -> N
     """Drop the keys of a campaign file that did not exist when this campaign was run."""
     config = header.config
     # Of several requirements each has a result.
-    bounded = [part.problems[0] for part in config.parts] or config.problems
+    bounded = [part.problems[0] for part in parts_of(config)] or config.problems
     for problem, result in zip(bounded, problems, strict=True):
         for key in set(type(problem).model_fields) - problem.model_fields_set:
             result["parameters"].pop(key, None)

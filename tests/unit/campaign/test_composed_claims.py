@@ -11,6 +11,7 @@ from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.certificate import Certificate
+from perfbound.schemas.composition import composed_claims
 from tests.fakes.finished import KERNEL, a_pair, finish, play
 
 PAIR = ["nominal_robustness", "sim_gap"]
@@ -62,7 +63,7 @@ def test_only_what_is_asked_for_is_claimed() -> None:
     del one["composition"]
     one["claims"] = [{"rule": "sum", "problems": PAIR}]
     config = CampaignConfig.model_validate_json(json.dumps(one))
-    assert [each.rule for each in config.composed] == ["sum"]
+    assert [each.rule for each in composed_claims(config.claims)] == ["sum"]
     assert config.digest != short.digest
 
 

@@ -15,6 +15,7 @@ from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.requirements import parts_of
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, predicate, robustness, simulate, statuses, verified
 
@@ -217,8 +218,8 @@ noise_scale = 0
 
 def test_the_constants_of_a_requirement_are_beside_its_formula() -> None:
     found = parse_campaign(TEXT.encode(), "cars.toml")
-    assert [part.problems[0].model_dump()["rkhs_norm"] for part in found.parts] == [40.0, 9.0]
-    assert [part.specification for part in found.parts] == ["always (distance > 0)", "eventually (speed < 1)"]
+    assert [part.problems[0].model_dump()["rkhs_norm"] for part in parts_of(found)] == [40.0, 9.0]
+    assert [part.specification for part in parts_of(found)] == ["always (distance > 0)", "eventually (speed < 1)"]
     other = parse_campaign(TEXT.replace("rkhs_norm = 9", "rkhs_norm = 8").encode(), "cars.toml")
     assert found.digest != other.digest
 
