@@ -240,7 +240,7 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
     of_robustness = claim.quantity not in {"J_star", "safe_share", *PROBABILITIES}
     shown = f"{_bound(claim)} {one_line(unit)}" if of_robustness and unit not in {"", "1"} else _bound(claim)
     _heading(console, f"{title}  {claim_words(claim)} {claim.sense} {shown}", "bold")
-    rule = "" if claim.rule == "single" else f"{claim.rule} rule, "
+    rule = f"{claim.rule} rule, " if composes(claim.rule) else ""
     source = f"method {claim.method}, {rule}{_validity(claim)}{_count(claim.assumptions)}"
     _line(console, f"       with probability at least {outward(claim.probability, '>=')} ({source})")
     # The terms of a composition are those of the first claim; the others have none in the certificate.

@@ -40,8 +40,9 @@ def figures(data: ReportData) -> Iterator[tuple[str, bytes]]:
     """Yield (name, bytes) of every figure, as SVG and PNG, for the problems that have tests."""
     for problem in data.problems:
         for kind, figure in _figures_of(data, problem):
-            yield f"{problem.name}-{kind}.svg", style.svg(figure)
-            yield f"{problem.name}-{kind}.png", style.png(figure)
+            name = "-".join(filter(None, (problem.name, problem.requirement, kind)))
+            yield f"{name}.svg", style.svg(figure)
+            yield f"{name}.png", style.png(figure)
 
 
 def _figures_of(data: ReportData, problem: Problem) -> Iterator[tuple[str, Figure]]:

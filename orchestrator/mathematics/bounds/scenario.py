@@ -177,7 +177,7 @@ class ScenarioMethod(Method):
             IndexError: an entry of `pending` is no scenario.
 
         """
-        flying = self._in_flight(pending)
+        flying = _in_flight(pending, self.size)
         for k, scenario in enumerate(self._scenarios):
             if not scenario.tests and not flying[k]:
                 return self._proposal(k)
@@ -188,7 +188,7 @@ class ScenarioMethod(Method):
 
         Raises as `propose`.
         """
-        flying = self._in_flight(pending)
+        flying = _in_flight(pending, self.size)
         pairs = zip(self._scenarios, flying, strict=True)
         return np.array(
             [-scenario.expected(flown) if scenario.tests or flown else math.inf for scenario, flown in pairs]
@@ -200,7 +200,7 @@ class ScenarioMethod(Method):
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the scenario at `x` (p,) if another CPU could have proposed it."""
-        flying = self._in_flight(pending)
+        flying = _in_flight(pending, self.size)
         pairs = list(zip(self._scenarios, flying, strict=True))
         # The first round goes by number, without arithmetic that a CPU could round differently.
         if not all(scenario.tests or flown for scenario, flown in pairs):
@@ -271,17 +271,18 @@ class ScenarioMethod(Method):
             scenario.observe(value)
         scenario.close_test()
 
-    def _in_flight(self, pending: Sequence[int]) -> list[int]:
-        """Return the number of tests in flight of every scenario."""
-        flying = [0] * self.size
-        for index in pending:
-            check_index(index, self.size)
-            flying[index] += 1
-        return flying
-
     def _proposal(self, index: int) -> Proposal:
         lower = self._scenarios[index].state.lower
         return Proposal(index, point_at(self._candidates, index), -lower, 0.0, None, None)
+
+
+def _in_flight(pending: Sequence[int], size: int) -> list[int]:
+    """Return the number of tests in flight of every scenario."""
+    flying = [0] * size
+    for index in pending:
+        check_index(index, size)
+        flying[index] += 1
+    return flying
 
 
 class _Scenario(ABC):

@@ -55,7 +55,7 @@ function claimSection(report) {
 }
 
 function claimBasis(claim, unit) {
-  const rule = claim.rule === "single" ? "" : `, ${words(claim.rule)} rule`;
+  const rule = ["single", "every"].includes(claim.rule) ? "" : `, ${words(claim.rule)} rule`;
   return `${unit && `Bound in ${unit}. `}Method ${words(claim.method)}${rule}. Depends on ${plural(claim.assumptions.length, "assumption")}.`;
 }
 

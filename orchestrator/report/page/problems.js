@@ -24,10 +24,10 @@ function problemSection(report, index, shown, selected) {
     problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
-      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars),
+      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), boundedRequirements(report, problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars),
       el(
         "div",
-        problem.alpha === null ? null : chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`),
+        !converges(problem) ? null : chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`),
         chartFigure(`bound-${index}`, boundTitle(problem)),
         worstTests(report, problem, selected),
       ),
@@ -35,7 +35,37 @@ function problemSection(report, index, shown, selected) {
   );
 }
 
+/** Whether a problem ends at a tolerance that the page can show the way to; that of one requirement was not recorded. */
+function converges(problem) {
+  return problem.alpha !== null && problem.requirement === null;
+}
+
+/** One row for each requirement that is bounded on its own: what is bounded, and its worst test as a button. */
+function boundedRequirements(report, problem) {
+  const parts = report.problems.filter((each) => each.name === problem.name && each.requirement !== null);
+  if (!parts.length || problem.requirement !== null) return null;
+  const row = (each) => {
+    const worst = worstFirst(report, each)[0];
+    const id = worst === undefined ? null : `${each.name}:${each.tests.test[worst]}`;
+    return el(
+      "tr",
+      el("th", { scope: "row" }, nameElement(each.requirement, 40)),
+      el("td", each.bound === null ? null : `${SIGN[">="]} ${boundText(each.bound, ">=", each.unit)}`),
+      el("td", each.partner === null ? null : `${SIGN["<="]} ${boundText(each.partner, "<=", each.unit)}`),
+      el("td", each.stopped_by === null ? "open" : STOPPED[each.stopped_by] ?? short(each.stopped_by)),
+      el("td", id === null ? null : el("button", { "data-test": id, "data-select": id }, quantity(each.tests.y[worst], each.unit))),
+    );
+  };
+  const heads = ["Requirement", "Bound", "Opposite bound", "State", "Worst test"];
+  return el(
+    "figure.requirements",
+    el("figcaption", "Requirements, each with its own claim"),
+    el("table", el("thead", el("tr", heads.map((head) => el("th", { scope: "col" }, head)))), el("tbody", parts.map(row))),
+  );
+}
+
 function boundTitle(problem) {
+  if (problem.requirement !== null) return "Observed values of the tests"; // its bounds were not recorded
   if (problem.drawn) return "The bound of the first claim after each sample";
   return `Bounds on the ${problem.sense === "max" ? "maximum" : "minimum"} after each test`;
 }
@@ -201,7 +231,7 @@ function observedUnit(problem) {
 /** Draw the charts of a problem into their elements. */
 function drawProblemCharts(problem, index) {
   if (problem.drawn) drawHistogram(problem.drawn, `histogram-${index}`);
-  if (problem.alpha !== null) drawDecay(problem, index);
+  if (converges(problem)) drawDecay(problem, index);
   drawBounds(problem, index);
 }
 
