@@ -50,18 +50,18 @@ class _Campaign:
 
     def step(self) -> None:
         """Ask, tell and bound."""
-        index = self.method.propose(None if self.method.n else 0).node
-        index = index if self._order is None else self._order[self.method.n]
+        index = self.method.propose(None if self.method._data.n else 0).node
+        index = index if self._order is None else self._order[self.method._data.n]
         self.method.observe(*an_observation(index, self._y(index)))
         self.method.bound()
 
     def fill(self, n: int) -> None:
         """Bring it to n observations; spread ones without the bounds on the way, which the next step does not need."""
-        while self.method.n < n:
+        while self.method._data.n < n:
             if self._order is None:
                 self.step()
             else:
-                index = self._order[self.method.n]
+                index = self._order[self.method._data.n]
                 self.method._data.append(index, self._y(index))
 
     def _y(self, index: int) -> float:

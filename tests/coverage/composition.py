@@ -114,7 +114,7 @@ def _step(pair: Pair, which: int, row: Composition, rng: np.random.Generator) ->
     method = pair.methods[which]
     if method.bound().status != "open":
         return
-    first = None if method.n else int(rng.integers(pair.candidates.size))
+    first = None if method.bound().n else int(rng.integers(pair.candidates.size))
     try:
         index = method.propose(first).node
     except ExhaustedError:  # without noise: the rest is between the candidates

@@ -160,7 +160,7 @@ def campaign(row: Rigorous, rng: np.random.Generator, *, told_delta: float | Non
         "bound": wrong,
         "refuted": refuted,
         "converged": bound.status == "converged",
-        "tests": told.n,
+        "tests": told.bound().n,
         "width": bound.upper - bound.lower,
     }
 
@@ -194,5 +194,5 @@ def audited(row: Audit, rng: np.random.Generator) -> Counts:
         "spread": spread,
         "bound": wrong,
         "unnoticed": wrong and not (refuted or spread),
-        "tests": told.n,
+        "tests": told.bound().n,
     }

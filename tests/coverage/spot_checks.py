@@ -257,7 +257,7 @@ def campaign(rng: np.random.Generator, case: Case, factor: float) -> Found:
     premises = Premises(norm, scale, DELTA, mixture(norm, scale))
     method = RigorousMethod(LATTICE, Matern(NU, LENGTH), premises, alpha=ALPHA, prior_mean=-case.middle)
     first: int | None = int(rng.integers(LATTICE.size))
-    while method.bound().status == "open" and method.n < TESTS[observed.name]:
+    while method.bound().status == "open" and method.bound().n < TESTS[observed.name]:
         node, first = method.propose(first).node, None
         seen = observed.rollouts(rng, float(truth.nodes[node]), replicates)
         method.observe(*an_observation(node, (-seen).tolist()))

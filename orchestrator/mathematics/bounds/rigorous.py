@@ -110,11 +110,6 @@ class RigorousMethod(Method):
         self.recall(())
 
     @property
-    def n(self) -> int:
-        """Number of observations."""
-        return self._data.n
-
-    @property
     def size(self) -> int:
         """Number of candidates."""
         return self.candidates.size
@@ -160,13 +155,13 @@ class RigorousMethod(Method):
             ExhaustedError: R = 0 and every candidate is observed or pending.
 
         """
-        if (first is None) != bool(self.n or pending):
+        if (first is None) != bool(self._data.n or pending):
             raise ValueError("first must be given for the first test and only then")
         if first is not None:
             # The prior: mu = 0, sigma = 1, and no scale, because no acquisition function chose this test.
             return Proposal(first, point_at(self.candidates, first), self._prior_mean + 0.0, 1.0, None, None)
         found = self._scores(pending)
-        return self._proposal(maximiser(found.values), found)
+        return _proposed(self._band, self.candidates, self._prior_mean, maximiser(found.values), found)
 
     def acquisition(self, pending: Sequence[int]) -> Floats:
         """Return how large J may be at each candidate (m,), given the tests in flight; -inf where none may follow.
@@ -177,15 +172,15 @@ class RigorousMethod(Method):
 
     def proposal_at(self, index: int, pending: Sequence[int]) -> Proposal:
         """Return the proposal of a candidate that another rule than `propose` chose."""
-        return self._proposal(index, self._scores(pending))
+        return _proposed(self._band, self.candidates, self._prior_mean, index, self._scores(pending))
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the proposal of `x` (p,) if another CPU could have chosen it as maximiser."""
-        if not (self.n or pending):
+        if not (self._data.n or pending):
             return None
         found = self._scores(pending)
         index = rival_node(found.values, self.candidates.nodes, x)
-        return None if index is None else self._proposal(index, found)
+        return None if index is None else _proposed(self._band, self.candidates, self._prior_mean, index, found)
 
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
         """Add the observation of J at a candidate and return the bound; on an error nothing changes.
@@ -217,7 +212,7 @@ class RigorousMethod(Method):
         status: Status = "converged" if best.upper - lower <= self._alpha and decided else "open"
         if old.status == "refuted" or contradiction:
             status = "refuted"
-        self._bound = RigorousBound(self.n, best.upper, lower, best.candidates_upper, best.slack, b_min, status)
+        self._bound = RigorousBound(self._data.n, best.upper, lower, best.candidates_upper, best.slack, b_min, status)
         return Bound(best.upper, lower, None if status == "open" else status)
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
@@ -243,33 +238,33 @@ class RigorousMethod(Method):
         if len(set(excluded)) == self.size:
             raise ExhaustedError(self.size)
         # The theorem allows any rule that uses past observations alone: here the number of the test and the band.
-        if self._unsafe_above is not None and (_is_tight(self._band, self._alpha) or (self.n + len(pending)) % 2):
+        if self._unsafe_above is not None and (_is_tight(self._band, self._alpha) or (self._data.n + len(pending)) % 2):
             values = openness(self._band, self._unsafe_above, found if pending else None)
             unsure = replace(found, values=values).without(excluded)
             if unsure.values.max() > 0:
                 return unsure
         return found.without(excluded)
 
-    def _proposal(self, index: int, found: Scores) -> Proposal:
-        column = int(found.columns[index])
-        mu, scale = float(self._band.mu[index, column]), float(self._band.envelope.g[column])
-        x = point_at(self.candidates, index)
-        return Proposal(index, x, self._prior_mean + mu, float(found.sd[index]), scale, None)
-
     def _bound_now(self) -> RigorousBound:
         """Return the bound that the last confidence set alone proves, its `status` left open."""
         old, b_min = self._bound, self._band.b_min
         # False premises prove nothing: the running extremes keep the bounds from before the contradiction.
         if old.status == "refuted" or b_min > self._premises.rkhs_norm:
-            return RigorousBound(self.n, math.inf, -math.inf, math.inf, 0.0, b_min, "refuted")
+            return RigorousBound(self._data.n, math.inf, -math.inf, math.inf, 0.0, b_min, "refuted")
         upper, lower = self._band.limits()
         nodes, low = float(upper.max()), float(lower.max())
         if isinstance(self.candidates, Points):  # Z is the list itself: nothing is between
-            return RigorousBound(self.n, nodes, low, nodes, 0.0, b_min, "open")
+            return RigorousBound(self._data.n, nodes, low, nodes, 0.0, b_min, "open")
         # L may come from the nodes alone: any J(z) is below J*. U must cover the whole box.
         slack = _needed_slack(nodes - max(low, old.lower), self._alpha, self._slack)
         cover = certified_maximum((self.envelope,), self.candidates, nodes=nodes, slack=slack)
-        return RigorousBound(self.n, cover.upper, low, nodes, cover.upper - nodes, b_min, "open")
+        return RigorousBound(self._data.n, cover.upper, low, nodes, cover.upper - nodes, b_min, "open")
+
+
+def _proposed(band: CandidateBand, candidates: Candidates, prior_mean: float, index: int, found: Scores) -> Proposal:
+    column = int(found.columns[index])
+    mu, scale = float(band.mu[index, column]), float(band.envelope.g[column])
+    return Proposal(index, point_at(candidates, index), prior_mean + mu, float(found.sd[index]), scale, None)
 
 
 def _is_tight(band: CandidateBand, alpha: float) -> bool:

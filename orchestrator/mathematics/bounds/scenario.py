@@ -180,8 +180,8 @@ class ScenarioMethod(Method):
         flying = _in_flight(pending, self.size)
         for k, scenario in enumerate(self._scenarios):
             if not scenario.tests and not flying[k]:
-                return self._proposal(k)
-        return self._proposal(min(range(self.size), key=lambda k: (self._scenarios[k].outlook(flying[k]), k)))
+                return self.proposal_at(k)
+        return self.proposal_at(min(range(self.size), key=lambda k: (self._scenarios[k].outlook(flying[k]), k)))
 
     def acquisition(self, pending: Sequence[int]) -> Floats:
         """Return how large J is expected to be proven at each scenario (K,), unit J; inf where no test has been.
@@ -194,9 +194,10 @@ class ScenarioMethod(Method):
             [-scenario.expected(flown) if scenario.tests or flown else math.inf for scenario, flown in pairs]
         )
 
-    def proposal_at(self, index: int, pending: Sequence[int]) -> Proposal:  # noqa: ARG002
-        """Return the proposal of a scenario that another rule than `propose` chose."""
-        return self._proposal(index)
+    def proposal_at(self, index: int, pending: Sequence[int] = ()) -> Proposal:  # noqa: ARG002
+        """Return the proposal of a scenario, whatever rule chose it."""
+        lower = self._scenarios[index].state.lower
+        return Proposal(index, point_at(self._candidates, index), -lower, 0.0, None, None)
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:
         """Return the scenario at `x` (p,) if another CPU could have proposed it."""
@@ -207,7 +208,7 @@ class ScenarioMethod(Method):
             return None
         outlook = np.array([scenario.outlook(flown) for scenario, flown in pairs])
         index = rival_node(-outlook, self._candidates.nodes, x)
-        return None if index is None else self._proposal(index)
+        return None if index is None else self.proposal_at(index)
 
     def observe(self, proposal: Proposal, observation: Observation) -> Bound:
         """Add the robustness of every rollout of one test and return the bound; on an error nothing changes.
@@ -270,10 +271,6 @@ class ScenarioMethod(Method):
             self._upper.observe(1.0 - self._reading.unit(value), scenario.complement)
             scenario.observe(value)
         scenario.close_test()
-
-    def _proposal(self, index: int) -> Proposal:
-        lower = self._scenarios[index].state.lower
-        return Proposal(index, point_at(self._candidates, index), -lower, 0.0, None, None)
 
 
 def _in_flight(pending: Sequence[int], size: int) -> list[int]:
