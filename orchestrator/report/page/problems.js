@@ -27,7 +27,7 @@ function problemSection(report, index, shown, selected) {
       el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars),
       el(
         "div",
-        problem.alpha === null ? null : chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`),
+        converges(problem) ? chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`) : null,
         chartFigure(`bound-${index}`, boundTitle(problem)),
         worstTests(report, problem, selected),
       ),
@@ -35,8 +35,14 @@ function problemSection(report, index, shown, selected) {
   );
 }
 
+/** Whether there is a convergence to draw: the bounds of a requirement are not recorded after each test. */
+function converges(problem) {
+  return problem.alpha !== null && problem.requirement === null;
+}
+
 function boundTitle(problem) {
   if (problem.drawn) return "The bound of the first claim after each sample";
+  if (problem.requirement !== null) return "Observed in each test";
   return `Bounds on the ${problem.sense === "max" ? "maximum" : "minimum"} after each test`;
 }
 
@@ -201,7 +207,7 @@ function observedUnit(problem) {
 /** Draw the charts of a problem into their elements. */
 function drawProblemCharts(problem, index) {
   if (problem.drawn) drawHistogram(problem.drawn, `histogram-${index}`);
-  if (problem.alpha !== null) drawDecay(problem, index);
+  if (converges(problem)) drawDecay(problem, index);
   drawBounds(problem, index);
 }
 
@@ -233,7 +239,7 @@ function drawBounds(problem, index) {
   ].filter(([, values]) => values.some((value) => value !== null));
   chart(
     document.getElementById(`bound-${index}`),
-    { height: 190, x: "test", y: { label: withUnit("bound", unit) }, series: bounds.map(([series]) => series) },
+    { height: 190, x: "test", y: { label: withUnit(problem.requirement === null ? "bound" : "observed", unit) }, series: bounds.map(([series]) => series) },
     [test, ...bounds.map(([, values]) => values)],
   );
 }
