@@ -140,6 +140,6 @@ def test_killed_and_resumed_it_verifies(started: Processes, tmp_path: Path, name
     assert [each["name"] for each in data["axes"]] == ["push_0", "push_1", "mass"]
     drawn = [scene["inputs"] for scene in data["scenes"] if scene["inputs"]]
     assert drawn
-    assert all([each["column"] for each in inputs] == ["push"] for inputs in drawn)
+    assert all([each["name"] for each in inputs] == ["push"] for inputs in drawn)
     exported = started.run("perfbound", "export", calm, "tests", "--out", "-")
     assert "push_0" in exported.out.splitlines()[0]

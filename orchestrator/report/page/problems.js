@@ -27,7 +27,7 @@ function problemSection(report, index, shown, selected) {
       el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), boundedRequirements(report, problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars),
       el(
         "div",
-        !converges(problem) ? null : chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`),
+        converges(problem) ? chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`) : null,
         chartFigure(`bound-${index}`, boundTitle(problem)),
         worstTests(report, problem, selected),
       ),
@@ -35,7 +35,7 @@ function problemSection(report, index, shown, selected) {
   );
 }
 
-/** Whether a problem ends at a tolerance that the page can show the way to; that of one requirement was not recorded. */
+/** Whether there is a convergence to draw: the bounds of a requirement are not recorded after each test. */
 function converges(problem) {
   return problem.alpha !== null && problem.requirement === null;
 }
@@ -67,6 +67,7 @@ function boundedRequirements(report, problem) {
 function boundTitle(problem) {
   if (problem.requirement !== null) return "Observed values of the tests"; // its bounds were not recorded
   if (problem.drawn) return "The bound of the first claim after each sample";
+  if (problem.requirement !== null) return "Observed in each test";
   return `Bounds on the ${problem.sense === "max" ? "maximum" : "minimum"} after each test`;
 }
 
@@ -263,7 +264,7 @@ function drawBounds(problem, index) {
   ].filter(([, values]) => values.some((value) => value !== null));
   chart(
     document.getElementById(`bound-${index}`),
-    { height: 190, x: "test", y: { label: withUnit("bound", unit) }, series: bounds.map(([series]) => series) },
+    { height: 190, x: "test", y: { label: withUnit(problem.requirement === null ? "bound" : "observed", unit) }, series: bounds.map(([series]) => series) },
     [test, ...bounds.map(([, values]) => values)],
   );
 }
