@@ -6,7 +6,7 @@ styles, never as markup: names, paths and formulas may contain brackets.
 
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 
 from rich.console import Console
 from rich.text import Text
@@ -107,15 +107,15 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
     predicate = certificate.predicate
     # First of all: a claim that rests on a refuted assumption proves nothing, however good its number.
     broken = [each for each in predicate.assumptions if each.status == "refuted"]
-    if broken:
-        _heading(console, f"REFUTED, by the data of this campaign or by derivation: {_count(broken)}", "bold red")
-        _assumptions(broken, console)
+    of_first = [each for each in broken if each.id in predicate.claims[0].assumptions]
+    _refuted(of_first, "", console)
     if predicate.counterexample is not None:
         found = counterexample_words(predicate.counterexample, unit)
         _heading(console, f"COUNTEREXAMPLE  {found}", "bold red")
     first_claim(certificate, console, unit)
     for number in range(1, len(predicate.claims)):
         _claim("also", certificate, number, console, unit)
+    _refuted([each for each in broken if each not in of_first], ", of other claims than the first", console)
     if len(predicate.claims) > 1:
         console.print()
         for line in _on_several(predicate):
@@ -133,6 +133,13 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
         _problem(problem, console)
     _heading(console, "Assumptions that are not refuted", "bold")
     _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
+
+
+def _refuted(broken: Sequence[Assumption], whose: str, console: Console) -> None:
+    if broken:
+        title = f"REFUTED{whose}, by the data of this campaign or by derivation: {_count(broken)}"
+        _heading(console, title, "bold red")
+        _assumptions(broken, console)
 
 
 def _on_several(predicate: Predicate) -> tuple[str, ...]:

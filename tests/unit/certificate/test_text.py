@@ -130,6 +130,23 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
     assert [line for line in lines if line in order] == order
 
 
+def test_what_is_refuted_of_other_claims_comes_after_the_first_one() -> None:
+    broken = Assumption(id="rkhs_norm/sim_gap", status="refuted", detail="B is wrong.")
+    certificate = a_certificate(Assumption(id="tail/maximum", status="assumed", detail="Gaussian."), broken)
+    first = certificate.predicate.claims[0].model_copy(update={"assumptions": ("tail/maximum",), "refuted": ()})
+    other = first.model_copy(update={"assumptions": (broken.id,), "refuted": (broken.id,)})
+    predicate = certificate.predicate.model_copy(update={"claims": (first, other)})
+    lines = printed(certificate.model_copy(update={"predicate": predicate}))
+    order = [
+        "CLAIM  J* (maximum of the expectation) <= 0.5001",
+        "also  J* (maximum of the expectation) <= 0.5001",
+        "       It rests on 1 assumption REFUTED: do not rely on it.",
+        "REFUTED, of other claims than the first, by the data of this campaign or by derivation: 1 assumption",
+        "    rkhs_norm                refuted     B is wrong.",
+    ]
+    assert [line for line in lines if line in order] == order
+
+
 def test_a_claim_without_a_refuted_assumption_is_not_marked() -> None:
     text = "\n".join(printed(a_certificate(Assumption(id="tail/maximum", status="assumed", detail="Gaussian."))))
     assert "REFUTED" not in text
