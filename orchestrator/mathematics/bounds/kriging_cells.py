@@ -53,7 +53,9 @@ class NodeCells:
 
 def between(radial: Radial, first: Floats, second: Floats) -> Floats:
     """Return the kernel between two lists of points (m, p) and (q, p), shape (m, q)."""
-    return np.stack([_kernel_at(radial, scaled(first, radial.axes), each) for each in scaled(second, radial.axes)], axis=1)
+    return np.stack(
+        [_kernel_at(radial, scaled(first, radial.axes), each) for each in scaled(second, radial.axes)], axis=1
+    )
 
 
 def _kernel_at(radial: Radial, points: Floats, other: Floats) -> Floats:

@@ -81,7 +81,7 @@ class KrigingMethod(Method):
         )
         self._means = PointMeans(inner, self._premises, spread)
         self._audit = NormAudit(self._means, counts, self._premises, spread)
-        self._tests, self._refuted, self._upper = 0, False, -self._bounds.minimum()
+        self._tests, self.beyond_ball, self._upper = 0, False, -self._bounds.minimum()
 
     def _terms(self, spread: float) -> WeightTerms:
         # Before any rollout the guess of its mean is m0.
@@ -135,8 +135,12 @@ class KrigingMethod(Method):
             ValueError: there is no value, one is outside its range, or the node is no point of the design.
 
         """
-        self.recall([(proposal, observation)])
-        return Bound(self._upper, None, "refuted" if self._refuted else None)
+        return self.bound_after([(proposal, observation)])
+
+    def bound_after(self, tests: Sequence[tuple[Proposal, Observation]]) -> Bound:
+        """Add observations, and return the bound that follows from all of them; raises as `observe`."""
+        self.recall(tests)
+        return Bound(self._upper, None, "refuted" if self._is_refuted else None)
 
     def recall(self, tests: Sequence[tuple[Proposal, Observation]]) -> None:
         """Add observations; raises as `observe`."""
@@ -167,8 +171,12 @@ class KrigingMethod(Method):
         self._bounds.observe(point, values)
         self._means.add(point, values)
         self._tests += 1
-        found, b = self._bounds.minimum(), self._premises.rkhs_norm
-        # mu exceeds m0 + B nowhere, so that a bound there contradicts B as well. The bound from before is kept.
-        self._refuted = self._refuted or self._audit.b_min > b or found >= self._premises.prior_mean + b
-        if not self._refuted:
+        found = self._bounds.minimum()
+        # mu exceeds m0 + B nowhere, so that a bound there contradicts B as well.
+        self.beyond_ball = self.beyond_ball or found >= self._premises.prior_mean + self._premises.rkhs_norm
+        if not self._is_refuted:  # false premises prove nothing: the bound from before is kept
             self._upper = -found
+
+    @property
+    def _is_refuted(self) -> bool:
+        return self.beyond_ball or self.b_min > self._premises.rkhs_norm
