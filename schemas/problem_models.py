@@ -208,6 +208,8 @@ class KrigingProblem(_BallProblem, _PlannedProblem):
             raise ValueError(f"name: method 'kriging' bounds {any_of(allowed)}, not {self.name!r}")
         if (self.linearised is None) == OBJECTIVES[self.name].risk:
             raise ValueError("linearised: required by problem 'true_risk' with method 'kriging', and only there")
+        if self.window is not None:
+            raise ValueError("window: has no meaning in method 'kriging', which plans every start; remove this key")
         if self.kernel.nu > MAX_NU:
             raise ValueError(f"kernel.nu: {self.kernel.nu:g} must be at most {MAX_NU} in method 'kriging'")
         return self

@@ -139,7 +139,7 @@ DEFAULTS = {
 """Defaults that follow from the rest of the file."""
 OMITTED = (
     {(ScenarioProblem, name) for name in ("column", "resolution", "gap")}
-    | {(KrigingProblem, "column")}
+    | {(KrigingProblem, name) for name in ("column", "window")}
     | {(Requirement, "name")}
     | {(SampleProblem, name) for name in ("column", *WITHOUT_MEANING)}
 )

@@ -24,8 +24,8 @@ UNBOUNDED = (-math.inf, math.inf)
 """The clip of a campaign that has none."""
 NO_GAP = Gap(kind="robustness")
 """The gap of a problem that compares no trajectories, where nothing reads it."""
-DRAWN_WINDOW = 256
-"""Tests in flight where starts are drawn."""
+PLANNED_WINDOW = 256
+"""Tests in flight where no start depends on a rollout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,8 +211,10 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         variants=variants,
         candidates=candidates,
         parameters=tuple(parameter.name for parameter in spec.parameters),
-        # A start that is drawn depends on no rollout, so that tests in flight change nothing.
-        window=min(tests, DRAWN_WINDOW) if candidates is None and not config.falsify else config.window_of(problem),
+        # A start that is drawn or planned depends on no rollout, so that tests in flight change nothing.
+        window=min(tests, PLANNED_WINDOW)
+        if problem.alpha is None and not config.falsify
+        else config.window_of(problem),
         replicates=replicates,
         budget=tests,
         noise=noise / math.sqrt(replicates) if mean else noise,

@@ -28,7 +28,9 @@ def kriging_assumptions(account: Account, problem: KrigingProblem, method: Krigi
     low, high = value_range(plan)
     assert low is not None, "the campaign file is checked for a clip"
     assert high is not None
-    yield assumption(f"bounded_values/{name}", "derived", {"low": low, "high": high})
+    # Of the objective: J = -objective for a minimum.
+    ends = {"low": -high, "high": -low} if plan.sense == "min" else {"low": low, "high": high}
+    yield assumption(f"bounded_values/{name}", "derived", ends)
     yield assumption(f"lattice/{name}", "derived", {"nodes": method.size}, form="certified_cells")
     design = {"points": method.design.size, "tests": len(method.design.order)}
     yield assumption(f"design/{name}", "derived", design, form="fixed_design")

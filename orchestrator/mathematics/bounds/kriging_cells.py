@@ -40,8 +40,7 @@ class NodeCells:
         offsets = np.array(list(product(np.linspace(0.0, 1.0, count), repeat=lattice.dimension)))  # (s, p)
         subgrid = scaled(first[:, None, :] + sides[:, None, :] * offsets, radial.axes)  # (m, s, p)
         steps = scaled(sides, radial.axes) / (count - 1)  # (m, p)
-        bend = float(radial.curvature(np.zeros(1), np.zeros(1))[0])
-        self.sag = np.sum(steps**2, axis=1) / 8.0 * bend * (1.0 + 1e-12)
+        self.sag = np.sum(steps**2, axis=1) / 8.0 * radial.largest_bend * (1.0 + 1e-12)
         diagonals, inverse = np.unique(np.sqrt(np.sum(steps**2, axis=1)) / 2.0, return_inverse=True)
         self.reach = np.array([radial.distance(each) for each in diagonals.tolist()])[inverse] + 1e-12
         self._kernel = [_kernel_at(radial, subgrid, each) for each in scaled(points, radial.axes)]
