@@ -117,7 +117,7 @@ def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod | KrigingMe
         )
         return PaperMethod(_lattice(plan), kernel(plan, problem), parameters, refine=problem.refine)
     if isinstance(problem, KrigingProblem):
-        return _kriging(plan, problem)
+        return _kriging_method(plan, problem)
     assert isinstance(problem, RigorousProblem)
     premises = Premises(
         rkhs_norm=problem.rkhs_norm,
@@ -138,7 +138,7 @@ def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod | KrigingMe
     )
 
 
-def _kriging(plan: ProblemPlan, problem: KrigingProblem) -> KrigingMethod:
+def _kriging_method(plan: ProblemPlan, problem: KrigingProblem) -> KrigingMethod:
     low, high = value_range(plan)
     assert low is not None, "the campaign file is checked for a clip"
     assert high is not None

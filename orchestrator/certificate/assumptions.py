@@ -170,7 +170,7 @@ def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assu
             return _rigorous(account, problem, method)
         case KrigingProblem():
             assert isinstance(method, KrigingMethod)
-            return _kriging(account, problem, method)
+            return _weighted(account, problem, method)
         case ScenarioProblem():
             return _scenario(account, problem, rules)
         case SampleProblem():
@@ -238,7 +238,7 @@ def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod
         yield _linearised(name, problem.linearised)
 
 
-def _kriging(account: Account, problem: KrigingProblem, method: KrigingMethod) -> Iterator[Assumption]:
+def _weighted(account: Account, problem: KrigingProblem, method: KrigingMethod) -> Iterator[Assumption]:
     yield from kriging_assumptions(account, problem, method)
     if problem.linearised is not None:
         yield _linearised(account.plan.key, problem.linearised)

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....schemas.values import Band, Bound, Observation, Proposal
-from ..gp.kernels import Matern
+from ..gp.kernels import Floats, Matern
 from ..gp.lattice import Lattice
 from ..gp.points import point_at
 from ..gp.radial import Radial
@@ -75,26 +75,13 @@ class KrigingMethod(Method):
         points = lattice.nodes[list(self.design.nodes)]
         self._to_nodes, inner = between(radial, lattice.nodes, points), between(radial, points, points)
         counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
-        planned = plan_weights(self._to_nodes, inner, counts, self._terms(spread))
+        planned = plan_weights(self._to_nodes, inner, counts, _weight_terms(self._premises, spread))
         self._bounds = KrigingBounds(
             planned, inner, NodeCells(lattice, radial, points), self._premises, error=radial.error
         )
         self._means = PointMeans(inner, self._premises, spread)
         self._audit = NormAudit(self._means, counts, self._premises, spread)
         self._tests, self.beyond_ball, self._upper = 0, False, -self._bounds.minimum()
-
-    def _terms(self, spread: float) -> WeightTerms:
-        # Before any rollout the guess of its mean is m0.
-        u, (low, high) = GuessedMean(self._premises).value, self._premises.ends
-        least = 1e-3 * (high - low)
-        return WeightTerms(
-            self._premises.rkhs_norm, self._premises.delta, spread, max(u - low, least), max(high - u, least)
-        )
-
-    @property
-    def n(self) -> int:
-        """Number of tests observed."""
-        return self._tests
 
     @property
     def size(self) -> int:
@@ -121,8 +108,17 @@ class KrigingMethod(Method):
         test = self._tests + len(pending)
         if test >= len(self.design.order):
             raise ValueError(f"the design has {len(self.design.order)} tests, and all of them are made")
-        node = self.design.nodes[self.design.order[test]]
-        return Proposal(node, point_at(self.lattice, node), None, None, None, None)
+        return self.proposal_at(self.design.nodes[self.design.order[test]], pending)
+
+    def acquisition(self, pending: Sequence[int]) -> Floats:
+        """Return 1 at the next node of the design and 0 elsewhere (m,): no rule may choose another one."""
+        chosen = np.zeros(self.size)
+        chosen[self.propose(pending=pending).node] = 1.0
+        return chosen
+
+    def proposal_at(self, index: int, pending: Sequence[int]) -> Proposal:  # noqa: ARG002
+        """Return the proposal of a node."""
+        return Proposal(index, point_at(self.lattice, index), None, None, None, None)
 
     def rival(self, x: Sequence[float], pending: Sequence[int] = ()) -> Proposal | None:  # noqa: ARG002
         """Return None: the design follows from whole numbers, which no CPU rounds differently."""
@@ -180,3 +176,10 @@ class KrigingMethod(Method):
     @property
     def _is_refuted(self) -> bool:
         return self.beyond_ball or self.b_min > self._premises.rkhs_norm
+
+
+def _weight_terms(premises: KrigingPremises, spread: float) -> WeightTerms:
+    # Before any rollout the guess of its mean is m0.
+    u, (low, high) = GuessedMean(premises).value, premises.ends
+    least = 1e-3 * (high - low)
+    return WeightTerms(premises.rkhs_norm, premises.delta, spread, max(u - low, least), max(high - u, least))

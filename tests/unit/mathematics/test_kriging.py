@@ -328,6 +328,6 @@ class TestMethod:
         for bad, each in ((elsewhere, (-0.5,)), (proposal, ()), (proposal, (0.5,)), (proposal, (math.nan,))):
             with pytest.raises(ValueError, match=r"no point|at least one|must be in"):
                 method.observe(bad, Observation(0.0, each))
-        assert method.n == 0
+        assert method.propose() == proposal
         with pytest.raises(ValueError, match="spread"):
             KrigingMethod(SQUARE, KERNEL, PREMISES, spread=0.0, budget=KrigingBudget(10, 1, 3))
