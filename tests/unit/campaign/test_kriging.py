@@ -85,13 +85,13 @@ class TestCampaigns:
     def test_the_report_has_the_band_of_all_cells_and_no_tolerance(self, tmp_path: Path) -> None:
         simulate(tmp_path, a_campaign(), shaky, noisy=True)
         (problem,) = Collector(tmp_path).refresh().problems
-        assert problem.surface is not None
+        (surface,) = problem.surfaces
         assert problem.bound is not None
-        lower = [value for value in problem.surface.lower if value is not None]
+        lower = [value for value in surface.lower if value is not None]
         assert len(lower) == 81
         assert min(lower) < problem.bound
-        assert set(problem.surface.upper) == {None}
-        assert "all cells at once" in problem.surface.band
+        assert set(surface.upper) == {None}
+        assert "all cells at once" in surface.band
         assert (problem.alpha, problem.left) == (None, None)
         assert problem.tests.distance == (None,) * 40
 
