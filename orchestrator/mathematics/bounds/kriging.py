@@ -194,7 +194,8 @@ class KrigingBounds:
             # No largest kappa: sum v_t f(x_t) is more than B allows, and the bound as large as one likes.
             kappa = np.where(room > 0, kappa, np.where(gain > 0, 1e6 / np.sqrt(q), 0.0))
             kappa = np.where(np.isfinite(kappa), np.maximum(kappa, 0.0), 0.0)
-        error = (self._error + EPSILON * (self._count + 100)) * (1.0 + kappa * spread) ** 2
+        # Each of the n sums of G and Q loses less than 4 EPSILON of their largest terms.
+        error = (self._error + 4.0 * EPSILON * (self._count + 100)) * (1.0 + kappa * spread) ** 2
         norm = np.sqrt(np.maximum(1.0 - 2.0 * kappa * least + kappa * kappa * self._squared, 0.0) + error)
         return np.asarray(kappa * gain - b * norm * (1.0 + 1e-14), dtype=np.float64)
 

@@ -91,6 +91,7 @@ class NormAudit:
         w = self._weights
         moved = float(np.abs(w).sum())
         excess = self._sum - self._premises.cost - self._premises.prior_mean * float(w.sum())
-        excess -= 1e-12 * (1.0 + abs(self._sum) + abs(self._premises.prior_mean) * moved)
+        largest = max(*map(abs, self._premises.ends), abs(self._premises.prior_mean))
+        excess -= EPSILON * (self._count + 100) * (1.0 + 12.0 * largest * moved)  # as in `kriging`
         squared = float(w @ self._means.kernel @ w) + EPSILON * 1e3 * moved**2
         return max(0.0, excess / math.sqrt(squared)) if squared > 0 else 0.0

@@ -24,7 +24,7 @@ SHARES = (10, 27, 50, 90)
 """Tests of a point in relation to others, by the number of parameters that are at an end of their range."""
 PER_PARAMETER = ((400, 5), (150, 4), (0, 3))
 """Points per parameter from so many rollouts on, for one or two parameters: few rollouts are best at few points."""
-PER_PARAMETER_OF_THREE = ((3200, 4), (0, 3))
+PER_PARAMETER_OF_THREE = ((10_000, 4), (0, 3))
 MOST_PARAMETERS = 3
 """No number of points fills a box of more."""
 

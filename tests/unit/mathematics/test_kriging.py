@@ -55,7 +55,7 @@ class TestDesign:
 
     def test_more_rollouts_have_more_points(self) -> None:
         assert [points_per_parameter(2, n) for n in (1, 149, 150, 399, 400)] == [3, 3, 4, 4, 5]
-        assert [points_per_parameter(3, n) for n in (1, 3199, 3200)] == [3, 3, 4]
+        assert [points_per_parameter(3, n) for n in (1, 9_999, 10_000)] == [3, 3, 4]
 
     @pytest.mark.parametrize(
         ("lattice", "points"), [(SQUARE, 1), (SQUARE, 10), (Lattice((0.0,) * 4, (1.0,) * 4, 3), 3)]
