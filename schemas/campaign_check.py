@@ -6,7 +6,7 @@ from .campaign import CampaignConfig
 from .claims import drawn_claims, fewest_samples
 from .errors import CampaignError
 from .parameters import signal_shapes
-from .problem_models import PaperProblem, Problem, RigorousProblem
+from .problem_models import KernelProblem, Problem, RigorousProblem
 from .problems import rolled_out
 from .space import Scenarios, StartTable
 from .system import SystemSpec
@@ -106,7 +106,7 @@ def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
     parameters = spec.spread(signal_shapes(config.space)).parameters
     names = {parameter.name for parameter in parameters}
     for problem in config.problems:
-        lengths = problem.kernel.length_scale if isinstance(problem, PaperProblem | RigorousProblem) else None
+        lengths = problem.kernel.length_scale if isinstance(problem, KernelProblem) else None
         if isinstance(lengths, dict) and lengths.keys() != names:
             given = ", ".join(lengths)
             where = f"problems.{problem.name}.kernel.length_scale"

@@ -12,7 +12,7 @@ from pydantic import TypeAdapter
 
 from .campaign import CampaignConfig
 from .composition import is_composed
-from .problem_models import PROBLEM_MODELS, RigorousProblem
+from .problem_models import PROBLEM_MODELS, KrigingProblem, RigorousProblem
 from .problems import MethodName, ProblemName
 from .requirements import listed
 from .signals import MAX_KNOTS
@@ -35,6 +35,8 @@ STAND_INS: dict[str, Any] = {
 }
 """Of keys that no description of a system needs."""
 
+DERIVED: Mapping[Any, type] = {"rigorous": RigorousProblem, "kriging": KrigingProblem}
+"""Methods whose length scales follow from the box where the file gives none."""
 ENDS: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 """JSON Schema of the short form of a range, [low, high]."""
 
@@ -47,7 +49,7 @@ def with_stand_ins(table: Mapping[str, Any]) -> dict[str, Any]:
     if not is_description(table):
         return dict(table)
     method = table.get("method", _method(table, table))
-    needed = {"sample": OF_CAMPAIGN, "scenario": OF_CAMPAIGN | {"alpha"}}.get(method, STAND_INS.keys())
+    needed = OF_CAMPAIGN | PROBLEM_MODELS.get(method, RigorousProblem).model_fields.keys()
     return {key: each for key, each in STAND_INS.items() if key in needed} | dict(table)
 
 
@@ -118,8 +120,8 @@ def derived_lengths(ranges: Mapping[str, tuple[float, float]]) -> dict[str, floa
 
 
 def _with_kernel(problem: Any, space: Any, knots: Mapping[str, tuple[str, ...]]) -> Any:
-    """Return a problem of method `rigorous` with length scales, where it gives none and the space is a box."""
-    if not isinstance(problem, Mapping) or problem.get("method") != "rigorous" or not isinstance(space, Mapping):
+    """Return a problem of a method with derived length scales with them, where it gives none and the space is a box."""
+    if not isinstance(problem, Mapping) or problem.get("method") not in DERIVED or not isinstance(space, Mapping):
         return problem
     kernel, ends = problem.get("kernel", {}), {name: _ends(each) for name, each in space.items()}
     if not isinstance(kernel, Mapping) or "length_scale" in kernel or not ends or None in ends.values():
@@ -190,7 +192,7 @@ def file_schema() -> dict[str, Any]:
     schema["required"] = [key for key in schema["required"] if key not in ("name", "problems")]
     for model in PROBLEM_MODELS.values():
         problem = schema["$defs"][model.__name__]
-        optional = ("method", "kernel") if model is RigorousProblem else ("method",)
+        optional = ("method", "kernel") if model in DERIVED.values() else ("method",)
         problem["required"] = [key for key in problem["required"] if key not in optional]
         for key, value in problem["properties"].items():
             # The problem's own model decides which of them go together.

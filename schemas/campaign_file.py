@@ -42,6 +42,7 @@ _WORDS = {
     ("problems", "rigorous", "regulariser"): "a number > 0, or a list of { value, weight }",
     ("problems", "paper", "kernel", "length_scale"): _LENGTHS,
     ("problems", "rigorous", "kernel", "length_scale"): _LENGTHS,
+    ("problems", "kriging", "kernel", "length_scale"): _LENGTHS,
     ("problems", "scenario", "linearised"): "'past', or a table: { centre = 0.7, spread = 0.1 }",
     ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
     ("space", "choices"): f"a list of 2 to {MAX_CHOICES} numbers",

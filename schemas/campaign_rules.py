@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, drawn_claims, fewest_samples
 from .composition import check_composition
-from .method_spaces import check_region, check_space, check_starts, draws_starts
-from .parameters import check_signals
-from .problem_models import Problem, RigorousProblem, SampleProblem
+from .method_spaces import LATTICE_PARAMETERS, check_region, check_space, check_starts, draws_starts
+from .parameters import check_signals, parameter_ranges
+from .problem_models import KrigingProblem, Problem, RigorousProblem, SampleProblem
 from .problems import OBJECTIVES, OF_ROBUSTNESS, any_of
 from .region_check import check_regions
 from .requirements import parts_of
@@ -98,6 +98,8 @@ def _check_method(config: "CampaignConfig", problem: Problem) -> None:
     check_space(problem.method, config.space, config.resolution_of(problem), config.starts_of(problem), where)
     if config.where is not None:
         check_region(problem.method, config.space)
+    if isinstance(problem, KrigingProblem):
+        _check_design(config, problem, where)
     if problem.method == "paper":
         if OBJECTIVES[problem.name].risk and config.replicates_of(problem) < 2:
             raise ValueError(f"{where}.replicates: a standard deviation needs at least 2 rollouts a test")
@@ -105,6 +107,22 @@ def _check_method(config: "CampaignConfig", problem: Problem) -> None:
             raise ValueError(f"{where}.window: Algorithm 1 is sequential, method 'paper' allows 1 only")
         if config.max_tests_of(problem) < 2:
             raise ValueError(f"{where}.max_tests: method 'paper' gives no bound before the second test")
+
+
+def _check_design(config: "CampaignConfig", problem: KrigingProblem, where: str) -> None:
+    """Refuse what a design cannot be planned for."""
+    assert isinstance(config.space, dict), "the space is checked before"
+    if len(parameter_ranges(config.space)) > LATTICE_PARAMETERS:
+        raise ValueError(
+            f"{where}.method: 'kriging' is for at most {LATTICE_PARAMETERS} parameters; choose 'rigorous' or 'sample'"
+        )
+    if config.falsify is not None:
+        raise ValueError(
+            "falsify: method 'kriging' plans every start beforehand; remove this key, or choose 'rigorous'"
+        )
+    resolution = config.resolution_of(problem)
+    if problem.points is not None and problem.points > resolution:
+        raise ValueError(f"{where}.points: {problem.points} is more than the {resolution} nodes per parameter")
 
 
 def _check_specifications(config: "CampaignConfig") -> None:

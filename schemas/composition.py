@@ -108,7 +108,9 @@ def _check_rule(config: "CampaignConfig", rule: Rule, where: str) -> None:
     methods = {problem.method for problem in pair}
     if rule == "product" and methods != {"paper"}:
         raise ValueError(f"{where}: 'product' is for method 'paper'; 'sum' holds for every method")
-    if rule in ("bhatia-davis", "pointwise") and methods != {"rigorous"}:
+    if rule == "pointwise" and methods != {"rigorous"}:
         raise ValueError(f"{where}: {rule!r} needs method 'rigorous' in both problems")
+    if rule == "bhatia-davis" and "paper" in methods:
+        raise ValueError(f"{where}: {rule!r} is not for method 'paper'; choose 'rigorous' in both problems")
     if rule == "pointwise" and len({config.resolution_of(problem) for problem in pair}) != 1:
         raise ValueError(f"{where}: 'pointwise' needs one resolution for both problems")

@@ -13,6 +13,7 @@ from .space import MAX_SCENARIOS, Space, SpaceKind, space_kind
 SPACES: Mapping[MethodName, tuple[SpaceKind, ...]] = {
     "paper": ("box",),
     "rigorous": ("box", "scenarios"),
+    "kriging": ("box",),
     "scenario": ("scenarios", "box"),
     "sample": ("box", "distributions", "table"),
 }
@@ -21,6 +22,8 @@ MAX_CANDIDATES = 100_000
 """Nodes of the largest lattice; memory is O(tests x nodes)."""
 RESOLUTION = 21
 """Lattice nodes per parameter, by default."""
+NODES: Mapping[MethodName, int] = {"kriging": 10_000}
+"""Nodes of the largest lattice of methods with another limit: kernel values in every cell are kept, 5 kB each."""
 LATTICE_PARAMETERS = 3
 """A lattice of the default resolution covers a box of at most so many parameters."""
 MOST_STARTS = 5000
@@ -102,9 +105,12 @@ def check_space(method: MethodName, space: Space, resolution: int, starts: int |
 
     """
     kind = space_kind(space)
-    nodes = 0 if draws_starts(method) else candidates(space, resolution, starts)
-    if kind in SPACES[method] and nodes > MAX_CANDIDATES:
-        raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {MAX_CANDIDATES} allowed")
+    nodes, most = (
+        0 if draws_starts(method) else candidates(space, resolution, starts),
+        NODES.get(method, MAX_CANDIDATES),
+    )
+    if kind in SPACES[method] and nodes > most:
+        raise ValueError(f"{where}.resolution: {nodes} lattice nodes are more than the {most} allowed")
     if kind in SPACES[method]:
         return
     drawing = tuple(name for name in SPACES if draws_starts(name))

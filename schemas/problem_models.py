@@ -71,6 +71,11 @@ class _Problem(Model):
             raise ValueError("column: required by problem 'maximum': the column whose expectation is maximised")
         return self
 
+    @property
+    def observed_through(self) -> Linearised | None:
+        """The constants of the expectation that an observation is of; None where it is of the robustness itself."""
+        return None
+
 
 class _OptimisedProblem(_Problem):
     """The keys of methods that search the worst start."""
@@ -78,14 +83,27 @@ class _OptimisedProblem(_Problem):
     alpha: float = Field(gt=0, description="tolerance at which the problem stops; unit of the objective")
 
 
-class _KernelProblem(_OptimisedProblem):
-    """The keys of methods with a Gaussian process."""
+class _PlannedProblem(_Problem):
+    """The keys of methods whose number of tests is fixed beforehand."""
+
+    @property
+    def alpha(self) -> None:
+        """None: no tolerance ends the tests."""
+        return None
+
+
+class _BallProblem(_Problem):
+    """The keys of methods that assume a norm in the space of a kernel."""
 
     rkhs_norm: float = Field(gt=0, description="B: bound on the norm of J - m0 in the space of the kernel")
     prior_mean: float = Field(
         default=0.0, description="m0: the Gaussian process models J - m0; J is the maximised objective"
     )
     kernel: MaternKernel = Field(description="Matern kernel of unit amplitude; B sets the scale")
+
+
+class _KernelProblem(_BallProblem, _OptimisedProblem):
+    """The keys of methods with a Gaussian process."""
 
 
 class PaperProblem(_KernelProblem):
@@ -156,6 +174,51 @@ class RigorousProblem(_KernelProblem):
             raise ValueError(f"slack: {self.slack:g} must be at most alpha = {self.alpha:g}")
         return self
 
+    @property
+    def observed_through(self) -> Linearised | None:
+        """The constants of `linearised`."""
+        return self.linearised
+
+
+class KrigingProblem(_BallProblem, _PlannedProblem):
+    """A bound over a box from weighted sums of rollouts, at starts that follow from the budget."""
+
+    delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the bound")
+    method: Literal["kriging"] = Field(description="weighted sums of bounded rollouts on a box")
+    linearised: Linearised | None = Field(
+        default=None, description="`true_risk` only, required: constants of an expectation that bounds the risk"
+    )
+    spread: Positive | None = Field(
+        default=None,
+        description="guess of the standard deviation of one value; a wrong one loses tightness, never validity; by "
+        "default that of `linearised`, or a tenth of the range of the values",
+    )
+    points: int | None = Field(
+        default=None,
+        ge=2,
+        le=9,
+        description="starts per parameter; by default 3 below 150 rollouts, 4 below 400, then 5; of three parameters "
+        "3 below 10,000, then 4",
+    )
+
+    @model_validator(mode="after")
+    def _weighted(self) -> "KrigingProblem":
+        allowed = tuple(name for name, each in OBJECTIVES.items() if "kriging" in each.methods)
+        if self.name not in allowed:
+            raise ValueError(f"name: method 'kriging' bounds {any_of(allowed)}, not {self.name!r}")
+        if (self.linearised is None) == OBJECTIVES[self.name].risk:
+            raise ValueError("linearised: required by problem 'true_risk' with method 'kriging', and only there")
+        if self.window is not None:
+            raise ValueError("window: has no meaning in method 'kriging', which plans every start; remove this key")
+        if self.kernel.nu > MAX_NU:
+            raise ValueError(f"kernel.nu: {self.kernel.nu:g} must be at most {MAX_NU} in method 'kriging'")
+        return self
+
+    @property
+    def observed_through(self) -> Linearised | None:
+        """The constants of `linearised`."""
+        return self.linearised
+
 
 class ScenarioProblem(_OptimisedProblem):
     """Betting bounds on finitely many starts, without a kernel."""
@@ -180,7 +243,7 @@ class ScenarioProblem(_OptimisedProblem):
         return self
 
 
-class SampleProblem(_Problem):
+class SampleProblem(_PlannedProblem):
     """Bounds from starts that are drawn, without a kernel and in any dimension."""
 
     delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of each claim")
@@ -203,19 +266,17 @@ class SampleProblem(_Problem):
                 raise ValueError(f"{key}: has no meaning in method 'sample'; remove this key")
         return self
 
-    @property
-    def alpha(self) -> None:
-        """None: the number of tests is fixed, and no tolerance ends them."""
-        return None
-
 
 WITHOUT_MEANING = ("sense", "resolution", "window", "gap")
 """Keys of every problem that method `sample` refuses: nothing is optimised, and no start depends on a rollout."""
 
-Problem = PaperProblem | RigorousProblem | ScenarioProblem | SampleProblem
+Problem = PaperProblem | RigorousProblem | KrigingProblem | ScenarioProblem | SampleProblem
+KernelProblem = PaperProblem | RigorousProblem | KrigingProblem
+"""The problems whose bound owes something to a norm in the space of a kernel."""
 PROBLEM_MODELS: dict[MethodName, type[_Problem]] = {
     "paper": PaperProblem,
     "rigorous": RigorousProblem,
+    "kriging": KrigingProblem,
     "scenario": ScenarioProblem,
     "sample": SampleProblem,
 }

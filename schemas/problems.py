@@ -11,7 +11,7 @@ from typing import Literal
 from .system import SystemSpec, Variant
 
 ProblemName = Literal["nominal_robustness", "sim_gap", "true_risk", "robustness", "maximum"]
-MethodName = Literal["paper", "rigorous", "scenario", "sample"]
+MethodName = Literal["paper", "rigorous", "kriging", "scenario", "sample"]
 Sense = Literal["min", "max"]
 Measured = Literal["robustness", "gap", "column"]
 """The number of one rollout, or of a pair: of the specification, of the comparison, or of one column."""
@@ -64,20 +64,22 @@ OBJECTIVES: Mapping[ProblemName, Objective] = {
     "nominal_robustness": Objective(
         "min", "robustness", Statement("min over d of E[robustness of the nominal system]"), ("nominal",)
     ),
-    "sim_gap": Objective("max", "gap", Statement("max over d of E[{gap}]"), ("nominal", "true")),
+    "sim_gap": Objective(
+        "max", "gap", Statement("max over d of E[{gap}]"), ("nominal", "true"), ("paper", "rigorous", "kriging")
+    ),
     "true_risk": Objective(
         "min",
         "robustness",
         Statement("min over d of E[robustness] - r sd[robustness] of the true system", "rho_star"),
         ("true",),
-        ("paper", "rigorous", "scenario"),
+        ("paper", "rigorous", "kriging", "scenario"),
         risk=True,
     ),
     "robustness": Objective(
         "min",
         "robustness",
         Statement("min over d of E[robustness]", "expected_robustness"),
-        methods=("paper", "rigorous", "scenario", "sample"),
+        methods=("paper", "rigorous", "kriging", "scenario", "sample"),
         static=True,
         exact=Statement("min over d of robustness", "robustness"),
     ),

@@ -15,6 +15,7 @@ from .method_spaces import SPACES
 from .problem_models import (
     WITHOUT_MEANING,
     Gap,
+    KrigingProblem,
     Linearised,
     PaperProblem,
     RigorousProblem,
@@ -65,6 +66,12 @@ TABLES: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("[space], table", 'Instead of ranges: `table = "starts.csv"`.', StartTable),
     ("[[problems]], method paper", "One table per optimisation problem; each name at most once.", PaperProblem),
     ("[[problems]], method rigorous", "", RigorousProblem),
+    (
+        "[[problems]], method kriging",
+        "At most three parameters. All `max_tests` tests are made. [Bound a box from bounded rollouts]"
+        "(how-to/kriging.md) has an example.",
+        KrigingProblem,
+    ),
     ("[[problems]], method scenario", "`resolution` and `gap` have no effect with this method.", ScenarioProblem),
     (
         "[[problems]], method sample",
@@ -100,6 +107,7 @@ ALLOWED = {
         f"`{name}`" for name, each in OBJECTIVES.items() if "scenario" in each.methods
     ),
     (ScenarioProblem, "sense"): "`min`",
+    (KrigingProblem, "name"): ", ".join(f"`{name}`" for name, each in OBJECTIVES.items() if "kriging" in each.methods),
     (SampleProblem, "name"): ", ".join(f"`{name}`" for name, each in OBJECTIVES.items() if "sample" in each.methods),
     (Range, "choices"): "list of numbers",
     (CampaignConfig, "claims"): "tables, of [drawn starts](#claims) or [by a rule](#claims-by-a-rule)",
@@ -131,6 +139,7 @@ DEFAULTS = {
 """Defaults that follow from the rest of the file."""
 OMITTED = (
     {(ScenarioProblem, name) for name in ("column", "resolution", "gap")}
+    | {(KrigingProblem, name) for name in ("column", "window")}
     | {(Requirement, "name")}
     | {(SampleProblem, name) for name in ("column", *WITHOUT_MEANING)}
 )

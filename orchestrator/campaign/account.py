@@ -6,7 +6,7 @@ from collections.abc import MutableSequence
 from dataclasses import dataclass, field
 
 from ...schemas.facts import ObservationFact, RolloutFact
-from ...schemas.problem_models import PaperProblem, RigorousProblem
+from ...schemas.problem_models import KernelProblem
 from ...schemas.values import Observation, Proposal
 from . import objectives
 from .plan import ProblemPlan
@@ -37,7 +37,7 @@ class Account(Series):
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test, as every series does, and take the robustness of its rollouts."""
         rollouts = Series.observe(self, fact)  # by name: `super()` finds no cell in a class with slots
-        if isinstance(self.plan.problem, PaperProblem | RigorousProblem) and self.last_proposal is not None:
+        if isinstance(self.plan.problem, KernelProblem) and self.last_proposal is not None:
             self.proposed.append(self.last_proposal)
         if self.plan.objective.measured == "gap":
             # The composition needs a gap that dominates the robustness difference in every pair: checked by the audit.

@@ -6,7 +6,7 @@ Every function is pure: of the plan alone before the start, of the plan and the 
 import math
 from collections.abc import Iterator, Sequence
 
-from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem
+from ...schemas.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.system import SystemSpec
 from ..mathematics.bounds.audit import replicate_spread
@@ -27,7 +27,7 @@ def before(plans: Plans, spec: SystemSpec) -> list[str]:
 def of_plan(plan: ProblemPlan, spec: SystemSpec) -> Iterator[str]:
     """Yield a line for every contradiction within the constants of one problem."""
     problem = plan.problem
-    if not isinstance(problem, PaperProblem | RigorousProblem):
+    if not isinstance(problem, KernelProblem):
         return
     name, length = plan.key, problem.kernel.length_scale
     if isinstance(plan.candidates, Lattice):
@@ -47,6 +47,8 @@ def of_plan(plan: ProblemPlan, spec: SystemSpec) -> Iterator[str]:
             "then changes as fast along each of them; give one length per parameter: { name = number, ... }"
         )
     noisy = set(plan.variants) & set(spec.noisy)
+    if not isinstance(problem, PaperProblem | RigorousProblem):
+        return  # it assumes no noise scale
     if noisy and plan.replicates == 1 and problem.noise_scale != "derived" and problem.noise_scale > 0:
         yield (
             f"{name}: noise_scale = {problem.noise_scale:g} is a guess that no data are compared with, because "
@@ -64,8 +66,10 @@ def of_tests(
     found: dict[str, str] = {}
     if len(robustness) >= FEWEST:
         found |= _clip(plan, robustness)
+    if isinstance(plan.problem, KernelProblem) and y:
+        found |= _norm(plan, plan.problem, y)
     if isinstance(plan.problem, PaperProblem | RigorousProblem) and y:
-        found |= _norm(plan, plan.problem, y) | _noise(plan, plan.problem, each)
+        found |= _noise(plan, plan.problem, each)
     return found
 
 
@@ -91,7 +95,7 @@ def _clip(plan: ProblemPlan, robustness: Sequence[float]) -> dict[str, str]:
     return {"clip": f"{line}: the clip hides every difference between starts; choose one that contains them"}
 
 
-def _norm(plan: ProblemPlan, problem: PaperProblem | RigorousProblem, y: Sequence[float]) -> dict[str, str]:
+def _norm(plan: ProblemPlan, problem: KernelProblem, y: Sequence[float]) -> dict[str, str]:
     largest = max(abs(value - problem.prior_mean) for value in y)
     tau = problem.misspecification if isinstance(problem, RigorousProblem) else 0.0
     # k(z, z) = 1, so that no |J - m0| exceeds B. Noise can: this is a hint, the audit has the test.

@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import PaperProblem, Problem, RigorousProblem, SampleProblem
+from ...schemas.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem, SampleProblem
 from ...schemas.values import Bound
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ def distance(problem: Problem, last_f: float | None, bound: Bound | None) -> flo
     """Return the number that has to fall to alpha: F_i in method paper, else upper - lower; None before the first."""
     if isinstance(problem, PaperProblem):
         return last_f
-    if isinstance(problem, SampleProblem):
+    if problem.alpha is None:
         return None  # its number of tests is fixed
     return None if bound is None or bound.upper is None or bound.lower is None else bound.upper - bound.lower
 
@@ -29,7 +29,7 @@ def tests_left(config: CampaignConfig, problem: Problem, now: float | None, test
     The distance falls roughly like a power of the number of tests; the power is taken from the start until now.
     """
     budget = config.max_tests_of(problem) - tests
-    if isinstance(problem, SampleProblem):
+    if problem.alpha is None:
         return budget
     start = _start(config, problem)
     if now is None or tests < FEWEST or not 0 < now < start:
@@ -48,7 +48,8 @@ def left_in_words(config: CampaignConfig, problem: Problem, left: int) -> str:
     '299 samples'
     """
     if not isinstance(problem, SampleProblem):
-        return f"about {left} test{'' if left == 1 else 's'}"
+        about = "" if problem.alpha is None else "about "
+        return f"{about}{left} test{'' if left == 1 else 's'}"
     most = "at most " if config.until_counterexample else ""
     return f"{most}{left} sample{'' if left == 1 else 's'}"
 
@@ -85,6 +86,6 @@ def least_distance(plan: "ProblemPlan") -> float:
 
 def _start(config: CampaignConfig, problem: Problem) -> float:
     """Return the distance before the first observation."""
-    if isinstance(problem, PaperProblem | RigorousProblem):
+    if isinstance(problem, KernelProblem):
         return 2 * problem.rkhs_norm
     return config.clip[1] - config.clip[0] if config.clip else math.inf

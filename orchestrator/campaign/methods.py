@@ -7,9 +7,20 @@ from functools import partial
 from ...schemas.claims import DrawnClaim
 from ...schemas.errors import CampaignError
 from ...schemas.facts import Header
-from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
+from ...schemas.problem_models import (
+    KernelProblem,
+    KrigingProblem,
+    Linearised,
+    PaperProblem,
+    RigorousProblem,
+    SampleProblem,
+    ScenarioProblem,
+)
 from ..mathematics.bounds.confidence import Premises, mixture
 from ..mathematics.bounds.joint import JointMethod
+from ..mathematics.bounds.kriging import KrigingPremises
+from ..mathematics.bounds.kriging_design import points_per_parameter
+from ..mathematics.bounds.kriging_method import KrigingBudget, KrigingMethod
 from ..mathematics.bounds.paper import PaperMethod
 from ..mathematics.bounds.paper_formulas import PaperParameters
 from ..mathematics.bounds.rigorous import RigorousMethod
@@ -19,9 +30,9 @@ from ..mathematics.gp.kernels import Matern
 from ..mathematics.gp.lattice import Lattice
 from .draws import Draws
 from .observation import by_requirement
-from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below
+from .plan import UNBOUNDED, Plans, ProblemPlan, unsafe_below, value_range
 
-PartMethod = RigorousMethod | ScenarioMethod
+PartMethod = RigorousMethod | KrigingMethod | ScenarioMethod
 """A method that bounds one of several requirements."""
 OneMethod = PaperMethod | PartMethod | SampleMethod
 """The method of one objective."""
@@ -50,16 +61,17 @@ def method(plan: ProblemPlan, header: Header) -> ProblemMethod:
     if not plan.parts:
         return _one_method(plan, header)
     # Each requirement on its own, from the same tests.
-    alphas = [alpha for part in plan.parts if (alpha := part.problem.alpha) is not None]
+    # Without a tolerance the tests are planned, and the same for every requirement.
+    alphas = [part.problem.alpha or math.inf for part in plan.parts]
     parts = [_one_method(part, header) for part in plan.parts]
-    shared = [each for each in parts if isinstance(each, RigorousMethod | ScenarioMethod)]
+    shared = [each for each in parts if isinstance(each, PartMethod)]
     return JointMethod(shared, alphas, partial(by_requirement, plan), plan.chosen_from.nodes)
 
 
 def _one_method(plan: ProblemPlan, header: Header) -> OneMethod:
     problem = plan.problem
     match problem:
-        case PaperProblem() | RigorousProblem():
+        case PaperProblem() | RigorousProblem() | KrigingProblem():
             return kernel_method(plan)
         # Of a risk without constants the method bounds the mean, and [BD] the variance: no risk is observed.
         case ScenarioProblem():
@@ -88,7 +100,7 @@ def _scenario_risk(problem: ScenarioProblem) -> Risk:
     return "predictable" if problem.linearised == "past" else "linearised"
 
 
-def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod:
+def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod | KrigingMethod:
     """Return the method of a problem with a kernel; raises as `method`."""
     problem = plan.problem
     if isinstance(problem, PaperProblem):
@@ -104,6 +116,8 @@ def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod:
             tail=problem.tail,
         )
         return PaperMethod(_lattice(plan), kernel(plan, problem), parameters, refine=problem.refine)
+    if isinstance(problem, KrigingProblem):
+        return _kriging_method(plan, problem)
     assert isinstance(problem, RigorousProblem)
     premises = Premises(
         rkhs_norm=problem.rkhs_norm,
@@ -124,7 +138,23 @@ def kernel_method(plan: ProblemPlan) -> PaperMethod | RigorousMethod:
     )
 
 
-def kernel(plan: ProblemPlan, problem: PaperProblem | RigorousProblem) -> Matern:
+def _kriging_method(plan: ProblemPlan, problem: KrigingProblem) -> KrigingMethod:
+    low, high = value_range(plan)
+    assert low is not None, "the campaign file is checked for a clip"
+    assert high is not None
+    constants, lattice = problem.observed_through, _lattice(plan)
+    rollouts = plan.budget * plan.replicates
+    default = min(points_per_parameter(lattice.dimension, rollouts), lattice.resolution)
+    return KrigingMethod(
+        lattice,
+        kernel(plan, problem),
+        KrigingPremises(problem.rkhs_norm, problem.prior_mean, (low, high), problem.delta),
+        spread=problem.spread or (constants.spread if constants else (high - low) / 10),
+        budget=KrigingBudget(plan.budget, plan.replicates, problem.points or default),
+    )
+
+
+def kernel(plan: ProblemPlan, problem: KernelProblem) -> Matern:
     """Return the kernel of a problem; its length scales in the order of the parameters."""
     length = problem.kernel.length_scale
     if isinstance(length, dict):
@@ -153,9 +183,8 @@ def _unsafe_above(plan: ProblemPlan) -> float:
 
 def _lattice(plan: ProblemPlan) -> Lattice:
     if not isinstance(plan.candidates, Lattice):
-        raise CampaignError(
-            f"problems.{plan.name}.method: 'paper' needs a box under [space]: low and high per parameter"
-        )
+        where = f"problems.{plan.name}.method: {plan.problem.method!r}"
+        raise CampaignError(f"{where} needs a box under [space]: low and high per parameter")
     return plan.candidates
 
 

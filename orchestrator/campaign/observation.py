@@ -5,7 +5,6 @@ from weakref import WeakKeyDictionary
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import CampaignError
-from ...schemas.problem_models import RigorousProblem
 from ...schemas.problems import OBJECTIVES, replicates_are_robustness
 from ...schemas.requirements import parts_of
 from ...schemas.system import SystemSpec
@@ -127,8 +126,7 @@ class Observer:
         if problem.method == "paper":
             return Observation(-objectives.risk(values, weight), tuple(values))
         # Bounded below by an expectation whose samples are centred; method `scenario` linearises inside its own bet.
-        if isinstance(problem, RigorousProblem) and problem.linearised is not None:
-            constants = problem.linearised
+        if (constants := problem.observed_through) is not None:
             return _mean([-linearised(value, weight, constants.centre, constants.spread) for value in values])
         return Observation(-objectives.mean(values), tuple(values))
 

@@ -8,7 +8,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import DrawnClaim
 from ...schemas.falsify import Falsify
 from ...schemas.parameters import parameter_ranges
-from ...schemas.problem_models import Gap, Problem, RigorousProblem, SampleProblem, ScenarioProblem
+from ...schemas.problem_models import Gap, PaperProblem, Problem, RigorousProblem, SampleProblem
 from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
 from ...schemas.requirements import parts_of
 from ...schemas.space import Scenarios, StartTable
@@ -24,8 +24,8 @@ UNBOUNDED = (-math.inf, math.inf)
 """The clip of a campaign that has none."""
 NO_GAP = Gap(kind="robustness")
 """The gap of a problem that compares no trajectories, where nothing reads it."""
-DRAWN_WINDOW = 256
-"""Tests in flight where starts are drawn."""
+PLANNED_WINDOW = 256
+"""Tests in flight where no start depends on a rollout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +161,19 @@ def unsafe_below(plan: ProblemPlan) -> float | None:
     return limit if limit > round_up(least) else None
 
 
+def value_range(plan: ProblemPlan) -> tuple[float | None, float | None]:
+    """Return the least and the largest J of one rollout, in the unit of J; None where nothing bounds it."""
+    (low, high), gap = plan.clip, plan.gap
+    if plan.objective.measured == "column" or not math.isfinite(high - low):
+        return None, None
+    if plan.objective.measured == "gap":
+        return (low - high if gap.kind == "robustness" else 0.0), (high - low) / gap.lipschitz
+    if (constants := plan.problem.observed_through) is not None:
+        least, largest = linearised_range(plan.clip, plan.risk_weight, constants.centre, constants.spread)
+        return -largest, -least
+    return -high, -low
+
+
 Plans = Mapping[str, ProblemPlan]
 """The plan of each problem by name, in the order of the campaign file."""
 
@@ -186,7 +199,7 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
     if isinstance(problem, RigorousProblem) and noise == 0 and candidates is not None:
         tests = min(tests, candidates.size)  # without noise a second test at a candidate adds nothing
     # A deterministic variant gives one trajectory for every seed: one rollout serves all replicates of a test.
-    common = objective.measured == "gap" and problem.method == "rigorous"
+    common = objective.measured == "gap" and problem.method != "paper"
     parts = [
         replace(plan(part, spec, part.problems[0]), requirement=each.name)
         for part, each in zip(parts_of(config), config.specifications, strict=False)
@@ -198,8 +211,10 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         variants=variants,
         candidates=candidates,
         parameters=tuple(parameter.name for parameter in spec.parameters),
-        # A start that is drawn depends on no rollout, so that tests in flight change nothing.
-        window=min(tests, DRAWN_WINDOW) if candidates is None and not config.falsify else config.window_of(problem),
+        # A start that is drawn or planned depends on no rollout, so that tests in flight change nothing.
+        window=min(tests, PLANNED_WINDOW)
+        if problem.alpha is None and not config.falsify
+        else config.window_of(problem),
         replicates=replicates,
         budget=tests,
         noise=noise / math.sqrt(replicates) if mean else noise,
@@ -235,7 +250,7 @@ def _candidates(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> L
 
 
 def _noise(problem: Problem, hoeffding: float) -> float:
-    if isinstance(problem, ScenarioProblem | SampleProblem):
+    if not isinstance(problem, PaperProblem | RigorousProblem):
         return hoeffding  # not used: the bound depends on the clip alone
     return hoeffding if problem.noise_scale == "derived" else problem.noise_scale
 
@@ -246,8 +261,7 @@ def _hoeffding(
     measured = OBJECTIVES[problem.name].measured
     if measured == "column" or clip == UNBOUNDED or isinstance(problem, SampleProblem):
         return math.inf
-    if isinstance(problem, RigorousProblem) and problem.linearised is not None:
-        constants = problem.linearised
+    if (constants := problem.observed_through) is not None:
         low, high = linearised_range(clip, config.risk_weight, constants.centre, constants.spread)
         return (high - low) / 2
     compared = measured == "gap"

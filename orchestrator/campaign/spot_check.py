@@ -8,10 +8,8 @@ import numpy as np
 
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ids import SPOT_CHECK, RolloutId
-from ...schemas.problem_models import RigorousProblem
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
-from ..mathematics.bounds.risk import linearised_range
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.bounds.spot_check import Hypothesis, SpotFinding, SpotTests
 from ..mathematics.gp.lattice import Lattice
@@ -20,7 +18,7 @@ from .account import Account
 from .counterexample import counterexample
 from .decisions import UNOBSERVABLE, naming
 from .observation import Observer, Others, Trajectories
-from .plan import ProblemPlan
+from .plan import ProblemPlan, value_range
 from .recorded import Recorded
 from .seeds import rollout_seed, uniform
 from .series import Series
@@ -148,7 +146,7 @@ class SpotCheck:
             assert found is not None, "a risk is one of the robustness"
             return -found
         value = self._observer.observe(replace(plan, replicates=1), used).y
-        low, high = _range(plan)
+        low, high = value_range(plan)
         # The paper clips no gap; where the expectation of a gap is at most its bound, so is that of the clipped one.
         return value if low is None or high is None else min(max(value, low), high)
 
@@ -187,7 +185,7 @@ def tested_variant(variants: Iterable[str]) -> str | None:
 
 def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:
     """Return what the spot check tests of a problem; without a range, with the noise scale that its bound rests on."""
-    low, high = _range(plan)
+    low, high = value_range(plan)
     scale = plan.noise_per_rollout if low is None and 0.0 < plan.noise_per_rollout < math.inf else None
     return Hypothesis(plan.key, limit, low, high, noisy=not noisy.isdisjoint(plan.variants), scale=scale)
 
@@ -197,20 +195,6 @@ def _limit(account: Account) -> float:
     upper = account.last_bound.bound.upper if account.last_bound else None
     # Rounded like the claim: the last digits of a bound depend on the threads of BLAS and on the CPU.
     return math.inf if upper is None or math.isinf(upper) else round_up(upper)
-
-
-def _range(plan: ProblemPlan) -> tuple[float | None, float | None]:
-    """Return the least and the largest J of one rollout, in the unit of J; None where nothing bounds it."""
-    (low, high), problem, gap = plan.clip, plan.problem, plan.gap
-    if plan.objective.measured == "column" or not math.isfinite(high - low):
-        return None, None
-    if plan.objective.measured == "gap":
-        return (low - high if gap.kind == "robustness" else 0.0), (high - low) / gap.lipschitz
-    if isinstance(problem, RigorousProblem) and problem.linearised is not None:
-        constants = problem.linearised
-        least, largest = linearised_range(plan.clip, plan.risk_weight, constants.centre, constants.spread)
-        return -largest, -least
-    return -high, -low
 
 
 def _uniform_starts(header: Header, plans: list[ProblemPlan]) -> list[tuple[float, ...]]:

@@ -7,17 +7,26 @@ from typing import Literal
 
 from ...schemas.certificate import Assumption, CertifiedRegions, Recheck, SpotCheck, Status
 from ...schemas.composition import PAIR
-from ...schemas.problem_models import Linearised, PaperProblem, RigorousProblem, SampleProblem, ScenarioProblem
+from ...schemas.problem_models import (
+    KrigingProblem,
+    Linearised,
+    PaperProblem,
+    RigorousProblem,
+    SampleProblem,
+    ScenarioProblem,
+)
 from ..campaign.account import Account
 from ..campaign.copies import copies
 from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel
 from ..campaign.plan import UNBOUNDED
 from ..mathematics.bounds import audit
+from ..mathematics.bounds.kriging_method import KrigingMethod
 from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.bounds.stationarity import AdaptiveOrderTest
 from ..mathematics.gp.lattice import Lattice
+from .kriging_assumptions import kriging_assumptions
 from .sentences import assumption
 
 ROUNDING = 1e-9
@@ -152,14 +161,16 @@ def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bo
 
 
 def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assumption]:
-    problem = account.plan.problem
+    problem, method = account.plan.problem, methods.get(account.plan.key)
     match problem:
         case PaperProblem():
             return _paper(account, problem)
         case RigorousProblem():
-            method = methods[account.plan.key]
             assert isinstance(method, RigorousMethod)
             return _rigorous(account, problem, method)
+        case KrigingProblem():
+            assert isinstance(method, KrigingMethod)
+            return _weighted(account, problem, method)
         case ScenarioProblem():
             return _scenario(account, problem, rules)
         case SampleProblem():
@@ -225,6 +236,12 @@ def _rigorous(account: Account, problem: RigorousProblem, method: RigorousMethod
         yield _listed(account)
     if problem.linearised is not None:
         yield _linearised(name, problem.linearised)
+
+
+def _weighted(account: Account, problem: KrigingProblem, method: KrigingMethod) -> Iterator[Assumption]:
+    yield from kriging_assumptions(account, problem, method)
+    if problem.linearised is not None:
+        yield _linearised(account.plan.key, problem.linearised)
 
 
 def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:

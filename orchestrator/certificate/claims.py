@@ -146,12 +146,12 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
     # The rules that follow from Theorem 2 as printed.
     if methods == {"paper"}:
         return ("product", "sum") if config.composition == "product" else ("sum", "product")
-    if methods != {"rigorous"}:
+    if "paper" in methods:
         return ("sum",)
     # Pointwise subtracts one band from the other, start by start: both need the same candidates.
     pair = [problem for problem in config.problems if problem.name in PAIR]
     sizes = {candidates(config.space, config.resolution_of(each), config.starts_of(each)) for each in pair}
-    same = len(sizes) == 1
+    same = len(sizes) == 1 and methods == {"rigorous"}
     return ("pointwise", "bhatia-davis", "sum") if same else ("bhatia-davis", "sum")
 
 

@@ -65,7 +65,8 @@ def objective(plan: ProblemPlan, rules: int) -> str:
         text = f"{text}, of every requirement"
     elif plan.requirement is not None:
         text = f"{text}, of requirement {plan.requirement}"
-    linear = isinstance(problem, RigorousProblem | ScenarioProblem) and isinstance(problem.linearised, Linearised)
+    inside = isinstance(problem, ScenarioProblem) and isinstance(problem.linearised, Linearised)
+    linear = inside or problem.observed_through is not None
     return f"{text}, through the expectation that bounds it" if linear else text
 
 

@@ -11,7 +11,7 @@ from typing import Literal
 from ...schemas import certificate as document
 from ...schemas.campaign import CampaignConfig
 from ...schemas.composition import composes
-from ...schemas.problem_models import PaperProblem, RigorousProblem
+from ...schemas.problem_models import KernelProblem, RigorousProblem
 from ..campaign.account import Account
 from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_starts
 from ..campaign.methods import Methods, ProblemMethod, kernel_method
@@ -115,7 +115,7 @@ def _varied(accounts: Mapping[str, Account], results: Results, constant: Constan
 def _with_constant(plan: ProblemPlan, constant: Constant, factor: float) -> ProblemPlan | None:
     """Return a plan with one constant multiplied; None for a problem without a kernel."""
     problem = plan.problem
-    if not isinstance(problem, PaperProblem | RigorousProblem):
+    if not isinstance(problem, KernelProblem):
         return None
     if constant == "rkhs_norm":
         return replace(plan, problem=problem.model_copy(update={"rkhs_norm": factor * problem.rkhs_norm}))
@@ -126,7 +126,7 @@ def _with_constant(plan: ProblemPlan, constant: Constant, factor: float) -> Prob
 def _without_data(plan: ProblemPlan, otherwise: float) -> float:
     """Return the bound of a problem before its first rollout; `otherwise` for a problem without a kernel."""
     problem = plan.problem
-    if not isinstance(problem, PaperProblem | RigorousProblem):
+    if not isinstance(problem, KernelProblem):
         return otherwise
     tau = problem.misspecification if isinstance(problem, RigorousProblem) else 0.0
     # k(z, z) = 1: no |J - m0| exceeds the norm bound. Summed as printed: .05 + .1 is .15.
@@ -145,4 +145,4 @@ def _limit(basis: Basis, config: CampaignConfig, results: Results) -> float | No
 
 
 def _from_kernels(basis: Basis, plans: Plans) -> bool:
-    return all(isinstance(plans[name].problem, PaperProblem | RigorousProblem) for name in basis.problems)
+    return all(isinstance(plans[name].problem, KernelProblem) for name in basis.problems)

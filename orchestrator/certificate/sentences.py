@@ -25,6 +25,28 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "not refuted": "the observations need a norm of at least {b_min} at confidence {confidence}, which leaves a "
         "margin of {margin} below B = {rkhs_norm}. This is not evidence for B: a B that is far too small often passes.",
     },
+    "norm_from_weights": {
+        "refuted": "the rollouts need a norm of at least {b_min} at confidence {confidence}, more than "
+        "B = {rkhs_norm}: B, the kernel, the prior mean or the independence is wrong.",
+        "not refuted": "the rollouts need a norm of at least {b_min} at confidence {confidence}, which leaves a margin "
+        "of {margin} below B = {rkhs_norm}. This is not evidence for B: a B that is far too small often passes.",
+    },
+    "within_ball": {
+        "refuted": "the bound exceeds every value that B = {rkhs_norm} around the prior mean allows: B, the kernel, "
+        "the prior mean or the independence is wrong.",
+        "not refuted": "the bound is a value that B = {rkhs_norm} around the prior mean allows; that is not evidence.",
+    },
+    "bounded_values": {
+        "derived": "the value of a rollout is between {low} and {high} by the clip; no noise scale is assumed.",
+    },
+    "certified_cells": {
+        "derived": "each of {nodes} cells, which cover the box, has a bound for all of its starts; the least one is "
+        "claimed, at the full confidence.",
+    },
+    "fixed_design": {
+        "derived": "the {points} starts of the {tests} planned tests, their order and the weights of the rollouts "
+        "follow from the campaign file; no start depends on an outcome.",
+    },
     "mean_noise": {
         "assumed": "the observation of a test, from {replicates} rollout(s) per variant, is assumed to deviate from "
         "its expectation like sub-Gaussian noise of scale {noise_scale}, which follows from the campaign file.",

@@ -49,8 +49,10 @@ LISTED: dict[Quantity, str] = {
 """The same where the starts are a list, which the claim does not leave."""
 
 VALID = "the bound is valid at every moment"
-BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "scenario": VALID}
+BUDGET = {"paper": "the bound contains the difference", "rigorous": VALID, "kriging": VALID, "scenario": VALID}
 """The reason, by method, why a problem has a bound that ended by its budget and not by its tolerance."""
+PLANNED = {"sample": "all its samples were drawn", "kriging": "all its tests were made"}
+"""The end of problems, by method, whose number of tests was fixed beforehand."""
 VACUOUS = "It shows nothing: the clip alone proves it."
 CERTAIN = "It shows nothing: every probability is at most 1."
 NO_SHARE = "It shows nothing: no start is certified safe."
@@ -333,7 +335,8 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     counts = ((problem.rollouts.nominal, "nominal"), (problem.rollouts.true, "true"))
     rollouts = (" and ".join(f"{number} {variant}" for number, variant in counts if number) or "no") + " rollouts"
     _line(console, f"    {problem.tests} tests with {rollouts}")
-    as_planned = problem.stopped_by == "converged" or problem.method == "sample"
+    planned = problem.method in PLANNED and problem.stopped_by != "refuted"
+    as_planned = problem.stopped_by == "converged" or planned
     _line(console, f"    {end}", "" if as_planned else "yellow")
 
 
@@ -341,8 +344,8 @@ def _ending(problem: ProblemResult) -> str:
     """Return why a problem ended, and what that means for its bound."""
     if problem.stopped_by == "counterexample":
         return "it ended with a rollout that violates the specification; the bound is valid at every moment"
-    if problem.method == "sample":
-        return "all its samples were drawn"
+    if problem.method in PLANNED and problem.stopped_by == "budget":
+        return PLANNED[problem.method]
     alpha, left = problem.parameters.get("alpha"), _left(problem)
     if problem.stopped_by == "converged":
         return f"alpha reached: {left} is at most {alpha}"

@@ -8,7 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.problem_models import Linearised, PaperProblem, Problem, RigorousProblem, SampleProblem, ScenarioProblem
+from ...schemas.problem_models import (
+    KrigingProblem,
+    Linearised,
+    PaperProblem,
+    Problem,
+    RigorousProblem,
+    SampleProblem,
+    ScenarioProblem,
+)
 from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan
@@ -60,6 +68,11 @@ def _meaning(problem: Problem, method: ProblemMethod) -> str:
             )
         case RigorousProblem():
             return f"at all candidates at once with probability at least {method.probability:g}"
+        case KrigingProblem():
+            return (
+                f"of every cell by a bound of all cells at once with probability at least {method.probability:g}; the "
+                "claim needs no such union, so it may be stronger; the mean is that of the interpolated values"
+            )
         case SampleProblem():
             return ""  # it has no candidates
         case ScenarioProblem():

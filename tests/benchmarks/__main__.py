@@ -24,6 +24,7 @@ from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     falsification,
     fleet,
     forms,
+    kriging,
     proposal,
     reactions,
     report,
@@ -44,6 +45,7 @@ PARTS = (
     "proposal",
     "rigorous",
     "scenario",
+    "kriging",
     "falsification",
     "requirements",
     "stl",
@@ -109,6 +111,7 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
         return falsification.main(alone=alone)
     plain = {
         "scenario": scenario.main,
+        "kriging": kriging.main,
         "requirements": requirements.main,
         "rollout": rollout.main,
         "forms": forms.main,

@@ -60,6 +60,15 @@ class Radial:
         return math.sqrt(0.75 / ((nu - 1.0) * (nu - 2.0))) * self.rate**2 if nu > 2.0 else math.inf
 
     @property
+    def largest_bend(self) -> float:
+        """Return -k''(0), which bounds |d^2/dt^2 k(|z + t v|)|, |v| = 1, everywhere; infinite for nu <= 1.
+
+        Formula: nu/((nu - 1) l^2), from P's series. The bound is that of every kernel with a spectral measure: a cosine
+        in the integral for k'' is at most 1, as it is at 0.
+        """
+        return 0.5 * self.rate**2 / (self._nu - 1.0) if self._nu > 1.0 else math.inf
+
+    @property
     def error(self) -> float:
         """Bound of the absolute error of `value`, and of `slope` and `curvature` in units of `rate`^2."""
         return 1e-15 if self._nu in _HALF_INTEGER else 1e-12

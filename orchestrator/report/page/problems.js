@@ -92,7 +92,7 @@ function problemFacts(problem) {
 }
 
 function stoppedText(problem) {
-  if (problem.drawn && problem.stopped_by === "budget") return "all samples were drawn";
+  if (problem.alpha === null && problem.stopped_by === "budget") return problem.drawn ? "all samples were drawn" : "all tests were made";
   return STOPPED[problem.stopped_by] ?? short(problem.stopped_by);
 }
 

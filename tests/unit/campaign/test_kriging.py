@@ -1,0 +1,224 @@
+"""Method `kriging` in campaigns: its keys, its problems, their certificates, and what `verify` finds."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from perfbound.orchestrator.campaign.methods import method
+from perfbound.orchestrator.campaign.plan import plans
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.text import notes
+from perfbound.orchestrator.mathematics.bounds.kriging_method import KrigingMethod
+from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store.read import read_header, reading
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_defaults import completed
+from perfbound.schemas.certificate import Predicate
+from perfbound.schemas.rollout import RolloutRequest
+from tests.campaigns import table
+from tests.fakes.finished import finish, play
+from tests.fakes.simulators import noise, robustness, simulate, verified
+
+KRIGING: dict[str, Any] = {
+    "method": "kriging",
+    "rkhs_norm": 0.3,
+    "prior_mean": -0.5,
+    "kernel": {"nu": 2.5, "length_scale": 0.8},
+    "spread": 0.05,
+}
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    monkeypatch.setattr(service, "TICK", 0.01)
+
+
+def a_campaign(problem: dict[str, Any] | None = None, **changes: Any) -> CampaignConfig:
+    """Return a campaign about the unit square, without checks afterwards."""
+    found: dict[str, Any] = {"clip": [-0.1, 1.0], "max_tests": 40, "replicates": 8, "recheck": 0, "spot_check": 0}
+    return robustness({**KRIGING, **(problem or {})}, **found | changes)
+
+
+def shaky(request: RolloutRequest) -> float:
+    return 0.4 + 0.2 * request.x[0] + 0.02 * min(max(noise(request.seed), -3.0), 3.0)
+
+
+def predicate(directory: Path) -> Predicate:
+    found = files.read(directory)
+    assert found is not None
+    return found.predicate
+
+
+def statuses(found: Predicate) -> dict[str, str]:
+    return {each.id: each.status for each in found.assumptions}
+
+
+class TestCampaigns:
+    def test_the_claim_is_between_the_assumption_and_the_truth(self, tmp_path: Path) -> None:
+        simulate(tmp_path, a_campaign(spot_check=10, spot_check_followups=4, recheck=2), shaky, noisy=True)
+        found = predicate(tmp_path)
+        (claim,), (problem,) = found.claims, found.problems
+        assert 0.2 + 0.1 < claim.bound <= 0.4
+        assert (claim.quantity, claim.sense, claim.probability) == ("expected_robustness", ">=", 0.95)
+        assert (claim.method, claim.without_data, claim.refuted) == ("kriging", 0.2, ())
+        assert (problem.tests, problem.rollouts.nominal, problem.stopped_by) == (40, 320, "budget")
+        assert (problem.partner, problem.parameters.get("alpha")) == (None, None)
+        status = statuses(found)
+        assert status["rkhs_norm/robustness"] == status["bounds_agree/robustness"] == "not refuted"
+        derived = ("bounded_values", "lattice", "design")
+        assert {status[f"{name}/robustness"] for name in derived} == {"derived"}
+        assert "noise_scale/robustness" not in status
+        assert [(row.constant, row.factor) for row in found.sensitivity or ()] == [
+            ("rkhs_norm", 2.0),
+            ("rkhs_norm", 4.0),
+            ("length_scale", 0.5),
+        ]
+        assert all(row.bound is not None and row.bound < claim.bound for row in found.sensitivity or ())
+        assert notes(found, 0)[0].startswith("Without any rollout B and the prior mean prove 0.2000")
+        assert not verified(tmp_path)
+
+    def test_the_report_has_the_band_of_all_cells_and_no_tolerance(self, tmp_path: Path) -> None:
+        simulate(tmp_path, a_campaign(), shaky, noisy=True)
+        (problem,) = Collector(tmp_path).refresh().problems
+        (surface,) = problem.surfaces
+        assert problem.bound is not None
+        lower = [value for value in surface.lower if value is not None]
+        assert len(lower) == 81
+        assert min(lower) < problem.bound
+        assert set(surface.upper) == {None}
+        assert "all cells at once" in surface.band
+        assert (problem.alpha, problem.left) == (None, None)
+        assert problem.tests.distance == (None,) * 40
+
+    def test_a_norm_that_is_too_small_ends_the_campaign_refuted(self, tmp_path: Path) -> None:
+        def steep(request: RolloutRequest) -> float:
+            return 0.1 + 0.8 * request.x[0] + 0.01 * min(max(noise(request.seed), -3.0), 3.0)
+
+        config = a_campaign({"rkhs_norm": 0.05, "spread": 0.02}, max_tests=200)
+        simulate(tmp_path, config, steep, noisy=True)
+        found = predicate(tmp_path)
+        assert found.problems[0].stopped_by == "refuted"
+        assert statuses(found)["rkhs_norm/robustness"] == "refuted"
+        assert "rkhs_norm/robustness" in found.claims[0].refuted
+        assert not verified(tmp_path)
+
+    def test_requirements_share_the_planned_tests(self, tmp_path: Path) -> None:
+        listed = [
+            {"name": "low", "formula": "value >= 0"},
+            {"name": "high", "formula": "0.9 - value >= 0", "prior_mean": -0.4},
+        ]
+        config = a_campaign(specification=None, specifications=listed)
+        simulate(tmp_path, config, shaky, noisy=True)
+        found = predicate(tmp_path)
+        whole, low, high = found.claims
+        assert (whole.rule, low.requirement, high.requirement) == ("every", "low", "high")
+        assert whole.bound == min(low.bound, high.bound)
+        assert 0.3 < low.bound <= 0.4
+        assert 0.2 < high.bound <= 0.3
+        assert [each.tests for each in found.problems] == [40, 40]
+        assert not verified(tmp_path)
+
+    def test_a_counterexample_ends_it_with_the_bound_of_that_moment(self, tmp_path: Path) -> None:
+        def falls(request: RolloutRequest) -> float:
+            return -0.05 if noise(request.seed) < -2.2 else shaky(request)
+
+        simulate(tmp_path, a_campaign(until_counterexample=True), falls, noisy=True)
+        found = predicate(tmp_path)
+        assert found.problems[0].stopped_by == "counterexample"
+        assert found.problems[0].tests < 40
+        assert found.claims[0].bound <= 0.4
+        assert not verified(tmp_path)
+
+
+def two_systems(problems: list[dict[str, Any]], **changes: Any) -> CampaignConfig:
+    """Return a campaign of the test function, whose puppets answer with values in [0, .1]."""
+    found = table("test-function", horizon=0.3, specification="always (value >= 0.002)", clip=[-0.05, 0.15])
+    found |= {"resolution": 7, "max_tests": 12, "replicates": 4, "problems": problems, **changes}
+    return CampaignConfig.model_validate_json(json.dumps(found))
+
+
+def finished(directory: Path, config: CampaignConfig) -> Predicate:
+    finish(play(directory, config), directory)
+    assert not verified(directory)
+    return predicate(directory)
+
+
+class TestTwoSystems:
+    def test_the_risk_is_bounded_through_its_expectation(self, tmp_path: Path) -> None:
+        risk = KRIGING | {"name": "true_risk", "prior_mean": 0.0, "linearised": {"centre": 0.05, "spread": 0.03}}
+        found = finished(tmp_path / "run", two_systems([risk | {"kernel": {"length_scale": 3.0}}]))
+        (claim,), (problem,) = found.claims, found.problems
+        assert claim.quantity == "rho_star"
+        assert problem.objective.endswith("through the expectation that bounds it")
+        assert problem.rollouts.true == 48
+        assert {"linearised/true_risk", "clip/true_risk"} <= set(claim.assumptions)
+        assert claim.by_clip is not None
+        assert claim.bound >= claim.by_clip
+
+    def test_the_gap_composes_with_a_rigorous_nominal_bound(self, tmp_path: Path) -> None:
+        shared = {"rkhs_norm": 0.1, "kernel": {"nu": 2.5, "length_scale": 3.0}}
+        nominal = {"name": "nominal_robustness", "method": "rigorous", "alpha": 0.01, "noise_scale": "derived"}
+        gap = {"name": "sim_gap", "method": "kriging", "spread": 0.03, "prior_mean": 0.0}
+        config = two_systems(
+            [nominal | shared | {"prior_mean": -0.05}, gap | shared],
+            composition="bhatia-davis",
+            gap={"kind": "robustness"},
+        )
+        found = finished(tmp_path / "run", config)
+        assert [claim.rule for claim in found.claims] == ["bhatia-davis", "sum"]
+        assert found.claims[0].method == "rigorous + kriging"
+        # The nominal system is deterministic, so that its bound spends no delta.
+        assert [each.probability for each in found.problems] == [1.0, 0.95]
+        assert found.claims[0].probability == 0.95
+        bound = next(each for each in found.problems if each.name == "sim_gap")
+        assert (bound.sense, bound.method) == ("max", "kriging")
+        assert 0.0 < bound.bound <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("problem", "changes", "message"),
+    [
+        ({"name": "nominal_robustness"}, {}, "name: method 'kriging' bounds 'sim_gap', 'true_risk' or 'robustness'"),
+        ({"name": "true_risk"}, {}, "linearised: required by problem 'true_risk' with method 'kriging'"),
+        ({"linearised": {"centre": 0.1, "spread": 0.1}}, {}, "linearised: required by"),
+        ({"window": 3}, {}, "window: has no meaning in method 'kriging'"),
+        ({"alpha": 0.1}, {}, "alpha"),
+        ({"noise_scale": "derived"}, {}, "noise_scale"),
+        ({"kernel": {"nu": 45, "length_scale": 1.0}}, {}, "kernel.nu: 45 must be at most 40"),
+        ({"points": 10}, {"resolution": 30}, "points"),
+        ({"points": 5}, {"resolution": 4}, "problems.robustness.points: 5 is more than the 4 nodes per parameter"),
+        ({}, {"resolution": 101}, "resolution: 10201 lattice nodes are more than the 10000 allowed"),
+        ({}, {"space": {"scenarios": [[0.1, 0.1]]}}, "'kriging' needs a box"),
+        ({}, {"falsify": {}}, "falsify: method 'kriging' plans every start beforehand"),
+        ({}, {"where": "z1 <= z2"}, "space.where: method 'kriging' bounds the worst start of a whole box"),
+        ({}, {"candidates": 64}, "candidates"),
+        ({}, {"clip": None}, "clip: required by problem 'robustness' with noise"),
+        ({}, {"space": {name: {"low": 0, "high": 1} for name in "abcd"}, "resolution": 4}, "at most 3 parameters"),
+    ],
+)
+def test_what_it_cannot_do_is_refused_with_a_remedy(
+    problem: dict[str, Any], changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValidationError) as raised:
+        a_campaign(problem, **changes)
+    assert message in str(raised.value)
+
+
+def test_length_scales_and_points_have_defaults(tmp_path: Path) -> None:
+    without = {key: value for key, value in KRIGING.items() if key not in {"kernel", "spread"}}
+    found = completed({"method": "kriging", "rkhs_norm": 1.0, "space": {"z1": [0, 1], "z2": [0, 4]}}, "box")
+    assert found["problems"][0]["kernel"] == {"length_scale": {"z1": 0.5, "z2": 2.0}}
+    config = a_campaign(without | {"kernel": {"length_scale": 0.5}}, max_tests=100, replicates=4)
+    simulate(tmp_path, config, shaky, noisy=True)
+    with reading(tmp_path) as connection:
+        header = read_header(connection, tmp_path)
+    (plan,) = plans(header.config, header.spec).values()
+    made = method(plan, header)
+    assert isinstance(made, KrigingMethod)
+    assert made.design.size == 25
+    assert plan.window == 100  # no start depends on a rollout
