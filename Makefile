@@ -8,7 +8,7 @@ PYTHON ?= $(firstword $(wildcard $(BIN)/python) python3.11)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 LOCK := locks/$(VERSION)
 INSTALLED := $(VENV)/.installed-$(VERSION)
-CAMPAIGN ?= deploy/campaigns/segway-paper.toml
+CAMPAIGN ?= deploy/campaigns/segway.toml
 WORKERS ?= 2
 RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 # Hashes are checked, and nothing is compiled on the way: what was tested is what runs.
