@@ -81,8 +81,8 @@ def _sample_lines(draft: Mapping[str, Any], clip: Sequence[float], cost: float, 
     yield "# Number of samples, fixed beforehand; more of them give sharper claims."
     yield f"max_tests = {first_samples(cost).max_tests}"
     yield from toml_comment(
-        "At most this share of the rollouts fails; all rollouts but 5 % have at least this robustness; all starts but a "
-        "tenth have it as a mean."
+        "At most this share of the rollouts fails; all rollouts but 5 % have at least this robustness; all starts but "
+        "a tenth have it as a mean."
     )
     yield "claims = ["
     for claim in (

@@ -70,6 +70,8 @@ class Measured:
     """Starts with further rollouts."""
     at_noisiest: Floats
     """J of these, (m, l); empty without noise."""
+    again: Mapping[int, float]
+    """Mean of J of fresh rollouts at the starts that the others predict least; it replaces the first one."""
     descents: tuple[Descent, ...]
     clipped: float | None
     """Share of the rollouts whose robustness is at an end of the clip; None where nothing is clipped."""
@@ -86,7 +88,10 @@ class Measured:
     def data(self) -> Sampled:
         """The means, with the pooled variance of one."""
         variance = pooled(self.values) ** 2 / self.values.shape[1]
-        return Sampled(self.shares, self.values.mean(axis=1), variance if self.noisy else 0.0)
+        means = self.values.mean(axis=1)
+        for start, mean in self.again.items():
+            means[start] = mean
+        return Sampled(self.shares, means, variance if self.noisy else 0.0)
 
     @property
     def finer(self) -> Sampled | None:
@@ -125,7 +130,7 @@ class ProblemCalibration:
 
 
 def calibrated(measured: Measured, given: Mapping[str, Any], chosen: tuple[Constant, ...]) -> ProblemCalibration:
-    """Return the proposal for a problem; `given` are its keys in the draft, `chosen` its constants that J depends on."""
+    """Return the proposal for a problem; `given` are its keys in the draft, `chosen` the constants that J has."""
     data = measured.data
     choice = choose_kernel(data, measured.finer, measured.descents, _plain(measured))
     trial = choice.chosen

@@ -13,6 +13,7 @@ from ...schemas.parameters import parameter_ranges
 from ...schemas.system import SystemSpec
 from ..mathematics.calibration.noise import NOISIEST
 from ..mathematics.calibration.steepness import PLACES
+from ..mathematics.calibration.trust import DOUBTED
 from ..mathematics.distributions import to_digits
 from ..mathematics.gp.kernels import Floats
 from ..mathematics.sobol import sobol_blocks
@@ -22,8 +23,6 @@ from .seeds import VARIANTS
 
 ROLLOUTS = 400
 """Of a problem and a variant, by default."""
-FEWEST_ROLLOUTS = 100
-"""Below it a trend over three doublings of the starts has no data."""
 CORNERS = 8
 """Starts at corners of the box, where a system is often at its worst."""
 NAME = "calibration"
@@ -43,20 +42,22 @@ class Budget:
     """Rollouts in the middle of a place."""
     at_noisiest: int
     """Further rollouts at each of the noisiest starts."""
+    at_doubted: int
+    """Further rollouts at each of the starts whose values the others predict least."""
 
     @classmethod
     def of(cls, rollouts: int, *, noisy: bool) -> "Budget":
         """Divide a number of rollouts.
 
         >>> Budget.of(400, noisy=False), Budget.of(400, noisy=True).starts
-        (Budget(starts=376, replicates=1, halvings=6, at_halves=1, at_noisiest=0), 144)
+        (Budget(starts=376, replicates=1, halvings=6, at_halves=1, at_noisiest=0, at_doubted=0), 128)
         """
         replicates, halvings, at_halves = (2, 4, 4) if noisy else (1, 6, 1)
-        at_noisiest = max(6, rollouts * 3 // 100) if noisy else 0
+        at_noisiest, at_doubted = (max(6, rollouts * 3 // 100), max(4, rollouts * 2 // 100)) if noisy else (0, 0)
         if rollouts < ROLLOUTS and noisy:
             at_halves = 2
-        spent = PLACES * halvings * at_halves + NOISIEST * at_noisiest
-        return cls((rollouts - spent) // replicates, replicates, halvings, at_halves, at_noisiest)
+        spent = PLACES * halvings * at_halves + NOISIEST * at_noisiest + DOUBTED * at_doubted
+        return cls((rollouts - spent) // replicates, replicates, halvings, at_halves, at_noisiest, at_doubted)
 
 
 @dataclass(frozen=True, slots=True)

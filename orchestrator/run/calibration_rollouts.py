@@ -44,7 +44,9 @@ class Wanted:
 class Batch:
     """Rollouts that were simulated together, and the folders of their files."""
 
-    parts: tuple[tuple[Path, tuple[RolloutRequest, ...]], ...]
+    number: int
+    """From 1."""
+    parts: tuple[tuple[Path, tuple[RolloutRequest, ...]], ...] = ()
 
 
 class Rollouts:
@@ -82,7 +84,7 @@ class Rollouts:
                 self._request(each, variant) for each in wanted[process::processes] for variant in self._variants
             ]
             parts.append((folder, tuple(requests)))
-        batch = Batch(tuple(parts))
+        batch = Batch(self._batches, tuple(parts))
         self._run(batch)
         self.count += len(wanted) * len(self._variants)
         self.report(self.count)

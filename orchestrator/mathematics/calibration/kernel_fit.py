@@ -79,7 +79,7 @@ def fit_kernel(nu: float, data: Sampled) -> KernelFit:
             lower, square = factored(logs)
         except np.linalg.LinAlgError:
             return 1e10  # not reached with these ratios; a search must not end for one point
-        return 0.5 * n * math.log(square) + float(np.sum(np.log(np.diag(lower))))
+        return float(0.5 * n * math.log(square) + np.sum(np.log(np.diag(lower))))
 
     logs = _least(loss, p, noisy=not data.exact)
     _, square = factored(logs)

@@ -27,7 +27,7 @@ SMOOTHNESS = (2.5, 1.5, 0.5)
 """nu of the kernels that are tried; the last one has finite norms for nearly everything that is continuous."""
 FEWEST = 32
 """Starts below which no trend of the norm is seen."""
-EXACT_MARGIN, NOISY_MARGIN = 1.5, 2.0
+EXACT_MARGIN, NOISY_MARGIN = 1.5, 2.5
 """B over b. A posterior mean needs less norm than what it is the mean of."""
 HIDDEN = 3.0
 """Standard errors of a mean by which J may differ from m0 at a start, and nobody sees it."""
@@ -42,7 +42,11 @@ EXCESS = 1.75
 """Square error of the prediction of noisy values, in units of their own noise, up to which a kernel predicts them."""
 LARGEST = 3.6
 """Standard deviations from which a noisy value is no prediction error of the kernel."""
-STRUCTURE = 4.0
+CLEAR = 0.003
+"""Share of the variance of the values up to which noise hides nothing, so that they count as exact."""
+DOUBTED = 4
+"""Starts that are simulated again because the others do not predict them: noise alone would not do so twice."""
+STRUCTURE = 7.0
 """Gain in likelihood below which noisy values show nothing but noise."""
 
 
@@ -95,6 +99,13 @@ def choose_kernel(data: Sampled, finer: Sampled | None, descents: Sequence[Desce
     return Choice(trials, min(trusted, key=lambda each: each.width), ())
 
 
+def least_predicted(data: Sampled, count: int = DOUBTED) -> list[int]:
+    """Return the starts whose noisy values are farthest from what the others predict, in standard deviations."""
+    found = leave_one_out(fit_kernel(SMOOTHNESS[1], data), data)
+    deviations = np.abs(found.observed - found.predicted) / found.sd
+    return [int(each) for each in np.argsort(-deviations, kind="stable")[:count]]
+
+
 def _trial(fit: KernelFit, data: Sampled, finer: Sampled | None) -> Trial:
     centre = float(data.values.mean())
     growth, predictions = norm_growth(fit, data, centre), leave_one_out(fit, data)
@@ -104,15 +115,16 @@ def _trial(fit: KernelFit, data: Sampled, finer: Sampled | None) -> Trial:
         norm = max(norm, needed_norm(fit, refined(data, finer.shares, finer.values), centre))
     bound = EXACT_MARGIN * norm if data.exact else max(NOISY_MARGIN * norm, HIDDEN * data.variance**0.5)
     width = bound * float(np.median(predictions.sd))
-    return Trial(fit, growth, predictions, bound, width, tuple(_faults(fit, growth, predictions, exact=data.exact)))
+    clear = data.variance <= CLEAR * float(np.var(data.values))
+    return Trial(fit, growth, predictions, bound, width, tuple(_faults(fit, growth, predictions, clear=clear)))
 
 
-def _faults(fit: KernelFit, growth: NormGrowth, predictions: LeaveOneOut, *, exact: bool) -> "list[Fault]":
-    last, last_two = (LAST, LAST_TWO) if exact else (NOISY_LAST, NOISY_LAST_TWO)
+def _faults(fit: KernelFit, growth: NormGrowth, predictions: LeaveOneOut, *, clear: bool) -> list[Fault]:
+    last, last_two = (LAST, LAST_TWO) if clear else (NOISY_LAST, NOISY_LAST_TWO)
     found: list[tuple[bool, Fault]] = [
         (growth.last > last or growth.last_two > last_two, "rises"),
-        (predictions.explained < EXPLAINED if exact else predictions.excess > EXCESS, "unpredicted"),
-        (not exact and predictions.largest > LARGEST, "outlier"),
+        (predictions.explained < EXPLAINED if clear else predictions.excess > EXCESS, "unpredicted"),
+        (not clear and predictions.largest > LARGEST, "outlier"),
         (bool(np.any(fit.lengths < 1.1 * SHORTEST)), "short"),
     ]
     return [fault for holds, fault in found if holds]
