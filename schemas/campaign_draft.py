@@ -14,7 +14,12 @@ from .problems import OBJECTIVES
 
 CLIP = (-1e100, 1e100)
 """Stands in for a clip that the draft leaves open: no value is beyond it."""
-_STAND_INS: Mapping[str, Any] = {"alpha": 1.0, "rkhs_norm": 1.0, "noise_scale": "derived"}
+_STAND_INS: Mapping[str, Any] = {
+    "alpha": 1.0,
+    "rkhs_norm": 1.0,
+    "noise_scale": "derived",
+    "kernel": {"length_scale": 1.0},
+}
 _LINEARISED = {"centre": 0.0, "spread": 1.0}
 DRAFT_METHOD = "rigorous"
 """Of a problem that names none."""

@@ -1,7 +1,7 @@
 """The forecast of a calibrated problem: its own method on the fitted function, until its tolerance."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from .calibration import Constant, Measured
 from .first_size import LEAST_COST, PER_SECOND, WORKERS
 from .forecast import tests_left
 from .methods import kernel_method
+from .pilot import rounded_up
 from .plan import ProblemPlan
 
 MOST_WORK = 60_000
@@ -40,22 +41,44 @@ class Forecast:
     seconds: float
     """Of this budget, with its closing checks, for `workers`."""
     rollouts: int
+    alpha: float
+    """The tolerance: that of the plan, or if it may be raised, one that is within reach."""
     workers: int = WORKERS
 
 
-def forecast(config: CampaignConfig, plan: ProblemPlan, fit: KernelFit, measured: Measured) -> Forecast:
-    """Return the forecast for a plan with all constants; the fitted mean serves as the objective, with its noise."""
+def forecast(
+    config: CampaignConfig, plan: ProblemPlan, fit: KernelFit, measured: Measured, *, may_raise: bool
+) -> Forecast:
+    """Return the forecast for a plan with all constants; the fitted mean serves as the objective, with its noise.
+
+    `may_raise`: no user has chosen alpha, and one that a campaign does not reach is no use.
+    """
     data, box, cost = measured.data, measured.box, measured.cost
     method = kernel_method(plan)
     assert isinstance(method, RigorousMethod), "other methods are not calibrated"
     widths = _widths(method, plan, _fitted(fit, data, (plan.chosen_from.nodes - box.low) / box.widths))
-    tests = _tests(config, plan, widths)
+    tests, alpha = _tests(config, plan, widths), plan.problem.alpha or 0.0
+    if tests is None and may_raise:
+        tests, alpha = len(widths), rounded_up(widths[-1] / NEAR)
     budget = LARGEST_BUDGET if tests is None else min(math.ceil(MARGIN * tests), LARGEST_BUDGET)
     budget = int(float(f"{max(budget, 20):.2g}"))
     closing = (config.spot_check + config.recheck) * len(plan.variants)
     rollouts = budget * len(plan.rollouts) + closing
     rate = min(PER_SECOND, WORKERS / max(cost, LEAST_COST))
-    return Forecast(tests, tuple(widths), budget, rollouts / rate, rollouts)
+    return Forecast(tests, tuple(widths), budget, rollouts / rate, rollouts, alpha)
+
+
+def with_forecast(constants: tuple[Constant, ...], found: Forecast) -> tuple[Constant, ...]:
+    """Return the constants of a problem with the budget, and with the alpha that it reaches."""
+    reason = (
+        f"What {len(found.widths)} tests leave between the bounds, by the forecast; a smaller one takes more than "
+        f"{LARGEST_BUDGET} tests."
+    )
+    raised = (
+        replace(each, value=found.alpha, reason=reason) if each.key == "alpha" and each.value != found.alpha else each
+        for each in constants
+    )
+    return (*raised, budget_constant(found))
 
 
 def budget_constant(found: Forecast) -> Constant:

@@ -41,18 +41,20 @@ def calibration_of(wish: Wish, folder: Path, report: Report) -> Calibration:
     try:
         atomic.write_new({path.absolute(): (data, 0o666) for path, data in files.items()})
     except FileExistsError as error:
-        raise _exists(Path(error.filename2 or wish.out)) from None
+        raise _exists(Path(error.filename2 or wish.out), wish.out) from None
     return found
 
 
 def _check_new(out: Path, folder: Path) -> None:
     for path in (out, folder / NUMBERS):
         if path.exists():
-            raise _exists(path)
+            raise _exists(path, out)
 
 
-def _exists(path: Path) -> PerfboundError:
-    return PerfboundError(f"{path}: exists already and stays as it is; move it away, or choose another --out")
+def _exists(path: Path, out: Path) -> PerfboundError:
+    # The campaign file belongs beside the draft, whatever --out says.
+    remedy = "move or rename it" if path.name == out.name else "choose another --out"
+    return PerfboundError(f"{path}: exists already and stays as it is; {remedy}")
 
 
 def constants_table(found: Calibration, problem: ProblemCalibration) -> Table:

@@ -15,7 +15,7 @@ from ...schemas.system import SystemSpec
 from ..campaign import plan as plans
 from ..campaign.calibrated_file import kernel_file, sample_file, without
 from ..campaign.calibration import Constant, ProblemCalibration
-from ..campaign.calibration_forecast import Forecast, budget_constant, forecast
+from ..campaign.calibration_forecast import Forecast, forecast, with_forecast
 from ..campaign.checks import check, check_new
 from ..campaign.pilot import clip_around
 from ..fleet.child import system_spec
@@ -120,11 +120,14 @@ def with_file(found: Calibration) -> Calibration:
         return replace(found, text=text)
     constants = [each.constants for each in found.problems]
     config = parse_campaign(kernel_file(table, constants, found.clip, "").encode(), source)
-    forecasts = tuple(_forecast(config, found.spec, each) for each in found.problems)
+    forecasts = tuple(
+        _forecast(config, found.spec, each, may_raise="alpha" not in found.draft.given(number))
+        for number, each in enumerate(found.problems)
+    )
     found = replace(
         found,
         problems=tuple(
-            replace(each, constants=(*each.constants, budget_constant(guess)))
+            replace(each, constants=with_forecast(each.constants, guess))
             for each, guess in zip(found.problems, forecasts, strict=True)
         ),
         forecasts=forecasts,
@@ -139,10 +142,11 @@ def with_file(found: Calibration) -> Calibration:
     return replace(found, text=text)
 
 
-def _forecast(config: CampaignConfig, spec: SystemSpec, found: ProblemCalibration) -> Forecast:
+def _forecast(config: CampaignConfig, spec: SystemSpec, found: ProblemCalibration, *, may_raise: bool) -> Forecast:
     problem = next(each for each in config.problems if each.name == found.name)
     assert found.choice.chosen is not None, "the caller has checked it"
-    return forecast(config, plans.plan(config, spec, problem), found.choice.chosen.fit, found.measured)
+    plan = plans.plan(config, spec, problem)
+    return forecast(config, plan, found.choice.chosen.fit, found.measured, may_raise=may_raise)
 
 
 def _sample_text(found: Calibration) -> str | None:
