@@ -9,17 +9,14 @@ from .campaign import CampaignConfig
 from .campaign_defaults import completed, leaves_out_problems
 from .campaign_file import campaign_table, file_and_place, validated
 from .errors import CampaignError
-from .problem_models import RigorousProblem
-from .problems import OBJECTIVES
+from .problems import OBJECTIVES, any_of
 
 CLIP = (-1e100, 1e100)
 """Stands in for a clip that the draft leaves open: no value is beyond it."""
-_STAND_INS: Mapping[str, Any] = {
-    "alpha": 1.0,
-    "rkhs_norm": 1.0,
-    "noise_scale": "derived",
-    "kernel": {"length_scale": 1.0},
+STAND_INS: Mapping[str, Mapping[str, Any]] = {
+    "rigorous": {"alpha": 1.0, "rkhs_norm": 1.0, "noise_scale": "derived", "kernel": {"length_scale": 1.0}},
 }
+"""The constants that a draft may leave open: a row for each method that is calibrated."""
 _LINEARISED = {"centre": 0.0, "spread": 1.0}
 DRAFT_METHOD = "rigorous"
 """Of a problem that names none."""
@@ -68,10 +65,10 @@ def load_draft(path: Path) -> Draft:
         found = table  # at fault, which is reported below
     config = validated(completed({"clip": list(CLIP), **found}, path.stem), table, source)
     for problem in config.problems:
-        if not isinstance(problem, RigorousProblem):
+        if problem.method not in STAND_INS:
             raise CampaignError(
                 f"{source}: problems.{problem.name}.method: {problem.method!r} has no constants that can be "
-                f"calibrated; choose {DRAFT_METHOD!r}, or run the file as it is"
+                f"calibrated; choose {any_of(tuple(STAND_INS))}, or run the file as it is"
             )
     if not isinstance(config.space, dict):
         raise CampaignError(
@@ -83,9 +80,10 @@ def load_draft(path: Path) -> Draft:
 
 def _completed_problem(problem: Any) -> Any:
     """Return the table of a problem with stand-ins for its constants."""
-    if not isinstance(problem, Mapping) or problem.get("method", DRAFT_METHOD) != DRAFT_METHOD:
+    method = problem.get("method", DRAFT_METHOD) if isinstance(problem, Mapping) else None
+    if method not in STAND_INS:
         return problem
-    found = {"method": DRAFT_METHOD, **_STAND_INS, **problem}
+    found = {"method": method, **STAND_INS[method], **problem}
     objective = OBJECTIVES.get(problem.get("name", "robustness"))
     if objective is not None and objective.measured == "column" and "noise_scale" not in problem:
         found["noise_scale"] = 1.0  # no clip bounds the noise of a column

@@ -44,18 +44,18 @@ def _kernel_lines(
     yield from toml_comment(head)
     yield ""
     yield from _keys((key, value) for key, value in draft.items() if key not in TABLES and not _replaced(key, first))
-    yield from _constants(first)
-    yield from _places(draft)
+    yield from _constant_lines(first)
+    yield from _system_and_space(draft)
     if leaves_out_problems(draft):
         return
     for problem, found in zip(draft["problems"], constants, strict=True):
         yield ""
         yield "[[problems]]"
         yield from _keys((key, value) for key, value in problem.items() if not _replaced(key, found))
-        yield from _constants(found)
+        yield from _constant_lines(found)
 
 
-def without(draft: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+def without_keys(draft: Mapping[str, Any], *keys: str) -> dict[str, Any]:
     """Return the table of a draft without some keys, of the campaign and of each problem."""
     found = {key: value for key, value in draft.items() if key not in keys}
     if not leaves_out_problems(draft):
@@ -92,7 +92,7 @@ def _sample_lines(draft: Mapping[str, Any], clip: Sequence[float], cost: float, 
     ):
         yield f"    {toml_value(claim)},"
     yield "]"
-    yield from _places(draft)
+    yield from _system_and_space(draft)
 
 
 def _replaced(key: str, constants: Iterable[Constant]) -> bool:
@@ -103,13 +103,13 @@ def _keys(items: Iterable[tuple[str, Any]]) -> Lines:
     yield from (f"{toml_key(key)} = {toml_value(value)}" for key, value in items)
 
 
-def _constants(constants: Iterable[Constant]) -> Lines:
+def _constant_lines(constants: Iterable[Constant]) -> Lines:
     for each in constants:
         yield from toml_comment(each.why)
         yield f"{each.key} = {toml_value(each.value)}"
 
 
-def _places(draft: Mapping[str, Any]) -> Lines:
+def _system_and_space(draft: Mapping[str, Any]) -> Lines:
     """Yield system and space, a line for each of their keys."""
     for table in ("system", "space"):
         yield ""

@@ -7,18 +7,19 @@
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...schemas.campaign_defaults import derived_lengths
+from ...schemas.problems import MethodName
 from ..mathematics.calibration.kernel_fit import KernelFit
 from ..mathematics.calibration.noise import MARGIN, noise_scale, pooled
-from ..mathematics.calibration.sampled import Sampled
+from ..mathematics.calibration.sampled import SampledValues
 from ..mathematics.calibration.steepness import Descent
-from ..mathematics.calibration.trust import EXACT_MARGIN, NOISY_MARGIN, Choice, Trial, choose_kernel
+from ..mathematics.calibration.trust import EXACT_MARGIN, NOISY_MARGIN, Choice, KernelTrial, choose_kernel
 from ..mathematics.gp.kernels import Floats
 from .calibration_design import Box
 from .pilot import PARTS, rounded, rounded_up
@@ -56,7 +57,7 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class ProblemEvidence:
     """What the rollouts of a calibration show of one problem."""
 
     plan: ProblemPlan
@@ -85,16 +86,16 @@ class Measured:
         return int(self.values.shape[1]) > 1
 
     @property
-    def data(self) -> Sampled:
+    def data(self) -> SampledValues:
         """The means, with the pooled variance of one."""
         variance = pooled(self.values) ** 2 / self.values.shape[1]
         means = self.values.mean(axis=1)
         for start, mean in self.again.items():
             means[start] = mean
-        return Sampled(self.shares, means, variance if self.noisy else 0.0)
+        return SampledValues(self.shares, means, variance if self.noisy else 0.0)
 
     @property
-    def finer(self) -> Sampled | None:
+    def finer(self) -> SampledValues | None:
         """The starts in the middle of the steepest places."""
         # Both ends of the first place are among the starts already.
         ends = {
@@ -104,14 +105,14 @@ class Measured:
             for end in (after.a, after.b)
             if end not in (before.a, before.b)
         }
-        return Sampled(np.array(list(ends)), np.array(list(ends.values())), self.data.variance) if ends else None
+        return SampledValues(np.array(list(ends)), np.array(list(ends.values())), self.data.variance) if ends else None
 
 
 @dataclass(frozen=True, slots=True)
 class ProblemCalibration:
     """The proposal for one problem, and its evidence."""
 
-    measured: Measured
+    measured: ProblemEvidence
     choice: Choice
     constants: tuple[Constant, ...]
     """Without the budget; empty where no kernel is trustworthy."""
@@ -129,16 +130,27 @@ class ProblemCalibration:
         return {each.key: each.value for each in self.constants}
 
 
-def calibrated(measured: Measured, given: Mapping[str, Any], chosen: tuple[Constant, ...]) -> ProblemCalibration:
+def calibrated(measured: ProblemEvidence, given: Mapping[str, Any], chosen: tuple[Constant, ...]) -> ProblemCalibration:
     """Return the proposal for a problem; `given` are its keys in the draft, `chosen` the constants that J has."""
     data = measured.data
-    choice = choose_kernel(data, measured.finer, measured.descents, _plain(measured))
+    choice = choose_kernel(data, measured.finer, measured.descents, _plain_fit(measured))
     trial = choice.chosen
     if trial is None:
         return ProblemCalibration(measured, choice, (), tuple(_doubts(measured, choice)))
-    found = [*_kernel_constants(measured, choice, trial), _noise(measured)]
-    constants = (*found, *chosen, *_effort(measured, given, found))
-    return ProblemCalibration(measured, choice, constants, ())
+    constants = CONSTANTS[measured.plan.problem.method](measured, choice, trial, given)
+    return ProblemCalibration(measured, choice, (*chosen, *constants), ())
+
+
+def _rigorous(
+    measured: ProblemEvidence, choice: Choice, trial: KernelTrial, given: Mapping[str, Any]
+) -> tuple[Constant, ...]:
+    """Return the constants of a problem by method `rigorous`, without its budget."""
+    found = [*_kernel_constants(measured, choice, trial), _noise_constant(measured)]
+    return (*found, *_effort(measured, given, found))
+
+
+CONSTANTS: Mapping[MethodName, Callable[..., tuple[Constant, ...]]] = {"rigorous": _rigorous}
+"""What a method needs beside clip, linearised risk and budget: a row for each that is calibrated."""
 
 
 def linearised_constants(robustness: Floats) -> Constant:
@@ -154,7 +166,7 @@ def linearised_constants(robustness: Floats) -> Constant:
     return Constant("linearised", value, reason, f"spread times {SPREAD_MARGIN:g}")
 
 
-def _plain(measured: Measured) -> KernelFit:
+def _plain_fit(measured: ProblemEvidence) -> KernelFit:
     """Return the kernel of a file without one, for values that show no structure."""
     box, data = measured.box, measured.data
     lengths = derived_lengths(dict.fromkeys(box.names, (0.0, 1.0)))
@@ -162,7 +174,7 @@ def _plain(measured: Measured) -> KernelFit:
     return KernelFit(PLAIN_NU, np.array([lengths[name] for name in box.names]), 1.0, amplitude, 0.0)
 
 
-def _kernel_constants(measured: Measured, choice: Choice, trial: Trial) -> Iterator[Constant]:
+def _kernel_constants(measured: ProblemEvidence, choice: Choice, trial: KernelTrial) -> Iterator[Constant]:
     data, box, growth = measured.data, measured.box, trial.growth
     n, spread = len(data.values), float(np.ptp(data.values)) or 1.0
     yield Constant("prior_mean", rounded(float(data.values.mean()), spread), f"Mean of J over {n} starts.")
@@ -190,14 +202,14 @@ def _kernel_constants(measured: Measured, choice: Choice, trial: Trial) -> Itera
     )
 
 
-def _prediction(measured: Measured, trial: Trial) -> str:
+def _prediction(measured: ProblemEvidence, trial: KernelTrial) -> str:
     found = trial.predictions
     if measured.data.exact:
         return f"The other values explain {100 * found.explained:.4g} % of the variance of each."
     return f"Predictions of each value from the others miss by {math.sqrt(found.excess):.2f} times its own noise."
 
 
-def _noise(measured: Measured) -> Constant:
+def _noise_constant(measured: ProblemEvidence) -> Constant:
     if not measured.noisy:
         return Constant("noise_scale", 0.0, "The rollouts do not depend on the seed.")
     scale = rounded_up(noise_scale(measured.values, measured.at_noisiest))
@@ -211,7 +223,7 @@ def _noise(measured: Measured) -> Constant:
     return Constant("noise_scale", scale or 1e-9, reason, f"factor {MARGIN:g}")
 
 
-def _effort(measured: Measured, given: Mapping[str, Any], found: list[Constant]) -> Iterator[Constant]:
+def _effort(measured: ProblemEvidence, given: Mapping[str, Any], found: list[Constant]) -> Iterator[Constant]:
     """Yield the tolerance and the rollouts of a test."""
     scale = next(each.value for each in found if each.key == "noise_scale")
     noise = scale if isinstance(scale, float) else measured.plan.hoeffding
@@ -237,12 +249,12 @@ def _reach(scale: float, replicates: float, delta: float) -> float:
     return 2.0 * scale * math.sqrt(2.0 * math.log(1.0 / delta) / (TESTS_AT_ONE_START * replicates))
 
 
-def _doubts(measured: Measured, choice: Choice) -> Iterator[str]:
+def _doubts(measured: ProblemEvidence, choice: Choice) -> Iterator[str]:
     for fault in choice.faults:
         yield _DOUBTS[fault](measured, choice)
 
 
-def _jump(measured: Measured, _: Choice) -> str:
+def _jump(measured: ProblemEvidence, _: Choice) -> str:
     descent = max((each for each in measured.descents if each.is_jump), key=lambda each: each.places[-1].difference)
     first, last = descent.places[0], descent.places[-1]
     a, b = measured.box.starts(np.array([last.a.shares, last.b.shares]))
@@ -254,7 +266,7 @@ def _jump(measured: Measured, _: Choice) -> str:
     )
 
 
-def _rises(_: Measured, choice: Choice) -> str:
+def _rises(_: ProblemEvidence, choice: Choice) -> str:
     best = min(choice.trials, key=lambda each: each.growth.last)
     steps = ", ".join(f"{norm:.3g} at {size}" for size, norm in zip(best.growth.sizes, best.growth.norms, strict=True))
     return (
@@ -263,7 +275,7 @@ def _rises(_: Measured, choice: Choice) -> str:
     )
 
 
-def _unpredicted(measured: Measured, choice: Choice) -> str:
+def _unpredicted(measured: ProblemEvidence, choice: Choice) -> str:
     if measured.data.exact:
         best = max(each.predictions.explained for each in choice.trials)
         return f"The values do not predict one another: of their variance {max(0.0, 100 * best):.0f} % is explained."
@@ -271,7 +283,7 @@ def _unpredicted(measured: Measured, choice: Choice) -> str:
     return f"The values do not predict one another: the error is {math.sqrt(best):.1f} times their own noise."
 
 
-def _outlier(_: Measured, choice: Choice) -> str:
+def _outlier(_: ProblemEvidence, choice: Choice) -> str:
     best = min(each.predictions.largest for each in choice.trials)
     return f"One value is {best:.1f} standard deviations from what the others predict, as in a narrow hole."
 

@@ -30,27 +30,27 @@ NAME = "calibration"
 
 
 @dataclass(frozen=True, slots=True)
-class Budget:
+class RolloutBudget:
     """How many rollouts go where."""
 
     starts: int
     replicates: int
-    """Rollouts at each of them."""
+    """CalibrationRollouts at each of them."""
     halvings: int
     """Of each of the steepest places."""
     at_halves: int
-    """Rollouts in the middle of a place."""
+    """CalibrationRollouts in the middle of a place."""
     at_noisiest: int
     """Further rollouts at each of the noisiest starts."""
     at_doubted: int
     """Further rollouts at each of the starts whose values the others predict least."""
 
     @classmethod
-    def of(cls, rollouts: int, *, noisy: bool) -> "Budget":
+    def of(cls, rollouts: int, *, noisy: bool) -> "RolloutBudget":
         """Divide a number of rollouts.
 
-        >>> Budget.of(400, noisy=False), Budget.of(400, noisy=True).starts
-        (Budget(starts=376, replicates=1, halvings=6, at_halves=1, at_noisiest=0, at_doubted=0), 128)
+        >>> RolloutBudget.of(400, noisy=False), RolloutBudget.of(400, noisy=True).starts
+        (RolloutBudget(starts=376, replicates=1, halvings=6, at_halves=1, at_noisiest=0, at_doubted=0), 128)
         """
         replicates, halvings, at_halves = (2, 4, 4) if noisy else (1, 6, 1)
         at_noisiest, at_doubted = (max(6, rollouts * 3 // 100), max(4, rollouts * 2 // 100)) if noisy else (0, 0)
@@ -109,7 +109,7 @@ class Box:
 
         """
         dimension = len(self.names)
-        shift = np.random.default_rng(_sequence(seed, NAME)).random(dimension)
+        shift = np.random.default_rng(_seed_sequence(seed, NAME)).random(dimension)
         corners = np.array(list(itertools.islice(itertools.product((0.0, 1.0), repeat=dimension), CORNERS)))
         found: dict[Start, None] = {}
         blocks = itertools.islice(sobol_blocks(dimension), 100)
@@ -121,14 +121,14 @@ class Box:
         raise CampaignError("space.where: almost no start of the ranges is in the region; choose narrower ranges")
 
 
-def rollout_seed(digest: str, seed: int, place: tuple[int, int], variant: str, bits: int) -> int:
+def calibration_seed(digest: str, seed: int, place: tuple[int, int], variant: str, bits: int) -> int:
     """Return the seed of a rollout, below 2^bits, from the digest of the draft, `--seed` and its (start, replicate).
 
     Campaigns derive theirs from the names of their problems, of which none is `NAME`.
     """
-    sequence = _sequence(seed, digest, *place, VARIANTS.index(variant))
+    sequence = _seed_sequence(seed, digest, *place, VARIANTS.index(variant))
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(64 - bits))
 
 
-def _sequence(seed: int, text: str, *place: int) -> np.random.SeedSequence:
+def _seed_sequence(seed: int, text: str, *place: int) -> np.random.SeedSequence:
     return np.random.SeedSequence((seed, zlib.crc32(text.encode())), spawn_key=(zlib.crc32(NAME.encode()), *place))

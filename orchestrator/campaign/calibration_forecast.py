@@ -9,9 +9,9 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.rigorous import ExhaustedError, RigorousMethod
 from ..mathematics.calibration.kernel_fit import KernelFit
-from ..mathematics.calibration.sampled import Sampled, kernel_matrix
+from ..mathematics.calibration.sampled import SampledValues, kernel_matrix
 from ..mathematics.gp.kernels import Floats
-from .calibration import Constant, Measured
+from .calibration import Constant, ProblemEvidence
 from .first_size import LEAST_COST, PER_SECOND, WORKERS
 from .forecast import tests_left
 from .methods import kernel_method
@@ -47,7 +47,7 @@ class Forecast:
 
 
 def forecast(
-    config: CampaignConfig, plan: ProblemPlan, fit: KernelFit, measured: Measured, *, may_raise: bool
+    config: CampaignConfig, plan: ProblemPlan, fit: KernelFit, measured: ProblemEvidence, *, may_raise: bool
 ) -> Forecast:
     """Return the forecast for a plan with all constants; the fitted mean serves as the objective, with its noise.
 
@@ -90,7 +90,7 @@ def budget_constant(found: Forecast) -> Constant:
     return Constant("max_tests", found.budget, reason, f"factor {MARGIN:g}")
 
 
-def _fitted(fit: KernelFit, data: Sampled, shares: Floats) -> Floats:
+def _fitted(fit: KernelFit, data: SampledValues, shares: Floats) -> Floats:
     """Return the posterior mean at starts (m, p), in the unit of J."""
     centre = float(data.values.mean())
     return np.asarray(centre + kernel_matrix(fit.nu, fit.lengths, shares, data.shares) @ fit.weights(data, centre))

@@ -16,7 +16,7 @@ from .stderr import STDERR
     type=click.IntRange(150, 100_000),
     default=400,
     show_default=True,
-    help="Rollouts of each problem and variant; none of them enters a certificate.",
+    help="CalibrationRollouts of each problem and variant; none of them enters a certificate.",
 )
 @click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=1, show_default=True, help="Of starts and rollouts.")
 @workers_option(1)
@@ -31,10 +31,10 @@ def calibrate(*, campaign: Path, rollouts: int, seed: int, workers: int, out: Pa
     campaign of method sample. Existing files stay as they are.
     """
     from ..report.calibration import calibration_of, closing_lines, constants_table  # noqa: PLC0415
-    from ..run.calibration import Wish  # noqa: PLC0415
+    from ..run.calibration import CalibrationWish  # noqa: PLC0415
 
     folder = out or campaign.with_name(f"{campaign.stem}-calibration")
-    wish = Wish(campaign, rollouts, seed, workers, campaign.with_name(f"{campaign.stem}-calibrated.toml"))
+    wish = CalibrationWish(campaign, rollouts, seed, workers, campaign.with_name(f"{campaign.stem}-calibrated.toml"))
     with STDERR.console.status("calibrating") as shown:
         found = calibration_of(
             wish, folder, lambda name, done, total: shown.update(f"{name}: {done} of about {total} rollouts")

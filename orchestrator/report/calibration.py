@@ -13,8 +13,8 @@ from ...schemas import atomic
 from ...schemas.errors import PerfboundError
 from ..campaign.calibration import ProblemCalibration
 from ..campaign.calibration_forecast import Forecast
-from ..mathematics.calibration.trust import Trial
-from ..run.calibration import Calibration, Report, Wish, calibrate
+from ..mathematics.calibration.trust import KernelTrial
+from ..run.calibration import Calibration, CalibrationWish, Report, calibrate_draft
 from ..run.format import duration
 from .calibration_figures import calibration_picture
 
@@ -23,16 +23,16 @@ MOST_CLIPPED = 0.05
 """Share of clipped values from which the clip decides the claim."""
 
 
-def calibration_of(wish: Wish, folder: Path, report: Report) -> Calibration:
+def calibration_of(wish: CalibrationWish, folder: Path, report: Report) -> Calibration:
     """Calibrate a draft, and write campaign file, pictures and numbers; all of them or none.
 
     Raises:
-        PerfboundError: as `calibrate`; or one of the files exists, which is found before the first rollout.
+        PerfboundError: as `calibrate_draft`; or one of the files exists, which is found before the first rollout.
 
     """
     _check_new(wish.out, folder)
-    found = calibrate(wish, report)
-    files = {folder / NUMBERS: json.dumps(_numbers(found), indent=1).encode() + b"\n"}
+    found = calibrate_draft(wish, report)
+    files = {folder / NUMBERS: json.dumps(_json_numbers(found), indent=1).encode() + b"\n"}
     for problem in found.problems:
         files[folder / f"calibration-{problem.name}.png"] = calibration_picture(problem)
     if found.text is not None:
@@ -41,17 +41,17 @@ def calibration_of(wish: Wish, folder: Path, report: Report) -> Calibration:
     try:
         atomic.write_new({path.absolute(): (data, 0o666) for path, data in files.items()})
     except FileExistsError as error:
-        raise _exists(Path(error.filename2 or wish.out), wish.out) from None
+        raise _exists_already(Path(error.filename2 or wish.out), wish.out) from None
     return found
 
 
 def _check_new(out: Path, folder: Path) -> None:
     for path in (out, folder / NUMBERS):
         if path.exists():
-            raise _exists(path, out)
+            raise _exists_already(path, out)
 
 
-def _exists(path: Path, out: Path) -> PerfboundError:
+def _exists_already(path: Path, out: Path) -> PerfboundError:
     # The campaign file belongs beside the draft, whatever --out says.
     remedy = "move or rename it" if path.name == out.name else "choose another --out"
     return PerfboundError(f"{path}: exists already and stays as it is; {remedy}")
@@ -62,7 +62,7 @@ def constants_table(found: Calibration, problem: ProblemCalibration) -> Table:
     table = Table("constant", Column("proposal", max_width=26), "reason", box=None, padding=(0, 2, 0, 0))
     clip = [] if found.clip is None else [found.clip]
     for each in (*clip, *problem.constants):
-        table.add_row(each.key, _shown(each.value), each.why)
+        table.add_row(each.key, _value_text(each.value), each.why)
     return table
 
 
@@ -99,15 +99,15 @@ def _forecast_words(problem: ProblemCalibration, guess: Forecast) -> str:
     return f"forecast: alpha = {alpha} after about {guess.tests} tests; {seconds}, closing checks included"
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_shown(each)}" for key, each in value.items())
+        return ", ".join(f"{key} {_value_text(each)}" for key, each in value.items())
     if isinstance(value, list):
-        return f"[{', '.join(map(_shown, value))}]"
+        return f"[{', '.join(map(_value_text, value))}]"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _numbers(found: Calibration) -> dict[str, Any]:
+def _json_numbers(found: Calibration) -> dict[str, Any]:
     """Return everything that the proposal rests on."""
     wish = found.wish
     return {
@@ -117,7 +117,7 @@ def _numbers(found: Calibration) -> dict[str, Any]:
         "seed": wish.seed,
         "trustworthy": found.trusted,
         "clip": None if found.clip is None else found.clip.value,
-        "problems": [_of_problem(each) for each in found.problems],
+        "problems": [_problem_numbers(each) for each in found.problems],
         "forecasts": [
             {"tests": each.tests, "budget": each.budget, "seconds": each.seconds, "rollouts": each.rollouts}
             | {"widths": list(each.widths)}
@@ -126,7 +126,7 @@ def _numbers(found: Calibration) -> dict[str, Any]:
     }
 
 
-def _of_problem(found: ProblemCalibration) -> dict[str, Any]:
+def _problem_numbers(found: ProblemCalibration) -> dict[str, Any]:
     measured = found.measured
     chosen = found.choice.chosen
     return {
@@ -158,7 +158,7 @@ def _of_problem(found: ProblemCalibration) -> dict[str, Any]:
     }
 
 
-def _of_trial(trial: Trial, widths: list[float]) -> dict[str, Any]:
+def _of_trial(trial: KernelTrial, widths: list[float]) -> dict[str, Any]:
     return {
         "nu": trial.fit.nu,
         "length_scale": (trial.fit.lengths * np.array(widths)).tolist(),

@@ -9,7 +9,7 @@ from ..campaign.calibration import ProblemCalibration
 from ..campaign.pilot import rounded_up
 from ..mathematics.calibration.norm_growth import sizes_of
 from ..mathematics.calibration.steepness import quotients
-from ..mathematics.calibration.trust import Trial
+from ..mathematics.calibration.trust import KernelTrial
 from ..mathematics.calibration.variogram import variogram
 from . import style
 from .style import BLUE, GREEN, GREY, RED, THICK, THIN
@@ -35,14 +35,14 @@ def calibration_picture(found: ProblemCalibration) -> bytes:
     return style.png(figure)
 
 
-def _shown(found: ProblemCalibration) -> Trial | None:
+def _drawn_trial(found: ProblemCalibration) -> KernelTrial | None:
     """Return the kernel that is drawn: the chosen one, else the roughest that was tried."""
     return found.choice.chosen or next(reversed(found.choice.trials), None)
 
 
-def _variogram(axes: Axes, found: ProblemCalibration) -> None:
+def _draw_variogram(axes: Axes, found: ProblemCalibration) -> None:
     axes.set(title="variogram", xlabel="distance / length scales", ylabel=r"half squared difference")
-    if (trial := _shown(found)) is None:
+    if (trial := _drawn_trial(found)) is None:
         return
     drawn = variogram(trial.fit, found.measured.data)
     axes.plot(drawn.distances, drawn.halves, "o", color=GREEN, markersize=3)
@@ -51,9 +51,9 @@ def _variogram(axes: Axes, found: ProblemCalibration) -> None:
     axes.legend(loc="best")
 
 
-def _predictions(axes: Axes, found: ProblemCalibration) -> None:
+def _draw_predictions(axes: Axes, found: ProblemCalibration) -> None:
     axes.set(title="each value, from all others", xlabel="predicted", ylabel="observed")
-    if (trial := _shown(found)) is None:
+    if (trial := _drawn_trial(found)) is None:
         return
     drawn = trial.predictions
     axes.plot(drawn.predicted, drawn.observed, "o", color=GREEN, markersize=2, alpha=0.7, markeredgewidth=0)
@@ -61,7 +61,7 @@ def _predictions(axes: Axes, found: ProblemCalibration) -> None:
     axes.plot(ends, ends, color=GREY, linewidth=THIN)
 
 
-def _norms(axes: Axes, found: ProblemCalibration) -> None:
+def _draw_norms(axes: Axes, found: ProblemCalibration) -> None:
     axes.set(title="norm that the values need", xlabel="starts", ylabel="norm", xscale="log", yscale="log")
     for trial, colour in zip(found.choice.trials, COLOURS, strict=False):
         marker = "o-" if not trial.faults else "x:"
@@ -84,7 +84,7 @@ def _norms(axes: Axes, found: ProblemCalibration) -> None:
         axes.legend(loc="best")
 
 
-def _steepness(axes: Axes, found: ProblemCalibration) -> None:
+def _draw_steepness(axes: Axes, found: ProblemCalibration) -> None:
     axes.set(
         title="steepest places", xlabel="distance / range", ylabel="difference quotient", xscale="log", yscale="log"
     )
@@ -106,15 +106,18 @@ def _steepness(axes: Axes, found: ProblemCalibration) -> None:
             label={True: "jump", False: "halved"}[descent.is_jump] if number == 0 else None,
         )
     axes.invert_xaxis()
-    style.plain_numbers(axes.xaxis)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low / 2, high * 2)  # quotients that differ by percents are equal for this question
+    style.plain_numbers(axes.xaxis, (1.0,))
     style.plain_numbers(axes.yaxis)
     axes.legend(loc="best")
 
 
-def _noise(axes: Axes, found: ProblemCalibration) -> None:
+def _draw_noise(axes: Axes, found: ProblemCalibration) -> None:
     axes.set(title="noise", xlabel="mean of J at a start", ylabel="standard deviation")
     measured = found.measured
     if not measured.noisy:
+        axes.set_axis_off()
         axes.text(0.5, 0.5, "rollouts do not depend\non the seed", ha="center", transform=axes.transAxes)
         return
     means, spreads = measured.values.mean(axis=1), measured.values.std(axis=1, ddof=1)
@@ -129,7 +132,7 @@ def _noise(axes: Axes, found: ProblemCalibration) -> None:
     axes.legend(loc="best")
 
 
-def _histogram(axes: Axes, found: ProblemCalibration) -> None:
+def _draw_histogram(axes: Axes, found: ProblemCalibration) -> None:
     measured = found.measured
     share = "" if measured.clipped is None else f", {100 * measured.clipped:.2g} % at an end of the clip"
     axes.set(title=f"values{share}", xlabel="J", ylabel="rollouts")
@@ -140,10 +143,10 @@ def _histogram(axes: Axes, found: ProblemCalibration) -> None:
 
 
 _PANELS: tuple[Callable[[Axes, ProblemCalibration], None], ...] = (
-    _variogram,
-    _predictions,
-    _norms,
-    _steepness,
-    _noise,
-    _histogram,
+    _draw_variogram,
+    _draw_predictions,
+    _draw_norms,
+    _draw_steepness,
+    _draw_noise,
+    _draw_histogram,
 )

@@ -103,9 +103,9 @@ def plain_ticks(axis: Axis, at: Sequence[float]) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def plain_numbers(axis: Axis) -> None:
-    """Give a logarithmic axis the ticks 1, 2 and 5 of each decade, as plain numbers."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+def plain_numbers(axis: Axis, of_decade: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Give a logarithmic axis these ticks of each decade, as plain numbers."""
+    axis.set_major_locator(LogLocator(subs=of_decade))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_locator(NullLocator())
 

@@ -13,7 +13,7 @@ from ...schemas.parameters import signal_shapes
 from ...schemas.problems import OBJECTIVES, rolled_out
 from ...schemas.system import SystemSpec
 from ..campaign import plan as plans
-from ..campaign.calibrated_file import kernel_file, sample_file, without
+from ..campaign.calibrated_file import kernel_file, sample_file, without_keys
 from ..campaign.calibration import Constant, ProblemCalibration
 from ..campaign.calibration_forecast import Forecast, forecast, with_forecast
 from ..campaign.checks import check, check_new
@@ -30,7 +30,7 @@ Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class CalibrationWish:
     """What is calibrated, as the command line names it."""
 
     campaign: Path
@@ -46,7 +46,7 @@ class Wish:
 class Calibration:
     """The result for one draft."""
 
-    wish: Wish
+    wish: CalibrationWish
     draft: Draft
     spec: SystemSpec
     clip: Constant | None
@@ -63,7 +63,7 @@ class Calibration:
         return bool(self.forecasts)
 
 
-def calibrate(wish: Wish, report: Report) -> Calibration:
+def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
     """Return the calibration of a draft; nothing is written.
 
     Raises:
@@ -112,7 +112,7 @@ def with_file(found: Calibration) -> Calibration:
         CampaignError: the draft has a key that does not go with the constants, or with method `sample`.
 
     """
-    source, table = str(found.wish.out), without(found.draft.table, "max_tests", "replicates")
+    source, table = str(found.wish.out), without_keys(found.draft.table, "max_tests", "replicates")
     if any(each.choice.chosen is None for each in found.problems):
         text = _sample_text(found)
         if text is not None:

@@ -11,16 +11,16 @@ from ...schemas.problem_models import Linearised, RigorousProblem
 from ...schemas.problems import OBJECTIVES, rolled_out
 from ...schemas.system import SystemSpec
 from ..campaign import plan as plans
-from ..campaign.calibration import Constant, Measured, ProblemCalibration, calibrated, linearised_constants
-from ..campaign.calibration_design import ROLLOUTS, Box, Budget
+from ..campaign.calibration import Constant, ProblemCalibration, ProblemEvidence, calibrated, linearised_constants
+from ..campaign.calibration_design import ROLLOUTS, Box, RolloutBudget
 from ..campaign.pilot import clip_around
 from ..campaign.region import Start
 from ..mathematics.calibration.noise import noisiest, pooled
-from ..mathematics.calibration.sampled import Sampled
-from ..mathematics.calibration.steepness import Descent, End, Place, steepest
+from ..mathematics.calibration.sampled import SampledValues
+from ..mathematics.calibration.steepness import Descent, End, SteepPlace, steepest
 from ..mathematics.calibration.trust import least_predicted
 from ..mathematics.gp.kernels import Floats
-from .calibration_rollouts import Batch, Wanted
+from .calibration_rollouts import RolloutBatch, StartRollout
 
 Values = Mapping[tuple[int, int], float]
 """By (test, replicate)."""
@@ -31,7 +31,7 @@ class Simulated(Protocol):
 
     @property
     def count(self) -> int:
-        """Rollouts so far."""
+        """CalibrationRollouts so far."""
         ...
 
     @property
@@ -39,15 +39,15 @@ class Simulated(Protocol):
         """Seconds of a rollout."""
         ...
 
-    def simulate(self, wanted: Sequence[Wanted]) -> Batch:
+    def simulate(self, wanted: Sequence[StartRollout]) -> RolloutBatch:
         """Simulate rollouts."""
         ...
 
-    def values(self, batch: Batch, config: CampaignConfig) -> Values:
+    def values(self, batch: RolloutBatch, config: CampaignConfig) -> Values:
         """Return J of each, with the clip and the constants of `config`."""
         ...
 
-    def robustness(self, batch: Batch, config: CampaignConfig) -> Values:
+    def robustness(self, batch: RolloutBatch, config: CampaignConfig) -> Values:
         """Return the robustness of each, not clipped."""
         ...
 
@@ -67,7 +67,7 @@ class CalibrationPilot:
         self._draft, self._number, self._spec, self._simulated = draft, number, spec, simulated
         self._config, self._box = draft.config, Box.of(draft.config, spec)
         self._noisy = bool(set(rolled_out(self._problem.name, spec)) & set(spec.noisy))
-        self._propose_clip, self._budget = propose_clip, Budget.of(ROLLOUTS, noisy=self._noisy)
+        self._propose_clip, self._budget = propose_clip, RolloutBudget.of(ROLLOUTS, noisy=self._noisy)
         self._chosen: tuple[Constant, ...] = ()
         self.clip: Constant | None = None
         """The clip that is proposed, if the draft needs one."""
@@ -86,9 +86,9 @@ class CalibrationPilot:
             PerfboundError: as `Simulated`.
 
         """
-        self._budget = Budget.of(rollouts, noisy=self._noisy)
+        self._budget = RolloutBudget.of(rollouts, noisy=self._noisy)
         starts = self._box.space_filling(self._budget.starts, seed)
-        wanted = [Wanted(k, start, r) for k, start in enumerate(starts) for r in range(self._budget.replicates)]
+        wanted = [StartRollout(k, start, r) for k, start in enumerate(starts) for r in range(self._budget.replicates)]
         batch = self._simulated.simulate(wanted)
         clipped = self._settle(batch)
         values = self._matrix(self._simulated.values(batch, self._config))
@@ -96,12 +96,12 @@ class CalibrationPilot:
         chosen = noisiest(shares, values) if self._noisy else []
         at_noisiest = self._repeated(starts, chosen, self._budget.at_noisiest, self._budget.replicates)
         variance = pooled(values) ** 2 / values.shape[1] if self._noisy else 0.0
-        data = Sampled(shares, values.mean(axis=1), variance)
+        data = SampledValues(shares, values.mean(axis=1), variance)
         doubted = least_predicted(data) if self._noisy and np.ptp(data.values) > 0 else []
         later = self._budget.replicates + self._budget.at_noisiest
         again = self._repeated(starts, doubted, self._budget.at_doubted, later).mean(axis=1) if doubted else []
         descents = self._descents(data, pooled(values), len(starts))
-        measured = Measured(
+        measured = ProblemEvidence(
             plan=plans.plan(self._config, self._spec, self._problem),
             box=self._box,
             shares=shares,
@@ -116,7 +116,7 @@ class CalibrationPilot:
         )
         return calibrated(measured, self._draft.given(self._number), self._chosen)
 
-    def _settle(self, batch: Batch) -> float | None:
+    def _settle(self, batch: RolloutBatch) -> float | None:
         """Choose the clip and the constants of a risk that the draft leaves open; return the share that is clipped."""
         if OBJECTIVES[self._problem.name].measured == "column":
             return None
@@ -143,13 +143,13 @@ class CalibrationPilot:
         if not tests:
             return np.empty((0, 0))
         numbers = range(first, first + count)
-        batch = self._simulated.simulate([Wanted(test, starts[test], r) for test in tests for r in numbers])
+        batch = self._simulated.simulate([StartRollout(test, starts[test], r) for test in tests for r in numbers])
         found = self._simulated.values(batch, self._config)
         return np.array([[found[test, r] for r in numbers] for test in tests])
 
-    def _descents(self, data: Sampled, sd: float, test: int) -> tuple[Descent, ...]:
+    def _descents(self, data: SampledValues, sd: float, test: int) -> tuple[Descent, ...]:
         """Halve the steepest places as often as the budget allows; a place ends where its middle is no start."""
-        paths: list[list[Place]] = [[place] for place in steepest(data)]
+        paths: list[list[SteepPlace]] = [[place] for place in steepest(data)]
         count = self._budget.at_halves
         for halving in range(self._budget.halvings):
             middles = [self._box.starts(np.array([path[-1].middle]))[0] for path in paths]
@@ -157,7 +157,7 @@ class CalibrationPilot:
             going = [k for k, kept in enumerate(inside) if kept and len(paths[k]) == halving + 1]
             if not going:
                 break
-            wanted = [Wanted(test + k, middles[k], r) for k in going for r in range(count)]
+            wanted = [StartRollout(test + k, middles[k], r) for k in going for r in range(count)]
             found = self._simulated.values(self._simulated.simulate(wanted), self._config)
             for k in going:
                 mean = float(np.mean([found[test + k, r] for r in range(count)]))

@@ -19,7 +19,7 @@ from ...schemas.system import Variant
 from ...schemas.trajectory import Trajectory
 from ..campaign import plan as plans
 from ..campaign.admission import check_whole
-from ..campaign.calibration_design import NAME, rollout_seed
+from ..campaign.calibration_design import NAME, calibration_seed
 from ..campaign.objectives import measured
 from ..campaign.observation import Observer
 from ..campaign.region import Start
@@ -28,11 +28,11 @@ from .child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_i
 Report = Callable[[int], None]
 """Progress callback: rollouts so far."""
 FEWEST_OF_A_CHILD = 8
-"""Rollouts for which another process is worth its start."""
+"""CalibrationRollouts for which another process is worth its start."""
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class StartRollout:
     """One rollout of each variant, at a start."""
 
     test: int
@@ -41,15 +41,15 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
-    """Rollouts that were simulated together, and the folders of their files."""
+class RolloutBatch:
+    """CalibrationRollouts that were simulated together, and the folders of their files."""
 
     number: int
     """From 1."""
     parts: tuple[tuple[Path, tuple[RolloutRequest, ...]], ...] = ()
 
 
-class Rollouts:
+class CalibrationRollouts:
     """The rollouts of one problem, in a folder that is there while the calibration runs. Not thread-safe."""
 
     def __init__(
@@ -63,11 +63,11 @@ class Rollouts:
         self._batches = 0
         self.report: Report = lambda _: None
         self.count = 0
-        """Rollouts so far."""
+        """CalibrationRollouts so far."""
         self.cost = 0.0
         """Seconds of a rollout in one process, as the first batch took."""
 
-    def simulate(self, wanted: Sequence[Wanted]) -> Batch:
+    def simulate(self, wanted: Sequence[StartRollout]) -> RolloutBatch:
         """Simulate rollouts side by side, those of one start in one process.
 
         Raises:
@@ -84,7 +84,7 @@ class Rollouts:
                 self._request(each, variant) for each in wanted[process::processes] for variant in self._variants
             ]
             parts.append((folder, tuple(requests)))
-        batch = Batch(self._batches, tuple(parts))
+        batch = RolloutBatch(self._batches, tuple(parts))
         self._run(batch)
         self.count += len(wanted) * len(self._variants)
         self.report(self.count)
@@ -94,12 +94,12 @@ class Rollouts:
     def _variants(self) -> tuple[Variant, ...]:
         return self._plan.variants
 
-    def _request(self, wanted: Wanted, variant: Variant) -> RolloutRequest:
+    def _request(self, wanted: StartRollout, variant: Variant) -> RolloutRequest:
         place, bits = (wanted.test, wanted.replicate), self._system.spec.seed_bits
-        seed = rollout_seed(f"{self._digest} {self._plan.name}", self._seed, place, variant, bits)
+        seed = calibration_seed(f"{self._digest} {self._plan.name}", self._seed, place, variant, bits)
         return self._template.request(RolloutId(NAME, wanted.test, variant, wanted.replicate), wanted.start, seed)
 
-    def _run(self, batch: Batch) -> None:
+    def _run(self, batch: RolloutBatch) -> None:
         ended, done = threading.Event(), [0] * len(batch.parts)
 
         def step(process: int, files: int) -> None:
@@ -123,7 +123,7 @@ class Rollouts:
                 ended.set()
                 raise
 
-    def values(self, batch: Batch, config: CampaignConfig) -> dict[tuple[int, int], float]:
+    def values(self, batch: RolloutBatch, config: CampaignConfig) -> dict[tuple[int, int], float]:
         """Return J of each (test, replicate) of a batch, with the clip and the constants of `config`.
 
         Raises:
@@ -138,7 +138,7 @@ class Rollouts:
 
         return dict(self._each(batch, value))
 
-    def robustness(self, batch: Batch, config: CampaignConfig) -> dict[tuple[int, int], float]:
+    def robustness(self, batch: RolloutBatch, config: CampaignConfig) -> dict[tuple[int, int], float]:
         """Return the least robustness of the variants of each (test, replicate), not clipped; raises as `values`."""
         observer = Observer(config.model_copy(update={"clip": CLIP}), self._system.spec)
 
@@ -148,7 +148,7 @@ class Rollouts:
         return dict(self._each(batch, value))
 
     def _each(
-        self, batch: Batch, value: Callable[[Mapping[str, Trajectory]], float]
+        self, batch: RolloutBatch, value: Callable[[Mapping[str, Trajectory]], float]
     ) -> Iterator[tuple[tuple[int, int], float]]:
         columns = tuple(column.name for column in self._system.spec.columns)
         for folder, requests in batch.parts:
@@ -184,7 +184,9 @@ def _no_timeout() -> Iterator[None]:
 
 
 @contextmanager
-def rollouts(system: ChildSystem, config: CampaignConfig, number: int, seed: int, workers: int) -> Iterator[Rollouts]:
+def rollouts(
+    system: ChildSystem, config: CampaignConfig, number: int, seed: int, workers: int
+) -> Iterator[CalibrationRollouts]:
     """Yield the rollouts of one problem; their files are gone afterwards."""
     with tempfile.TemporaryDirectory(prefix="perfbound-calibrate-") as folder:
-        yield Rollouts(system, config, number, Path(folder), seed=seed, workers=workers)
+        yield CalibrationRollouts(system, config, number, Path(folder), seed=seed, workers=workers)

@@ -25,10 +25,10 @@ from perfbound.orchestrator.campaign.calibration import ProblemCalibration  # no
 from perfbound.orchestrator.campaign.methods import kernel_method  # noqa: E402
 from perfbound.orchestrator.mathematics.bounds.rigorous import ExhaustedError, RigorousMethod  # noqa: E402
 from perfbound.orchestrator.mathematics.calibration.norm_growth import needed_norm  # noqa: E402
-from perfbound.orchestrator.mathematics.calibration.sampled import Sampled  # noqa: E402
-from perfbound.orchestrator.run.calibration import Calibration, Wish, with_file  # noqa: E402
+from perfbound.orchestrator.mathematics.calibration.sampled import SampledValues  # noqa: E402
+from perfbound.orchestrator.run.calibration import Calibration, CalibrationWish, with_file  # noqa: E402
 from perfbound.orchestrator.run.calibration_pilot import CalibrationPilot  # noqa: E402
-from perfbound.orchestrator.run.calibration_rollouts import Batch, Wanted  # noqa: E402
+from perfbound.orchestrator.run.calibration_rollouts import RolloutBatch, StartRollout  # noqa: E402
 from perfbound.schemas.campaign import CampaignConfig  # noqa: E402
 from perfbound.schemas.campaign_draft import Draft, load_draft  # noqa: E402
 from perfbound.schemas.campaign_file import parse_campaign  # noqa: E402
@@ -72,14 +72,14 @@ def draft(folder: Path, *, noisy: bool) -> Draft:
 
 
 class FunctionRollouts:
-    """Rollouts of one function in this process; their noise follows from a generator."""
+    """CalibrationRollouts of one function in this process; their noise follows from a generator."""
 
     def __init__(self, rng: np.random.Generator, function: Function, observed: Observed) -> None:
         self._rng, self._function, self._observed = rng, function, observed
         self._batches: list[dict[tuple[int, int], float]] = []
         self.count, self.cost = 0, 0.001
 
-    def simulate(self, wanted: Sequence[Wanted]) -> Batch:
+    def simulate(self, wanted: Sequence[StartRollout]) -> RolloutBatch:
         """Draw the robustness of every rollout."""
         values = self._function(np.array([each.start for each in wanted]))
         if self._observed.noisy:
@@ -87,14 +87,14 @@ class FunctionRollouts:
         numbers = [(each.test, each.replicate) for each in wanted]
         self._batches.append(dict(zip(numbers, values.tolist(), strict=True)))
         self.count += len(wanted)
-        return Batch(len(self._batches))
+        return RolloutBatch(len(self._batches))
 
-    def values(self, batch: Batch, config: CampaignConfig) -> dict[tuple[int, int], float]:
+    def values(self, batch: RolloutBatch, config: CampaignConfig) -> dict[tuple[int, int], float]:
         """Return minus the clipped robustness."""
         low, high = config.clip or plans.UNBOUNDED
         return {key: -min(max(each, low), high) for key, each in self._batches[batch.number - 1].items()}
 
-    def robustness(self, batch: Batch, config: CampaignConfig) -> dict[tuple[int, int], float]:
+    def robustness(self, batch: RolloutBatch, config: CampaignConfig) -> dict[tuple[int, int], float]:
         """Return the robustness."""
         return self._batches[batch.number - 1]
 
@@ -139,7 +139,7 @@ def outcome(number: int, observed: Observed, folder: Path, *, seed: int = SEED) 
     proposal = CalibrationPilot(found, 0, system, simulated, propose_clip=False).calibrated(ROLLOUTS, number)
     if proposal.choice.chosen is None:
         return Outcome(family, proposal.choice.faults)
-    wish = Wish(folder / "any-function.toml", ROLLOUTS, number, 1, folder / "any-function-calibrated.toml")
+    wish = CalibrationWish(folder / "any-function.toml", ROLLOUTS, number, 1, folder / "any-function-calibrated.toml")
     text = with_file(Calibration(wish, found, system, None, (proposal,), (), None)).text
     assert text is not None
     config = parse_campaign(text.encode(), "any-function-calibrated.toml")
@@ -153,7 +153,7 @@ def _ratio(proposal: ProblemCalibration, config: CampaignConfig, function: Funct
     assert chosen is not None
     values = -observed.expectation(function(points))
     exact = replace(chosen.fit, ratio=1e-8)
-    norm = needed_norm(exact, Sampled(points / SIDE, values, 0.0), problem.prior_mean)
+    norm = needed_norm(exact, SampledValues(points / SIDE, values, 0.0), problem.prior_mean)
     return problem.rkhs_norm / max(norm, 1e-9)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from ..gp.kernels import Floats
-from .sampled import Sampled, kernel_matrix, unit_kernel
+from .sampled import SampledValues, kernel_matrix, unit_kernel
 
 MOST = 160
 """Values that a fit uses; its time grows with the cube, and length scales need no more."""
@@ -39,18 +39,18 @@ class KernelFit:
     amplitude: float
     gain: float
 
-    def factor(self, data: Sampled) -> Floats:
+    def factor(self, data: SampledValues) -> Floats:
         """Return the lower factor of K + lambda I at the starts of `data`, (n, n)."""
         gram = kernel_matrix(self.nu, self.lengths, data.shares, data.shares)
         gram[np.diag_indices(len(gram))] += self.ratio
         return np.asarray(cholesky(gram, lower=True, check_finite=False))
 
-    def weights(self, data: Sampled, centre: float) -> Floats:
+    def weights(self, data: SampledValues, centre: float) -> Floats:
         """Return w of the posterior mean m0 + sum_i w_i k(., u_i), shape (n,)."""
         return np.asarray(cho_solve((self.factor(data), True), data.values - centre, check_finite=False))
 
 
-def fit_kernel(nu: float, data: Sampled) -> KernelFit:
+def fit_kernel(nu: float, data: SampledValues) -> KernelFit:
     """Return the kernel of smoothness `nu` with the largest likelihood, A profiled out; unit of A that of the values.
 
     Formula: maximise -n/2 ln(y'(K + lambda I)^-1 y/n) - 1/2 ln det(K + lambda I) over ln l and, with noise, ln lambda.

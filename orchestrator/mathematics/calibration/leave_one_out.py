@@ -17,7 +17,7 @@ from scipy.linalg import cho_solve
 
 from ..gp.kernels import Floats
 from .kernel_fit import KernelFit
-from .sampled import Sampled
+from .sampled import SampledValues
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class LeaveOneOut:
     largest: float
 
 
-def leave_one_out(fit: KernelFit, data: Sampled) -> LeaveOneOut:
+def leave_one_out(fit: KernelFit, data: SampledValues) -> LeaveOneOut:
     """Return the prediction of every value from the others, in the unit of the values.
 
     Formula: with M = (K + lambda I)^-1 and y centred by its mean, y_i - p_i = (M y)_i / M_ii and s_i = M_ii^(-1/2).

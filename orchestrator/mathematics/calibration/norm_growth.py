@@ -17,7 +17,7 @@ import numpy as np
 
 from ..gp.kernels import Floats
 from .kernel_fit import KernelFit
-from .sampled import Sampled, kernel_matrix
+from .sampled import SampledValues, kernel_matrix
 
 DOUBLINGS = 3
 LEAST_RATIO, LARGEST_RATIO = 0.25, 0.8
@@ -52,7 +52,7 @@ def sizes_of(count: int) -> tuple[int, ...]:
     return tuple(count // 2**k for k in range(DOUBLINGS, -1, -1))
 
 
-def needed_norm(fit: KernelFit, data: Sampled, centre: float) -> float:
+def needed_norm(fit: KernelFit, data: SampledValues, centre: float) -> float:
     """Return the norm that values need, in their unit: a lower bound without noise, else that of the posterior mean.
 
     Formula: sqrt(y'(K + lambda I)^-1 y), or with w = (K + lambda I)^-1 y, sqrt(w'K w); y = values - centre.
@@ -65,7 +65,7 @@ def needed_norm(fit: KernelFit, data: Sampled, centre: float) -> float:
     return math.sqrt(max(square, 0.0))
 
 
-def norm_growth(fit: KernelFit, data: Sampled, centre: float) -> NormGrowth:
+def norm_growth(fit: KernelFit, data: SampledValues, centre: float) -> NormGrowth:
     """Return the norm at every resolution, and its limit, in the unit of the values.
 
     Formula: increments of the squared norm that fall by a factor q with every doubling sum up to b_k^2 + D q/(1 - q),
@@ -79,6 +79,6 @@ def norm_growth(fit: KernelFit, data: Sampled, centre: float) -> NormGrowth:
     return NormGrowth(sizes, norms, math.sqrt(float(squares[-1]) + last * ratio / (1.0 - ratio)))
 
 
-def refined(data: Sampled, shares: Floats, values: Floats) -> Sampled:
+def refined(data: SampledValues, shares: Floats, values: Floats) -> SampledValues:
     """Return the starts together with others at a finer resolution (m, p), whose values (m,) are as exact."""
-    return Sampled(np.vstack([data.shares, shares]), np.concatenate([data.values, values]), data.variance)
+    return SampledValues(np.vstack([data.shares, shares]), np.concatenate([data.values, values]), data.variance)

@@ -17,7 +17,7 @@ from ..gp.radial import Radial
 
 
 @dataclass(frozen=True, slots=True)
-class Sampled:
+class SampledValues:
     """Values of the objective at space-filling starts; any first part of them fills the space as well."""
 
     shares: Floats
@@ -29,9 +29,9 @@ class Sampled:
         """Whether the values are those of the objective, without noise."""
         return self.variance == 0
 
-    def first(self, count: int) -> "Sampled":
+    def first(self, count: int) -> "SampledValues":
         """Return the first `count` starts: the same design at a lower resolution."""
-        return Sampled(self.shares[:count], self.values[:count], self.variance)
+        return SampledValues(self.shares[:count], self.values[:count], self.variance)
 
 
 def unit_kernel(nu: float) -> Radial:

@@ -2,7 +2,7 @@
 
 | symbol | name         | meaning                                                           | shape | unit   |
 |--------|--------------|-------------------------------------------------------------------|-------|--------|
-| a, b   | `Place`      | two starts and their values                                       | (p,)  | -      |
+| a, b   | `SteepPlace`      | two starts and their values                                       | (p,)  | -      |
 | D      | `difference` | |y_a - y_b| less what the noise explains, at least 0              | ()    | unit J |
 | h      | `distance`   | distance of the starts, parameters as shares of their ranges      | ()    | -      |
 | D/h    | `quotient`   | it levels off at a slope, and doubles with every halving of a jump | ()   | unit J |
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..gp.kernels import Floats
-from .sampled import Sampled
+from .sampled import SampledValues
 
 PLACES = 4
 """Places that are halved."""
@@ -39,7 +39,7 @@ class End:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SteepPlace:
     """Two starts between which the values change."""
 
     a: End
@@ -66,9 +66,9 @@ class Place:
         """The start in the middle."""
         return tuple((np.add(self.a.shares, self.b.shares) / 2.0).tolist())
 
-    def half(self, middle: End) -> "Place":
+    def half(self, middle: End) -> "SteepPlace":
         """Return the half with the larger difference."""
-        first, second = Place(self.a, middle), Place(middle, self.b)
+        first, second = SteepPlace(self.a, middle), SteepPlace(middle, self.b)
         return max(first, second, key=lambda each: abs(each.a.value - each.b.value))
 
 
@@ -76,7 +76,7 @@ class Place:
 class Descent:
     """One place and the halves of it that followed, each of half the distance."""
 
-    places: tuple[Place, ...]
+    places: tuple[SteepPlace, ...]
 
     @property
     def is_jump(self) -> bool:
@@ -85,12 +85,12 @@ class Descent:
         return len(self.places) > FEWEST_HALVINGS and last > 0 and last >= JUMP * first
 
 
-def steepest(data: Sampled, count: int = PLACES) -> list[Place]:
+def steepest(data: SampledValues, count: int = PLACES) -> list[SteepPlace]:
     """Return the places with the largest quotients among neighbours, no start twice; fewer where no pair differs."""
     pairs = _neighbours(data.shares)
-    places = [_place(data, *pair) for pair in pairs]
+    places = [_pair_place(data, *pair) for pair in pairs]
     order = sorted(range(len(pairs)), key=lambda k: -places[k].quotient)
-    chosen: list[Place] = []
+    chosen: list[SteepPlace] = []
     taken: set[int] = set()
     for k in order:
         if len(chosen) == count or places[k].difference == 0:
@@ -101,18 +101,18 @@ def steepest(data: Sampled, count: int = PLACES) -> list[Place]:
     return chosen
 
 
-def quotients(data: Sampled, sizes: Sequence[int]) -> list[float]:
+def quotients(data: SampledValues, sizes: Sequence[int]) -> list[float]:
     """Return the largest quotient among neighbours of the first `sizes` starts, in the unit of J per range."""
     found = []
     for size in sizes:
         part = data.first(size)
-        found.append(max((_place(part, *pair).quotient for pair in _neighbours(part.shares)), default=0.0))
+        found.append(max((_pair_place(part, *pair).quotient for pair in _neighbours(part.shares)), default=0.0))
     return found
 
 
-def _place(data: Sampled, first: int, second: int) -> Place:
+def _pair_place(data: SampledValues, first: int, second: int) -> SteepPlace:
     a, b = (End(tuple(data.shares[k].tolist()), float(data.values[k]), data.variance) for k in (first, second))
-    return Place(a, b)
+    return SteepPlace(a, b)
 
 
 def _neighbours(shares: Floats) -> list[tuple[int, int]]:

@@ -16,7 +16,7 @@ import numpy as np
 from .kernel_fit import SHORTEST, KernelFit, fit_kernel
 from .leave_one_out import LeaveOneOut, leave_one_out
 from .norm_growth import NormGrowth, needed_norm, norm_growth, refined
-from .sampled import Sampled
+from .sampled import SampledValues
 from .steepness import Descent
 
 Fault = Literal["few", "equal", "jump", "rises", "unpredicted", "outlier", "short"]
@@ -51,7 +51,7 @@ STRUCTURE = 7.0
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class KernelTrial:
     """One kernel, the evidence about it, and B with it."""
 
     fit: KernelFit
@@ -66,8 +66,8 @@ class Trial:
 class Choice:
     """The kernels that were tried, and the one to use."""
 
-    trials: tuple[Trial, ...]
-    chosen: Trial | None
+    trials: tuple[KernelTrial, ...]
+    chosen: KernelTrial | None
     """None where no kernel is trustworthy."""
     faults: tuple[Fault, ...]
     """What speaks against every kernel, or the last of those that were tried."""
@@ -75,7 +75,9 @@ class Choice:
     """Whether the values show nothing but noise, so that no length scale follows from them."""
 
 
-def choose_kernel(data: Sampled, finer: Sampled | None, descents: Sequence[Descent], plain: KernelFit) -> Choice:
+def choose_kernel(
+    data: SampledValues, finer: SampledValues | None, descents: Sequence[Descent], plain: KernelFit
+) -> Choice:
     """Return the kernel with the tightest band among those that nothing speaks against.
 
     `finer` are the starts of the `descents`. `plain` is the kernel for noisy values that show no structure; of its
@@ -99,14 +101,14 @@ def choose_kernel(data: Sampled, finer: Sampled | None, descents: Sequence[Desce
     return Choice(trials, min(trusted, key=lambda each: each.width), ())
 
 
-def least_predicted(data: Sampled, count: int = DOUBTED) -> list[int]:
+def least_predicted(data: SampledValues, count: int = DOUBTED) -> list[int]:
     """Return the starts whose noisy values are farthest from what the others predict, in standard deviations."""
     found = leave_one_out(fit_kernel(SMOOTHNESS[1], data), data)
     deviations = np.abs(found.observed - found.predicted) / found.sd
     return [int(each) for each in np.argsort(-deviations, kind="stable")[:count]]
 
 
-def _trial(fit: KernelFit, data: Sampled, finer: Sampled | None) -> Trial:
+def _trial(fit: KernelFit, data: SampledValues, finer: SampledValues | None) -> KernelTrial:
     centre = float(data.values.mean())
     growth, predictions = norm_growth(fit, data, centre), leave_one_out(fit, data)
     norm = growth.limit
@@ -116,10 +118,12 @@ def _trial(fit: KernelFit, data: Sampled, finer: Sampled | None) -> Trial:
     bound = EXACT_MARGIN * norm if data.exact else max(NOISY_MARGIN * norm, HIDDEN * data.variance**0.5)
     width = bound * float(np.median(predictions.sd))
     clear = data.variance <= CLEAR * float(np.var(data.values))
-    return Trial(fit, growth, predictions, bound, width, tuple(_faults(fit, growth, predictions, clear=clear)))
+    return KernelTrial(
+        fit, growth, predictions, bound, width, tuple(_trial_faults(fit, growth, predictions, clear=clear))
+    )
 
 
-def _faults(fit: KernelFit, growth: NormGrowth, predictions: LeaveOneOut, *, clear: bool) -> list[Fault]:
+def _trial_faults(fit: KernelFit, growth: NormGrowth, predictions: LeaveOneOut, *, clear: bool) -> list[Fault]:
     last, last_two = (LAST, LAST_TWO) if clear else (NOISY_LAST, NOISY_LAST_TWO)
     found: list[tuple[bool, Fault]] = [
         (growth.last > last or growth.last_two > last_two, "rises"),

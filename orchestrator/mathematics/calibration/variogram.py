@@ -13,7 +13,7 @@ import numpy as np
 
 from ..gp.kernels import Floats
 from .kernel_fit import KernelFit
-from .sampled import Sampled, unit_kernel
+from .sampled import SampledValues, unit_kernel
 
 CLASSES = 15
 FARTHEST = 0.75
@@ -29,7 +29,7 @@ class Variogram:
     fitted: Floats
 
 
-def variogram(fit: KernelFit, data: Sampled) -> Variogram:
+def variogram(fit: KernelFit, data: SampledValues) -> Variogram:
     """Return the variogram in classes with equally many pairs, in the squared unit of the values."""
     scaled = data.shares / fit.lengths
     first, second = np.triu_indices(len(scaled), 1)

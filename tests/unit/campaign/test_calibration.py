@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign import plan as plans
-from perfbound.orchestrator.campaign.calibrated_file import kernel_file, sample_file, without
+from perfbound.orchestrator.campaign.calibrated_file import kernel_file, sample_file, without_keys
 from perfbound.orchestrator.campaign.calibration import Constant, linearised_constants
-from perfbound.orchestrator.campaign.calibration_design import Box, Budget, rollout_seed
+from perfbound.orchestrator.campaign.calibration_design import Box, RolloutBudget, calibration_seed
 from perfbound.orchestrator.mathematics.calibration.noise import NOISIEST
 from perfbound.orchestrator.mathematics.calibration.steepness import PLACES
 from perfbound.orchestrator.mathematics.calibration.trust import DOUBTED
-from perfbound.orchestrator.run.calibration import Calibration, Wish, with_file
+from perfbound.orchestrator.run.calibration import Calibration, CalibrationWish, with_file
 from perfbound.orchestrator.run.calibration_pilot import CalibrationPilot
 from perfbound.schemas.campaign_draft import CLIP, Draft, load_draft
 from perfbound.schemas.campaign_file import parse_campaign
@@ -40,12 +40,12 @@ def read(tmp_path: Path, text: str) -> Draft:
     return load_draft(path)
 
 
-# Budget, starts, seeds
+# RolloutBudget, starts, seeds
 
 
 @given(st.integers(150, 5000), st.booleans())
 def test_the_budget_is_spent_and_not_exceeded(rollouts: int, noisy: bool) -> None:
-    found = Budget.of(rollouts, noisy=noisy)
+    found = RolloutBudget.of(rollouts, noisy=noisy)
     spent = found.starts * found.replicates + PLACES * found.halvings * found.at_halves
     spent += NOISIEST * found.at_noisiest + DOUBTED * found.at_doubted
     assert rollouts - found.replicates < spent <= rollouts
@@ -66,7 +66,7 @@ def test_starts_are_distinct_in_the_region_and_nested() -> None:
 
 def test_seeds_differ_and_have_the_bits_of_the_system() -> None:
     seeds = {
-        rollout_seed(digest, seed, (test, replicate), variant, 31)
+        calibration_seed(digest, seed, (test, replicate), variant, 31)
         for digest in ("a", "b")
         for seed in (1, 2)
         for test in range(20)
@@ -123,7 +123,7 @@ def result(tmp_path: Path, text: str, *, noisy: bool, **more: Any) -> Calibratio
     simulated = FunctionRollouts(np.random.default_rng(1), more.get("function", function), observed)
     pilot = CalibrationPilot(draft, 0, system, simulated, propose_clip=noisy and draft.clip is None)
     proposal = pilot.calibrated(more.get("rollouts", 400), 1)
-    wish = Wish(tmp_path / "any-function.toml", 400, 1, 1, tmp_path / "c.toml")
+    wish = CalibrationWish(tmp_path / "any-function.toml", 400, 1, 1, tmp_path / "c.toml")
     return with_file(Calibration(wish, draft, system, pilot.clip, (proposal,), (), None))
 
 
@@ -211,7 +211,7 @@ def test_problems_keep_their_places() -> None:
         "space": {"x": [0, 5]},
         "problems": [{"name": "nominal_robustness", "rkhs_norm": 1.0}, {"name": "sim_gap", "max_tests": 4}],
     }
-    text = kernel_file(without(draft, "max_tests"), [constants("rkhs_norm"), constants("alpha")], None, "Head.")
+    text = kernel_file(without_keys(draft, "max_tests"), [constants("rkhs_norm"), constants("alpha")], None, "Head.")
     assert text == (
         '# Head.\n\nname = "two"\ngap = { kind = "robustness" }\n\nsystem.name = "segway"\n\nspace.x = [0, 5]\n\n'
         '[[problems]]\nname = "nominal_robustness"\n# Reason of rkhs_norm. Margin: factor 2.\nrkhs_norm = 2.0\n\n'

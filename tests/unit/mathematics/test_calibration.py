@@ -12,8 +12,8 @@ from perfbound.orchestrator.mathematics.calibration import noise
 from perfbound.orchestrator.mathematics.calibration.kernel_fit import KernelFit, fit_kernel
 from perfbound.orchestrator.mathematics.calibration.leave_one_out import leave_one_out
 from perfbound.orchestrator.mathematics.calibration.norm_growth import needed_norm, norm_growth, refined
-from perfbound.orchestrator.mathematics.calibration.sampled import Sampled, kernel_matrix
-from perfbound.orchestrator.mathematics.calibration.steepness import Descent, End, Place, quotients, steepest
+from perfbound.orchestrator.mathematics.calibration.sampled import SampledValues, kernel_matrix
+from perfbound.orchestrator.mathematics.calibration.steepness import Descent, End, SteepPlace, quotients, steepest
 from perfbound.orchestrator.mathematics.calibration.trust import EXACT_MARGIN, Choice, choose_kernel, least_predicted
 from perfbound.orchestrator.mathematics.calibration.variogram import variogram
 from perfbound.orchestrator.mathematics.sobol import sobol_blocks
@@ -24,13 +24,13 @@ SHARES = (next(sobol_blocks(2))[:256] + 0.3) % 1.0
 PLAIN = KernelFit(2.5, np.array([0.5, 0.5]), 1.0, 0.1, 0.0)
 
 
-def exact(function: Values, count: int = 256) -> Sampled:
-    return Sampled(SHARES[:count], function(SHARES[:count]), 0.0)
+def exact(function: Values, count: int = 256) -> SampledValues:
+    return SampledValues(SHARES[:count], function(SHARES[:count]), 0.0)
 
 
-def noisy(function: Values, sd: float, seed: int = 0) -> Sampled:
+def noisy(function: Values, sd: float, seed: int = 0) -> SampledValues:
     values = function(SHARES) + sd * np.random.default_rng(seed).standard_normal(len(SHARES))
-    return Sampled(SHARES, values, sd**2)
+    return SampledValues(SHARES, values, sd**2)
 
 
 def smooth(u: Floats) -> Floats:
@@ -45,7 +45,7 @@ def jumping(u: Floats) -> Floats:
     return np.asarray(smooth(u) - 0.5 * (u[:, 0] + u[:, 1] > 1.7))
 
 
-def descents(function: Values, data: Sampled, halvings: int = 6) -> tuple[Descent, ...]:
+def descents(function: Values, data: SampledValues, halvings: int = 6) -> tuple[Descent, ...]:
     paths = [[place] for place in steepest(data)]
     for path in paths:
         for _ in range(halvings):
@@ -54,7 +54,7 @@ def descents(function: Values, data: Sampled, halvings: int = 6) -> tuple[Descen
     return tuple(Descent(tuple(path)) for path in paths)
 
 
-def chosen(function: Values, data: Sampled) -> Choice:
+def chosen(function: Values, data: SampledValues) -> Choice:
     return choose_kernel(data, None, descents(function, data), PLAIN)
 
 
@@ -114,7 +114,7 @@ def test_predictions_are_those_of_a_fit_without_the_value() -> None:
     fit = fit_kernel(1.5, data)
     found, centre = leave_one_out(fit, data), float(data.values.mean())
     for k in (0, 7, 19):
-        others = Sampled(np.delete(data.shares, k, 0), np.delete(data.values, k), data.variance)
+        others = SampledValues(np.delete(data.shares, k, 0), np.delete(data.values, k), data.variance)
         row = kernel_matrix(fit.nu, fit.lengths, data.shares[k : k + 1], others.shares)[0]
         assert found.predicted[k] == pytest.approx(centre + row @ fit.weights(others, centre), rel=1e-6)
         lower = fit.factor(others)
@@ -147,7 +147,7 @@ def test_a_jump_keeps_its_difference_and_a_kink_does_not() -> None:
 
 def test_a_difference_within_the_noise_is_no_jump() -> None:
     a, b = (End((u, 0.0), value, 0.01) for u, value in ((0.0, 0.0), (0.1, 0.5)))
-    assert Place(a, b).difference == 0
+    assert SteepPlace(a, b).difference == 0
     assert steepest(noisy(lambda u: 0 * u[:, 0], 0.1)) == []
 
 
@@ -164,7 +164,7 @@ def test_each_half_of_a_jump_has_the_jump(at: float, base: float, height: float)
     def value(u: float) -> float:
         return base + height * (u > at)
 
-    place = Place(End((0.0,), value(0.0), 0.0), End((1.0,), value(1.0), 0.0))
+    place = SteepPlace(End((0.0,), value(0.0), 0.0), End((1.0,), value(1.0), 0.0))
     for _ in range(8):
         place = place.half(End(place.middle, value(place.middle[0]), 0.0))
         assert place.difference == pytest.approx(height)
@@ -194,7 +194,7 @@ def test_a_continuous_function_has_a_kernel_whose_norm_suffices(function: Values
     assert found.chosen.fit.nu == smoothest
     axis = np.linspace(0, 1, 25)
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    fine = Sampled(points, function(points), 0.0)
+    fine = SampledValues(points, function(points), 0.0)
     fit = KernelFit(found.chosen.fit.nu, found.chosen.fit.lengths, 1e-8, 1.0, 0.0)
     assert needed_norm(fit, fine, float(function(SHARES).mean())) <= found.chosen.bound
     assert found.chosen.bound >= EXACT_MARGIN * found.chosen.growth.norms[-1]
