@@ -80,7 +80,7 @@ def load_draft(path: Path) -> Draft:
 
 def _completed_problem(problem: Any) -> Any:
     """Return the table of a problem with stand-ins for its constants."""
-    method = problem.get("method", DRAFT_METHOD) if isinstance(problem, Mapping) else None
+    method = str(problem.get("method", DRAFT_METHOD)) if isinstance(problem, Mapping) else ""
     if method not in STAND_INS:
         return problem
     found = {"method": method, **STAND_INS[method], **problem}

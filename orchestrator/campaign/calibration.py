@@ -197,7 +197,7 @@ def _kernel_constants(measured: ProblemEvidence, choice: Choice, trial: KernelTr
     yield Constant(
         "rkhs_norm",
         rounded_up(trial.bound),
-        f"The norm that the values need levels off: {steps} starts.",
+        f"The norm that the values need levels off: {steps} starts; the trend leads to {growth.limit:.3g}.",
         f"factor {factor:g}" if data.exact else f"factor {factor:g}, at least 3 standard errors of a mean",
     )
 
