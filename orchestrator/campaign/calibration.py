@@ -16,7 +16,7 @@ import numpy as np
 from ...schemas.campaign_defaults import derived_lengths
 from ...schemas.problems import MethodName
 from ..mathematics.calibration.kernel_fit import KernelFit
-from ..mathematics.calibration.noise import MARGIN, noise_scale, pooled
+from ..mathematics.calibration.noise import MARGIN, nearest_starts, noise_scale, pooled
 from ..mathematics.calibration.sampled import SampledValues
 from ..mathematics.calibration.steepness import Descent
 from ..mathematics.calibration.trust import EXACT_MARGIN, NOISY_MARGIN, Choice, KernelTrial, choose_kernel
@@ -33,7 +33,7 @@ MOST_REPLICATES = 64
 FEWEST_REPLICATES = 2
 """The audit compares R with the spread of replicates."""
 WORST_SHARE = 0.05
-"""Of the starts, those of the least values, around which c and s are taken."""
+"""Of the starts, those where values are least on average, around which c and s are taken."""
 SPREAD_MARGIN = 1.2
 """A larger spread loses less by rare falls."""
 
@@ -153,9 +153,12 @@ CONSTANTS: Mapping[MethodName, Callable[..., tuple[Constant, ...]]] = {"rigorous
 """What a method needs beside clip, linearised risk and budget: a row for each that is calibrated."""
 
 
-def linearised_constants(robustness: Floats) -> Constant:
-    """Return centre and spread of a linearised risk, from clipped robustness (n, k) with k >= 2."""
-    worst = np.argsort(robustness.mean(axis=1), kind="stable")[: max(4, round(WORST_SHARE * len(robustness)))]
+def linearised_constants(shares: Floats, robustness: Floats) -> Constant:
+    """Return centre and spread of a linearised risk, from clipped robustness (n, k), k >= 2, at starts (n, p)."""
+    # One start ranks by chance, and its own values would then be too low: its neighbours are ranked with it.
+    means = robustness.mean(axis=1)[nearest_starts(shares)].mean(axis=1)
+    worst = np.argsort(means, kind="stable")[: max(4, round(WORST_SHARE * len(robustness)))]
+    worst = np.unique(nearest_starts(shares)[worst])
     centre, sd = float(robustness[worst].mean()), pooled(robustness[worst])
     spread = SPREAD_MARGIN * sd or 0.01 * float(np.ptp(robustness)) or 1.0
     value = {"centre": rounded(centre, spread), "spread": rounded_up(spread)}
@@ -194,6 +197,10 @@ def _kernel_constants(measured: ProblemEvidence, choice: Choice, trial: KernelTr
     yield Constant("kernel", {"nu": trial.fit.nu, "length_scale": lengths}, why)
     steps = ", ".join(f"{norm:.3g} at {size}" for size, norm in zip(growth.sizes, growth.norms, strict=True))
     factor = EXACT_MARGIN if data.exact else NOISY_MARGIN
+    if choice.plain:
+        reason = "So much may hide in the noise: the values show nothing else."
+        yield Constant("rkhs_norm", rounded_up(trial.bound), reason, "3 standard errors of a mean, or more")
+        return
     yield Constant(
         "rkhs_norm",
         rounded_up(trial.bound),

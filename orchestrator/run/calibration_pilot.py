@@ -90,9 +90,9 @@ class CalibrationPilot:
         starts = self._box.space_filling(self._budget.starts, seed)
         wanted = [StartRollout(k, start, r) for k, start in enumerate(starts) for r in range(self._budget.replicates)]
         batch = self._simulated.simulate(wanted)
-        clipped = self._settle(batch)
-        values = self._matrix(self._simulated.values(batch, self._config))
         shares = self._box.shares(starts)
+        clipped = self._settle(batch, shares)
+        values = self._matrix(self._simulated.values(batch, self._config))
         chosen = noisiest(shares, values) if self._noisy else []
         at_noisiest = self._repeated(starts, chosen, self._budget.at_noisiest, self._budget.replicates)
         variance = pooled(values) ** 2 / values.shape[1] if self._noisy else 0.0
@@ -116,7 +116,7 @@ class CalibrationPilot:
         )
         return calibrated(measured, self._draft.given(self._number), self._chosen)
 
-    def _settle(self, batch: RolloutBatch) -> float | None:
+    def _settle(self, batch: RolloutBatch, shares: Floats) -> float | None:
         """Choose the clip and the constants of a risk that the draft leaves open; return the share that is clipped."""
         if OBJECTIVES[self._problem.name].measured == "column":
             return None
@@ -129,7 +129,7 @@ class CalibrationPilot:
         low, high = self._config.clip or plans.UNBOUNDED
         robustness = np.clip(robustness, low, high)
         if OBJECTIVES[self._problem.name].risk and "linearised" not in self._draft.given(self._number):
-            constant = linearised_constants(robustness)
+            constant = linearised_constants(shares, robustness)
             self._chosen = (constant,)
             problem = self._problem.model_copy(update={"linearised": Linearised.model_validate(constant.value)})
             problems = list(self._config.problems)

@@ -11,6 +11,7 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..gp.kernels import Floats
 
@@ -31,11 +32,16 @@ def pooled(values: Floats) -> float:
     return math.sqrt(float(values.var(axis=1, ddof=1).mean())) if values.shape[1] > 1 else 0.0
 
 
+def nearest_starts(shares: Floats) -> NDArray[np.intp]:
+    """Return for each start (n, p) the `POOLED` nearest ones, itself among them, (n, POOLED)."""
+    square = np.sum((shares[:, None, :] - shares[None, :, :]) ** 2, axis=2)
+    return np.argsort(square, axis=1, kind="stable")[:, :POOLED]
+
+
 def noisiest(shares: Floats, values: Floats, count: int = NOISIEST) -> list[int]:
     """Return the starts (n, p) where rollouts (n, k) spread most, each ranked together with its nearest ones."""
     variances = values.var(axis=1, ddof=1)
-    square = np.sum((shares[:, None, :] - shares[None, :, :]) ** 2, axis=2)
-    near = np.argsort(square, axis=1, kind="stable")[:, :POOLED]
+    near = nearest_starts(shares)
     ranks = variances[near].mean(axis=1)
     order = np.argsort(-ranks, kind="stable")
     chosen: list[int] = []

@@ -190,7 +190,7 @@ def test_values_that_a_budget_repeats_replace_the_doubted_ones(tmp_path: Path) -
 def test_the_constants_of_a_risk_are_those_of_the_worst_starts() -> None:
     rng = np.random.default_rng(0)
     means = np.linspace(0.2, 1.0, 200)
-    found = linearised_constants(means[:, None] + 0.05 * rng.standard_normal((200, 2)))
+    found = linearised_constants(means[:, None], means[:, None] + 0.05 * rng.standard_normal((200, 2)))
     assert isinstance(found.value, dict)
     assert found.value["centre"] == pytest.approx(0.22, abs=0.03)
     assert 0.03 < found.value["spread"] < 0.12
