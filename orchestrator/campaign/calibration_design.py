@@ -35,11 +35,11 @@ class RolloutBudget:
 
     starts: int
     replicates: int
-    """CalibrationRollouts at each of them."""
+    """Rollouts at each of them."""
     halvings: int
     """Of each of the steepest places."""
     at_halves: int
-    """CalibrationRollouts in the middle of a place."""
+    """Rollouts in the middle of a place."""
     at_noisiest: int
     """Further rollouts at each of the noisiest starts."""
     at_doubted: int

@@ -18,7 +18,7 @@ from .methods import kernel_method
 from .pilot import rounded_up
 from .plan import ProblemPlan
 
-MOST_WORK = 60_000
+MOST_WORK = 300_000
 """Tests times candidates that are tried; from there on the decay is continued."""
 MOST_TESTS = 150
 MARGIN = 1.5
@@ -39,7 +39,7 @@ class Forecast:
     budget: int
     """Tests at most that are proposed."""
     seconds: float
-    """Of this budget, with its closing checks, for `workers`."""
+    """Of the rollouts of this budget, with its closing checks, for `workers`."""
     rollouts: int
     alpha: float
     """The tolerance: that of the plan, or if it may be raised, one that is within reach."""

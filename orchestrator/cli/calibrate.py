@@ -16,7 +16,7 @@ from .stderr import STDERR
     type=click.IntRange(150, 100_000),
     default=400,
     show_default=True,
-    help="CalibrationRollouts of each problem and variant; none of them enters a certificate.",
+    help="Rollouts of each problem and variant; none of them enters a certificate.",
 )
 @click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=1, show_default=True, help="Of starts and rollouts.")
 @workers_option(1)

@@ -31,7 +31,7 @@ class Simulated(Protocol):
 
     @property
     def count(self) -> int:
-        """CalibrationRollouts so far."""
+        """Rollouts so far."""
         ...
 
     @property

@@ -28,7 +28,7 @@ from .child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_i
 Report = Callable[[int], None]
 """Progress callback: rollouts so far."""
 FEWEST_OF_A_CHILD = 8
-"""CalibrationRollouts for which another process is worth its start."""
+"""Rollouts for which another process is worth its start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class StartRollout:
 
 @dataclass(frozen=True, slots=True)
 class RolloutBatch:
-    """CalibrationRollouts that were simulated together, and the folders of their files."""
+    """Rollouts that were simulated together, and the folders of their files."""
 
     number: int
     """From 1."""
@@ -63,7 +63,7 @@ class CalibrationRollouts:
         self._batches = 0
         self.report: Report = lambda _: None
         self.count = 0
-        """CalibrationRollouts so far."""
+        """Rollouts so far."""
         self.cost = 0.0
         """Seconds of a rollout in one process, as the first batch took."""
 

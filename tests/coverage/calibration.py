@@ -72,7 +72,7 @@ def draft(folder: Path, *, noisy: bool) -> Draft:
 
 
 class FunctionRollouts:
-    """CalibrationRollouts of one function in this process; their noise follows from a generator."""
+    """Rollouts of one function in this process; their noise follows from a generator."""
 
     def __init__(self, rng: np.random.Generator, function: Function, observed: Observed) -> None:
         self._rng, self._function, self._observed = rng, function, observed
@@ -164,15 +164,16 @@ def _campaign(
     method = kernel_method(plan)
     assert isinstance(method, RigorousMethod)
     first: int | None = int(rng.integers(method.size))
-    nodes = plan.chosen_from.nodes
-    while method.bound().status == "open" and method.n < min(plan.budget, MOST_TESTS):
+    nodes, tests = plan.chosen_from.nodes, 0
+    while method.bound().status == "open" and tests < min(plan.budget, MOST_TESTS):
         try:
             node, first = method.propose(first).node, None
         except ExhaustedError:
             break
         seen = observed.rollouts(rng, float(function(nodes[node : node + 1])[0]), plan.replicates)
         # To certify a bound takes most of the time, and any subset of the tests may have one.
-        (method.recall if method.n % EVERY else method.bound_after)([an_observation(node, (-seen).tolist())])
+        (method.recall if tests % EVERY else method.bound_after)([an_observation(node, (-seen).tolist())])
+        tests += 1
     bound, truth = method.bound(), function(grid(LINES))
     excess, sd = -observed.expectation(truth) - bound.upper, observed.spread(truth)
     wrong = excess > 1e-9
@@ -182,7 +183,7 @@ def _campaign(
         "",
         (),
         nu=problem.kernel.nu,
-        tests=method.n,
+        tests=tests,
         status=bound.status,
         any_share=float(wrong.mean()),
         share=float((wrong & (excess >= sd)).mean()),

@@ -40,7 +40,7 @@ def read(tmp_path: Path, text: str) -> Draft:
     return load_draft(path)
 
 
-# RolloutBudget, starts, seeds
+# Budget, starts, seeds
 
 
 @given(st.integers(150, 5000), st.booleans())
