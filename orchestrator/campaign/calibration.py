@@ -141,7 +141,7 @@ def calibrated(measured: ProblemEvidence, given: Mapping[str, Any], chosen: tupl
     return ProblemCalibration(measured, choice, (*chosen, *constants), ())
 
 
-def _rigorous(
+def _rigorous_proposal(
     measured: ProblemEvidence, choice: Choice, trial: KernelTrial, given: Mapping[str, Any]
 ) -> tuple[Constant, ...]:
     """Return the constants of a problem by method `rigorous`, without its budget."""
@@ -149,7 +149,7 @@ def _rigorous(
     return (*found, *_effort(measured, given, found))
 
 
-CONSTANTS: Mapping[MethodName, Callable[..., tuple[Constant, ...]]] = {"rigorous": _rigorous}
+CONSTANTS: Mapping[MethodName, Callable[..., tuple[Constant, ...]]] = {"rigorous": _rigorous_proposal}
 """What a method needs beside clip, linearised risk and budget: a row for each that is calibrated."""
 
 
@@ -225,6 +225,8 @@ def _noise_constant(measured: ProblemEvidence) -> Constant:
     sd = float(measured.at_noisiest.std(axis=1, ddof=1).max()) if at else pooled(measured.values)
     if not 0 < scale < limit and math.isfinite(limit):
         reason = f"Half the range of the clipped objective, {limit:.3g}, is no more than {MARGIN:g} times what is seen."
+        if scale == 0:
+            reason = "No two rollouts at a start differ, and they may: R follows from the clip."
         return Constant("noise_scale", "derived", reason)
     reason = f"Largest standard deviation, {sd:.3g}, of {each} rollouts at each of the {at} noisiest starts."
     return Constant("noise_scale", scale or 1e-9, reason, f"factor {MARGIN:g}")
@@ -240,15 +242,19 @@ def _effort(measured: ProblemEvidence, given: Mapping[str, Any], found: list[Con
         furthest = float(np.abs(values - values.mean()).max()) or 1.0
         # With noise, no less than what the most rollouts of each test can reach.
         alpha = rounded_up(max(furthest / PARTS, _reach(noise, MOST_REPLICATES / 2, delta)))
-        yield Constant("alpha", alpha, f"A {PARTS}th of the largest distance from the prior mean, if noise allows it.")
+        reach = ", if noise allows it" if measured.noisy else ""
+        yield Constant("alpha", alpha, f"A {PARTS}th of the largest distance from the prior mean{reach}.")
     else:
         yield Constant("alpha", alpha, "From the file.")
     if not measured.noisy:
         return
     wanted = (_reach(noise, 1.0, delta) / alpha) ** 2
     replicates = min(max(FEWEST_REPLICATES, math.ceil(wanted)), MOST_REPLICATES)
-    reason = f"{TESTS_AT_ONE_START} tests at one start would reach alpha; more rollouts of fewer tests explore less."
-    yield Constant("replicates", replicates, reason, f"{FEWEST_REPLICATES} to {MOST_REPLICATES}")
+    reason = (
+        f"{TESTS_AT_ONE_START} tests at one start would reach alpha, with {FEWEST_REPLICATES} to {MOST_REPLICATES} "
+        "rollouts each; more rollouts of fewer tests explore less."
+    )
+    yield Constant("replicates", replicates, reason)
 
 
 def _reach(scale: float, replicates: float, delta: float) -> float:

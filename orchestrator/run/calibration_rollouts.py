@@ -3,7 +3,7 @@
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -114,9 +114,11 @@ class CalibrationRollouts:
             ]
             try:
                 while waiting := [each for each in futures if not each.done()]:
-                    with _no_timeout():
-                        waiting[0].exception(timeout=1.0)
+                    wait(waiting, timeout=1.0, return_when=FIRST_EXCEPTION)
                     self.report(self.count + sum(done))
+                    for future in futures:
+                        if future.done():
+                            future.result()  # the first failure ends the others
                 for future in futures:
                     future.result()
             except BaseException:  # also a signal: no child may outlive it
@@ -173,14 +175,6 @@ class CalibrationRollouts:
 
 class _EndedError(Exception):
     """Another child has failed, or the calibration was ended."""
-
-
-@contextmanager
-def _no_timeout() -> Iterator[None]:
-    try:
-        yield
-    except TimeoutError:
-        return
 
 
 @contextmanager
