@@ -8,7 +8,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from datetime import date, time
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -77,7 +77,7 @@ def load_description(path: Path) -> CampaignConfig:
         CampaignError: as `load_campaign`.
 
     """
-    return parse_campaign(*_file_and_place(path), whole=False)
+    return parse_campaign(*file_and_place(path), whole=False)
 
 
 def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
@@ -87,12 +87,17 @@ def load_campaign(path: Path, **overrides: int) -> CampaignConfig:
         CampaignError: it cannot be read, or is not a campaign.
 
     """
-    data, source, beside = _file_and_place(path)
+    data, source, beside = file_and_place(path)
     return parse_campaign(data, source, beside, whole=True, **overrides)
 
 
-def _file_and_place(path: Path) -> tuple[bytes, str, Beside]:
-    """Return the bytes of a campaign file, its name, and the reader of files beside it."""
+def file_and_place(path: Path) -> tuple[bytes, str, Beside]:
+    """Return the bytes of a campaign file, its name, and the reader of files beside it.
+
+    Raises:
+        CampaignError: it cannot be read.
+
+    """
     try:
         with path.open("rb") as file:
             data = file.read(MAX_CAMPAIGN_FILE + 1)
@@ -117,6 +122,18 @@ def parse_campaign(
         CampaignError: one line with the file, the key and the allowed values.
 
     """
+    table = campaign_table(data, source, beside)
+    found = completed({**(table if whole else with_stand_ins(table)), **overrides}, Path(source).stem)
+    return validated(found, table, source)
+
+
+def campaign_table(data: bytes, source: str, beside: Beside | None = None) -> dict[str, Any]:
+    """Return the table of a campaign file as it is written, with the rows of the files that `beside` reads.
+
+    Raises:
+        CampaignError: it is no TOML, is empty, or has a value that no key takes.
+
+    """
     try:
         table = tomllib.loads(data.decode("utf-8-sig"))
         dates = [f"{key}: {value}" for key, value in _leaves(table, "") if isinstance(value, date | time)]
@@ -134,11 +151,20 @@ def parse_campaign(
         for key, most in named.items():
             header, rows = _csv_rows(space[key], f"{source}: space.{key}", most, beside)
             table["space"] = {**table["space"], key: rows, **({"header": header} if header else {})}
-    keys = completed({**(table if whole else with_stand_ins(table)), **overrides}, Path(source).stem)
+    return table
+
+
+def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> CampaignConfig:
+    """Return the campaign of a table that was completed; `table` is that of its file.
+
+    Raises:
+        CampaignError: one line with the file, the key and the allowed values.
+
+    """
     try:
-        return CampaignConfig.model_validate_json(json.dumps(keys, default=str))
+        return CampaignConfig.model_validate_json(json.dumps(found, default=str))
     except ValidationError as error:
-        fault = _first_fault(error, keys, leaves_out_problems(table))
+        fault = _first_fault(error, found, leaves_out_problems(table))
         if not OF_PROBLEM & table.keys() and is_description(table):
             fault += f"; this file describes a program alone: perfbound init {source} makes a campaign of it"
         raise CampaignError(f"{source}: {fault}") from None

@@ -1,6 +1,6 @@
 """The command line: it parses, calls one function, prints and exits; heavy modules load inside the commands."""
 
-from . import campaigns, certificate, check, report, start, systems  # each adds its commands
+from . import calibrate, campaigns, certificate, check, report, start, systems  # each adds its commands
 from .entry import main
 
-__all__ = ["campaigns", "certificate", "check", "main", "report", "start", "systems"]
+__all__ = ["calibrate", "campaigns", "certificate", "check", "main", "report", "start", "systems"]

@@ -13,9 +13,10 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
+from matplotlib.ticker import FixedLocator, LogLocator, NullLocator, StrMethodFormatter
 
 from ..mathematics.gp.kernels import Floats
 
@@ -44,10 +45,10 @@ STYLE: dict[Any, Any] = {
 
 
 @contextmanager
-def new_figure(height: float) -> Iterator[Figure]:
+def new_figure(height: float, width: float = WIDTH) -> Iterator[Figure]:
     """Yield a figure of `height` inches in the one style; the style of other figures stays as it is."""
     with mpl.rc_context(STYLE):
-        yield Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
+        yield Figure(figsize=(width, height), dpi=DPI, layout="constrained")
 
 
 def png(figure: Figure) -> bytes:
@@ -93,6 +94,20 @@ def decay_axes(axes: Axes, label: str) -> None:
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def plain_ticks(axis: Axis, at: Sequence[float]) -> None:
+    """Give a logarithmic axis ticks at these numbers alone, as plain numbers."""
+    axis.set_major_locator(FixedLocator(list(at)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def plain_numbers(axis: Axis, of_decade: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Give a logarithmic axis these ticks of each decade, as plain numbers."""
+    axis.set_major_locator(LogLocator(subs=of_decade))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def with_unit(name: str, unit: str) -> str:

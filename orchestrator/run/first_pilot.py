@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,10 @@ from ...schemas.errors import PerfboundError, Stopped, TrajectoryError
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
-from ...schemas.trajectory import Floats, Trajectory, decode
+from ...schemas.trajectory import Floats, Trajectory
 from ..campaign.admission import check_whole
 from ..campaign.pilot import NOISY_ROLLOUTS, Score, pilot_starts, settled_horizon
-from ..fleet.child import HangError, ask, system_options
+from .child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
 
 SECONDS = 60.0
 """No rollout of a pilot starts later than this, and none may take longer: there would be too few."""
@@ -110,33 +109,13 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
 
 
 def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple[RolloutRequest, Trajectory, float]]:
-    """Yield the rollouts that one child simulates in its time, and when; one at a time, since they may be large."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        listed = folder / "requests"
-        listed.write_text("".join(request.model_dump_json() + "\n" for request in requests))
-        place = ("--requests", str(listed), "--out", str(folder), "--seconds", str(SECONDS))
-        paths = [folder / f"{number}.mcap" for number in range(len(requests))]
-        try:
-            # A file for each rollout, and before them one that says that the system is loaded.
-            steps = partial(_written, folder)
-            ask("pilot", *place, *system_options(plan.reference), limit=plan.limit, steps=steps)
-        except PerfboundError as error:
-            failed = next((each for each, path in zip(requests, paths, strict=True) if not path.exists()), requests[-1])
-            hang = f"the rollout gave no result within {plan.limit:g} s, and was ended"
-            reason = f"{hang}{error.place}" if isinstance(error, HangError) else error
-            raise PilotError(f"{failed.words(plan.spec)}: {reason}") from None
-        except Stopped as stop:
-            raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
-        for request, path in zip(requests, paths, strict=True):
-            if not path.exists():
-                return
-            try:
-                trajectory = decode(path.read_bytes())
-            except TrajectoryError as fault:
-                raise PilotError(f"{request.words(plan.spec)}: {fault}") from None
-            yield request, trajectory, path.stat().st_mtime
-
-
-def _written(folder: Path) -> int:
-    return sum(1 for _ in folder.iterdir())
+    """Yield the rollouts that one child simulates in its time, and when."""
+    system = ChildSystem(plan.reference, plan.spec, plan.limit, SECONDS)
+    try:
+        with tempfile.TemporaryDirectory() as name:
+            simulate_in_child(system, requests, Path(name))
+            yield from finished(system, requests, Path(name))
+    except ChildRolloutError as error:
+        raise PilotError(str(error)) from None
+    except Stopped as stop:
+        raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None

@@ -1,0 +1,152 @@
+"""The evidence of a calibration as one picture for each problem, in the style of the other figures."""
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from ..campaign.calibration import ProblemCalibration
+from ..campaign.pilot import rounded_up
+from ..mathematics.calibration.norm_growth import sizes_of
+from ..mathematics.calibration.steepness import quotients
+from ..mathematics.calibration.trust import KernelTrial
+from ..mathematics.calibration.variogram import variogram
+from . import style
+from .style import BLUE, GREEN, GREY, RED, THICK, THIN
+
+WIDTH, HEIGHT = 7.2, 4.4
+"""Inches."""
+COLOURS = (BLUE, GREEN, RED)
+BINS = 30
+
+
+def calibration_picture(found: ProblemCalibration) -> bytes:
+    """Return the picture of one problem as PNG."""
+    with style.new_figure(HEIGHT, WIDTH) as figure:
+        panels = figure.subplots(2, 3).flat
+        for axes, draw in zip(panels, _PANELS, strict=True):
+            axes.spines[["top", "right"]].set_visible(False)
+            draw(axes, found)
+        trial = found.choice.chosen
+        verdict = (
+            "no kernel is trustworthy" if trial is None else f"nu = {trial.fit.nu:g}, B = {rounded_up(trial.bound):g}"
+        )
+        figure.suptitle(f"{found.name.replace('_', ' ')}: {verdict}", fontsize=9)
+    return style.png(figure)
+
+
+def _drawn_trial(found: ProblemCalibration) -> KernelTrial | None:
+    """Return the kernel that is drawn: the chosen one, else the roughest that was tried."""
+    return found.choice.chosen or next(reversed(found.choice.trials), None)
+
+
+def _draw_variogram(axes: Axes, found: ProblemCalibration) -> None:
+    axes.set(title="variogram", xlabel="distance / length scales", ylabel=r"half squared difference")
+    if (trial := _drawn_trial(found)) is None:
+        return
+    drawn = variogram(trial.fit, found.measured.data)
+    axes.plot(drawn.distances, drawn.halves, "o", color=GREEN, markersize=3)
+    axes.plot(drawn.distances, drawn.fitted, color=BLUE, linewidth=THICK, label=f"kernel, nu = {trial.fit.nu:g}")
+    axes.set_ylim(bottom=0)
+    axes.legend(loc="best")
+
+
+def _draw_predictions(axes: Axes, found: ProblemCalibration) -> None:
+    axes.set(title="each value, from all others", xlabel="predicted", ylabel="observed")
+    if (trial := _drawn_trial(found)) is None:
+        return
+    drawn = trial.predictions
+    axes.plot(drawn.predicted, drawn.observed, "o", color=GREEN, markersize=2, alpha=0.7, markeredgewidth=0)
+    ends = [float(drawn.observed.min()), float(drawn.observed.max())]
+    axes.plot(ends, ends, color=GREY, linewidth=THIN)
+
+
+def _draw_norms(axes: Axes, found: ProblemCalibration) -> None:
+    axes.set(title="norm that the values need", xlabel="starts", ylabel="norm", xscale="log", yscale="log")
+    for trial, colour in zip(found.choice.trials, COLOURS, strict=False):
+        marker = "o-" if not trial.faults else "x:"
+        growth = trial.growth
+        axes.plot(
+            growth.sizes,
+            growth.norms,
+            marker,
+            color=colour,
+            markersize=3,
+            linewidth=THICK,
+            label=f"nu = {trial.fit.nu:g}",
+        )
+    sizes = sizes_of(len(found.measured.values))
+    style.plain_ticks(axes.xaxis, sizes)
+    if (chosen := found.choice.chosen) is not None:
+        style.draw_tolerance(axes, rounded_up(chosen.bound), "black", "B")
+    style.plain_numbers(axes.yaxis)
+    if found.choice.trials:
+        axes.legend(loc="best")
+
+
+def _draw_steepness(axes: Axes, found: ProblemCalibration) -> None:
+    axes.set(
+        title="steepest places", xlabel="distance / range", ylabel="difference quotient", xscale="log", yscale="log"
+    )
+    measured, sizes = found.measured, sizes_of(len(found.measured.values))
+    spacing = [size ** (-1.0 / measured.shares.shape[1]) for size in sizes]
+    largest = quotients(measured.data, sizes)
+    if max(largest) <= 0:
+        return
+    axes.plot(spacing, largest, "o-", color=BLUE, markersize=3, linewidth=THICK, label="all starts")
+    for number, descent in enumerate(measured.descents):
+        found_places = [each for each in descent.places if each.quotient > 0]
+        axes.plot(
+            [each.distance for each in found_places],
+            [each.quotient for each in found_places],
+            "x-" if descent.is_jump else ".-",
+            color=RED if descent.is_jump else GREEN,
+            linewidth=THIN,
+            markersize=4,
+            label={True: "jump", False: "halved"}[descent.is_jump] if number == 0 else None,
+        )
+    axes.invert_xaxis()
+    low, high = axes.get_ylim()
+    axes.set_ylim(low / 2, high * 2)  # quotients that differ by percents are equal for this question
+    style.plain_numbers(axes.xaxis, (1.0,))
+    style.plain_numbers(axes.yaxis)
+    axes.legend(loc="best")
+
+
+def _draw_noise(axes: Axes, found: ProblemCalibration) -> None:
+    axes.set(title="noise", xlabel="mean of J at a start", ylabel="standard deviation")
+    measured = found.measured
+    if not measured.noisy:
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "rollouts do not depend\non the seed", ha="center", transform=axes.transAxes)
+        return
+    means, spreads = measured.values.mean(axis=1), measured.values.std(axis=1, ddof=1)
+    axes.plot(means, spreads, "o", color=GREEN, markersize=2, alpha=0.5, markeredgewidth=0, label="each start")
+    if measured.at_noisiest.size:
+        at = measured.at_noisiest
+        axes.plot(at.mean(axis=1), at.std(axis=1, ddof=1), "D", color=RED, markersize=3, label="noisiest, again")
+    scale = found.keys.get("noise_scale")
+    if isinstance(scale, float):
+        style.draw_tolerance(axes, scale, "black", "R")
+    axes.set_ylim(bottom=0)
+    axes.legend(loc="best")
+
+
+def _draw_histogram(axes: Axes, found: ProblemCalibration) -> None:
+    measured = found.measured
+    share = "" if measured.clipped is None else f", {100 * measured.clipped:.2g} % at an end of the clip"
+    axes.set(title=f"values{share}", xlabel="J", ylabel="rollouts")
+    axes.hist(measured.values.ravel(), bins=BINS, color=BLUE, alpha=0.6)
+    mean = found.keys.get("prior_mean", float(np.mean(measured.values)))
+    if isinstance(mean, float):
+        axes.axvline(mean, color="black", linestyle="--", linewidth=THICK)
+
+
+_PANELS: tuple[Callable[[Axes, ProblemCalibration], None], ...] = (
+    _draw_variogram,
+    _draw_predictions,
+    _draw_norms,
+    _draw_steepness,
+    _draw_noise,
+    _draw_histogram,
+)

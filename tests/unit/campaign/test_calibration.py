@@ -1,0 +1,242 @@
+"""The proposals of a calibration: its budget, its starts and seeds, its constants, and the file that has them."""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from perfbound.orchestrator.campaign import plan as plans
+from perfbound.orchestrator.campaign.calibrated_file import kernel_file, sample_file, without_keys
+from perfbound.orchestrator.campaign.calibration import Constant, linearised_constants
+from perfbound.orchestrator.campaign.calibration_design import Box, RolloutBudget, calibration_seed
+from perfbound.orchestrator.mathematics.calibration.noise import NOISIEST
+from perfbound.orchestrator.mathematics.calibration.steepness import PLACES
+from perfbound.orchestrator.mathematics.calibration.trust import DOUBTED
+from perfbound.orchestrator.run.calibration import Calibration, CalibrationWish, with_file
+from perfbound.orchestrator.run.calibration_pilot import CalibrationPilot
+from perfbound.schemas.campaign_draft import CLIP, Draft, load_draft
+from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.problem_models import RigorousProblem
+from tests.coverage.calibration import FunctionRollouts, spec
+from tests.coverage.functions import Floats
+from tests.coverage.spot_checks import OBSERVED
+
+HEAD = 'specification = "value >= 0"\nsystem.name = "any-function"\nspace.z1 = [0, 5]\nspace.z2 = [0, 5]\n'
+
+
+PAPER = "method = 'paper'\nalpha = 1\nc = 1\nrkhs_norm = 1\nnoise_scale = 1\nkernel = { length_scale = 1 }\n"
+
+
+def read(tmp_path: Path, text: str) -> Draft:
+    path = tmp_path / "any-function.toml"
+    path.write_text(text)
+    return load_draft(path)
+
+
+# Budget, starts, seeds
+
+
+@given(st.integers(150, 5000), st.booleans())
+def test_the_budget_is_spent_and_not_exceeded(rollouts: int, noisy: bool) -> None:
+    found = RolloutBudget.of(rollouts, noisy=noisy)
+    spent = found.starts * found.replicates + PLACES * found.halvings * found.at_halves
+    spent += NOISIEST * found.at_noisiest + DOUBTED * found.at_doubted
+    assert rollouts - found.replicates < spent <= rollouts
+    assert found.starts >= 32
+
+
+def test_starts_are_distinct_in_the_region_and_nested() -> None:
+    box = Box(("x", "y"), np.array([0.0, -3.0]), np.array([5.0, 3.0]), "x^2 + y^2 <= 16")
+    starts = box.space_filling(200, 1)
+    assert len(set(starts)) == 200
+    assert all(math.hypot(*each) <= 4 and each[0] >= 0 for each in starts)
+    assert box.space_filling(50, 1) == starts[:50]
+    assert box.space_filling(50, 2) != starts[:50]
+    assert np.allclose(box.starts(box.shares(starts)), starts)
+    with pytest.raises(CampaignError, match="region"):
+        Box(("x",), np.array([0.0]), np.array([1.0]), "x >= 2").space_filling(3, 1)
+
+
+def test_seeds_differ_and_have_the_bits_of_the_system() -> None:
+    seeds = {
+        calibration_seed(digest, seed, (test, replicate), variant, 31)
+        for digest in ("a", "b")
+        for seed in (1, 2)
+        for test in range(20)
+        for replicate in range(3)
+        for variant in ("nominal", "true")
+    }
+    assert len(seeds) == 2 * 2 * 20 * 3 * 2
+    assert all(0 <= each < 2**31 for each in seeds)
+
+
+# Drafts
+
+
+def test_a_draft_needs_no_constants(tmp_path: Path) -> None:
+    found = read(tmp_path, HEAD)
+    assert found.clip is None
+    assert found.config.clip == CLIP
+    assert found.config.name == "any-function"
+    assert dict(found.given(0)) == dict(found.table)
+    given = read(tmp_path, f"alpha = 0.1\nrkhs_norm = 3\nclip = [-1, 1]\n{HEAD}")
+    assert given.clip == (-1, 1)
+    assert given.given(0)["alpha"] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        (f"{HEAD}[[claims]]\nquantity = 'mean'\n", "claims: asks about drawn starts"),
+        (f"falsify = {{}}\n{HEAD}", "falsify: asks about drawn starts"),
+        (f"{PAPER}{HEAD}", "'paper' has no constants"),
+        ("method = 'scenario'\nalpha = 1\nclip = [-1, 1]\n" + HEAD, "'scenario' has no constants"),
+        (HEAD.replace("z1 = [0, 5]\nspace.z2 = [0, 5]", "scenarios = [[0, 1]]"), "space: a kernel on a list"),
+        (f"rkhs_nrm = 1\n{HEAD}", "did you mean 'rkhs_norm'"),
+        (f"problems = 3\n{HEAD}", "problems: 3 is not allowed"),
+    ],
+)
+def test_the_error_of_a_file_that_is_no_draft_names_key_and_remedy(tmp_path: Path, text: str, part: str) -> None:
+    with pytest.raises(CampaignError, match=r"any-function\.toml: ") as found:
+        read(tmp_path, text)
+    assert part in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+# Proposals
+
+
+def function(z: Floats) -> Floats:
+    return np.asarray(1.0 + np.sin(z[:, 0]) * np.cos(z[:, 1]))
+
+
+def result(tmp_path: Path, text: str, *, noisy: bool, **more: Any) -> Calibration:
+    draft, system = read(tmp_path, text), spec(noisy=noisy)
+    observed = OBSERVED[1] if noisy else OBSERVED[0]
+    simulated = FunctionRollouts(np.random.default_rng(1), more.get("function", function), observed)
+    pilot = CalibrationPilot(draft, 0, system, simulated, propose_clip=noisy and draft.clip is None)
+    proposal = pilot.calibrated(more.get("rollouts", 400), 1)
+    wish = CalibrationWish(tmp_path / "any-function.toml", 400, 1, 1, tmp_path / "c.toml")
+    return with_file(Calibration(wish, draft, system, pilot.clip, (proposal,), (), None))
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_every_constant_has_a_reason_and_the_file_has_all_of_them(tmp_path: Path, noisy: bool) -> None:
+    found = result(tmp_path, HEAD, noisy=noisy)
+    keys = found.problems[0].keys
+    expected = {"prior_mean", "kernel", "rkhs_norm", "noise_scale", "alpha", "max_tests"}
+    assert keys.keys() == expected | ({"replicates"} if noisy else set())
+    assert all(each.reason.endswith(".") for each in found.problems[0].constants)
+    assert found.text is not None
+    config = parse_campaign(found.text.encode(), "c.toml")
+    problem = config.problems[0]
+    assert isinstance(problem, RigorousProblem)
+    assert problem.rkhs_norm == keys["rkhs_norm"]
+    assert problem.kernel.model_dump(exclude_unset=True) == keys["kernel"]
+    assert config.max_tests == keys["max_tests"]
+    assert (config.clip is None) != noisy
+    measured = found.problems[0].measured
+    assert np.abs(measured.data.values - problem.prior_mean).max() <= problem.rkhs_norm
+    if noisy:
+        assert 0.1 <= float(problem.noise_scale) <= 0.3  # the noise has a standard deviation of .1
+        assert config.clip is not None
+        assert config.clip[0] < -measured.values.max()
+        assert -measured.values.min() < config.clip[1]
+    else:
+        assert problem.noise_scale == 0
+    assert measured.rollouts <= 400
+    (forecast,) = found.forecasts
+    assert forecast.tests is not None
+    assert forecast.budget >= forecast.tests
+
+
+def test_the_file_replaces_constants_and_keeps_the_rest(tmp_path: Path) -> None:
+    text = f"seed = 7\nalpha = 0.2\nrkhs_norm = 99\nkernel = {{ length_scale = 9.0 }}\nmax_tests = 7\n{HEAD}"
+    found = result(tmp_path, text, noisy=False)
+    assert found.text is not None
+    config = parse_campaign(found.text.encode(), "c.toml")
+    problem = config.problems[0]
+    assert isinstance(problem, RigorousProblem)
+    assert (config.seed, problem.alpha) == (7, 0.2)
+    assert problem.rkhs_norm < 99
+    assert config.max_tests != 7
+    assert "From the file." in found.text
+
+
+def test_a_jump_gives_a_campaign_of_drawn_starts_with_the_evidence(tmp_path: Path) -> None:
+    found = result(tmp_path, HEAD, noisy=False, function=lambda z: function(z) - (z[:, 0] > 4.6))
+    assert not found.trusted
+    assert "jumps" in found.problems[0].doubts[0]
+    assert found.text is not None
+    config = parse_campaign(found.text.encode(), "c.toml")
+    assert config.problems[0].method == "sample"
+    assert "rkhs_norm" not in found.text
+
+
+def test_values_that_a_budget_repeats_replace_the_doubted_ones(tmp_path: Path) -> None:
+    measured = result(tmp_path, f"clip = [-1, 3]\n{HEAD}", noisy=True).problems[0].measured
+    assert len(measured.again) == DOUBTED
+    for start, mean in measured.again.items():
+        assert measured.data.values[start] == mean != measured.values[start].mean()
+
+
+def test_the_constants_of_a_risk_are_those_of_the_worst_starts() -> None:
+    rng = np.random.default_rng(0)
+    means = np.linspace(0.2, 1.0, 200)
+    found = linearised_constants(means[:, None], means[:, None] + 0.05 * rng.standard_normal((200, 2)))
+    assert isinstance(found.value, dict)
+    assert found.value["centre"] == pytest.approx(0.22, abs=0.03)
+    assert 0.03 < found.value["spread"] < 0.12
+
+
+# Files
+
+
+def constants(*keys: str) -> Sequence[Constant]:
+    return [Constant(key, 2.0, f"Reason of {key}.", "factor 2") for key in keys]
+
+
+def test_problems_keep_their_places() -> None:
+    draft = {
+        "name": "two",
+        "gap": {"kind": "robustness"},
+        "system": {"name": "segway"},
+        "space": {"x": [0, 5]},
+        "problems": [{"name": "nominal_robustness", "rkhs_norm": 1.0}, {"name": "sim_gap", "max_tests": 4}],
+    }
+    text = kernel_file(without_keys(draft, "max_tests"), [constants("rkhs_norm"), constants("alpha")], None, "Head.")
+    assert text == (
+        '# Head.\n\nname = "two"\ngap = { kind = "robustness" }\n\nsystem.name = "segway"\n\nspace.x = [0, 5]\n\n'
+        '[[problems]]\nname = "nominal_robustness"\n# Reason of rkhs_norm. Margin: factor 2.\nrkhs_norm = 2.0\n\n'
+        '[[problems]]\nname = "sim_gap"\n# Reason of alpha. Margin: factor 2.\nalpha = 2.0\n'
+    )
+
+
+def test_a_campaign_of_drawn_starts_keeps_what_it_can_use() -> None:
+    draft = {
+        "seed": 4,
+        "clip": [-1, 2],
+        "rkhs_norm": 3.0,
+        "resolution": 9,
+        "system": {"name": "s"},
+        "space": {"x": [0, 1]},
+    }
+    text = sample_file({**draft, "specification": "x >= 0"}, (-1, 2), 0.001, ["It jumps."])
+    assert "It jumps." in text
+    config = parse_campaign(text.encode(), "c.toml")
+    assert (config.seed, config.clip, config.problems[0].method) == (4, (-1, 2), "sample")
+    assert len(config.claims) == 3
+
+
+def test_the_plan_of_a_draft_has_no_limit_for_noise(tmp_path: Path) -> None:
+    draft = read(tmp_path, HEAD)
+    plan = plans.plan(draft.config, spec(noisy=True), draft.config.problems[0])
+    assert plan.hoeffding >= 1e99
+    assert json.dumps(plan.clip) == json.dumps(list(CLIP))
