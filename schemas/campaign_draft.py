@@ -17,6 +17,12 @@ STAND_INS: Mapping[str, Mapping[str, Any]] = {
     "rigorous": {"alpha": 1.0, "rkhs_norm": 1.0, "noise_scale": "derived", "kernel": {"length_scale": 1.0}},
 }
 """The constants that a draft may leave open: a row for each method that is calibrated."""
+NOT_CALIBRATED: Mapping[str, str] = {
+    "claims": "decides what is claimed, not the constants; calibrate a copy of the file without it",
+    "falsify": "a search needs no constants of a kernel; run the file as it is, or remove falsify",
+    "specifications": "each requirement has constants of its own; calibrate one of them at a time as `specification`",
+}
+"""Keys that a draft has not, and why."""
 _LINEARISED = {"centre": 0.0, "spread": 1.0}
 DRAFT_METHOD = "rigorous"
 """Of a problem that names none."""
@@ -51,12 +57,9 @@ def load_draft(path: Path) -> Draft:
     """
     data, source, beside = file_and_place(path)
     table = campaign_table(data, source, beside)
-    for key in ("claims", "falsify", "specifications"):
+    for key, reason in NOT_CALIBRATED.items():
         if key in table:
-            raise CampaignError(
-                f"{source}: {key}: asks about drawn starts, which need no constants of a kernel; run the file as it "
-                f"is, or remove {key}"
-            )
+            raise CampaignError(f"{source}: {key}: {reason}")
     if leaves_out_problems(table):
         found = _completed_problem(table)
     elif isinstance(table["problems"], list):

@@ -94,8 +94,8 @@ def test_a_draft_needs_no_constants(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        (f"{HEAD}[[claims]]\nquantity = 'mean'\n", "claims: asks about drawn starts"),
-        (f"falsify = {{}}\n{HEAD}", "falsify: asks about drawn starts"),
+        (f"{HEAD}[[claims]]\nquantity = 'mean'\n", "claims: decides what is claimed"),
+        (f"falsify = {{}}\n{HEAD}", "falsify: a search needs no constants"),
         (f"{PAPER}{HEAD}", "'paper' has no constants"),
         ("method = 'scenario'\nalpha = 1\nclip = [-1, 1]\n" + HEAD, "'scenario' has no constants"),
         (HEAD.replace("z1 = [0, 5]\nspace.z2 = [0, 5]", "scenarios = [[0, 1]]"), "space: a kernel on a list"),
