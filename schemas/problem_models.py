@@ -198,7 +198,7 @@ class KrigingProblem(_BallProblem, _PlannedProblem):
         ge=2,
         le=9,
         description="starts per parameter; by default 3 below 150 rollouts, 4 below 400, then 5; of three parameters "
-        "3 below 10,000, then 4",
+        "3 below 10,000, then 4; fewer where there are fewer tests than starts",
     )
 
     @model_validator(mode="after")

@@ -143,8 +143,7 @@ def _kriging_method(plan: ProblemPlan, problem: KrigingProblem) -> KrigingMethod
     assert low is not None, "the campaign file is checked for a clip"
     assert high is not None
     constants, lattice = problem.observed_through, _lattice(plan)
-    rollouts = plan.budget * plan.replicates
-    default = min(points_per_parameter(lattice.dimension, rollouts), lattice.resolution)
+    default = min(points_per_parameter(lattice.dimension, plan.budget, plan.replicates), lattice.resolution)
     return KrigingMethod(
         lattice,
         kernel(plan, problem),

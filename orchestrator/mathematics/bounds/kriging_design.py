@@ -43,14 +43,18 @@ class Design:
         return len(self.nodes)
 
 
-def points_per_parameter(parameters: int, rollouts: int) -> int:
-    """Return the default number of points per parameter for a budget of rollouts.
+def points_per_parameter(parameters: int, tests: int, replicates: int) -> int:
+    """Return the default number of points per parameter for a budget.
 
-    >>> [points_per_parameter(2, rollouts) for rollouts in (100, 300, 6400)]
+    >>> [points_per_parameter(2, tests, 64) for tests in (8, 24, 25)]
     [3, 4, 5]
     """
     table = PER_PARAMETER_OF_THREE if parameters == MOST_PARAMETERS else PER_PARAMETER
-    return next(points for least, points in table if rollouts >= least)
+    points = next(points for least, points in table if tests * replicates >= least)
+    # Points without a test leave gaps; two points per parameter were worse even where the middle of three had none.
+    while points > 3 and points**parameters > tests:
+        points -= 1
+    return points
 
 
 def plan_design(lattice: Lattice, tests: int, points: int) -> Design:

@@ -54,8 +54,12 @@ class TestDesign:
         assert plan_design(SQUARE, 500, 4).order[:100] == plan_design(SQUARE, 100, 4).order
 
     def test_more_rollouts_have_more_points(self) -> None:
-        assert [points_per_parameter(2, n) for n in (1, 149, 150, 399, 400)] == [3, 3, 4, 4, 5]
-        assert [points_per_parameter(3, n) for n in (1, 9_999, 10_000)] == [3, 3, 4]
+        assert [points_per_parameter(2, n, 1) for n in (20, 149, 150, 399, 400)] == [3, 3, 4, 4, 5]
+        assert [points_per_parameter(3, n, 1) for n in (60, 9_999, 10_000)] == [3, 3, 4]
+
+    def test_few_tests_have_no_more_points_than_tests(self) -> None:
+        assert [points_per_parameter(2, n, 64) for n in (8, 15, 16, 24, 25)] == [3, 3, 4, 4, 5]
+        assert [points_per_parameter(3, n, 200) for n in (60, 63, 64)] == [3, 3, 4]
 
     @pytest.mark.parametrize(
         ("lattice", "points"), [(SQUARE, 1), (SQUARE, 10), (Lattice((0.0,) * 4, (1.0,) * 4, 3), 3)]
