@@ -318,7 +318,7 @@ def _sums(found: Sequence[Found]) -> str:
             lines.append("| " + " | ".join(str(cell) for cell in (*cells, *shares)) + " |")
     checks = sum(len(each.judged) for each in judged)
     rule = f"{checks} comparisons at level {LEVEL:g}: with correct bounds one of them fails with probability below "
-    return "\n".join([*lines, "", f"{rule}{100 * checks * LEVEL:.1f} %."])
+    return "\n".join([*lines, "", f"{rule}{100 * checks * LEVEL:.2g} %."])
 
 
 NAMES = {

@@ -192,6 +192,13 @@ def test_the_page_is_written_between_its_marks(tmp_path: Path) -> None:
     assert (tmp_path / page.FIGURE).stat().st_size < 100_000
 
 
+def test_the_page_has_a_place_for_every_kind() -> None:
+    text = (records.ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
+    assert set(page.TABLES) == set(page.JUDGED) == {row.kind for row in all_rows()}
+    for kind in page.TABLES:
+        assert [text.count(mark) for mark in page.marks(kind)] == [1, 1]
+
+
 @pytest.mark.parametrize("text", [None, "no marks"])
 def test_a_page_that_cannot_be_written_is_named(tmp_path: Path, text: str | None) -> None:
     target = tmp_path / "page.md"
