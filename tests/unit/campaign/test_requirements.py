@@ -1,7 +1,7 @@
 """Several requirements by methods that choose their tests: one design, and for each requirement a bound of its own."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from pydantic import ValidationError
@@ -11,6 +11,7 @@ from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store.export import table_rows
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.campaign_file import parse_campaign
@@ -179,7 +180,9 @@ def test_the_report_has_a_panel_for_each_requirement(tmp_path: Path) -> None:
             (tmp_path / files.CERTIFICATE).unlink()
         whole, low, high, double = Collector(tmp_path).refresh().problems
         assert [each.requirement for each in (whole, low, high, double)] == [None, *LEAST]
+        assert whole.partner is None
         for each in (low, high, double):
+            assert each.partner is not None
             assert each.bound is not None
             assert each.requirement is not None
             assert each.bound <= LEAST[each.requirement]
@@ -189,6 +192,22 @@ def test_the_report_has_a_panel_for_each_requirement(tmp_path: Path) -> None:
         each_y = zip(low.tests.y, high.tests.y, double.tests.y, strict=True)
         assert whole.tests.y == tuple(min(value for value in values if value is not None) for values in each_y)
         assert "of requirement low" in low.objective
+
+
+def test_the_export_has_every_replicate_of_every_requirement(tmp_path: Path) -> None:
+    config = several(problem=NOISY, clip=(-1.0, 2.0), replicates=2, max_tests=3, spot_check=4)
+    simulate(tmp_path, config, shaky, noisy=True)
+    columns, rows = table_rows(tmp_path, "observations")
+    found = [dict(zip((column.name for column in columns), row, strict=True)) for row in rows]
+    first = [row for row in found if (row["problem"], row["test"]) == ("robustness", 0)]
+    assert [(row["requirement"], row["replicate"]) for row in first] == [(name, k) for name in LEAST for k in (0, 1)]
+    values = [cast(float, row["contribution"]) for row in first]
+    low, high, double = (values[place : place + 2] for place in (0, 2, 4))
+    assert high == pytest.approx([1.2 - value for value in low])
+    assert double == pytest.approx([2 * value for value in low])
+    means = [sum(each) / 2 for each in (low, high, double)]
+    assert [row["observation"] for row in first] == pytest.approx([min(means)] * 6)
+    assert {row["requirement"] for row in found if row["problem"] == "spot_check"} == {None}
 
 
 def test_the_terminal_names_the_requirement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
