@@ -8,6 +8,7 @@ from .errors import CampaignError
 from .parameters import signal_shapes
 from .problem_models import KernelProblem, Problem, RigorousProblem
 from .problems import rolled_out
+from .requirements import parts_of
 from .space import Scenarios, StartTable
 from .system import SystemSpec
 
@@ -105,13 +106,21 @@ def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str
 def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
     parameters = spec.spread(signal_shapes(config.space)).parameters
     names = {parameter.name for parameter in parameters}
-    for problem in config.problems:
+    for where, problem in _having(config, "kernel"):
         lengths = problem.kernel.length_scale if isinstance(problem, KernelProblem) else None
         if isinstance(lengths, dict) and lengths.keys() != names:
             given = ", ".join(lengths)
-            where = f"problems.{problem.name}.kernel.length_scale"
             wanted = ", ".join(parameter.name for parameter in parameters)
-            yield f"{where}: has {given}; give one number for each parameter of {spec.name}: {wanted}"
+            yield f"{where}.length_scale: has {given}; give one number for each parameter of {spec.name}: {wanted}"
+
+
+def _having(config: CampaignConfig, key: str) -> Iterator[tuple[str, Problem]]:
+    """Yield each problem, and that of each requirement with its own value of a key, with the place of the key."""
+    for problem in config.problems:
+        yield f"problems.{problem.name}.{key}", problem
+    for requirement, part in zip(config.specifications, parts_of(config), strict=False):
+        if key in requirement.constants:
+            yield f"specifications.{requirement.name}.{key}", part.problems[0]
 
 
 def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
@@ -173,12 +182,14 @@ def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         if missing:
             faults.append(f"problems.{problem.name}: {spec.name} has no variant {', '.join(sorted(missing))}")
         noisy = variants & set(spec.noisy)
+        faults += _claim_faults(config, problem, noisy=bool(noisy))
+    for where, problem in _having(config, "noise_scale"):
+        noisy = set(rolled_out(problem.name, spec)) & set(spec.noisy)
         if isinstance(problem, RigorousProblem) and problem.noise_scale == 0 and noisy:
             faults.append(
-                f"problems.{problem.name}.noise_scale: 0 has no meaning for the {' and '.join(sorted(noisy))} variant "
+                f"{where}: 0 has no meaning for the {' and '.join(sorted(noisy))} variant "
                 f"of {spec.name}, whose rollouts depend on the seed: allowed is 'derived' or a number > 0"
             )
-        faults += _claim_faults(config, problem, noisy=bool(noisy))
     chosen = {"gap.column": config.gap.column if config.gap else None}
     for problem in config.problems:
         chosen[f"problems.{problem.name}.gap.column"] = problem.gap.column if problem.gap else None

@@ -18,11 +18,14 @@ from pydantic import ValidationError
 from .base import Model
 from .campaign import CampaignConfig
 from .campaign_defaults import OF_CAMPAIGN, OF_PROBLEM, completed, is_description, leaves_out_problems, with_stand_ins
+from .claims import ClaimRequest
+from .composition import ComposedClaim
 from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
 from .outside import read_outside
 from .problem_models import PROBLEM_MODELS, Gap, Linearised
-from .problems import OBJECTIVES
+from .problems import OBJECTIVES, any_of
+from .requirements import Requirement
 from .space import MAX_CHOICES, MAX_SCENARIOS, MAX_TABLE, ProgramLimits, Range, SystemChoice
 
 Location = tuple[int | str, ...]
@@ -45,6 +48,8 @@ _WORDS = {
     ("problems", "kriging", "kernel", "length_scale"): _LENGTHS,
     ("problems", "scenario", "linearised"): "'past', or a table: { centre = 0.7, spread = 0.1 }",
     ("problems", "rigorous", "noise_scale"): "'derived' or a number >= 0",
+    ("specifications", "name"): "a letter, then at most 39 letters, digits, '-' and '_'",
+    ("claims", "composed", "problems"): f"a list of one or two of {any_of(tuple(OBJECTIVES))}",
     ("space", "choices"): f"a list of 2 to {MAX_CHOICES} numbers",
     ("space", "scenarios"): "a list of starting conditions, or the name of a CSV file",
     ("space", "table"): f"the name of a CSV file with 1 to {MAX_TABLE} rows, or its rows",
@@ -59,7 +64,9 @@ _WORDS = {
 _RANGE = 'the ends of its range, [0, 5], or a table: { low = 0, high = 5, unit = "m" }'
 _LISTS = {"scenarios": MAX_SCENARIOS, "table": MAX_TABLE}
 """Keys of `[space]` whose starts may be in a CSV file, and the most rows."""
-_TAGS = {*PROBLEM_MODELS, "box", *_LISTS}
+_CLAIM_MODELS: dict[str, type[Model]] = {"drawn": ClaimRequest, "composed": ComposedClaim}
+_TAGS = {*PROBLEM_MODELS, *_CLAIM_MODELS, "box", *_LISTS}
+"""Names that pydantic gives the members of unions."""
 
 
 Beside = Callable[[str], bytes]
@@ -245,7 +252,7 @@ def _key(location: Location, table: dict[str, Any], one_problem: bool) -> str:
 
 def _place(location: Location) -> Location:
     """Return the keys and positions of the file alone, without pydantic's names of the members of unions."""
-    tags = {1} if location[:1] == ("space",) else {2} if location[:1] == ("problems",) else set()
+    tags = {1} if location[:1] == ("space",) else {2} if location[:1] in {("problems",), ("claims",)} else set()
     return tuple(
         part
         for position, part in enumerate(location)
@@ -254,10 +261,13 @@ def _place(location: Location) -> Location:
 
 
 def _tagged(location: Location) -> Location:
-    """Return the location without the members of unions, but with the method of a problem."""
-    method = location[2:3] if location[:1] == ("problems",) and location[2:3] and location[2] in PROBLEM_MODELS else ()
+    """Return the location without the members of unions, but with the method of a problem and the kind of a claim."""
+    kinds = {"problems": PROBLEM_MODELS.keys(), "claims": _CLAIM_MODELS.keys()}.get(
+        str(location[:1] and location[0]), ()
+    )
+    kind = location[2:3] if location[2:3] and location[2] in kinds else ()
     place = _place(location)
-    return (*place[:2], *method, *place[2:])
+    return (*place[:2], *kind, *place[2:])
 
 
 def _describe(fault: Any, key: str, one_problem: bool) -> str:
@@ -272,7 +282,9 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
         return f"{key}: not allowed beside space.{listed}, which has all parameters; remove one of the two"
     if kind == "extra_forbidden":
         allowed = [*_model_at(location[:-1]).model_fields, *(OF_PROBLEM if one_problem and len(location) == 1 else ())]
-        if len(location) == 4 and location[-1] in OF_PROBLEM:  # problems, its place, its method, the key
+        if (
+            location[0] == "problems" and len(location) == 4 and location[-1] in OF_PROBLEM
+        ):  # problems, its place, its method, the key
             return f"{key}: has no meaning in method {str(location[2])!r}; remove this key, or choose another method"
         near = difflib.get_close_matches(str(location[-1]), allowed, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
@@ -283,7 +295,8 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
     if kind == "json_invalid":
         return f"not a value that JSON can represent: {message}"
     known = "a list of texts" if listed in _LISTS and location[1:2] == ("header",) else _allowed(location)
-    allowed_text = known or message.removeprefix("Input should be ").replace("an object", "a table")
+    most = f"at most {fault['ctx']['max_length']} entries" if kind == "too_long" else ""
+    allowed_text = known or most or message.removeprefix("Input should be ").replace("an object", "a table")
     if kind == "missing" and isinstance(location[-1], str):
         what = "" if allowed_text == message else f": {allowed_text}"
         return f"{key}: this key is required{what}"
@@ -327,6 +340,7 @@ def _model_at(location: Location) -> type[Model]:
     """Return the model of the table at a place in the file."""
     models: dict[int | str, type[Model]] = {
         **dict(PROBLEM_MODELS.items()),
+        **dict(_CLAIM_MODELS.items()),
         "linearised": Linearised,
         "regulariser": Weighted,
         "kernel": MaternKernel,
@@ -339,7 +353,9 @@ def _model_at(location: Location) -> type[Model]:
     if location[:1] == ("system",):  # whose keys are the user's
         return models.get(location[-1], SystemChoice)
     names = [part for part in location if part in models]
-    return models[names[-1]] if names else CampaignConfig
+    if names:
+        return models[names[-1]]
+    return Requirement if location[:1] == ("specifications",) else CampaignConfig
 
 
 def differences(one: CampaignConfig, other: CampaignConfig) -> list[str]:

@@ -116,4 +116,6 @@ def _with_constants(problem: Problem, requirement: Requirement) -> Problem:
         return type(problem).model_validate(problem.model_dump(exclude_unset=True) | requirement.constants)
     except ValidationError as error:
         # The problem alone was valid, so that a key of the requirement is at fault.
-        raise ValueError(f"specifications.{requirement.name}: {error.errors()[0]['msg']}") from None
+        reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+        own = reason.partition(":")[0].partition(".")[0] in requirement.constants
+        raise ValueError(f"specifications.{requirement.name}{'.' if own else ': '}{reason}") from None

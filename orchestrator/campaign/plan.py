@@ -196,14 +196,15 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
     candidates = None if isinstance(problem, SampleProblem) else _candidates(config, spec, problem)
     hoeffding = _hoeffding(config, spec, problem, clip, gap)
     noise = _noise(problem, hoeffding)
-    if isinstance(problem, RigorousProblem) and noise == 0 and candidates is not None:
-        tests = min(tests, candidates.size)  # without noise a second test at a candidate adds nothing
     # A deterministic variant gives one trajectory for every seed: one rollout serves all replicates of a test.
     common = objective.measured == "gap" and problem.method != "paper"
     parts = [
         replace(plan(part, spec, part.problems[0]), requirement=each.name)
         for part, each in zip(parts_of(config), config.specifications, strict=False)
     ]
+    without_noise = isinstance(problem, RigorousProblem) and noise == 0
+    if candidates is not None and (without_noise or any(part.exact for part in parts)):
+        tests = min(tests, candidates.size)  # without noise a second test at a candidate adds nothing
     # R / sqrt(replicates) is for means; the paper observes mean - r sd, whose R is in the file as it is.
     mean = not (problem.method == "paper" and objective.risk)
     return ProblemPlan(

@@ -157,7 +157,11 @@ def _rules(config: CampaignConfig) -> tuple[Rule, ...]:
 
 def _quantity(basis: Basis, plans: Plans) -> Quantity:
     """Return what a claim is about; the terms of a composition compose to the risk."""
-    return "rho_star" if composes(basis.rule) else plans[basis.problems[0]].statement.quantity or "rho_star"
+    if composes(basis.rule):
+        return "rho_star"
+    # A claim about every requirement is about values themselves only if no bound of them is one of means.
+    plan = min((plans[name] for name in basis.problems), key=lambda each: each.exact)
+    return plan.statement.quantity or "rho_star"
 
 
 def _claim(
@@ -167,16 +171,20 @@ def _claim(
     composed: document.CompositionTerms | None,
     assumptions: Sequence[document.Assumption],
 ) -> document.CertificateClaim:
-    first = results[basis.problems[0]]
+    bounded = [results[name] for name in basis.problems]
+    first = bounded[0]
     minimum = composed is not None or first.sense == "min"
     used, refuted = _resting_on(assumptions, basis)
+    # The claim about every requirement is false only if that of one fixed requirement is: of any, so of the least.
+    least = min(each.probability for each in bounded)
+    probability = least if composed is None else _probability(results, composed.rule)
     return document.CertificateClaim(
         quantity=_quantity(basis, plans),
         sense=">=" if minimum else "<=",
         bound=_weakest(basis, results) if composed is None else composed.bound,
-        probability=first.probability if composed is None else _probability(results, composed.rule),
+        probability=probability,
         rule=basis.rule,
-        method=" + ".join(dict.fromkeys(results[name].method for name in basis.problems)),
+        method=" + ".join(dict.fromkeys(each.method for each in bounded)),
         assumptions=used,
         refuted=refuted,
         requirement=first.requirement if basis.rule == "single" else None,

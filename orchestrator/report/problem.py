@@ -118,7 +118,7 @@ class ProblemCollector:
             alpha=alpha_of(self._config, problem),
             delta=problem.delta,
             bound=None if bound is None else floored(bound, self._sense, limit),
-            partner=result.partner if result else signed(now.lower if now else None, self._sense),
+            partner=result.partner if result else self._partner(),
             probability=result.probability if result else self._probability(last),
             budget=self.plan.budget,
             rollouts=self.rollouts,
@@ -165,6 +165,10 @@ class ProblemCollector:
             return last.bound
         assert isinstance(self._method, PartMethod), "no other method bounds each requirement"
         return self._method.bound_after(self._pending)
+
+    def _partner(self) -> float | None:
+        # That of the largest objective is false if any of theirs is: no single delta covers it.
+        return signed(self._bound.lower, self._sense) if self._bound and not self.plan.parts else None
 
     def _stopped_by(self, last: ObservedTest | None) -> StoppedBy | None:
         # A requirement may be done before the others are.

@@ -4,7 +4,7 @@
 |-------------------|--------------------------------------------------------------------------------|
 | `tests`           | a proposed test: its expectation, its observation, the bounds after it |
 | `rollouts`        | a recorded rollout, its file, and the attempt that brought it                  |
-| `observations`    | what one replicate contributed to an observed test                             |
+| `observations`    | what one replicate contributed to an observed test, or to a requirement there  |
 | `counterexamples` | a rollout with robustness below 0                                              |
 | `failures`        | an attempt that failed, and whether it failed in the system                    |
 | `opinions`        | a result that was compared, outvoted or simulated again                        |
@@ -30,6 +30,7 @@ from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK
 from ...schemas.problem_models import Problem
 from ...schemas.problems import replicates_are_robustness
+from ...schemas.requirements import parts_of
 from ...schemas.system import SystemSpec
 from . import tables
 from .rows import has_table
@@ -257,18 +258,29 @@ def _observations_table(header: Header) -> ExportTable:
     objectives = _objectives(header)
     robust = {each.name for each in header.config.problems if replicates_are_robustness(each.name, each.method)}
     config = header.config
-    # With several requirements those of the whole specification alone; theirs follow it.
     own = {each.name: config.replicates_of(each) for each in config.problems if config.specifications}
+    # Where each requirement is bounded, it has its replicates; else those of the whole specification come first.
+    names = [each.name for each in config.specifications] if parts_of(config) else []
+
+    def parts(row: Any) -> Iterator[tuple[str | None, int, float]]:
+        each, width = json.loads(row.each), own.get(row.problem)
+        if width is None:
+            yield from ((None, place, value) for place, value in enumerate(each))
+            return
+        for start, name in enumerate(names or [None]):
+            yield from ((name, place, value) for place, value in enumerate(each[start * width : (start + 1) * width]))
 
     def expand(row: Any) -> Iterator[Row]:
         sense, unit = objectives[row.problem]
         y = _minus(row.y) if sense == "min" else row.y
         turned = sense == "min" and row.problem not in robust
-        for replicate, value in enumerate(json.loads(row.each)[: own.get(row.problem)]):
+        for name, replicate, value in parts(row):
             part = _minus(value) if turned else value
-            yield row.problem, row.test, sense, unit, y, replicate, part, row.chain
+            requirement = (name,) if names else ()
+            yield row.problem, row.test, sense, unit, y, *requirement, replicate, part, row.chain
 
-    return ExportTable("observations", (*_TEST, *_OBJECTIVE, *_REPLICATE), _OBSERVATIONS, expand)
+    requirement = (ExportColumn("requirement", "text"),) if names else ()
+    return ExportTable("observations", (*_TEST, *_OBJECTIVE, *requirement, *_REPLICATE), _OBSERVATIONS, expand)
 
 
 def _objectives(header: Header) -> dict[str, tuple[str, str]]:

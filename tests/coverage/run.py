@@ -28,7 +28,7 @@ def run(rows: Sequence[Row], campaigns: int, workers: int, directory: Path = DIR
         append(row, number, chunk, directory)
         left = (time.monotonic() - start) / done * (len(work) - done)
         sys.stderr.write(
-            f"{row.kind:11s} campaigns {number * CHUNK} to {(number + 1) * CHUNK - 1}; "
+            f"{row.kind:12s} campaigns {number * CHUNK} to {(number + 1) * CHUNK - 1}; "
             f"chunk {done} of {len(work)}, {left / 60:.1f} min left\n"
         )
 

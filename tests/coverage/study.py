@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.coverage import composition, paper, rigorous, sampling, scenario
+from tests.coverage import composition, paper, regions, requirements, rigorous, sampling, scenario
 from tests.coverage.records import Chunk, Row, digest
 
 CHUNK = 50
@@ -16,6 +16,8 @@ CAMPAIGNS: dict[str, Callable[[Any, np.random.Generator], dict[str, float]]] = {
     "scenario": scenario.campaign,
     "sampling": sampling.campaign,
     "composition": composition.campaign,
+    "regions": regions.campaign,
+    "requirements": requirements.campaign,
     "audit": rigorous.audited,
     "paper": paper.campaign,
 }
@@ -23,7 +25,16 @@ CAMPAIGNS: dict[str, Callable[[Any, np.random.Generator], dict[str, float]]] = {
 
 def all_rows() -> list[Row]:
     """Return every row, kind by kind."""
-    makers = (rigorous.rows, scenario.rows, sampling.rows, composition.rows, rigorous.audits, paper.rows)
+    makers = (
+        rigorous.rows,
+        scenario.rows,
+        sampling.rows,
+        composition.rows,
+        regions.rows,
+        requirements.rows,
+        rigorous.audits,
+        paper.rows,
+    )
     return [row for rows in makers for row in rows()]
 
 

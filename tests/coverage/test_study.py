@@ -15,6 +15,8 @@ from sklearn.gaussian_process.kernels import Matern
 
 from tests.coverage import functions, laws, noises, oracle, page, records, run
 from tests.coverage.records import Row
+from tests.coverage.regions import Region
+from tests.coverage.requirements import Requirements
 from tests.coverage.rigorous import Audit
 from tests.coverage.scenario import Scenario
 from tests.coverage.study import CHUNK, all_rows, one_chunk
@@ -117,6 +119,21 @@ def test_the_design_has_every_level() -> None:
     }.items():
         assert {getattr(row, name) for row in rigorous} == levels
     assert {getattr(row, "size") for row in rows if row.kind == "scenario"} == {1, 4, 25}  # noqa: B009  (of its kind)
+    several = [row for row in rows if isinstance(row, Requirements)]
+    assert {(row.method, row.law) for row in several} == {
+        *(("scenario", law) for law in laws.LAWS),
+        *(("rigorous", noise) for noise in noises.NOISES),
+    }
+    assert {(row.method, row.worst) for row in several} == {
+        *(("scenario", worst) for worst in ("apart", "same")),
+        *(("rigorous", worst) for worst in ("apart", "same", "flat")),
+    }
+    assert {(row.dimension, row.flat) for row in rows if isinstance(row, Region)} == {
+        (1, True),
+        (1, False),
+        (2, False),
+        (3, False),
+    }
 
 
 ROWS: list[Row] = [Scenario(size=1, tests=2), Audit(small_b=8.0, tests=2)]
@@ -163,14 +180,23 @@ def test_the_verdict_is_about_right_premises_only() -> None:
 def test_the_page_is_written_between_its_marks(tmp_path: Path) -> None:
     found = [found_row(1.0, refuted=50), found_row(2.0, refuted=10)]
     target = tmp_path / "page.md"
-    target.write_text(f"before\n{page.BEGIN}\nreplaced text\n{page.END}\nafter\n", encoding="utf-8")
+    (begin, end), (other_begin, other_end) = page.marks("audit"), page.marks("paper")
+    other = f"{other_begin}\nanother table\n{other_end}\n"
+    target.write_text(f"before\n{begin}\nreplaced text\n{end}\nafter\n{other}", encoding="utf-8")
     page.write(target, found)
     text = target.read_text(encoding="utf-8")
     assert text.startswith("before\n")
-    assert text.endswith(f"{page.END}\nafter\n")
+    assert text.endswith(f"{end}\nafter\n{other}"), "a kind without results keeps its table"
     assert "replaced text" not in text
     assert "**FAILS**" in text
     assert (tmp_path / page.FIGURE).stat().st_size < 100_000
+
+
+def test_the_page_has_a_place_for_every_kind() -> None:
+    text = (records.ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
+    assert set(page.TABLES) == set(page.JUDGED) == {row.kind for row in all_rows()}
+    for kind in page.TABLES:
+        assert [text.count(mark) for mark in page.marks(kind)] == [1, 1]
 
 
 @pytest.mark.parametrize("text", [None, "no marks"])
@@ -179,4 +205,4 @@ def test_a_page_that_cannot_be_written_is_named(tmp_path: Path, text: str | None
     if text is not None:
         target.write_text(text, encoding="utf-8")
     with pytest.raises(page.PageError, match=r"page\.md"):
-        page.write(target, [])
+        page.write(target, [found_row(1.0, refuted=0)])

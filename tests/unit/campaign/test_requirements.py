@@ -1,7 +1,7 @@
 """Several requirements by methods that choose their tests: one design, and for each requirement a bound of its own."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from pydantic import ValidationError
@@ -11,13 +11,15 @@ from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store.export import table_rows
 from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.requirements import parts_of
 from perfbound.schemas.rollout import RolloutRequest
-from tests.fakes.simulators import noise, predicate, robustness, simulate, statuses, verified
+from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, statuses, verified
 
 RIGOROUS = {
     "method": "rigorous",
@@ -178,7 +180,9 @@ def test_the_report_has_a_panel_for_each_requirement(tmp_path: Path) -> None:
             (tmp_path / files.CERTIFICATE).unlink()
         whole, low, high, double = Collector(tmp_path).refresh().problems
         assert [each.requirement for each in (whole, low, high, double)] == [None, *LEAST]
+        assert whole.partner is None
         for each in (low, high, double):
+            assert each.partner is not None
             assert each.bound is not None
             assert each.requirement is not None
             assert each.bound <= LEAST[each.requirement]
@@ -188,6 +192,22 @@ def test_the_report_has_a_panel_for_each_requirement(tmp_path: Path) -> None:
         each_y = zip(low.tests.y, high.tests.y, double.tests.y, strict=True)
         assert whole.tests.y == tuple(min(value for value in values if value is not None) for values in each_y)
         assert "of requirement low" in low.objective
+
+
+def test_the_export_has_every_replicate_of_every_requirement(tmp_path: Path) -> None:
+    config = several(problem=NOISY, clip=(-1.0, 2.0), replicates=2, max_tests=3, spot_check=4)
+    simulate(tmp_path, config, shaky, noisy=True)
+    columns, rows = table_rows(tmp_path, "observations")
+    found = [dict(zip((column.name for column in columns), row, strict=True)) for row in rows]
+    first = [row for row in found if (row["problem"], row["test"]) == ("robustness", 0)]
+    assert [(row["requirement"], row["replicate"]) for row in first] == [(name, k) for name in LEAST for k in (0, 1)]
+    values = [cast(float, row["contribution"]) for row in first]
+    low, high, double = (values[place : place + 2] for place in (0, 2, 4))
+    assert high == pytest.approx([1.2 - value for value in low])
+    assert double == pytest.approx([2 * value for value in low])
+    means = [sum(each) / 2 for each in (low, high, double)]
+    assert [row["observation"] for row in first] == pytest.approx([min(means)] * 6)
+    assert {row["requirement"] for row in found if row["problem"] == "spot_check"} == {None}
 
 
 def test_the_terminal_names_the_requirement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -205,7 +225,7 @@ system.name = "cars"
 gap = [5, 60]
 speed = [5, 35]
 [specifications]
-gap = "always (distance > 0)"
+gap = { formula = "always (distance > 0)", alpha = 0.25 }
 stop = { formula = "eventually (speed < 1)", rkhs_norm = 9 }
 [[problems]]
 name = "robustness"
@@ -230,10 +250,22 @@ def test_the_constants_of_a_requirement_are_beside_its_formula() -> None:
         (
             "rkhs_norm = 9",
             "linearised = { centre = 1, spread = 1 }",
-            r"specifications\.stop: .*linearised",
+            r"specifications\.stop\.linearised: required by problem",
         ),
         ("rkhs_norm = 9", "rkhs_norm = -1", r"specifications\.stop\.rkhs_norm"),
-        ("rkhs_norm = 9", "resolution = 3", r"specifications\.stop\.resolution"),
+        (
+            "rkhs_norm = 9",
+            "resolution = 3",
+            r"specifications\.stop\.resolution: unknown key; allowed are alpha, formula",
+        ),
+        ("rkhs_norm = 9", "rkhsnorm = 9", r"specifications\.stop\.rkhsnorm: unknown key; did you mean 'rkhs_norm'\?"),
+        ("rkhs_norm = 9", "kernel = { nu = 45, length_scale = 1 }", r": specifications\.stop\.kernel\.nu: 45 must be"),
+        (
+            "alpha = 1\n",
+            "alpha = 1\nslack = 0.5\n",
+            r": specifications\.gap: slack: 0\.5 must be at most alpha = 0\.25",
+        ),
+        ("stop = {", '"s/p" = {', r"specifications\.s/p\.name: 's/p' is not allowed: allowed is a letter, then"),
         ('name = "robustness"', 'name = "maximum"\ncolumn = "speed"', "specifications: only for one problem"),
         ("horizon = 5", "horizon = 5\nregions = true", "regions: divides the box by one specification"),
         ("horizon = 5", 'horizon = 5\nspecification = "speed > 0"', "specification: not allowed beside"),
@@ -243,6 +275,36 @@ def test_requirements_that_do_not_go_together(old: str, new: str, reason: str) -
     with pytest.raises(CampaignError, match=reason) as caught:
         parse_campaign(TEXT.replace(old, new).encode(), "c.toml")
     assert "\n" not in str(caught.value)
+
+
+def test_no_more_than_fifty() -> None:
+    more = "\n".join(f'speed{limit} = "speed < {limit}"' for limit in range(49))
+    with pytest.raises(CampaignError, match=r"specifications: .* is not allowed: allowed is at most 50 entries$"):
+        parse_campaign(TEXT.replace("[[problems]]", f"{more}\n[[problems]]").encode(), "c.toml")
+
+
+def test_the_constants_of_a_requirement_are_checked_against_the_system() -> None:
+    axes = {"kernel": {"nu": 2.5, "length_scale": {"z1": 1.0}}}
+    for own, noisy, reason in (
+        (axes, False, r"specifications\.high\.kernel\.length_scale: has z1; give one number for each"),
+        ({"noise_scale": 0.0}, True, r"specifications\.high\.noise_scale: 0 has no meaning for the nominal variant"),
+    ):
+        config = several([THREE[0], {**THREE[1], **own}], problem=NOISY, clip=(-1.0, 2.0))
+        with pytest.raises(CampaignError, match=reason):
+            check_against(config, spec(noisy=noisy), "c.toml")
+
+
+def test_the_claim_about_every_requirement_has_the_least_of_their_probabilities(tmp_path: Path) -> None:
+    requirements = [{**THREE[1], "noise_scale": 0.0}, THREE[0]]
+    # More tests than starts: those of the first requirement cannot be repeated.
+    changes = {"problem": {"noise_scale": 0.05}, "clip": (-1.0, 2.0), "resolution": 2, "max_tests": 12}
+    text = simulate(tmp_path, several(requirements, **changes), plane, noisy=False)
+    whole, exact, noisy = predicate(text)["claims"]
+    assert (exact["probability"], noisy["probability"]) == (1.0, 0.95)
+    assert whole["probability"] == 0.95
+    assert (exact["quantity"], whole["quantity"]) == ("robustness", noisy["quantity"])
+    assert whole["quantity"] != "robustness"
+    assert not verified(tmp_path)
 
 
 def test_method_paper_and_method_sample_say_why_not() -> None:
