@@ -85,14 +85,15 @@ def _draw_norms(axes: Axes, found: ProblemCalibration) -> None:
 
 
 def _draw_steepness(axes: Axes, found: ProblemCalibration) -> None:
-    axes.set(
-        title="steepest places", xlabel="distance / range", ylabel="difference quotient", xscale="log", yscale="log"
-    )
+    axes.set_title("steepest places")
     measured, sizes = found.measured, sizes_of(len(found.measured.values))
     spacing = [size ** (-1.0 / measured.shares.shape[1]) for size in sizes]
     largest = quotients(measured.data, sizes)
     if max(largest) <= 0:
+        axes.text(0.5, 0.5, "no difference beyond the noise", ha="center", va="center", transform=axes.transAxes)
+        axes.set(xticks=(), yticks=())
         return
+    axes.set(xlabel="distance / range", ylabel="difference quotient", xscale="log", yscale="log")
     axes.plot(spacing, largest, "o-", color=BLUE, markersize=3, linewidth=THICK, label="all starts")
     for number, descent in enumerate(measured.descents):
         found_places = [each for each in descent.places if each.quotient > 0]
