@@ -29,6 +29,7 @@ from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
 from .counterexample import DIGITS, counterexample_words
+from .refutation_text import refutation_sentence
 from .region_text import region_sentences
 
 WIDTH = 100
@@ -261,7 +262,7 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
         _hanging(console, Text("       "), note)
     # Beside every claim as well: a reader may copy these lines alone.
     if claim.refuted:
-        _line(console, f"       It rests on {_count(claim.refuted)} REFUTED: do not rely on it.", "bold red")
+        _hanging(console, Text("       ", "bold red"), refutation_sentence(claim.refuted))
 
 
 def _validity(claim: CertificateClaim) -> str:

@@ -8,6 +8,7 @@ from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
 from ..campaign.clip import is_vacuous
 from ..certificate.counterexample import counterexample_words
+from ..certificate.refutation_text import refutation_sentence
 from ..certificate.text import claim_words, notes, nothing_shown, outward, quantity_words
 from ..store.export_tables import robustness_unit
 from .data import Claim, Problem
@@ -51,8 +52,7 @@ def claim_sentence(claim: document.CertificateClaim) -> str:
     if claim.vacuous:
         text += f". {nothing_shown(claim.quantity).removesuffix('.')}"
     if claim.refuted:
-        number = len(claim.refuted)
-        text += f". It rests on {number} assumption{'' if number == 1 else 's'} that the data refute: do not rely on it"
+        text += f". {refutation_sentence(claim.refuted).removesuffix('.')}"
     return text
 
 

@@ -7,6 +7,7 @@ from rich.console import Console
 from perfbound.orchestrator.certificate import text as summary
 from perfbound.orchestrator.certificate.text import outward
 from perfbound.orchestrator.cli.status import print_files
+from perfbound.orchestrator.report.wording import claim_sentence
 from perfbound.orchestrator.run.progress import Plain
 from perfbound.schemas.certificate import (
     Assumption,
@@ -120,7 +121,7 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
         "REFUTED, by the data of this campaign or by derivation: 1 assumption",
         "    rkhs_norm                refuted     B is wrong.",
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
-        "       It rests on 1 assumption REFUTED: do not rely on it.",
+        "       REFUTED by its own data: rkhs_norm of maximum. Do not rely on it.",
         "    alpha NOT reached: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
         "Assumptions that are not refuted",
         "    tail                     assumed     Gaussian.",
@@ -140,11 +141,25 @@ def test_what_is_refuted_of_other_claims_comes_after_the_first_one() -> None:
     order = [
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
         "also  J* (maximum of the expectation) <= 0.5001",
-        "       It rests on 1 assumption REFUTED: do not rely on it.",
+        "       REFUTED by its own data: rkhs_norm of sim_gap. Do not rely on it.",
         "REFUTED, of other claims than the first, by the data of this campaign or by derivation: 1 assumption",
         "    rkhs_norm                refuted     B is wrong.",
     ]
     assert [line for line in lines if line in order] == order
+
+
+def test_one_line_at_a_claim_says_what_refutes_it() -> None:
+    ids = ("rkhs_norm/nominal_robustness", "rkhs_norm/sim_gap", "centred_noise/sim_gap", "workers_honest")
+    found = [Assumption(id=each, status="refuted", detail="why.") for each in ids]
+    both = "REFUTED by its own data: rkhs_norm of nominal_robustness and sim_gap. Do not rely on it."
+    certificate = a_certificate(*found[:2])
+    assert f"       {both}" in printed(certificate), "it fits into the width of the lines"
+    assert claim_sentence(certificate.predicate.claims[0]).endswith(f". {both.removesuffix('.')}")
+    lines = "\n".join(printed(a_certificate(*found)))
+    assert (
+        "       REFUTED by its own data: rkhs_norm of nominal_robustness and sim_gap, workers_honest; by\n"
+        "       derivation: centred_noise of sim_gap. Do not rely on it.\n"
+    ) in lines
 
 
 def test_a_claim_without_a_refuted_assumption_is_not_marked() -> None:

@@ -1,0 +1,29 @@
+"""The sentence beside a claim that rests on refuted assumptions: which they are, and what refutes them."""
+
+from collections.abc import Sequence
+
+BY_DERIVATION = {"centred_noise"}
+"""Assumptions that are refuted without any data; all others are refuted by data."""
+
+
+def refutation_sentence(refuted: Sequence[str]) -> str:
+    """Return why nobody should rely on a claim; `refuted` are the ids of its refuted assumptions, at least one.
+
+    >>> refutation_sentence(("rkhs_norm/nominal_robustness", "rkhs_norm/sim_gap"))
+    'REFUTED by its own data: rkhs_norm of nominal_robustness and sim_gap. Do not rely on it.'
+    >>> refutation_sentence(("centred_noise/true_risk", "workers_honest"))
+    'REFUTED by its own data: workers_honest; by derivation: centred_noise of true_risk. Do not rely on it.'
+    """
+    derived = [each for each in refuted if each.partition("/")[0] in BY_DERIVATION]
+    sources = {"by its own data": [each for each in refuted if each not in derived], "by derivation": derived}
+    found = "; ".join(f"{source}: {_listed(those)}" for source, those in sources.items() if those)
+    return f"REFUTED {found}. Do not rely on it."
+
+
+def _listed(refuted: Sequence[str]) -> str:
+    """Return ids as words, each name once: `rkhs_norm/a`, `rkhs_norm/b` as `rkhs_norm of a and b`."""
+    problems: dict[str, list[str]] = {}
+    for each in refuted:
+        name, _, problem = each.partition("/")
+        problems.setdefault(name, []).extend([problem] if problem else [])
+    return ", ".join(f"{name} of {' and '.join(those)}" if those else name for name, those in problems.items())
