@@ -6,11 +6,10 @@ import numpy as np
 
 from ...schemas.errors import PerfboundError
 from ...schemas.values import Band, Bound
-from ..campaign.methods import method
+from ..campaign.methods import PartMethod, method
 from ..campaign.observation import by_requirement
 from ..campaign.plan import ProblemPlan, plans
 from ..mathematics.bounds.rigorous import RigorousMethod
-from ..mathematics.bounds.scenario import ScenarioMethod
 from ..mathematics.gp.kernels import Floats
 from ..mathematics.gp.lattice import Lattice
 from ..store import read
@@ -43,7 +42,7 @@ def posterior(directory: Path, problem: str | None, x: Floats) -> tuple[Floats, 
     _check_starts(plan, x)
     fed = method(plan, header)
     pairs, bound = [(each.proposal, each.observation) for each in tests], tests[-1].bound
-    if plan.requirement is not None and isinstance(fed, RigorousMethod | ScenarioMethod):
+    if plan.requirement is not None and isinstance(fed, PartMethod):
         whole = found[plan.name]
         place = whole.parts.index(plan)
         # The database has the bound of the whole.

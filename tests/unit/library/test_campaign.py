@@ -248,6 +248,12 @@ def test_a_trajectory_is_one_line_and_an_unknown_column_lists_the_known() -> Non
 
 
 def test_a_campaign_of_several_requirements_shows_their_formulas() -> None:
-    keys = {"alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0}
-    campaign = pb.Campaign(here, space={"x": (0, 1)}, specifications={"low": "y >= 0", "high": "y <= 2"}, **keys)
+    campaign = pb.Campaign(
+        here,
+        space={"x": (0, 1)},
+        specifications={"low": "y >= 0", "high": "y <= 2"},
+        alpha=0.1,
+        rkhs_norm=2.0,
+        noise_scale=0.0,
+    )
     assert repr(campaign).endswith(": (y >= 0) and (y <= 2)>")
