@@ -199,6 +199,11 @@ class Problem:
     requirement: str | None = None
     """The one that is bounded here on its own, from the tests of the problem; None for the whole specification."""
 
+    @property
+    def key(self) -> str:
+        """Name of the problem, with that of the requirement behind it where there is one."""
+        return self.name if self.requirement is None else f"{self.name}/{self.requirement}"
+
 
 @dataclass(frozen=True, slots=True)
 class Curve:

@@ -229,4 +229,5 @@ def _array(values: Series) -> Floats:
 
 def _title(problem: Problem) -> str:
     number = problem.observed
-    return f"{problem.name.replace('_', ' ')}: {number} test{'' if number == 1 else 's'}, method {problem.method}"
+    name = ", ".join(filter(None, (problem.name.replace("_", " "), problem.requirement)))
+    return f"{name}: {number} test{'' if number == 1 else 's'}, method {problem.method}"

@@ -6,7 +6,8 @@ import numpy as np
 
 from ...schemas.errors import PerfboundError
 from ...schemas.values import Band, Bound
-from ..campaign.methods import method
+from ..campaign.methods import PartMethod, method
+from ..campaign.observation import by_requirement
 from ..campaign.plan import ProblemPlan, plans
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.gp.kernels import Floats
@@ -29,19 +30,25 @@ def posterior(directory: Path, problem: str | None, x: Floats) -> tuple[Floats, 
     """
     with read.reading(directory) as connection:
         header = read.read_header(connection, directory)
-    found = plans(header.config, header.spec)
+    found = {each.key: each for plan in plans(header.config, header.spec).values() for each in (plan, *plan.parts)}
     name = problem or next(iter(found))
     if name not in found:
         raise PerfboundError(f"{directory}: no problem {name!r}; choose one of {', '.join(found)}")
-    plan, tests = found[name], read.history(directory)[name]
+    plan, tests = found[name], read.history(directory)[found[name].name]
     if plan.candidates is None:
         raise PerfboundError(f"{directory}: method {plan.problem.method!r} has no band: it draws its starts")
     if not tests:
         raise PerfboundError(f"{directory}: problem {name} has no observation yet; retry later")
     _check_starts(plan, x)
     fed = method(plan, header)
-    fed.recall([(each.proposal, each.observation) for each in tests])
-    bound = tests[-1].bound
+    pairs, bound = [(each.proposal, each.observation) for each in tests], tests[-1].bound
+    if plan.requirement is not None and isinstance(fed, PartMethod):
+        whole = found[plan.name]
+        place = whole.parts.index(plan)
+        # The database has the bound of the whole.
+        bound = fed.bound_after([(proposal, by_requirement(whole, each)[place]) for proposal, each in pairs])
+    else:
+        fed.recall(pairs)
     if isinstance(fed, RigorousMethod) and isinstance(plan.candidates, Lattice):
         mean, lower, upper = _anywhere(fed, bound, plan, x)
     else:
@@ -68,8 +75,9 @@ def _at_candidates(band: Band, plan: ProblemPlan, x: Floats) -> tuple[Floats, Fl
     away = distance[np.arange(len(x)), index] > NEAR
     if away.any():
         raise PerfboundError(
-            f"x: {x[int(np.argmax(away))].tolist()} is no candidate; method {plan.problem.method!r} has a band at the "
-            f"{len(nodes)} candidates alone, and method 'rigorous' on a box everywhere"
+            f"x: {x[int(np.argmax(away))].tolist()} is no candidate; method {plan.problem.method!r} has the band of "
+            f"{plan.key} at the {len(nodes)} candidates alone; method 'rigorous' on a box has that of one "
+            "specification everywhere"
         )
     mean, lower, upper = (np.array(values)[index] for values in (band.mean, band.lower, band.upper))
     return mean, lower, upper

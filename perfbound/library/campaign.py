@@ -125,7 +125,7 @@ class Campaign:
 
     def __repr__(self) -> str:
         """Name, system and specification."""
-        return f"<Campaign {self.name} of {self._subject.spec.name}: {self.config.specification}>"
+        return f"<Campaign {self.name} of {self._subject.spec.name}: {self.config.formula}>"
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(self._text)}</pre>"

@@ -30,13 +30,15 @@ class Plot:
     def map(self, problem: str | None = None) -> Axes:
         """Draw mean and tests of a problem, by default the first one, over the first two parameters of its starts.
 
+        "PROBLEM/REQUIREMENT" names a requirement that is bounded on its own.
+
         Raises:
             PerfboundError: there is no such problem, or it has no test yet.
 
         """
         found = self._problem(problem)
         if not found.surfaces:
-            raise PerfboundError(f"{self._directory}: problem {found.name} has no test yet; retry later")
+            raise PerfboundError(f"{self._directory}: problem {found.key} has no test yet; retry later")
         with _figure(figures.MAP_HEIGHT) as figure:
             return figures.draw_problem_map(figure, self._data.axes, found)
 
@@ -49,12 +51,16 @@ class Plot:
         """
         found = self._problem(problem)
         if not figures.decays(found):
-            raise PerfboundError(f"{self._directory}: problem {found.name} has no two bounds yet; retry later")
+            several = any(each.requirement for each in self._data.problems)
+            remedy = (
+                "those of several requirements are not stored for each test; use `map`" if several else "retry later"
+            )
+            raise PerfboundError(f"{self._directory}: problem {found.key} has no two bounds; {remedy}")
         with _figure(figures.DECAY_HEIGHT) as figure:
             return figures.draw_problem_decay(figure, found)
 
     def _problem(self, name: str | None) -> Problem:
-        found = {each.name: each for each in self._data.problems}
+        found = {each.key: each for each in self._data.problems}
         if name is not None and name not in found:
             raise PerfboundError(f"{self._directory}: no problem {name!r}; choose one of {', '.join(found)}")
         return found[name] if name is not None else next(iter(found.values()))

@@ -3,20 +3,23 @@
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 from rich.console import Console
 
+from perfbound.library.plot import Plot
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.report.posterior import posterior
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.export import table_rows
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_check import check_against
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.errors import CampaignError
+from perfbound.schemas.errors import CampaignError, PerfboundError
 from perfbound.schemas.requirements import parts_of
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, statuses, verified
@@ -208,6 +211,25 @@ def test_the_export_has_every_replicate_of_every_requirement(tmp_path: Path) -> 
     means = [sum(each) / 2 for each in (low, high, double)]
     assert [row["observation"] for row in first] == pytest.approx([min(means)] * 6)
     assert {row["requirement"] for row in found if row["problem"] == "spot_check"} == {None}
+
+
+def test_a_requirement_has_figures_and_a_band_of_its_own(tmp_path: Path) -> None:
+    simulate(tmp_path, several(), plane, noisy=False)
+    plot = Plot(tmp_path)
+    assert plot.map().get_title().startswith("robustness: ")
+    assert plot.map("robustness/low").get_title().startswith("robustness, low: ")
+    for name in (None, "robustness/high"):
+        with pytest.raises(PerfboundError, match="those of several requirements are not stored for each test"):
+            plot.decay(name)
+    starts = np.array([[0.3, 0.6], [0.9, 0.1]])
+    value = 0.2 + starts @ [0.5, 0.1]
+    for name, wanted in (("low", value), ("high", 1.2 - value), ("double", 2 * value)):
+        _, lower, upper = posterior(tmp_path, f"robustness/{name}", starts)
+        assert (lower <= wanted).all()
+        assert (wanted <= upper).all()
+        assert (upper - lower < 1.0).all(), "a part of what B alone allows"
+    with pytest.raises(PerfboundError, match=r"has the band of robustness at the 81 candidates alone"):
+        posterior(tmp_path, None, starts)
 
 
 def test_the_terminal_names_the_requirement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

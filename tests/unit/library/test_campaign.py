@@ -245,3 +245,15 @@ def test_a_trajectory_is_one_line_and_an_unknown_column_lists_the_known() -> Non
     assert repr(found) == "<Trajectory of 2 samples, 0 to 0.5 s: angle>"
     with pytest.raises(KeyError, match="no column 'angel'; there are t, angle"):
         found.column("angel")
+
+
+def test_a_campaign_of_several_requirements_shows_their_formulas() -> None:
+    campaign = pb.Campaign(
+        here,
+        space={"x": (0, 1)},
+        specifications={"low": "y >= 0", "high": "y <= 2"},
+        alpha=0.1,
+        rkhs_norm=2.0,
+        noise_scale=0.0,
+    )
+    assert repr(campaign).endswith(": (y >= 0) and (y <= 2)>")
