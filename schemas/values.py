@@ -74,13 +74,17 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class ProblemProgress:
-    """The state of one problem: its closed tests, their rollouts and the last bound; `F` is that of the last test."""
+    """The state of one problem: its closed tests, their rollouts and the last bound; `F` is that of the last test.
+
+    `extended` is the budget that an extension of the campaign gave it; None where it has that of the campaign file.
+    """
 
     tests: int
     rollouts: int
     F: float | None
     bound: Bound | None
     stopped_by: StoppedBy | None
+    extended: int | None = None
 
 
 def _drop_signs_of_zeros(value: object, *names: str) -> None:

@@ -40,6 +40,8 @@ class Series:
     due: BoundFact | None = None
     """The bound that follows from the last observation, until its fact is there."""
     last_bound: BoundFact | None = None
+    budgets: list[int] = field(default_factory=list)
+    """Tests at most after each extension of the campaign that this series has part in."""
 
     @property
     def progress(self) -> ProblemProgress:
@@ -51,6 +53,7 @@ class Series:
             proposal.F if proposal and last else None,
             last.bound if last else None,
             last.stopped_by if last else None,
+            self.budgets[-1] if self.budgets else None,
         )
 
     def next_link(self, test: int, observation: Observation) -> str:

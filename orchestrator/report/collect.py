@@ -10,8 +10,8 @@ from pathlib import Path
 
 from ...schemas.certificate import Certificate, Predicate
 from ...schemas.errors import JournalError, PerfboundError
-from ...schemas.facts import Header, ProposalFact, RolloutFact
-from ...schemas.ids import CLOSING, RECHECK, RolloutId
+from ...schemas.facts import ExtensionFact, Header, ProposalFact, RolloutFact
+from ...schemas.ids import RECHECK, RolloutId, closing_check
 from ...schemas.requirements import parts_of
 from ...schemas.values import Observation
 from ..campaign.observation import by_requirement
@@ -90,8 +90,11 @@ class Collector:
 
     def _read(self) -> Header:
         # The certificate before the facts: it is written after the last of them, so they are complete with it.
-        certificate = self._certificate or files.read(self.directory)
+        known = self._certificate
+        certificate = known or files.read(self.directory)
         changes = self._changes.read()
+        if known and any(isinstance(fact, ExtensionFact) for fact in changes.decisions):
+            certificate, self._divided = None, {}  # that of before; the next refresh finds the one that follows
         header = self._header = changes.header
         if certificate and certificate.predicate.campaign.config_sha256 != header.config_sha256:
             raise JournalError(
@@ -108,13 +111,17 @@ class Collector:
     def _add(self, changes: Changes) -> None:
         try:
             for fact in changes.decisions:
-                if fact.problem not in CLOSING:
+                if isinstance(fact, ExtensionFact):
+                    for problem, tests in fact.budgets:
+                        for collector in self._of_problem(problem):
+                            collector.extend(tests)
+                elif closing_check(fact.problem) is None:
                     for collector in self._of_problem(fact.problem):
                         collector.add(fact)
                 elif isinstance(fact, ProposalFact):
                     self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
-                if problem not in CLOSING:
+                if closing_check(problem) is None:
                     for collector in self._of_problem(problem):
                         collector.rollouts += number
         except (KeyError, ValueError) as error:
@@ -124,7 +131,7 @@ class Collector:
         self._workers.add(changes)
         self._trust.add(changes)
         # A recheck repeats rollouts that have been counted.
-        self._violations += (fact for fact in changes.violations if fact.rollout.problem != RECHECK)
+        self._violations += (fact for fact in changes.violations if closing_check(fact.rollout.problem) != RECHECK)
         self._violations.sort(key=lambda fact: (fact.robustness, fact.rollout))
 
     def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
@@ -169,7 +176,7 @@ class Collector:
                 for fact in self._violations[:MOST_COUNTEREXAMPLES]
             ),
             violations=len(self._violations),
-            later_violations=sum(fact.rollout.problem in CLOSING for fact in self._violations),
+            later_violations=sum(closing_check(fact.rollout.problem) is not None for fact in self._violations),
             rollouts=sum(each.rollouts for each in problems if each.requirement is None),
             workers=workers,
             throughput=self._workers.throughput(),
@@ -210,7 +217,7 @@ class Collector:
         return self._divided.get(collector.problem.name)
 
     def _start(self, rollout: RolloutId) -> tuple[float, ...]:
-        if rollout.problem in CLOSING:
+        if closing_check(rollout.problem):
             return self._checked[rollout.problem, rollout.test]
         return self._problems[rollout.problem].starts[rollout.test]
 

@@ -58,6 +58,7 @@ class ProblemCollector:
         self._surfaces: tuple[Surface, ...] = ()
         self._drawn: list[Drawn] = []
         self._tests = observed_series(self.plan, self.observed)
+        self._extended: int | None = None
         self._described = 0
         """Tests in surfaces and columns."""
         self._warnings = self._contradictions()
@@ -82,6 +83,12 @@ class ProblemCollector:
                 fact = fact if self._own is None else replace(fact, bound=Bound(None, None, fact.bound.verdict))
                 proposal, observation = self._proposals.pop(fact.test), self._values.pop(fact.test)
                 self.observed.append(ObservedTest.of(proposal, observation, fact))
+
+    def extend(self, budget: int) -> None:
+        """Take a larger budget: the last bound is no end any more."""
+        self._extended = budget
+        if self.observed:
+            self.observed[-1] = replace(self.observed[-1], stopped_by=None)
 
     def data(self, result: ProblemResult | None) -> Problem:
         """Return the data of the problem; `result` is its part of the certificate.
@@ -120,7 +127,7 @@ class ProblemCollector:
             bound=None if bound is None else floored(bound, self._sense, limit),
             partner=result.partner if result else self._partner(),
             probability=result.probability if result else self._probability(last),
-            budget=self.plan.budget,
+            budget=self._extended or self.plan.budget,
             rollouts=self.rollouts,
             stopped_by=stopped_by,
             left=None if stopped_by else self._left(),
@@ -201,5 +208,5 @@ class ProblemCollector:
         if self._own is not None:
             return None  # its tests are those of the whole
         now = self._tests.distance[-1] if self._tests.distance else None
-        left = forecast.tests_left(self._config, self.problem, now, len(self.observed))
+        left = forecast.tests_left(self._config, self.problem, now, len(self.observed), self._extended)
         return None if left is None else forecast.left_in_words(self._config, self.problem, left)

@@ -152,15 +152,20 @@ def start_campaign(
         page.end()
 
 
-def resume_campaign(directory: Path, options: RunOptions, console: Console) -> bool:
+def resume_campaign(directory: Path, options: RunOptions, console: Console, max_tests: int | None = None) -> bool:
     """Continue a campaign from its database; return False for a finished one, which is left as it is.
 
+    With `max_tests` a finished campaign that ended by its budget gets this larger one, and continues.
+
     Raises:
-        PerfboundError: there is no campaign, it is running, its software is another one, or the run fails.
+        PerfboundError: there is no campaign, it is running, its software is another one, or the run fails; or it cannot
+            be extended.
         Stopped: a signal arrived.
 
     """
     existing(directory)
+    if max_tests is not None:
+        _extend(directory, options, console, max_tests)
     if files.read(directory) is not None:
         console.print(Text(f"{directory}: finished already"), soft_wrap=True)
         return False
@@ -178,6 +183,18 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console) -> b
             _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
             page.end()
     return True
+
+
+def _extend(directory: Path, options: RunOptions, console: Console, max_tests: int) -> None:
+    # Loads the numerics, and is needed by few resumes.
+    from .extend import extend_campaign  # noqa: PLC0415
+
+    # As every resume: where its software is missing, an extended campaign could not continue.
+    with reopened(directory, options, console) as (journal, _):
+        extended = extend_campaign(directory, journal, max_tests)
+    if extended:
+        text = f"extended to {max_tests} tests; what the certificate so far consists of is kept beside"
+        console.print(Text(f"{directory}: {text}"), soft_wrap=True)
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from ..schemas.campaign import CampaignConfig
 from ..schemas.certificate import Predicate
 from ..schemas.errors import EvidenceError, PerfboundError
 from ..schemas.facts import Header
-from ..schemas.ids import CLOSING
+from ..schemas.ids import closing_check
 from ..schemas.link import LOCAL
 from ..schemas.trajectory import Trajectory
 from .forked import Forked
@@ -79,14 +79,19 @@ class Run:
     @property
     def tests(self) -> Table:
         """A row for each test of a problem: its start, its observation, and the bounds after it."""
-        found = self.table("tests")
-        return found.only(~np.isin(found["problem"].astype(str), CLOSING))
+        return self._tests(closing=False)
 
     @property
     def closing_checks(self) -> Table:
-        """A row for each test of the closing checks, whose `problem` is `spot_check` or `recheck`, as in `tests`."""
+        """A row for each test of the closing checks, as in `tests`.
+
+        `problem` is `spot_check`, `shrink` or `recheck`; after an extension `spot_check_b` and `recheck_b`.
+        """
+        return self._tests(closing=True)
+
+    def _tests(self, *, closing: bool) -> Table:
         found = self.table("tests")
-        return found.only(np.isin(found["problem"].astype(str), CLOSING))
+        return found.only(np.array([(closing_check(str(name)) is not None) == closing for name in found["problem"]]))
 
     @property
     def rollouts(self) -> Table:
@@ -194,8 +199,18 @@ def open_run(directory: str | Path) -> Run:
     return Run(Path(directory))
 
 
-def resume_run(directory: str | Path, *, system: object = None, workers: int = 2, progress: bool = True) -> Run:
+def resume_run(
+    directory: str | Path,
+    *,
+    system: object = None,
+    max_tests: int | None = None,
+    workers: int = 2,
+    progress: bool = True,
+) -> Run:
     """Continue a campaign to its certificate; a finished one is left as it is.
+
+    With `max_tests` a finished campaign that ended by its budget gets this larger one, and continues; not with method
+    `paper`, and not where a number of samples was fixed.
 
     `system` is the function, where it was typed into a notebook, or "FILE.py:NAME" where the file is elsewhere now.
 
@@ -209,7 +224,7 @@ def resume_run(directory: str | Path, *, system: object = None, workers: int = 2
     reference = found.reference if found is not None and own is None else None
     path, console = Path(directory), output(progress=progress)
     with reproducible(), interruptible(path, console):
-        session.resume_campaign(path, _run_options(workers, reference, own), console)
+        session.resume_campaign(path, _run_options(workers, reference, own), console, max_tests)
     return Run(path)
 
 
