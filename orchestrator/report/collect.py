@@ -3,7 +3,7 @@
 It reads the run directory of a running, stopped or finished campaign and changes no file in it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -90,21 +90,17 @@ class Collector:
 
     def _read(self) -> Header:
         # The certificate before the facts: it is written after the last of them, so they are complete with it.
-        known = self._certificate
-        certificate = known or files.read(self.directory)
+        certificate = self._certificate or files.read(self.directory)
         changes = self._changes.read()
-        if known and any(isinstance(fact, ExtensionFact) for fact in changes.decisions):
+        if self._certificate and changes.extended:
             certificate, self._divided = None, {}  # that of before; the next refresh finds the one that follows
         header = self._header = changes.header
-        if certificate and certificate.predicate.campaign.config_sha256 != header.config_sha256:
-            raise JournalError(
-                f"{self.directory}: the certificate is that of another campaign than the database; restore one of them"
-            )
+        _check_same(self.directory, certificate, header)
         self._certificate = certificate
         if not self._problems:
             self._problems = dict(_collectors(header))
-        self._system = changes.origin[0] if changes.origin else None
-        self._code = ", ".join(filter(None, changes.origin or ())) or None
+        origin = changes.origin or (None, None)
+        self._system, self._code = origin[0], ", ".join(filter(None, origin)) or None
         self._add(changes)
         return header
 
@@ -112,9 +108,7 @@ class Collector:
         try:
             for fact in changes.decisions:
                 if isinstance(fact, ExtensionFact):
-                    for problem, tests in fact.budgets:
-                        for collector in self._of_problem(problem):
-                            collector.extend(tests)
+                    _extend_all(self._problems.values(), fact)
                 elif closing_check(fact.problem) is None:
                     for collector in self._of_problem(fact.problem):
                         collector.add(fact)
@@ -243,6 +237,18 @@ class Collector:
             if len(self._cache) > MOST_CACHED:
                 del self._cache[next(iter(self._cache))]
         return found
+
+
+def _extend_all(collectors: Iterable[ProblemCollector], fact: ExtensionFact) -> None:
+    for each in collectors:
+        each.extend(fact)
+
+
+def _check_same(directory: Path, certificate: Certificate | None, header: Header) -> None:
+    if certificate and certificate.predicate.campaign.config_sha256 != header.config_sha256:
+        raise JournalError(
+            f"{directory}: the certificate is that of another campaign than the database; restore one of them"
+        )
 
 
 def _collectors(header: Header) -> Iterator[tuple[str, ProblemCollector]]:

@@ -11,12 +11,13 @@ from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Predicate, ProblemResult
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
 from ...schemas.requirements import alpha_of
-from ...schemas.values import Bound, Observation, Proposal, StoppedBy
+from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import PartMethod, method
+from ..campaign.outlook import in_words
 from ..campaign.plan import ProblemPlan
 from ..certificate.problem_results import objective
 from ..mathematics.bounds.sample import SampleMethod
@@ -84,10 +85,11 @@ class ProblemCollector:
                 proposal, observation = self._proposals.pop(fact.test), self._values.pop(fact.test)
                 self.observed.append(ObservedTest.of(proposal, observation, fact))
 
-    def extend(self, budget: int) -> None:
-        """Take a larger budget: the last bound is no end any more."""
-        self._extended = budget
-        if self.observed:
+    def extend(self, fact: ExtensionFact) -> None:
+        """Take an extension of the campaign: with a larger budget the last bound is no end any more."""
+        budget = dict(fact.budgets).get(self.problem.name)
+        self._extended = budget or self._extended
+        if budget and self.observed:
             self.observed[-1] = replace(self.observed[-1], stopped_by=None)
 
     def data(self, result: ProblemResult | None) -> Problem:
@@ -131,6 +133,7 @@ class ProblemCollector:
             rollouts=self.rollouts,
             stopped_by=stopped_by,
             left=None if stopped_by else self._left(),
+            outlook=None if result and result.stopped_by != "budget" else self._outlook(last),
             surfaces=self._surfaces,
             tests=self._tests,
             by_clip=limit,
@@ -203,6 +206,18 @@ class ProblemCollector:
         robustness = consistency.robustness_of(self.problem, each)
         found = consistency.of_tests(self.plan, y, each, robustness)
         return tuple(map(typeset, (*consistency.of_plan(self.plan, self._header.spec), *found.values())))
+
+    def _outlook(self, last: ObservedTest | None) -> str | None:
+        if self._own is not None or last is None:
+            return None
+        course = tuple(
+            (each.test + 1, each.bound.upper)
+            for each in self.observed
+            if each.test + 1 in MARKED and each.bound.upper is not None
+        )
+        tests, stopped_by = len(self.observed), last.stopped_by
+        now = ProblemProgress(tests, self.rollouts, None, last.bound, stopped_by, self._extended, course)
+        return in_words(self._config, self.problem, now)
 
     def _left(self) -> str | None:
         if self._own is not None:

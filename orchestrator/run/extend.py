@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+from rich.console import Console
+from rich.text import Text
+
 from ...schemas.certificate import Certificate
 from ...schemas.errors import CampaignError
 from ..campaign.extension import extension
@@ -10,6 +13,17 @@ from ..certificate import files
 from ..store.journal import Journal
 from ..store.upgrade import upgraded
 from .format import resume_command
+from .session import RunOptions, reopened
+
+
+def give_budget(directory: Path, options: RunOptions, console: Console, max_tests: int) -> None:
+    """Extend the campaign in a run directory; raises as `extend_campaign`, and as a resume where it cannot continue."""
+    # As every resume: where its software is missing, an extended campaign could not continue.
+    with reopened(directory, options, console) as (journal, _):
+        extended = extend_campaign(directory, journal, max_tests)
+    if extended:
+        text = f"extended to {max_tests} tests; what the certificate so far consists of is kept beside"
+        console.print(Text(f"{directory}: {text}"), soft_wrap=True)
 
 
 def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> bool:

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from rich.console import Console
 from rich.text import Text
@@ -39,9 +39,6 @@ from .directory import check_vacant, claimed
 from .live_page import LivePage, live_page
 from .revision import revision
 from .systemd import Systemd
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +162,9 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
     """
     existing(directory)
     if max_tests is not None:
-        _extend(directory, options, console, max_tests)
+        from .extend import give_budget  # noqa: PLC0415  (loads the numerics, and few resumes need it)
+
+        give_budget(directory, options, console, max_tests)
     if files.read(directory) is not None:
         console.print(Text(f"{directory}: finished already"), soft_wrap=True)
         return False
@@ -183,18 +182,6 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
             _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
             page.end()
     return True
-
-
-def _extend(directory: Path, options: RunOptions, console: Console, max_tests: int) -> None:
-    # Loads the numerics, and is needed by few resumes.
-    from .extend import extend_campaign  # noqa: PLC0415
-
-    # As every resume: where its software is missing, an extended campaign could not continue.
-    with reopened(directory, options, console) as (journal, _):
-        extended = extend_campaign(directory, journal, max_tests)
-    if extended:
-        text = f"extended to {max_tests} tests; what the certificate so far consists of is kept beside"
-        console.print(Text(f"{directory}: {text}"), soft_wrap=True)
 
 
 @contextmanager

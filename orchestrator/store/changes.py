@@ -127,6 +127,11 @@ class Changes:
     opinions: tuple[ComparedResult, ...] = ()
     pauses: tuple[PauseChange, ...] = ()
 
+    @property
+    def extended(self) -> bool:
+        """Whether the campaign was extended."""
+        return any(isinstance(fact, ExtensionFact) for fact in self.decisions)
+
 
 class ChangeReader:
     """Reads a campaign in increments; used by one thread at a time."""

@@ -79,7 +79,7 @@ class Run:
     @property
     def tests(self) -> Table:
         """A row for each test of a problem: its start, its observation, and the bounds after it."""
-        return self._tests(closing=False)
+        return _of_series(self.table("tests"), closing=False)
 
     @property
     def closing_checks(self) -> Table:
@@ -87,11 +87,7 @@ class Run:
 
         `problem` is `spot_check`, `shrink` or `recheck`; after an extension `spot_check_b` and `recheck_b`.
         """
-        return self._tests(closing=True)
-
-    def _tests(self, *, closing: bool) -> Table:
-        found = self.table("tests")
-        return found.only(np.array([(closing_check(str(name)) is not None) == closing for name in found["problem"]]))
+        return _of_series(self.table("tests"), closing=True)
 
     @property
     def rollouts(self) -> Table:
@@ -187,6 +183,11 @@ class Run:
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(_in_words(self))}</pre>"
+
+
+def _of_series(tests: Table, *, closing: bool) -> Table:
+    """Return the tests of the closing checks, or those of the problems."""
+    return tests.only(np.array([(closing_check(str(name)) is not None) == closing for name in tests["problem"]]))
 
 
 def open_run(directory: str | Path) -> Run:

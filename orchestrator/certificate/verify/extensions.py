@@ -16,14 +16,14 @@ def extended(certificate: Certificate) -> tuple[ExtensionFact, ...]:
     budgets: dict[int, dict[str, int]] = {}
     for each in certificate.predicate.assumptions:
         if each.id.startswith(EXTENDED):
-            number, problem, tests = _listed(each)
+            number, problem, tests = _of_line(each)
             budgets.setdefault(number, {})[problem] = tests  # one line for each requirement of the problem
     if list(budgets) != list(range(1, len(budgets) + 1)):
         raise CheckFailed("stop", "its extensions are not numbered from 1 in their order")
     return tuple(ExtensionFact(number, tuple(listed.items())) for number, listed in budgets.items())
 
 
-def _listed(found: Assumption) -> tuple[int, str, int]:
+def _of_line(found: Assumption) -> tuple[int, str, int]:
     number, values = found.id.removeprefix(EXTENDED).partition("/")[0], found.values or {}
     problem, tests = values.get("problem"), values.get("max_tests")
     if not number.isdecimal() or not isinstance(problem, str) or not isinstance(tests, int):
