@@ -66,6 +66,11 @@ def _not_at_every_test(plan: ProblemPlan) -> str | None:
                 "method 'paper' claims its bound for the one test at which its rule or its budget ends it, so a budget "
                 "that is chosen afterwards has no probability; start a new campaign with a larger max_tests"
             )
+        case "kriging":
+            return (
+                f"method 'kriging' plans every start and weight for {plan.budget} tests, and proposes none after them; "
+                "start a new campaign with a larger max_tests"
+            )
         case "sample" if not plan.until_counterexample:
             return (
                 f"the number of samples was fixed at {plan.budget}, and its claims hold at this number alone; start a "

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import Problem, SampleProblem
+from ...schemas.problem_models import KrigingProblem, Problem, SampleProblem
 from ...schemas.values import ProblemProgress
 from .forecast import FEWEST, budget
 
@@ -75,8 +75,12 @@ def outlook_lines(config: CampaignConfig, progress: Sequence[ProblemProgress]) -
 
 def in_words(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> str | None:
     """Return the forecast of a problem in words; None where there is none, and for a question that is answered."""
-    # A number of samples is fixed, and so is what it can show.
-    if isinstance(problem, SampleProblem) or progress.stopped_by not in (None, "budget") or not progress.tests:
+    # A number of samples is fixed, and so is what it can show; the weights of `kriging` are those of its budget.
+    if (
+        isinstance(problem, SampleProblem | KrigingProblem)
+        or progress.stopped_by not in (None, "budget")
+        or not progress.tests
+    ):
         return None
     found = outlook(
         _with_last(progress),

@@ -150,7 +150,8 @@ class ProblemPlan:
 
 def within_starts(plan: ProblemPlan, tests: int) -> int:
     """Return a number of tests, or the largest useful one: without noise one test at a start shows all."""
-    if isinstance(plan.problem, RigorousProblem) and plan.noise == 0 and plan.candidates is not None:
+    without_noise = isinstance(plan.problem, RigorousProblem) and plan.noise == 0
+    if plan.candidates is not None and (without_noise or any(part.exact for part in plan.parts)):
         return min(tests, plan.candidates.size)
     return tests
 

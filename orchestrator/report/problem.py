@@ -4,7 +4,7 @@ Facts are in terms of the maximised objective J; the data carry the sign of the 
 lower change places for a minimum.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -133,7 +133,9 @@ class ProblemCollector:
             rollouts=self.rollouts,
             stopped_by=stopped_by,
             left=None if stopped_by else self._left(),
-            outlook=None if result and result.stopped_by != "budget" else self._outlook(last),
+            outlook=None
+            if self._own
+            else _outlook(self._config, self.plan, self.observed, self.rollouts, self._extended),
             surfaces=self._surfaces,
             tests=self._tests,
             by_clip=limit,
@@ -207,21 +209,21 @@ class ProblemCollector:
         found = consistency.of_tests(self.plan, y, each, robustness)
         return tuple(map(typeset, (*consistency.of_plan(self.plan, self._header.spec), *found.values())))
 
-    def _outlook(self, last: ObservedTest | None) -> str | None:
-        if self._own is not None or last is None:
-            return None
-        course = tuple(
-            (each.test + 1, each.bound.upper)
-            for each in self.observed
-            if each.test + 1 in MARKED and each.bound.upper is not None
-        )
-        tests, stopped_by = len(self.observed), last.stopped_by
-        now = ProblemProgress(tests, self.rollouts, None, last.bound, stopped_by, self._extended, course)
-        return in_words(self._config, self.problem, now)
-
     def _left(self) -> str | None:
         if self._own is not None:
             return None  # its tests are those of the whole
         now = self._tests.distance[-1] if self._tests.distance else None
         left = forecast.tests_left(self._config, self.problem, now, len(self.observed), self._extended)
         return None if left is None else forecast.left_in_words(self._config, self.problem, left)
+
+
+def _outlook(
+    config: CampaignConfig, plan: ProblemPlan, observed: Sequence[ObservedTest], rollouts: int, extended: int | None
+) -> str | None:
+    if not observed:
+        return None
+    points = ((each.test + 1, each.bound.upper) for each in observed if each.test + 1 in MARKED)
+    course = tuple((tests, upper) for tests, upper in points if upper is not None)
+    last = observed[-1]
+    progress = ProblemProgress(len(observed), rollouts, None, last.bound, last.stopped_by, extended, course)
+    return in_words(config, plan.problem, progress)

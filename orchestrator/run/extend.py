@@ -49,11 +49,11 @@ def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> bool:
         )
     if not ledger.done:
         raise CampaignError(f"{directory}: has a certificate, but its tests have not ended; restore it from a copy")
-    _refuse_refuted(directory, certificate)
     try:
         fact = extension(ledger.accounts, ledger.closing, len(ledger.extensions) + 1, max_tests)
     except CampaignError as error:
         raise CampaignError(f"{directory}: cannot be extended: {error}") from None
+    _refuse_refuted(directory, certificate)
     # The fact comes last: without it a resume issues the same certificate again, after it nothing shows the old one as
     # that of this campaign.
     files.withdraw(directory, fact.number)
