@@ -1,8 +1,10 @@
 """Two numbers to plan with: the bound at the end of the budget, and what another thousand rollouts would bring.
 
-A forecast, and no claim: the bounds so far are continued as now - c (n0^-p - n^-p), with c by least squares. The power
-p of a bound is not known, and changes in the course of a campaign; so each of `POWERS` is fitted to all bounds and to
-the later half of them, which gives a range. Pure Python, because `perfbound status` loads no numpy.
+A forecast, and no claim: the bounds so far are continued as now - c (x(n) - x(n0)) with x(n) = (1 - n^-p)/p, which is
+log n for p = 0, and c by least squares. The power p of a bound is not known: large noise hides a bound at first, and it
+falls faster and faster (p < 0); later it approaches a limit (p > 0). So each of `POWERS` is fitted to all bounds and to
+the later half of them; the range is that of the fits that describe the later half nearly as well as the best one. Pure
+Python, because `perfbound status` loads no numpy.
 """
 
 import math
@@ -15,8 +17,10 @@ from ...schemas.problem_models import KrigingProblem, Problem, SampleProblem
 from ...schemas.values import ProblemProgress
 from .forecast import FEWEST, budget
 
-POWERS = (0.25, 0.5, 1.0)
-"""Slower than 1/sqrt(n), as that, and as 1/n."""
+POWERS = (-0.5, -0.25, 0.0, 0.25, 0.5, 1.0)
+"""From a fall that becomes faster to a limit that is approached as 1/n."""
+NEARLY = 3.0
+"""A fit counts if its residual is at most so many times the least one, which no model of the rest explains."""
 MORE = 1000
 """Rollouts of the second number."""
 FEWEST_POINTS = 6
@@ -56,10 +60,15 @@ def outlook(course: Sequence[Point], *, tests: int, least: float | None, most: i
     if len(usable) < FEWEST_POINTS or per_test <= 0:
         return None
     now, later = usable[-1][1], usable[len(usable) // 2 :]
-    fits = [(power, _slope(points, power)) for power in POWERS for points in (usable, later)]
+    fits = [_Fit.of(points, power, later) for power in POWERS for points in (usable, later)]
+    least_residual = min(fit.residual for fit in fits)
+    # The neighbours of the best power as well: the true one may be between two of them.
+    best = POWERS.index(min(fits, key=lambda fit: fit.residual).power)
+    near = POWERS[max(0, best - 1) : best + 2]
+    good = [fit for fit in fits if fit.residual <= NEARLY * least_residual or fit.power in near]
 
     def at(number: float) -> list[float]:
-        falls = [slope * (tests**-power - number**-power) for power, slope in fits]
+        falls = [fit.slope * (_grown(number, fit.power) - _grown(tests, fit.power)) for fit in good]
         return [max(now - fall, -math.inf if least is None else min(least, now)) for fall in falls]
 
     after = at(most)
@@ -105,13 +114,29 @@ def _with_last(progress: ProblemProgress) -> list[Point]:
     return earlier if upper is None else [*earlier, (progress.tests, upper)]
 
 
-def _slope(points: Sequence[Point], power: float) -> float:
-    """Return c of a + c n^-p by least squares; 0 where the bounds do not fall."""
-    x = [number**-power for number, _ in points]
-    centre, level = math.fsum(x) / len(x), math.fsum(upper for _, upper in points) / len(points)
-    spread = math.fsum((each - centre) ** 2 for each in x)
-    common = math.fsum((each - centre) * (upper - level) for each, (_, upper) in zip(x, points, strict=True))
-    return max(0.0, common / spread) if spread else 0.0
+def _grown(number: float, power: float) -> float:
+    """Return x(n) of the model."""
+    return math.log(number) if power == 0 else (1 - number**-power) / power
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """The model u = a - c x(n) with c >= 0, by least squares."""
+
+    power: float
+    slope: float
+    residual: float
+
+    @classmethod
+    def of(cls, points: Sequence[Point], power: float, judged: Sequence[Point]) -> "_Fit":
+        """Fit the model to points; its residual is that of the `judged` ones."""
+        x = [_grown(number, power) for number, _ in points]
+        centre, level = math.fsum(x) / len(x), math.fsum(upper for _, upper in points) / len(points)
+        spread = math.fsum((each - centre) ** 2 for each in x)
+        common = math.fsum((each - centre) * (upper - level) for each, (_, upper) in zip(x, points, strict=True))
+        slope = max(0.0, -common / spread) if spread else 0.0
+        missed = (upper - level + slope * (_grown(number, power) - centre) for number, upper in judged)
+        return cls(power, slope, math.sqrt(math.fsum(each**2 for each in missed)))
 
 
 def _over_fits(values: Sequence[float]) -> Guess:
