@@ -125,12 +125,30 @@ class BoundFact:
         return self.bound.verdict or ("budget" if self.budget else None)
 
 
-Fact = ProposalFact | RolloutFact | DiscardFact | ObservationFact | BoundFact
+@dataclass(frozen=True, slots=True)
+class ExtensionFact:
+    """A larger budget for problems that had spent theirs, after every series had stopped; the first one has number 1.
+
+    Whoever gave it could know every rollout before it.
+    """
+
+    number: int
+    budgets: tuple[tuple[str, int], ...]
+    """(problem, tests at most from now on), in the order of the campaign file; the others stay as they ended."""
+
+
+Fact = ProposalFact | RolloutFact | DiscardFact | ObservationFact | BoundFact | ExtensionFact
 
 
 def first_link(header: Header, problem: str) -> str:
     """Return the start of a problem's hash chain."""
     return digest({"config": header.config_sha256, "system": header.system_sha256, "problem": problem})
+
+
+def extended_link(link: str, fact: ExtensionFact) -> str:
+    """Return the head of a problem's hash chain after an extension, which is in the chain of every problem."""
+    value = {"extension": fact.number, "budgets": [list(each) for each in fact.budgets]}
+    return hashlib.sha256((link + canonical_json(value)).encode()).hexdigest()
 
 
 def next_link(

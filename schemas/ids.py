@@ -1,10 +1,57 @@
 """Names of a rollout and of an attempt at it: the only reader and writer of their text form."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 SPOT_CHECK, SHRINK, RECHECK = CLOSING = ("spot_check", "shrink", "recheck")
 """The closing checks: series of tests that follow those of the problems, in this order."""
+
+
+def of_extension(check: str, number: int) -> str:
+    """Return the name of a closing check after so many extensions of the campaign.
+
+    The number is in letters, the only characters of a series besides `_` in messages and file names.
+
+    >>> [of_extension("recheck", number) for number in (0, 1, 2, 26)]
+    ['recheck', 'recheck_b', 'recheck_c', 'recheck_ba']
+    """
+    letters = ""
+    while number:
+        number, digit = divmod(number, 26)
+        letters = chr(ord("a") + digit) + letters
+    return f"{check}_{letters}" if letters else check
+
+
+def closing_check(series: str) -> str | None:
+    """Return the closing check that a series is, whichever extension it follows; None for a problem.
+
+    >>> closing_check("spot_check_b"), closing_check("sim_gap")
+    ('spot_check', None)
+    """
+    found = check_of_extension(series)
+    return found and found[0]
+
+
+def check_of_extension(series: str) -> tuple[str, int] | None:
+    """Return the closing check that a series is, and after how many extensions; None for a problem.
+
+    >>> check_of_extension("recheck"), check_of_extension("spot_check_b"), check_of_extension("sim_gap")
+    (('recheck', 0), ('spot_check', 1), None)
+    """
+    if series in CLOSING:
+        return series, 0
+    check, _, letters = series.rpartition("_")
+    number = 0
+    for letter in letters:
+        number = 26 * number + ord(letter) - ord("a")
+    return (check, number) if check in CLOSING else None
+
+
+def series_order(problems: Sequence[str], series: str) -> tuple[int, int]:
+    """Return what sorts series: problems as in the campaign file, then the closing checks, round by round."""
+    found = check_of_extension(series)
+    return (-1, problems.index(series)) if found is None else (found[1], CLOSING.index(found[0]))
 
 
 class RolloutId(NamedTuple):

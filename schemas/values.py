@@ -3,6 +3,7 @@
 These classes are all that the mathematics imports of perfbound; the facts of a campaign contain them.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -72,15 +73,25 @@ class Band:
     """Whether the maximum may still be at this candidate."""
 
 
+MARKED = frozenset(math.ceil(1.1**power) for power in range(150))
+"""Numbers of tests after which the course of a bound is kept: about 24 for each factor of ten, up to a million."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProblemProgress:
-    """The state of one problem: its closed tests, their rollouts and the last bound; `F` is that of the last test."""
+    """The state of one problem: its closed tests, their rollouts and the last bound; `F` is that of the last test.
+
+    `extended` is the budget that an extension of the campaign gave it; None where it has that of the campaign file.
+    """
 
     tests: int
     rollouts: int
     F: float | None
     bound: Bound | None
     stopped_by: StoppedBy | None
+    extended: int | None = None
+    course: tuple[tuple[int, float], ...] = ()
+    """(tests, bound on J after them) at the tests that are `MARKED`."""
 
 
 def _drop_signs_of_zeros(value: object, *names: str) -> None:

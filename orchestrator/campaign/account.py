@@ -3,9 +3,9 @@
 import math
 from array import array
 from collections.abc import MutableSequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from ...schemas.facts import ObservationFact, RolloutFact
+from ...schemas.facts import ExtensionFact, ObservationFact, RolloutFact, extended_link
 from ...schemas.problem_models import KernelProblem
 from ...schemas.values import Observation, Proposal
 from . import objectives
@@ -25,6 +25,11 @@ class Account(Series):
     robustness: MutableSequence[float] = field(default_factory=lambda: array("d"))
 
     @property
+    def budget(self) -> int:
+        """Tests at most, with the extensions."""
+        return self.budgets[-1] if self.budgets else self.plan.budget
+
+    @property
     def observed(self) -> list[Observation]:
         """The observations of the closed tests, in test order."""
         return list(map(Observation, self.observations, self.each))
@@ -33,6 +38,15 @@ class Account(Series):
     def closed(self) -> list[tuple[Proposal, Observation]]:
         """The closed tests of a problem with a kernel, in test order."""
         return list(zip(self.proposed, self.observed, strict=True))
+
+    def extend(self, fact: ExtensionFact) -> None:
+        """Take an extension of the campaign."""
+        self.link = extended_link(self.link, fact)
+        budget = dict(fact.budgets).get(self.plan.name)
+        if budget is not None:
+            self.budgets.append(budget)
+            # The bound stays as it is, but is no end any more.
+            self.last_bound = replace(self.last_bound, budget=False) if self.last_bound else None
 
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test, as every series does, and take the robustness of its rollouts."""

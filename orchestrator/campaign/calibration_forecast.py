@@ -116,5 +116,5 @@ def _tests(config: CampaignConfig, plan: ProblemPlan, widths: list[float]) -> in
     done, alpha = len(widths), plan.problem.alpha or 0.0
     if widths[-1] <= NEAR * alpha or done == plan.chosen_from.size:
         return done
-    left = tests_left(config.model_copy(update={"max_tests": 10**6}), plan.problem, widths[-1], done)
+    left = tests_left(config, plan.problem, widths[-1], done, 10**6)
     return None if left is None or done + left > LARGEST_BUDGET else done + left

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from ...schemas.facts import Header, first_link
-from ...schemas.ids import RolloutId
+from ...schemas.ids import RECHECK, RolloutId, closing_check
 from . import state
 from .account import Account
 from .bounded import bounded_accounts
@@ -21,7 +21,7 @@ Check = SpotCheck | Shrink | Recheck
 
 
 class ClosingChecks:
-    """The checks that have begun; `spot_check` and `recheck` are None before."""
+    """The checks that have begun since the last extension; `spot_check` and `recheck` are None before."""
 
     def __init__(
         self,
@@ -36,6 +36,23 @@ class ClosingChecks:
         self.spot_check: SpotCheck | None = None
         self.shrink: Shrink | None = None
         self.recheck: Recheck | None = None
+        self._rechecks: dict[str, Recheck] = {}
+        """Those of before the extensions as well."""
+        self._extensions = 0
+
+    def extend(self) -> None:
+        """Begin anew after an extension: what a check has shown of earlier bounds is no test of later ones."""
+        self.spot_check = self.recheck = None
+        self._extensions += 1
+
+    @property
+    def fault(self) -> str | None:
+        """What the checks since the last extension have refuted, in words; None if nothing."""
+        if self.spot_check is not None and self.spot_check.refuted:
+            return f"the {self.spot_check.name} refutes a bound"
+        if self.recheck is not None and not self.recheck.all_agree:
+            return f"the {self.recheck.name} found a rollout that does not follow from its seed"
+        return None
 
     def next(self, reached: state.State, series: Mapping[str, Series]) -> tuple[Check, Series] | None:
         """Begin the next check of a campaign whose series have all stopped; None after the last one."""
@@ -43,17 +60,21 @@ class ClosingChecks:
         # In this order: a recheck repeats rollouts of the spot check as well.
         if self.recheck is None and self.spot_check is None and SpotCheck.wanted(header, self._accounts):
             tested = bounded_accounts(self._accounts, self._methods)
-            self.spot_check = SpotCheck(header, tested, self._observer, self._recorded)
-            return self.spot_check, SpotSeries(first_link(header, SpotCheck.name))
+            self.spot_check = SpotCheck(header, tested, self._observer, self._recorded, self._extensions)
+            return self.spot_check, SpotSeries(first_link(header, self.spot_check.name))
         if self.recheck is None and self.shrink is None and (shrink := self._shrink()) is not None:
             self.shrink = shrink
             return shrink, Series(first_link(header, Shrink.name))
         if self.recheck is None and Recheck.wanted(header):
             plans = {each.plan.problem: each.plan for each in reached.problems}
-            # No claim rests on the rollouts of the bisection.
-            checked = {name: (each, plans[name]) for name, each in series.items() if name != Shrink.name}
-            self.recheck = Recheck(header, checked, self._recorded)
-            return self.recheck, Series(first_link(header, Recheck.name))
+            # No claim rests on the rollouts of the bisection, and those of an earlier recheck are repetitions.
+            unclaimed = (Shrink.name, RECHECK)
+            checked = {
+                name: (each, plans[name]) for name, each in series.items() if closing_check(name) not in unclaimed
+            }
+            self.recheck = Recheck(header, checked, self._recorded, self._extensions)
+            self._rechecks[self.recheck.name] = self.recheck
+            return self.recheck, Series(first_link(header, self.recheck.name))
         return None
 
     def _shrink(self) -> Shrink | None:
@@ -71,8 +92,8 @@ class ClosingChecks:
 
     def original(self, rollout: RolloutId) -> RolloutId | None:
         """Return the rollout that a rollout of the recheck repeats; None for every other rollout."""
-        check = self.recheck
-        return check.rollouts[rollout.test] if check is not None and rollout.problem == check.name else None
+        check = self._rechecks.get(rollout.problem)
+        return None if check is None else check.rollouts[rollout.test]
 
 
 def cost(header: Header, plans: Mapping[str, ProblemPlan]) -> list[str]:

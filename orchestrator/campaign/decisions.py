@@ -62,6 +62,7 @@ class ProblemDecisions:
     def __init__(
         self, account: Account, header: Header, methods: Methods, observer: Observer, follow: Follow | None = None
     ) -> None:
+        self._account = account
         self._plan, self._source = account.plan, proposal_source(account.plan, methods[account.plan.name], header)
         self._header, self._observer, self._follow = header, observer, follow
 
@@ -91,7 +92,7 @@ class ProblemDecisions:
             bound = self._source.observe(series, fact)
         bound = counterexample.ended(self._header.config, bound, series.last_rollouts)
         # A method has no budget: its own verdict comes first, also at the last test.
-        spent = bound.verdict is None and fact.test + 1 >= self._plan.budget
+        spent = bound.verdict is None and fact.test + 1 >= self._account.budget
         return BoundFact(fact.problem, fact.test, bound, budget=spent)
 
     def seed(self, rollout: RolloutId) -> int:

@@ -23,21 +23,28 @@ def distance(problem: Problem, last_f: float | None, bound: Bound | None) -> flo
     return None if bound is None or bound.upper is None or bound.lower is None else bound.upper - bound.lower
 
 
-def tests_left(config: CampaignConfig, problem: Problem, now: float | None, tests: int) -> int | None:
+def budget(config: CampaignConfig, problem: Problem, extended: int | None) -> int:
+    """Return the tests at most of a problem; `extended` is the budget that an extension gave it."""
+    return config.max_tests_of(problem) if extended is None else extended
+
+
+def tests_left(
+    config: CampaignConfig, problem: Problem, now: float | None, tests: int, extended: int | None
+) -> int | None:
     """Guess the tests until the distance is alpha or the budget ends; None where the decay allows no guess yet.
 
     The distance falls roughly like a power of the number of tests; the power is taken from the start until now.
     """
-    budget = config.max_tests_of(problem) - tests
+    left = budget(config, problem, extended) - tests
     if problem.alpha is None:
-        return budget
+        return left
     start = _start(config, problem)
     if now is None or tests < FEWEST or not 0 < now < start:
         return None
     power = math.log(start / now) / math.log(tests)
     exponent = math.log(max(1.0, now / problem.alpha)) / power
     needed = math.inf if exponent > 50 else tests * math.exp(exponent)
-    return max(0, min(math.ceil(min(needed, 1e12)) - tests, budget))
+    return max(0, min(math.ceil(min(needed, 1e12)) - tests, left))
 
 
 def left_in_words(config: CampaignConfig, problem: Problem, left: int) -> str:

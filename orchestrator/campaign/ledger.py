@@ -11,7 +11,16 @@ from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import IllegalEvent, JournalError, one_line
-from ...schemas.facts import BoundFact, DiscardFact, Fact, ObservationFact, ProposalFact, RolloutFact, first_link
+from ...schemas.facts import (
+    BoundFact,
+    DiscardFact,
+    ExtensionFact,
+    Fact,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+    first_link,
+)
 from ...schemas.ids import RolloutId
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory import Trajectory
@@ -20,6 +29,7 @@ from . import state
 from .account import Account
 from .closing_checks import ClosingChecks
 from .decisions import Decider, Follow, ProblemDecisions, robustness
+from .extension import check_extension
 from .methods import methods
 from .observation import Observer
 from .plan import plans
@@ -49,6 +59,7 @@ class Ledger:
         self.plans = plans(header.config, header.spec)
         self.methods = methods(self.plans, header)
         self.accounts = {name: Account(first_link(header, name), plan=plan) for name, plan in self.plans.items()}
+        self.extensions: list[ExtensionFact] = []
         self.series: dict[str, Series] = dict(self.accounts)
         """The accounts of the problems, then the closing checks that have begun."""
         self.state = state.initial(
@@ -114,6 +125,15 @@ class Ledger:
             return Work(wanted=self._restoration.wanted)
         return self._advance(state.outstanding(self.state))
 
+    def extend(self, fact: ExtensionFact) -> Work:
+        """Make an extension durable and draw its consequences; inside a transaction.
+
+        Raises:
+            IllegalEvent: it is not the one of a campaign that is done.
+
+        """
+        return self._advance(self._write(fact))
+
     def request(self, rollout: RolloutId) -> RolloutRequest:
         """Return the request for an open or a damaged rollout."""
         found = self._requests.get(rollout)
@@ -148,10 +168,6 @@ class Ledger:
         self._files.write(evidence.inside(self._directory, path), payload)
         self.recorded.keep(rollout, trajectory)
         return self._advance(self._write(RolloutFact(rollout, seed, sha256, len(payload), path, value)))
-
-    def request_again(self, fact: RolloutFact, start: tuple[float, ...]) -> RolloutRequest:
-        """Return the request for a recorded rollout, at the start of its test."""
-        return self._template.request(fact.rollout, start, fact.seed)
 
     def _advance(self, actions: Iterable[state.Action]) -> Work:
         """Carry out actions and those that follow from them, until only simulations are left."""
@@ -203,6 +219,13 @@ class Ledger:
                 # In a replay as well: the method takes its data here, and a recorded bound is compared with this one.
                 series.due = self.deciders[problem].bound(series, fact)
                 return ()
+            case ExtensionFact(budgets=budgets):
+                check_extension(fact, self.accounts, self.closing, len(self.extensions) + 1)
+                self.extensions.append(fact)
+                self.closing.extend()
+                for account in self.accounts.values():
+                    account.extend(fact)
+                event = state.Extended(budgets)
             case BoundFact(problem, test):
                 self.series[problem].bound(fact)
                 event = state.Observed(problem, test, fact.bound.verdict)
@@ -217,7 +240,7 @@ class Ledger:
             return (state.Certify(),)
         check, series = found
         self.series[check.name], self.deciders[check.name] = series, check
-        self.state, actions = state.extended(self.state, check.plan)
+        self.state, actions = state.with_series(self.state, check.plan)
         return actions
 
 

@@ -148,6 +148,14 @@ class ProblemPlan:
         return [(self.replicate("nominal", each), self.replicate("true", each)) for each in served]
 
 
+def within_starts(plan: ProblemPlan, tests: int) -> int:
+    """Return a number of tests, or the largest useful one: without noise one test at a start shows all."""
+    without_noise = isinstance(plan.problem, RigorousProblem) and plan.noise == 0
+    if plan.candidates is not None and (without_noise or any(part.exact for part in plan.parts)):
+        return min(tests, plan.candidates.size)
+    return tests
+
+
 def unsafe_below(plan: ProblemPlan) -> float | None:
     """Return the value of the bounded objective below which a start is unsafe; None if no value of it proves that."""
     if not plan.objective.risk:

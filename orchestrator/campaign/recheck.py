@@ -6,7 +6,7 @@ from itertools import accumulate
 
 from ...schemas.base import digest
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
-from ...schemas.ids import RECHECK, RolloutId
+from ...schemas.ids import RECHECK, RolloutId, of_extension
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
 from . import state
@@ -24,19 +24,21 @@ class Recheck:
     compared. `checked` are the series to draw from, with the rollouts of each of their tests.
     """
 
-    name = RECHECK
-
     def __init__(
         self,
         header: Header,
         checked: Mapping[str, tuple[Series, state.Plan]],
         recorded: Recorded,
+        extensions: int = 0,
     ) -> None:
+        self.name = of_extension(RECHECK, extensions)
+        self.all_agree = True
+        """Whether every repetition so far gave the trajectory of its original."""
         self._header, self._recorded = header, recorded
         sizes = [plan.count(len(series.observations)) for series, plan in checked.values()]
         ends = list(accumulate(sizes))
         files = digest([series.files for series, _ in checked.values()])
-        numbers = drawn(header, RECHECK, files, sum(sizes), min(header.config.recheck, sum(sizes)))
+        numbers = drawn(header, self.name, files, sum(sizes), min(header.config.recheck, sum(sizes)))
         names, plans = list(checked), [plan for _, plan in checked.values()]
         self.rollouts: list[RolloutId] = []
         for number in numbers:
@@ -44,7 +46,7 @@ class Recheck:
             test, place = plans[index].located(number - (ends[index] - sizes[index]))
             self.rollouts.append(RolloutId(names[index], test, *plans[index].rollouts_of(test)[place]))
         variants = tuple(rollout.variant for rollout in self.rollouts)
-        self.plan = state.Plan(RECHECK, len(numbers), len(numbers), (), variants=variants)
+        self.plan = state.Plan(self.name, len(numbers), len(numbers), (), variants=variants)
 
     @classmethod
     def wanted(cls, header: Header) -> bool:
@@ -54,7 +56,7 @@ class Recheck:
     def proposal(self, series: Series, test: int) -> ProposalFact:  # noqa: ARG002  (the draw is fixed)
         """Return the start of the test's original."""
         return ProposalFact(
-            RECHECK, test, Proposal(test, self._recorded.start(self.rollouts[test]), None, None, None, None)
+            self.name, test, Proposal(test, self._recorded.start(self.rollouts[test]), None, None, None, None)
         )
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
@@ -62,14 +64,15 @@ class Recheck:
         (again,) = trajectories.values()
         agrees = float(same_trajectory(self._recorded.trajectory(self.rollouts[test]), again))
         found = Observation(agrees, (agrees,))
-        return ObservationFact(RECHECK, test, found, series.next_link(test, found))
+        return ObservationFact(self.name, test, found, series.next_link(test, found))
 
     def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
         """Do nothing: any two trajectories can be compared."""
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:  # noqa: ARG002  (nothing is bounded)
         """Return the end of the series after its last test."""
-        return BoundFact(RECHECK, fact.test, Bound(None, None, None), budget=fact.test + 1 >= len(self.rollouts))
+        self.all_agree &= fact.observation.y == 1.0
+        return BoundFact(self.name, fact.test, Bound(None, None, None), budget=fact.test + 1 >= len(self.rollouts))
 
     def seed(self, rollout: RolloutId) -> int:
         """Return the seed of the original."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.facts import Header
-from ...schemas.ids import RECHECK, SPOT_CHECK, RolloutId
+from ...schemas.ids import RECHECK, SPOT_CHECK, RolloutId, check_of_extension
 from ...schemas.ranges import SEED_BITS
 
 Floats = NDArray[np.float64]
@@ -55,7 +55,7 @@ def _short_seed(header: Header, rollout: RolloutId) -> int:
     series = sorted([*(each.name for each in config.problems), SPOT_CHECK, RECHECK])
     tests = max(config.spot_check + config.spot_check_followups, *map(config.max_tests_of, config.problems))
     replicates = max(config.spot_replicates, *map(config.replicates_of, config.problems))
-    test = series.index(rollout.problem) * tests + rollout.test
+    test = _numbered(series, tests, rollout)
     number = (test * replicates + rollout.replicate) * len(VARIANTS) + VARIANTS.index(rollout.variant)
     keys = _sequence(header, "seeds").generate_state(3, np.uint64)
     for key in map(int, keys):
@@ -63,6 +63,17 @@ def _short_seed(header: Header, rollout: RolloutId) -> int:
         number = (number + key) * (key | 1) % 2**bits
         number ^= number >> bits // 2
     return number
+
+
+def _numbered(series: list[str], tests: int, rollout: RolloutId) -> int:
+    """Return the number of a test among all tests of the `series`, each of which has so many before any extension."""
+    name, extensions = check_of_extension(rollout.problem) or (rollout.problem, 0)
+    # The spot check after an extension goes on where the one before it ended.
+    test = extensions * tests + rollout.test
+    if test < tests:
+        return series.index(name) * tests + test
+    # Behind all of these: a number that a campaign had without extension stays as it was.
+    return test * len(series) + series.index(name)
 
 
 def _sequence(header: Header, problem: str, *place: int) -> np.random.SeedSequence:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
 from ...schemas.facts import BoundFact, DiscardFact, ObservationFact, ProposalFact, RolloutFact, next_link
-from ...schemas.values import Bound, Observation, ProblemProgress, Proposal
+from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal
 
 ROUND_OFF = 1e-9
 """A bound recomputed on another CPU may differ by less."""
@@ -40,6 +40,10 @@ class Series:
     due: BoundFact | None = None
     """The bound that follows from the last observation, until its fact is there."""
     last_bound: BoundFact | None = None
+    course: list[tuple[int, float]] = field(default_factory=list)
+    """(tests, bound on J after them) at the tests that are `MARKED`."""
+    budgets: list[int] = field(default_factory=list)
+    """Tests at most after each extension of the campaign that this series has part in."""
 
     @property
     def progress(self) -> ProblemProgress:
@@ -51,6 +55,8 @@ class Series:
             proposal.F if proposal and last else None,
             last.bound if last else None,
             last.stopped_by if last else None,
+            self.budgets[-1] if self.budgets else None,
+            tuple(self.course),
         )
 
     def next_link(self, test: int, observation: Observation) -> str:
@@ -84,6 +90,8 @@ class Series:
                 f"the bound after test {fact.test} of {fact.problem} is not the one that follows from the observations"
             )
         self.last_bound = fact
+        if fact.bound.upper is not None and fact.test + 1 in MARKED:
+            self.course.append((fact.test + 1, fact.bound.upper))
 
 
 def _files_link(link: str, rollouts: list[RolloutFact]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
-from ...schemas.ids import SPOT_CHECK, RolloutId
+from ...schemas.ids import SPOT_CHECK, RolloutId, of_extension
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation
 from ..mathematics.bounds.rounding import round_up
@@ -24,7 +24,12 @@ from .seeds import rollout_seed, uniform
 from .series import Series
 
 LEVEL = 0.05
-"""Failure probability of each of its statements."""
+"""Failure probability of each of its statements; after the k-th extension of the campaign this times 2^-k.
+
+Whoever extends a campaign knows what its spot check found, and may stop after one that looks well. The starts of each
+are fresh, so given everything before it its statements hold with their probability; and those of all spot checks after
+extensions hold together but for LEVEL (1/2 + 1/4 + ...) = LEVEL, whenever the last extension was.
+"""
 WINDOW = 64
 """Tests in flight while follow-ups are chosen, each of them from the observations before."""
 
@@ -53,12 +58,21 @@ class SpotCheck:
     `each` of an observation has J of every tested bound, in the order of the campaign file, for each replicate.
     """
 
-    name = SPOT_CHECK
-
-    def __init__(self, header: Header, accounts: Mapping[str, Account], observer: Observer, recorded: Recorded) -> None:
+    def __init__(
+        self,
+        header: Header,
+        accounts: Mapping[str, Account],
+        observer: Observer,
+        recorded: Recorded,
+        extensions: int = 0,
+    ) -> None:
+        # The name decides starts and seeds. It has the number of the extension and not its budget: who tried several
+        # budgets would see the same starts.
+        self.name = of_extension(SPOT_CHECK, extensions)
+        self.level = LEVEL / 2**extensions
         self._header, self._observer, self._recorded = header, observer, recorded
         self._plans = [account.plan for account in accounts.values() if math.isfinite(_limit(account))]
-        plan = spot_check_plan(header, self._plans)
+        plan = spot_check_plan(header, self._plans, self.name)
         assert plan is not None, "`wanted` was asked"
         self.plan = plan
         self.variants = tuple(dict.fromkeys(variant for variant, _ in plan.rollouts))
@@ -66,9 +80,11 @@ class SpotCheck:
         noisy = set(header.spec.noisy)
         hypotheses = [_hypothesis(each, _limit(accounts[each.key]), noisy) for each in self._plans]
         self.hypotheses = {each.key: found for each, found in zip(self._plans, hypotheses, strict=True)}
-        self.starts = _uniform_starts(header, self._plans)
+        self.starts = _uniform_starts(header, self._plans, self.name)
         followups = plan.max_tests - len(self.starts)
-        self._tests = SpotTests(self.starts, hypotheses, followups=followups, replicates=self._replicates, delta=LEVEL)
+        self._tests = SpotTests(
+            self.starts, hypotheses, followups=followups, replicates=self._replicates, delta=self.level
+        )
 
     @classmethod
     def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:
@@ -87,20 +103,20 @@ class SpotCheck:
         # The window is kept full: where every suspicious start has a test in flight, the first one gets one more.
         chosen = self._tests.propose(pending) or self._tests.propose()
         assert chosen is not None, "a spot check that is complete has ended"
-        return ProposalFact(SPOT_CHECK, test, chosen)
+        return ProposalFact(self.name, test, chosen)
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Return J of every tested problem for each replicate; y is the first one."""
         start = series.proposals[test].proposal.node
         missing = [(variant, 0) for variant in self.variants if (variant, 0) not in trajectories]
-        first = {key: self._recorded.trajectory(RolloutId(SPOT_CHECK, start, *key)) for key in missing}
+        first = {key: self._recorded.trajectory(RolloutId(self.name, start, *key)) for key in missing}
         found: Trajectories = {**first, **trajectories}
-        with naming(f"{SPOT_CHECK}, test {test}", UNOBSERVABLE):
+        with naming(f"{self.name}, test {test}", UNOBSERVABLE):
             values = tuple(
                 self._value(plan, found, replicate) for replicate in range(self._replicates) for plan in self._plans
             )
         observed = Observation(values[0], values)
-        return ObservationFact(SPOT_CHECK, test, observed, series.next_link(test, observed))
+        return ObservationFact(self.name, test, observed, series.next_link(test, observed))
 
     def check(self, series: Series, rollout: RolloutId, trajectory: Trajectory, others: Others) -> None:
         """Raise a ValueError if a rollout of an open test allows no observation, alone or with others of the test."""
@@ -109,7 +125,7 @@ class SpotCheck:
 
         def used(key: tuple[str, int]) -> Iterable[Trajectory]:
             # A follow-up has no rollout of a variant without noise: that of the first test at its start serves.
-            first = RolloutId(SPOT_CHECK, start, *key)
+            first = RolloutId(self.name, start, *key)
             return [self._recorded.trajectory(first)] if key[0] not in noisy and rollout.test != start else others(key)
 
         for plan in self._plans:
@@ -120,13 +136,13 @@ class SpotCheck:
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Take an observation; the check ends with its budget, or when no start is suspicious."""
         assert series.last_proposal is not None
-        with naming(f"{SPOT_CHECK}, test {fact.test}"):
+        with naming(f"{self.name}, test {fact.test}"):
             values, width = fact.observation.each, len(self._plans)
             for first in range(0, len(values), width):
                 self._tests.observe(series.last_proposal.node, values[first : first + width])
         spent = fact.test + 1 >= self.plan.max_tests
         done = not spent and self._tests.propose() is None
-        return BoundFact(SPOT_CHECK, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
+        return BoundFact(self.name, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
 
     def seed(self, rollout: RolloutId) -> int:
         """Return the seed of a rollout."""
@@ -135,6 +151,11 @@ class SpotCheck:
     def findings(self) -> list[tuple[ProblemPlan, SpotFinding]]:
         """Return the finding about every tested bound."""
         return [(plan, self._tests.finding(k)) for k, plan in enumerate(self._plans)]
+
+    @property
+    def refuted(self) -> bool:
+        """Whether it refutes a bound."""
+        return any(found.status == "refuted" for _, found in self.findings())
 
     def _value(self, plan: ProblemPlan, trajectories: Trajectories, replicate: int) -> float:
         used: Trajectories = {
@@ -151,7 +172,7 @@ class SpotCheck:
         return value if low is None or high is None else min(max(value, low), high)
 
 
-def spot_check_plan(header: Header, plans: Collection[ProblemPlan]) -> state.Plan | None:
+def spot_check_plan(header: Header, plans: Collection[ProblemPlan], name: str = SPOT_CHECK) -> state.Plan | None:
     """Return the tests of the spot check of these problems; None for a campaign that has none, whatever its bounds."""
     config, noisy = header.config, header.spec.noisy
     if header.rules < 2 or not config.spot_check or not all(isinstance(each.candidates, Lattice) for each in plans):
@@ -170,7 +191,7 @@ def spot_check_plan(header: Header, plans: Collection[ProblemPlan]) -> state.Pla
     # no start depends on an observation.
     window = min(WINDOW, config.spot_check) if followups else config.spot_check
     return state.Plan(
-        SPOT_CHECK, window, config.spot_check + followups, rollouts, later=(config.spot_check, later) if later else None
+        name, window, config.spot_check + followups, rollouts, later=(config.spot_check, later) if later else None
     )
 
 
@@ -197,10 +218,10 @@ def _limit(account: Account) -> float:
     return math.inf if upper is None or math.isinf(upper) else round_up(upper)
 
 
-def _uniform_starts(header: Header, plans: list[ProblemPlan]) -> list[tuple[float, ...]]:
+def _uniform_starts(header: Header, plans: list[ProblemPlan], name: str) -> list[tuple[float, ...]]:
     """Return the starts, uniform over the box, parameters in the order of the system."""
     box = plans[0].candidates
     assert isinstance(box, Lattice)
     low, high = np.array(box.low), np.array(box.high)
-    shares = uniform(header, SPOT_CHECK, range(header.config.spot_check), len(low))
+    shares = uniform(header, name, range(header.config.spot_check), len(low))
     return [tuple(float(v) for v in row) for row in low + shares * (high - low)]

@@ -16,8 +16,16 @@ tests, numbered from 0; a test goes through four phases, and this table lists ev
    that its z depends on the observations 0 .. i-window and never on the speed of a worker.
 3. A problem that has stopped proposes and observes nothing more; its open tests are withdrawn and count as closed.
 
-The checks of a finished campaign (spot check, recheck) are series of tests like a problem's: `extended` adds one when
-every series before it has stopped.
+The checks of a finished campaign (spot check, recheck) are series of tests like a problem's: `with_series` adds one
+when every series before it has stopped.
+
+A problem whose budget is spent continues when a larger one comes after every series has stopped; one whose question is
+answered never does. This table lists every legal transition of a problem:
+
+    problem    Observed                         Extended
+    going on   going on, or spent, or answered  -
+    spent      -                                going on
+    answered   -                                -
 
 The state contains the open tests; closed ones are a counter, so that a step costs the same at the end of a campaign.
 """
@@ -39,6 +47,12 @@ LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("closed", "Recorded"): ("closed",),
 }
 """(phase of the test, event) -> the phases that may follow."""
+Standing = Literal["going on", "spent", "answered"]
+LEGAL_OF_PROBLEM: dict[tuple[Standing, str], tuple[Standing, ...]] = {
+    ("going on", "Observed"): ("going on", "spent", "answered"),
+    ("spent", "Extended"): ("going on",),
+}
+"""(standing of the problem, event) -> the standings that may follow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +118,13 @@ class ProblemState:
         return self.observed + len(self.open)
 
     @property
+    def standing(self) -> Standing:
+        """The standing of the problem, as in the second table."""
+        if self.stopped_by is None:
+            return "going on"
+        return "spent" if self.stopped_by == "budget" else "answered"
+
+    @property
     def may_propose(self) -> bool:
         """Whether the next test may be proposed from the observations so far."""
         # Rule 2: a test in flight keeps its place in the window until it is observed, not until it is complete.
@@ -154,7 +175,14 @@ class Observed:
     verdict: Verdict | None = None
 
 
-Event = Proposed | Recorded | Observed
+@dataclass(frozen=True, slots=True)
+class Extended:
+    """These problems have a larger budget: (name, tests at most)."""
+
+    budgets: tuple[tuple[str, int], ...]
+
+
+Event = Proposed | Recorded | Observed | Extended
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +235,8 @@ def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
         IllegalEvent: the table or a rule does not allow it; `state` is unchanged and stays valid.
 
     """
+    if isinstance(event, Extended):
+        return _extend(state, event)
     name, test = (event.rollout[:2]) if isinstance(event, Recorded) else (event.problem, event.test)
     index = _index(state, name)
     problem = state.problems[index]
@@ -225,7 +255,7 @@ def step(state: State, event: Event) -> tuple[State, tuple[Action, ...]]:
     return state, (*actions, Certify()) if isinstance(event, Observed) and state.done else actions
 
 
-def extended(state: State, plan: Plan) -> tuple[State, tuple[Action, ...]]:
+def with_series(state: State, plan: Plan) -> tuple[State, tuple[Action, ...]]:
     """Add a series of tests to a campaign in which every series has stopped.
 
     Raises:
@@ -236,6 +266,24 @@ def extended(state: State, plan: Plan) -> tuple[State, tuple[Action, ...]]:
         raise IllegalEvent(f"{plan.problem} is not allowed now: it comes once, after everything before it has stopped")
     problem = ProblemState(plan)
     return State((*state.problems, problem)), _next(problem)
+
+
+def _extend(state: State, event: Extended) -> tuple[State, tuple[Action, ...]]:
+    # Not before the closing checks have ended: what they found belongs to the bounds that they tested.
+    if not state.done or not event.budgets:
+        raise IllegalEvent(f"{event} is not allowed: a series has not stopped, or no problem is named")
+    problems = list(state.problems)
+    for name, max_tests in event.budgets:
+        index = _index(state, name)
+        problem = problems[index]
+        if (problem.standing, "Extended") not in LEGAL_OF_PROBLEM:
+            raise IllegalEvent(f"{event} is not allowed: {name} is {problem.standing}")
+        if max_tests <= problem.plan.max_tests:
+            raise IllegalEvent(f"{event} is not allowed: {name} had {problem.plan.max_tests} tests")
+        plan = replace(problem.plan, max_tests=max_tests)
+        problems[index] = replace(problem, plan=plan, stopped_by=None)
+    extended = State(tuple(problems))
+    return extended, outstanding(extended)
 
 
 def outstanding(state: State) -> tuple[Action, ...]:

@@ -32,6 +32,8 @@ from .sentences import assumption
 ROUNDING = 1e-9
 DISCARDED = "discarded_"
 """Of the ids of discarded rollouts, before their number."""
+EXTENDED = "extended_"
+"""Of the ids of extensions, before their number and the problem."""
 TRUSTED = (
     "only_campaign",
     "fixed_beforehand",
@@ -85,22 +87,40 @@ def assumptions(
     else:
         found.append(assumption("finite_rollouts", "derived", rollouts))
         found.append(_reproducible(recheck, measured=measured, irreproducible=irreproducible))
-    for number, fact in enumerate(observed_discards(ledger), start=1):
-        values = {"rollout": str(fact.rollout), "sha256": fact.sha256, "reason": fact.reason}
-        found.append(assumption(f"{DISCARDED}{number}", "derived", values, form="discarded"))
+    found += [*_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
         if all(accounts[name].plan.problem.method == "paper" for name in PAIR):
             found.append(assumption("independence", "derived"))
         found.append(assumption("accounting", "derived"))
+    extended = {"fixed_beforehand": "fixed_beforehand_extended"} if ledger.extensions else {}
     if ledger.header.rules == 1:
-        fixed = assumption("fixed_beforehand", "assumed", form="fixed_beforehand_1")
-        return [*found, fixed, assumption("workers_honest", "assumed")]
+        form = extended.get("fixed_beforehand", "fixed_beforehand_1")
+        return [*found, assumption("fixed_beforehand", "assumed", form=form), assumption("workers_honest", "assumed")]
     if repeated == "session":
         found.append(assumption("defined_in_session", "assumed"))
-    forms = MEASURED if measured else {}
+    forms = extended | (MEASURED if measured else {})
     trusted = [assumption(name, "assumed", form=forms.get(name)) for name in TRUSTED]
     return [*found, *(honest if honest and each.id == honest.id else each for each in trusted)]
+
+
+def _discarded(ledger: Ledger) -> Iterator[Assumption]:
+    """Yield a line for each discarded rollout."""
+    for number, fact in enumerate(observed_discards(ledger), start=1):
+        values = {"rollout": str(fact.rollout), "sha256": fact.sha256, "reason": fact.reason}
+        yield assumption(f"{DISCARDED}{number}", "derived", values, form="discarded")
+
+
+def _extended(ledger: Ledger) -> Iterator[Assumption]:
+    """Yield a line for each extension of each problem: after which test, and from how many tests to how many."""
+    budgets = {name: account.plan.budget for name, account in ledger.accounts.items()}
+    for fact in ledger.extensions:
+        for name, tests in fact.budgets:
+            values: dict[str, float | int | str] = {"problem": name, "after": budgets[name], "max_tests": tests}
+            plan = ledger.plans[name]
+            for part in plan.parts or (plan,):
+                yield assumption(f"{EXTENDED}{fact.number}/{part.key}", "derived", values, form="extended")
+            budgets[name] = tests
 
 
 def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:

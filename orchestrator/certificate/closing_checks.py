@@ -7,7 +7,7 @@ from ...schemas import certificate as document
 from ..campaign.ledger import Ledger
 from ..campaign.objectives import mean
 from ..campaign.plan import ProblemPlan
-from ..campaign.spot_check import LEVEL, SpotCheck, SpotSeries, tested_variant
+from ..campaign.spot_check import SpotCheck, SpotSeries, tested_variant
 from ..mathematics.bounds.predictable import CvarSequence, sample_quantile
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.bounds.share import clopper_pearson_upper, quantile_lower, unseen_share
@@ -23,7 +23,8 @@ DIGITS = 6
 
 def spot_check(ledger: Ledger) -> document.SpotCheck | None:
     """Return the result of the spot check; None for a campaign without one."""
-    check, series = ledger.closing.spot_check, ledger.series.get(SpotCheck.name)
+    check = ledger.closing.spot_check
+    series = None if check is None else ledger.series.get(check.name)
     if check is None or not isinstance(series, SpotSeries):
         return None
     starts = len(check.starts)
@@ -32,9 +33,9 @@ def spot_check(ledger: Ledger) -> document.SpotCheck | None:
     return document.SpotCheck(
         starts=starts,
         rollouts=document.Rollouts(nominal=series.counts["nominal"], true=series.counts["true"]),
-        level=LEVEL,
+        level=check.level,
         failures=failures,
-        failure_probability=None if failures is None else clopper_pearson_upper(failures, starts, LEVEL),
+        failure_probability=None if failures is None else clopper_pearson_upper(failures, starts, check.level),
         most_starts=_most_starts(ledger, check, robustness) if robustness else None,
         problems=tuple(_problem(check, plan, found) for plan, found in check.findings()),
     )
@@ -45,23 +46,27 @@ def _most_starts(
 ) -> document.MostStarts | None:
     """Return what the rollouts of the first test at each start prove of all starts but `SHARE`."""
     noisy = tested_variant(check.variants) in ledger.header.spec.noisy
-    bound = _mean_of_most(robustness, ledger.config.clip) if noisy else _value_of_most(robustness)
+    bound = (
+        _mean_of_most(robustness, ledger.config.clip, check.level) if noisy else _value_of_most(robustness, check.level)
+    )
     if bound is None:
         return None
     quantity: Literal["robustness", "expected_robustness"] = "expected_robustness" if noisy else "robustness"
-    return document.MostStarts(share=SHARE, quantity=quantity, bound=bound, probability=1 - LEVEL)
+    return document.MostStarts(share=SHARE, quantity=quantity, bound=bound, probability=1 - check.level)
 
 
-def _value_of_most(robustness: Sequence[tuple[float, ...]]) -> float | None:
+def _value_of_most(robustness: Sequence[tuple[float, ...]], level: float) -> float | None:
     """Return a quantile bound of values without noise; None for too few starts."""
-    return quantile_lower((value for value, *_ in robustness), SHARE, LEVEL)
+    return quantile_lower((value for value, *_ in robustness), SHARE, level)
 
 
-def _mean_of_most(robustness: Sequence[tuple[float, ...]], clip: tuple[float, float] | None) -> float | None:
+def _mean_of_most(
+    robustness: Sequence[tuple[float, ...]], clip: tuple[float, float] | None, level: float
+) -> float | None:
     """Return a bound of the means of noisy values; None without a clip, and where no more than the clip is proven."""
     if clip is None:
         return None
-    bound = CvarSequence(SHARE, clip, delta=LEVEL, choice=sample_quantile)
+    bound = CvarSequence(SHARE, clip, delta=level, choice=sample_quantile)
     for values in robustness:
         # A mean of clipped values may leave the clip by round-off.
         bound.add(min(max(mean(values), clip[0]), clip[1]))

@@ -16,6 +16,7 @@ __all__ = [
     "MAX_REGIONS",
     "REGIONS",
     "read",
+    "withdraw",
     "write",
 ]
 
@@ -32,6 +33,10 @@ MANIFEST = "manifest.sha256"
 """`sha256sum --check manifest.sha256` in the run directory checks every trajectory file."""
 
 
+OF_CERTIFICATE = (CERTIFICATE, ENVELOPE, MANIFEST, REGIONS, "report.html")
+"""What a certificate consists of, or shows."""
+
+
 def write(directory: Path, certificate: Certificate, manifest: str, regions: str | None = None) -> None:
     """Write the manifest, the table of regions if there is one, then the certificate, each whole or not at all.
 
@@ -44,6 +49,22 @@ def write(directory: Path, certificate: Certificate, manifest: str, regions: str
     if regions is not None:
         atomic.write_whole(directory / REGIONS, regions.encode())
     atomic.write_whole(directory / CERTIFICATE, certificate.to_json().encode())
+
+
+def withdraw(directory: Path, number: int) -> None:
+    """Keep the certificate and what belongs to it as `certificate-NUMBER.json` and so on, and take it away.
+
+    Raises:
+        OSError: the disk is full or the directory cannot be written.
+
+    """
+    there = [path for name in OF_CERTIFICATE if (path := directory / name).is_file()]
+    # First every copy, then the certificate: whenever the machine crashes, the campaign is finished or can be resumed.
+    for path in there:
+        stem, _, rest = path.name.partition(".")
+        atomic.write_whole(path.with_name(f"{stem}-{number}.{rest}"), path.read_bytes())
+    for path in there:
+        path.unlink()
 
 
 def read(directory: Path) -> Certificate | None:

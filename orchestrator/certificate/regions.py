@@ -16,7 +16,6 @@ import numpy as np
 from ...schemas import certificate as document
 from ..campaign.ledger import Ledger
 from ..campaign.plan import ProblemPlan, unsafe_below
-from ..campaign.spot_check import SpotCheck
 from ..mathematics.bounds.regions import MARGIN, SAFE, STATUSES, UNDECIDED, Regions, divide
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.gp.lattice import Lattice
@@ -58,7 +57,8 @@ def campaign_regions(ledger: Ledger) -> CampaignRegions | None:
 
 def _fresh_signs(ledger: Ledger, boxes: Regions) -> list[bool] | None:
     """Return, for each fresh start in a certified box, whether its value has the proven sign; None without values."""
-    check, series = ledger.closing.spot_check, ledger.series.get(SpotCheck.name)
+    check = ledger.closing.spot_check
+    series = None if check is None else ledger.series.get(check.name)
     (account,) = ledger.accounts.values()
     # One rollout of a noisy system shows no sign of its expectation.
     if check is None or series is None or check.hypotheses[account.plan.name].noisy:

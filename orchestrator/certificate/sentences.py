@@ -307,6 +307,16 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed to be chosen without knowledge of rollouts with these seeds: a campaign file that was changed after "
         "its results were known needs a new seed.",
     },
+    "fixed_beforehand_extended": {
+        "assumed": "specification, clip, risk weight, starts, alpha, delta, composition, window, norm bounds, noise "
+        "scales, kernels, prior means, constants, replicates, first budgets, software and the seed are assumed to be "
+        "chosen without knowledge of rollouts with these seeds; the extensions that are listed were chosen with it.",
+    },
+    "extended": {
+        "derived": "after test {after} {problem} had spent its budget of {after} tests, and whoever knew its rollouts "
+        "extended it to {max_tests}: its bound holds after every test at once, so no choice of the last one can miss "
+        "it. The closing checks are new ones; what earlier ones found is in the evidence, and no claim uses it.",
+    },
     "second_opinion": {
         "not refuted": "{chosen} % of the rollouts, drawn from the seed, were simulated twice, by two workers where "
         "there were two: {compared} were compared and {agreed} agree bit by bit; up to {percent} % of all rollouts "

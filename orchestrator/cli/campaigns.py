@@ -135,6 +135,14 @@ def orchestrate(
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY)
 @click.option("--system", default=None, metavar="FILE.py:NAME", help="The system in a file, if it is elsewhere now.")
+@click.option(
+    "--max-tests",
+    type=click.IntRange(2, 1_000_000),
+    default=None,
+    metavar="N",
+    help="Continue a finished campaign that ended by its budget, up to N tests per problem; for methods whose bounds "
+    "hold after every test.",
+)
 @workers_option(0)
 @signing.sign_option
 @strict_option
@@ -145,6 +153,7 @@ def resume(
     *,
     directory: Path,
     system: str | None,
+    max_tests: int | None,
     workers: int,
     sign: Path | None,
     strict: bool,
@@ -157,7 +166,7 @@ def resume(
     key = signing.load_key(sign) if sign else None
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain, system)
-        resumed = session.resume_campaign(directory, options, STDERR.console)
+        resumed = session.resume_campaign(directory, options, STDERR.console, max_tests)
         _finish(directory, key, strict=strict, report=resumed)
 
 

@@ -13,6 +13,7 @@ from ...schemas.errors import one_line
 from ...schemas.facts import Header
 from ...schemas.places import short_path
 from ..campaign.forecast import left_in_words
+from ..campaign.outlook import outlook_lines
 from ..certificate import files, text
 from ..fleet.child import in_file
 from ..run.format import duration, replay_command, resume_command
@@ -53,7 +54,7 @@ def print_status(directory: Path, console: Console) -> None:
         left = remaining_tests(config, problem, each)
         rows.append((each, "-" if left is None else left_in_words(config, problem, left)))
     console.print(progress_table(config, rows))
-    for line in _work(found, running=running):
+    for line in (*outlook_lines(config, found.problems), *_work(found, running=running)):
         console.print(Text(line), soft_wrap=True)
     if certificate is not None:
         print_result(directory, found.header, certificate, console)

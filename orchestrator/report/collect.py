@@ -3,15 +3,15 @@
 It reads the run directory of a running, stopped or finished campaign and changes no file in it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from ...schemas.certificate import Certificate, Predicate
 from ...schemas.errors import JournalError, PerfboundError
-from ...schemas.facts import Header, ProposalFact, RolloutFact
-from ...schemas.ids import CLOSING, RECHECK, RolloutId
+from ...schemas.facts import ExtensionFact, Header, ProposalFact, RolloutFact
+from ...schemas.ids import RECHECK, RolloutId, closing_check
 from ...schemas.requirements import parts_of
 from ...schemas.values import Observation
 from ..campaign.observation import by_requirement
@@ -92,29 +92,30 @@ class Collector:
         # The certificate before the facts: it is written after the last of them, so they are complete with it.
         certificate = self._certificate or files.read(self.directory)
         changes = self._changes.read()
+        if self._certificate and changes.extended:
+            certificate, self._divided = None, {}  # that of before; the next refresh finds the one that follows
         header = self._header = changes.header
-        if certificate and certificate.predicate.campaign.config_sha256 != header.config_sha256:
-            raise JournalError(
-                f"{self.directory}: the certificate is that of another campaign than the database; restore one of them"
-            )
+        _check_same(self.directory, certificate, header)
         self._certificate = certificate
         if not self._problems:
             self._problems = dict(_collectors(header))
-        self._system = changes.origin[0] if changes.origin else None
-        self._code = ", ".join(filter(None, changes.origin or ())) or None
+        origin = changes.origin or (None, None)
+        self._system, self._code = origin[0], ", ".join(filter(None, origin)) or None
         self._add(changes)
         return header
 
     def _add(self, changes: Changes) -> None:
         try:
             for fact in changes.decisions:
-                if fact.problem not in CLOSING:
+                if isinstance(fact, ExtensionFact):
+                    _extend_all(self._problems.values(), fact)
+                elif closing_check(fact.problem) is None:
                     for collector in self._of_problem(fact.problem):
                         collector.add(fact)
                 elif isinstance(fact, ProposalFact):
                     self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
-                if problem not in CLOSING:
+                if closing_check(problem) is None:
                     for collector in self._of_problem(problem):
                         collector.rollouts += number
         except (KeyError, ValueError) as error:
@@ -124,7 +125,7 @@ class Collector:
         self._workers.add(changes)
         self._trust.add(changes)
         # A recheck repeats rollouts that have been counted.
-        self._violations += (fact for fact in changes.violations if fact.rollout.problem != RECHECK)
+        self._violations += (fact for fact in changes.violations if closing_check(fact.rollout.problem) != RECHECK)
         self._violations.sort(key=lambda fact: (fact.robustness, fact.rollout))
 
     def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
@@ -169,7 +170,7 @@ class Collector:
                 for fact in self._violations[:MOST_COUNTEREXAMPLES]
             ),
             violations=len(self._violations),
-            later_violations=sum(fact.rollout.problem in CLOSING for fact in self._violations),
+            later_violations=sum(closing_check(fact.rollout.problem) is not None for fact in self._violations),
             rollouts=sum(each.rollouts for each in problems if each.requirement is None),
             workers=workers,
             throughput=self._workers.throughput(),
@@ -210,7 +211,7 @@ class Collector:
         return self._divided.get(collector.problem.name)
 
     def _start(self, rollout: RolloutId) -> tuple[float, ...]:
-        if rollout.problem in CLOSING:
+        if closing_check(rollout.problem):
             return self._checked[rollout.problem, rollout.test]
         return self._problems[rollout.problem].starts[rollout.test]
 
@@ -236,6 +237,18 @@ class Collector:
             if len(self._cache) > MOST_CACHED:
                 del self._cache[next(iter(self._cache))]
         return found
+
+
+def _extend_all(collectors: Iterable[ProblemCollector], fact: ExtensionFact) -> None:
+    for each in collectors:
+        each.extend(fact)
+
+
+def _check_same(directory: Path, certificate: Certificate | None, header: Header) -> None:
+    if certificate and certificate.predicate.campaign.config_sha256 != header.config_sha256:
+        raise JournalError(
+            f"{directory}: the certificate is that of another campaign than the database; restore one of them"
+        )
 
 
 def _collectors(header: Header) -> Iterator[tuple[str, ProblemCollector]]:

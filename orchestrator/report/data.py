@@ -179,6 +179,8 @@ class Problem:
     stopped_by: str | None
     left: str | None
     """Forecast of the remaining tests, in words."""
+    outlook: str | None
+    """Forecast of the bound at the end of the budget, and of what further rollouts would bring, in words."""
     surfaces: tuple[Surface, ...]
     """The plane of every two parameters, or the listed starts; empty where nothing is observed, or starts are drawn."""
     tests: TestSeries

@@ -4,19 +4,20 @@ Facts are in terms of the maximised objective J; the data carry the sign of the 
 lower change places for a minimum.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Predicate, ProblemResult
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
+from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
 from ...schemas.requirements import alpha_of
-from ...schemas.values import Bound, Observation, Proposal, StoppedBy
+from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import PartMethod, method
+from ..campaign.outlook import in_words
 from ..campaign.plan import ProblemPlan
 from ..certificate.problem_results import objective
 from ..mathematics.bounds.sample import SampleMethod
@@ -58,6 +59,7 @@ class ProblemCollector:
         self._surfaces: tuple[Surface, ...] = ()
         self._drawn: list[Drawn] = []
         self._tests = observed_series(self.plan, self.observed)
+        self._extended: int | None = None
         self._described = 0
         """Tests in surfaces and columns."""
         self._warnings = self._contradictions()
@@ -82,6 +84,13 @@ class ProblemCollector:
                 fact = fact if self._own is None else replace(fact, bound=Bound(None, None, fact.bound.verdict))
                 proposal, observation = self._proposals.pop(fact.test), self._values.pop(fact.test)
                 self.observed.append(ObservedTest.of(proposal, observation, fact))
+
+    def extend(self, fact: ExtensionFact) -> None:
+        """Take an extension of the campaign: with a larger budget the last bound is no end any more."""
+        budget = dict(fact.budgets).get(self.problem.name)
+        self._extended = budget or self._extended
+        if budget and self.observed:
+            self.observed[-1] = replace(self.observed[-1], stopped_by=None)
 
     def data(self, result: ProblemResult | None) -> Problem:
         """Return the data of the problem; `result` is its part of the certificate.
@@ -120,10 +129,13 @@ class ProblemCollector:
             bound=None if bound is None else floored(bound, self._sense, limit),
             partner=result.partner if result else self._partner(),
             probability=result.probability if result else self._probability(last),
-            budget=self.plan.budget,
+            budget=self._extended or self.plan.budget,
             rollouts=self.rollouts,
             stopped_by=stopped_by,
             left=None if stopped_by else self._left(),
+            outlook=None
+            if self._own
+            else _outlook(self._config, self.plan, self.observed, self.rollouts, self._extended),
             surfaces=self._surfaces,
             tests=self._tests,
             by_clip=limit,
@@ -201,5 +213,17 @@ class ProblemCollector:
         if self._own is not None:
             return None  # its tests are those of the whole
         now = self._tests.distance[-1] if self._tests.distance else None
-        left = forecast.tests_left(self._config, self.problem, now, len(self.observed))
+        left = forecast.tests_left(self._config, self.problem, now, len(self.observed), self._extended)
         return None if left is None else forecast.left_in_words(self._config, self.problem, left)
+
+
+def _outlook(
+    config: CampaignConfig, plan: ProblemPlan, observed: Sequence[ObservedTest], rollouts: int, extended: int | None
+) -> str | None:
+    if not observed:
+        return None
+    points = ((each.test + 1, each.bound.upper) for each in observed if each.test + 1 in MARKED)
+    course = tuple((tests, upper) for tests, upper in points if upper is not None)
+    last = observed[-1]
+    progress = ProblemProgress(len(observed), rollouts, None, last.bound, last.stopped_by, extended, course)
+    return in_words(config, plan.problem, progress)

@@ -12,6 +12,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.problem_models import Problem
 from ...schemas.requirements import alpha_of
 from ...schemas.values import ProblemProgress
+from ..campaign.outlook import outlook_lines
 from .format import ENDS, duration, figure
 from .json_lines import JsonLines
 from .service import Listener, RunStatus
@@ -43,8 +44,9 @@ class Terminal:
             (each, _time_left(config, problem, each, rate / max(1, running)))
             for problem, each in zip(config.problems, status.problems.values(), strict=True)
         ]
+        lines = [*outlook_lines(config, list(status.problems.values())), worker_line(status, rate)]
         self._live.update(
-            Group(progress_table(config, rows, status.closing), Text(worker_line(status, rate), style="dim"))
+            Group(progress_table(config, rows, status.closing), *(Text(line, style="dim") for line in lines))
         )
 
 
@@ -74,6 +76,9 @@ class Plain:
                 self._check(name, progress)
         if due:
             self._last = now
+            if self._json is None:
+                for line in outlook_lines(status.config, list(status.problems.values())):
+                    self.print_line(line)
             self._workers(status, rate)
 
     def _has_news(self, name: str, progress: ProblemProgress, *, due: bool) -> bool:

@@ -16,6 +16,7 @@ class Review:
 
     def __init__(self, ledger: Ledger, journal: Journal) -> None:
         self._ledger, self._journal = ledger, journal
+        self._template = ledger.header.template
         self._requests: dict[RolloutId, RolloutRequest] = {}
 
     def __len__(self) -> int:
@@ -26,7 +27,7 @@ class Review:
         found = self._journal.attempts.suspects()
         for rollout in found:
             start = self._journal.proposal(rollout.problem, rollout.test).proposal.x
-            self._requests[rollout] = self._ledger.request_again(self._journal.rollout(rollout), start)
+            self._requests[rollout] = self._template.request(rollout, start, self._journal.rollout(rollout).seed)
         return found
 
     def request(self, rollout: RolloutId) -> RolloutRequest | None:

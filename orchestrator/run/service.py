@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
-from ...schemas.ids import CLOSING, RolloutId
+from ...schemas.ids import RolloutId, closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..fleet import dispatch, events
@@ -305,7 +305,7 @@ def _status(ledger: Ledger, state: DispatchState, roster: Roster, seconds: float
     return RunStatus(
         ledger.config,
         {name: account.progress for name, account in ledger.accounts.items()},
-        {name: each.progress for name, each in ledger.series.items() if name in CLOSING},
+        {name: each.progress for name, each in ledger.series.items() if closing_check(name)},
         _phases(state),
         roster.records,
         state.recorded,

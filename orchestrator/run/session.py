@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from rich.console import Console
 from rich.text import Text
@@ -39,9 +39,6 @@ from .directory import check_vacant, claimed
 from .live_page import LivePage, live_page
 from .revision import revision
 from .systemd import Systemd
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,15 +149,22 @@ def start_campaign(
         page.end()
 
 
-def resume_campaign(directory: Path, options: RunOptions, console: Console) -> bool:
+def resume_campaign(directory: Path, options: RunOptions, console: Console, max_tests: int | None = None) -> bool:
     """Continue a campaign from its database; return False for a finished one, which is left as it is.
 
+    With `max_tests` a finished campaign that ended by its budget gets this larger one, and continues.
+
     Raises:
-        PerfboundError: there is no campaign, it is running, its software is another one, or the run fails.
+        PerfboundError: there is no campaign, it is running, its software is another one, or the run fails; or it cannot
+            be extended.
         Stopped: a signal arrived.
 
     """
     existing(directory)
+    if max_tests is not None:
+        from .extend import give_budget  # noqa: PLC0415  (loads the numerics, and few resumes need it)
+
+        give_budget(directory, options, console, max_tests)
     if files.read(directory) is not None:
         console.print(Text(f"{directory}: finished already"), soft_wrap=True)
         return False

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK
+from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK, closing_check
 from ...schemas.problem_models import Problem
 from ...schemas.requirements import alpha_of
 from ...schemas.values import ProblemProgress
@@ -32,7 +32,8 @@ def remaining_distance(config: CampaignConfig, problem: Problem, progress: Probl
 
 def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> int | None:
     """Guess the tests until a problem ends; None where its decay is too short for a guess."""
-    return forecast.tests_left(config, problem, remaining_distance(config, problem, progress), progress.tests)
+    away = remaining_distance(config, problem, progress)
+    return forecast.tests_left(config, problem, away, progress.tests, progress.extended)
 
 
 def progress_table(
@@ -51,7 +52,7 @@ def progress_table(
         alpha = alpha_of(config, problem)
         found.add_row(
             problem.name,
-            f"{progress.tests} of {config.max_tests_of(problem)}",
+            f"{progress.tests} of {forecast.budget(config, problem, progress.extended)}",
             figure(remaining_distance(config, problem, progress)),
             figure(alpha) if alpha is None else f"{alpha:g}",
             figure(bound_in_sense(config, problem, progress)),
@@ -64,7 +65,7 @@ def progress_table(
             SPOT_CHECK: config.spot_check + config.spot_check_followups,
             SHRINK: config.falsify.shrink_tests if config.falsify else 0,
             RECHECK: config.recheck,
-        }[name]
+        }[closing_check(name) or name]
         end = "ended" if progress.stopped_by else f"of at most {most} tests"
         found.add_row(name, str(progress.tests), "", "", "", str(progress.rollouts), end)
     return found

@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from sqlalchemy import Connection
 
 from ...schemas.errors import JournalError
-from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact, RolloutFact
 from ...schemas.ranges import within_seconds
 from . import tables
 from .read import read_header, read_version, reading
@@ -21,7 +21,8 @@ _rollouts, _outcomes, _attempts = tables.rollouts.c, tables.outcomes.c, tables.a
 _ENDED = sa.literal_column("outcomes.rowid", sa.Integer)
 _STARTED = sa.literal_column("attempts.rowid", sa.Integer)
 _DECISIONS = {
-    table: sa.select(table).where(table.c.seq > _SINCE) for table in (tables.tests, tables.observations, tables.bounds)
+    table: sa.select(table).where(table.c.seq > _SINCE)
+    for table in (tables.tests, tables.observations, tables.bounds, tables.extensions)
 }
 _COUNTS = (
     sa.select(_rollouts.problem, sa.func.count().label("number"), sa.func.max(_rollouts.seq).label("seq"))
@@ -40,7 +41,7 @@ _RUN = sa.select(tables.campaign.c.run)
 _SESSIONS = sa.select(sa.func.count()).select_from(tables.sessions)
 
 
-Decision = ProposalFact | ObservationFact | BoundFact
+Decision = ProposalFact | ObservationFact | BoundFact | ExtensionFact
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +127,11 @@ class Changes:
     opinions: tuple[ComparedResult, ...] = ()
     pauses: tuple[PauseChange, ...] = ()
 
+    @property
+    def extended(self) -> bool:
+        """Whether the campaign was extended."""
+        return any(isinstance(fact, ExtensionFact) for fact in self.decisions)
+
 
 class ChangeReader:
     """Reads a campaign in increments; used by one thread at a time."""
@@ -150,6 +156,7 @@ class ChangeReader:
             decisions = [
                 (row.seq, _fact(table, row, self._directory))
                 for table, query in _DECISIONS.items()
+                if has_table(table.name, self._version)
                 for row in connection.execute(query, seq)
             ]
             counts = connection.execute(_COUNTS, seq).all()
@@ -185,8 +192,9 @@ class ChangeReader:
         return found
 
     def _checked(self, connection: Connection) -> Header:
+        # Each time: an extension upgrades the database.
+        self._version = read_version(connection, self._directory)
         if self._header is None:
-            self._version = read_version(connection, self._directory)
             return read_header(connection, self._directory)
         # Its sequence numbers start again: the increments of two campaigns must not be added up.
         if connection.execute(_RUN).scalar() != self._header.run:

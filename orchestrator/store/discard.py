@@ -16,10 +16,8 @@ from . import tables
 from .files import discarded_path, inside, read_evidence
 from .journal import open_engine
 from .read import read_version
-from .rows import ADDED_IN, DATABASE, SCHEMA_VERSION
-
-_RULES_1 = " DEFAULT 1"
-"""Campaigns of version 1 name no rules, and follow rules 1."""
+from .rows import DATABASE
+from .upgrade import unguarded, upgrade
 
 
 def write_discard(directory: Path, fact: RolloutFact, reason: str) -> DiscardFact:
@@ -37,7 +35,7 @@ def write_discard(directory: Path, fact: RolloutFact, reason: str) -> DiscardFac
     engine = open_engine(directory / DATABASE)
     try:
         with engine.begin() as connection:
-            _upgrade(connection, read_version(connection, directory))
+            upgrade(connection, read_version(connection, directory))
             _move(connection, fact, kept, reason)
     finally:
         engine.dispose()
@@ -51,28 +49,4 @@ def _move(connection: Connection, fact: RolloutFact, kept: str, reason: str) -> 
     newest = [connection.execute(sa.select(sa.func.max(table.c.seq))).scalar() or 0 for table in tables.FACTS]
     row |= {"recorded": row["seq"], "seq": max(newest) + 1, "path": kept, "reason": reason}
     connection.execute(tables.discards.insert().values(**row))
-    _unguarded(connection, tables.rollouts, tables.rollouts.delete().where(this))
-
-
-def _upgrade(connection: Connection, version: int) -> None:
-    """Give a database the tables, columns and number of the present schema version."""
-    for (table, column), since in ADDED_IN.items():
-        if since > version:
-            kind = tables.metadata.tables[table].c[column]
-            default = f" NOT NULL{_RULES_1}" if not kind.nullable else ""
-            connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column} {kind.type}{default}")
-    tables.metadata.create_all(connection)
-    for trigger in tables.insert_only():
-        connection.exec_driver_sql(trigger.replace("CREATE TRIGGER", "CREATE TRIGGER IF NOT EXISTS"))
-    if version < SCHEMA_VERSION:
-        _unguarded(connection, tables.schema, tables.schema.update().values(version=SCHEMA_VERSION))
-
-
-def _unguarded(connection: Connection, table: sa.Table, change: sa.Update | sa.Delete) -> None:
-    """Change an insert-only table without its triggers."""
-    mine = [trigger for trigger in tables.insert_only() if f" ON {table.name} " in trigger]
-    for trigger in mine:
-        connection.exec_driver_sql(f"DROP TRIGGER {trigger.split()[2]}")
-    connection.execute(change)
-    for trigger in mine:
-        connection.exec_driver_sql(trigger)
+    unguarded(connection, tables.rollouts, tables.rollouts.delete().where(this))

@@ -27,7 +27,7 @@ from sqlalchemy import Connection
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import PROBABILITIES
 from ...schemas.facts import RECORDED, RESTORED, Header
-from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK
+from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK, closing_check
 from ...schemas.problem_models import Problem
 from ...schemas.problems import replicates_are_robustness
 from ...schemas.requirements import parts_of
@@ -86,7 +86,7 @@ def export_table(name: str, header: Header, version: int) -> ExportTable:
             return _observations_table(header)
         case "counterexamples":
             # Not of the recheck: it repeats rollouts that are listed.
-            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0, _r.problem != RECHECK))
+            return _rollouts_table(name, header, _ROLLOUTS.where(_r.robustness < 0, _r.problem.not_like(f"{RECHECK}%")))
         case "failures":
             return _failures_table(version)
         case "opinions":
@@ -133,7 +133,7 @@ def _tests_table(header: Header) -> ExportTable:
     objectives = _objectives(header)
 
     def expand(row: Any) -> Iterator[Row]:
-        sense, unit = objectives[row.problem]
+        sense, unit = objectives[closing_check(row.problem) or row.problem]
         y, mu, lower, upper = row.y, row.mu, row.lower, row.upper
         if sense == "min":
             y, mu, lower, upper = (_minus(value) for value in (y, mu, upper, lower))
@@ -271,7 +271,7 @@ def _observations_table(header: Header) -> ExportTable:
             yield from ((name, place, value) for place, value in enumerate(each[start * width : (start + 1) * width]))
 
     def expand(row: Any) -> Iterator[Row]:
-        sense, unit = objectives[row.problem]
+        sense, unit = objectives[closing_check(row.problem) or row.problem]
         y = _minus(row.y) if sense == "min" else row.y
         turned = sense == "min" and row.problem not in robust
         for name, replicate, value in parts(row):

@@ -4,16 +4,17 @@ The queries go to the SQLite driver directly: loading SQLAlchemy takes longer th
 status` does.
 """
 
+import json
 import math
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
 from ...schemas.facts import RECORDED, RESTORED, Header
-from ...schemas.values import ProblemProgress
+from ...schemas.values import MARKED, ProblemProgress
 from .damage import naming_cause
 from .readonly import is_still, open_readonly
 from .rows import (
@@ -21,6 +22,7 @@ from .rows import (
     checked_header,
     checked_version,
     existing,
+    extension_fact,
     has_column,
     has_table,
     header_columns,
@@ -33,9 +35,15 @@ MINUTE = 60.0
 _VERSION = "SELECT version FROM schema"
 _ROLLOUTS = "SELECT problem, count(*) FROM rollouts GROUP BY problem"
 _LAST_BOUNDS = """
-    SELECT problem, test, upper, lower, stopped_by, F FROM bounds JOIN tests USING (problem, test)
+    SELECT bounds.seq, problem, test, upper, lower, stopped_by, F FROM bounds JOIN tests USING (problem, test)
     WHERE bounds.seq IN (SELECT max(seq) FROM bounds GROUP BY problem)
 """
+_COURSE = """
+    SELECT test + 1, upper FROM bounds WHERE problem = ? AND upper IS NOT NULL
+    AND test IN (SELECT value FROM json_each(?)) ORDER BY test
+"""
+_MARKED = json.dumps([tests - 1 for tests in sorted(MARKED)])
+_EXTENSIONS = "SELECT seq, number, budgets FROM extensions ORDER BY seq"
 _WORKERS = "SELECT worker, count(*), max(ended) FROM outcomes WHERE outcome = ? GROUP BY worker ORDER BY worker"
 _FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?)"
 _SYSTEM_FAILURES = "SELECT count(*) FROM outcomes WHERE kind = 'system'"
@@ -102,10 +110,17 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
     query = f"SELECT {columns} FROM campaign LIMIT 2"  # noqa: S608  (names of a tuple of constants)
     header = checked_header(directory, _named(connection.execute(query)))
     rollouts = {str(row[0]): int(row[1]) for row in connection.execute(_ROLLOUTS)}
+    extended = _last_extensions(connection) if has_table("extensions", version) else {}
     last = {str(row.problem): row for row in _named(connection.execute(_LAST_BOUNDS))}
     return CampaignProgress(
         header,
-        tuple(_problem_progress(last.get(each.name), rollouts.get(each.name, 0)) for each in header.config.problems),
+        tuple(
+            replace(
+                _problem_progress(last.get(each.name), rollouts.get(each.name, 0), extended.get(each.name)),
+                course=tuple(connection.execute(_COURSE, [each.name, _MARKED]).fetchall()),
+            )
+            for each in header.config.problems
+        ),
         tuple((str(row[0]), int(row[1]), float(row[2])) for row in connection.execute(_WORKERS, [RECORDED])),
         int(connection.execute(_FAILURES, [RECORDED, RESTORED]).fetchone()[0]),
         connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
@@ -116,11 +131,22 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
     )
 
 
-def _problem_progress(last: SimpleNamespace | None, rollouts: int) -> ProblemProgress:
+def _last_extensions(connection: sqlite3.Connection) -> dict[str, tuple[int, int]]:
+    """Return the sequence number of the last extension of each problem that has one, and its budget since."""
+    found: dict[str, tuple[int, int]] = {}
+    for row in _named(connection.execute(_EXTENSIONS)):
+        found |= {problem: (int(row.seq), tests) for problem, tests in extension_fact(row).budgets}
+    return found
+
+
+def _problem_progress(last: SimpleNamespace | None, rollouts: int, extended: tuple[int, int] | None) -> ProblemProgress:
     if last is None:  # no test is observed yet
         return ProblemProgress(0, rollouts, None, None, None)
     fact = bound_fact(last)
-    return ProblemProgress(fact.test + 1, rollouts, last.F, fact.bound, fact.stopped_by)
+    seq, budget = extended or (0, None)
+    # A bound from before the extension ended the problem then, and does no longer.
+    stopped_by = fact.stopped_by if last.seq > seq else None
+    return ProblemProgress(fact.test + 1, rollouts, last.F, fact.bound, stopped_by, budget)
 
 
 def _pauses(connection: sqlite3.Connection) -> tuple[Pauses, ...]:

@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Engine
 
 from ...schemas.facts import RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
 from ...schemas.failure import Failure
-from ...schemas.ids import CLOSING, Attempt, RolloutId
+from ...schemas.ids import Attempt, RolloutId, series_order
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
 from . import tables
 from .damage import naming_cause
@@ -235,10 +235,10 @@ def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
     )
     rollout = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
     with reading(directory) as connection:
-        order = [problem.name for problem in read_header(connection, directory).config.problems] + list(CLOSING)
+        order = [problem.name for problem in read_header(connection, directory).config.problems]
         rows = connection.execute(sa.select(*rollout, rollouts.sha256, rollouts.path).select_from(joined)).all()
     found = [(RolloutId(*row[:4]), str(row[4]), str(row[5])) for row in rows]
-    return sorted(found, key=lambda entry: (order.index(entry[0].problem), *entry[0][1:]))
+    return sorted(found, key=lambda entry: (*series_order(order, entry[0].problem), *entry[0][1:]))
 
 
 def history(directory: Path) -> dict[str, tuple[ObservedTest, ...]]:

@@ -14,6 +14,7 @@ from ...schemas.facts import (
     RESTORED,
     BoundFact,
     DiscardFact,
+    ExtensionFact,
     Fact,
     Header,
     ObservationFact,
@@ -27,7 +28,7 @@ from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 
 DATABASE = "campaign.db"
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
 READ_VERSIONS = tuple(range(1, SCHEMA_VERSION + 1))
 ADDED_IN = {
@@ -41,7 +42,7 @@ ADDED_IN = {
 
 Campaigns without `rules` follow rules 1; the kind of a failure without `kind` is unknown.
 """
-TABLES_ADDED_IN = {"discards": 5, "set_aside": 5, "opinions": 5}
+TABLES_ADDED_IN = {"discards": 5, "set_aside": 5, "opinions": 5, "extensions": 6}
 """Table to the schema version that added it; every other table is as old as version 1."""
 _HEADER = ("run", "name", "seed", "config", "config_sha256", "system", "software", "rules")
 
@@ -158,12 +159,19 @@ def bound_fact(row: Any) -> BoundFact:
     return BoundFact(row.problem, row.test, bound, budget)
 
 
+def extension_fact(row: Any) -> ExtensionFact:
+    """Read a row of `extensions`."""
+    budgets = tuple((str(problem), int(tests)) for problem, tests in json.loads(row.budgets))
+    return ExtensionFact(row.number, budgets)
+
+
 READERS: dict[str, Callable[[Any], Fact]] = {
     "tests": proposal_fact,
     "rollouts": rollout_fact,
     "discards": discard_fact,
     "observations": observation_fact,
     "bounds": bound_fact,
+    "extensions": extension_fact,
 }
 """By the name of the table."""
 
@@ -210,6 +218,9 @@ def fact_row(fact: Fact) -> tuple[str, dict[str, Any]]:
             row = {"problem": problem, "test": test, "upper": bound.upper, "lower": bound.lower}
             row["stopped_by"] = fact.stopped_by
             table = "bounds"
+        case ExtensionFact(number, budgets):
+            row = {"number": number, "budgets": canonical_json([list(each) for each in budgets])}
+            table = "extensions"
     canonical_json(row)  # SQLite stores NaN as NULL without an error; this raises, for every kind of fact
     return table, row
 

@@ -1,8 +1,8 @@
 """The tables of the campaign database.
 
 Facts are insert-only and share one sequence number: `campaign`, `tests`, `rollouts`, `discards`, `observations`,
-`bounds`; a discard moves its row from `rollouts` to `discards`. The nondeterministic part (workers, hosts and times) is
-in `attempts`, `outcomes`, `sessions`, `set_aside` and `opinions`, outside the hash chain.
+`bounds`, `extensions`; a discard moves its row from `rollouts` to `discards`. The nondeterministic part (workers, hosts
+and times) is in `attempts`, `outcomes`, `sessions`, `set_aside` and `opinions`, outside the hash chain.
 """
 
 from typing import Any
@@ -123,6 +123,15 @@ bounds = Table(
     sqlite_strict=True,
 )
 
+extensions = Table(
+    "extensions",
+    metadata,
+    Column("seq", Integer, primary_key=True),
+    Column("number", Integer, nullable=False, unique=True),  # from 1
+    Column("budgets", Text, nullable=False),  # [problem, tests at most from now on] of those that continue, JSON
+    sqlite_strict=True,
+)
+
 attempts = Table(
     "attempts",
     metadata,
@@ -189,7 +198,7 @@ opinions = Table(
     sqlite_strict=True,
 )
 
-FACTS = (campaign, tests, rollouts, discards, observations, bounds)
+FACTS = (campaign, tests, rollouts, discards, observations, bounds, extensions)
 
 
 def insert_only() -> list[str]:

@@ -6,7 +6,16 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from ...schemas.errors import JournalError
-from ...schemas.facts import BoundFact, DiscardFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from ...schemas.facts import (
+    BoundFact,
+    DiscardFact,
+    ExtensionFact,
+    Fact,
+    Header,
+    ObservationFact,
+    ProposalFact,
+    RolloutFact,
+)
 from . import tables
 from .read import read_header, reading
 from .rows import DATABASE, READ_VERSIONS, READERS
@@ -22,6 +31,7 @@ class UntrustedFacts:
     discards: tuple[DiscardFact, ...]
     observations: tuple[ObservationFact, ...]
     bounds: tuple[BoundFact, ...]
+    extensions: tuple[ExtensionFact, ...]
 
 
 def read_untrusted(directory: Path) -> UntrustedFacts:

@@ -21,7 +21,7 @@ from ..schemas.campaign import CampaignConfig
 from ..schemas.certificate import Predicate
 from ..schemas.errors import EvidenceError, PerfboundError
 from ..schemas.facts import Header
-from ..schemas.ids import CLOSING
+from ..schemas.ids import closing_check
 from ..schemas.link import LOCAL
 from ..schemas.trajectory import Trajectory
 from .forked import Forked
@@ -79,14 +79,15 @@ class Run:
     @property
     def tests(self) -> Table:
         """A row for each test of a problem: its start, its observation, and the bounds after it."""
-        found = self.table("tests")
-        return found.only(~np.isin(found["problem"].astype(str), CLOSING))
+        return _of_series(self.table("tests"), closing=False)
 
     @property
     def closing_checks(self) -> Table:
-        """A row for each test of the closing checks, whose `problem` is `spot_check` or `recheck`, as in `tests`."""
-        found = self.table("tests")
-        return found.only(np.isin(found["problem"].astype(str), CLOSING))
+        """A row for each test of the closing checks, as in `tests`.
+
+        `problem` is `spot_check`, `shrink` or `recheck`; after an extension `spot_check_b` and `recheck_b`.
+        """
+        return _of_series(self.table("tests"), closing=True)
 
     @property
     def rollouts(self) -> Table:
@@ -184,6 +185,11 @@ class Run:
         return f"<pre>{html.escape(_in_words(self))}</pre>"
 
 
+def _of_series(tests: Table, *, closing: bool) -> Table:
+    """Return the tests of the closing checks, or those of the problems."""
+    return tests.only(np.array([(closing_check(str(name)) is not None) == closing for name in tests["problem"]]))
+
+
 def open_run(directory: str | Path) -> Run:
     """Return the run in a directory: running, stopped or finished.
 
@@ -194,8 +200,18 @@ def open_run(directory: str | Path) -> Run:
     return Run(Path(directory))
 
 
-def resume_run(directory: str | Path, *, system: object = None, workers: int = 2, progress: bool = True) -> Run:
+def resume_run(
+    directory: str | Path,
+    *,
+    system: object = None,
+    max_tests: int | None = None,
+    workers: int = 2,
+    progress: bool = True,
+) -> Run:
     """Continue a campaign to its certificate; a finished one is left as it is.
+
+    With `max_tests` a finished campaign that ended by its budget gets this larger one, and continues; not with method
+    `paper`, and not where a number of samples was fixed.
 
     `system` is the function, where it was typed into a notebook, or "FILE.py:NAME" where the file is elsewhere now.
 
@@ -209,7 +225,7 @@ def resume_run(directory: str | Path, *, system: object = None, workers: int = 2
     reference = found.reference if found is not None and own is None else None
     path, console = Path(directory), output(progress=progress)
     with reproducible(), interruptible(path, console):
-        session.resume_campaign(path, _run_options(workers, reference, own), console)
+        session.resume_campaign(path, _run_options(workers, reference, own), console, max_tests)
     return Run(path)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from perfbound.orchestrator.fleet.dispatch import KNOWN
 from tests.architecture.drawing import FRAME, Bend, Layout, Pair, svg
 from tests.architecture.source import arrows_of_rooms
-from tests.architecture.transitions import BESIDE_CAMPAIGN, Transition, of_campaign, of_dispatch, of_legal
+from tests.architecture.transitions import BESIDE_CAMPAIGN, Transition, of_campaign, of_dispatch, of_legal, of_problem
 
 FOLDER = Path(__file__).parents[2] / "docs" / "images"
 
@@ -34,9 +34,17 @@ DISPATCH = Layout(
     ports={(FRAME, "gone"): ((388, 312), (388, 353)), ("gone", FRAME): ((472, 353), (472, 312))},
 )
 CAMPAIGN = Layout(
-    size=(740, 150),
-    places={"absent": (70, 110), "running": (270, 110), "complete": (470, 110), "closed": (670, 110)},
-    bends={("running", "closed"): Bend(120, 0.5)},
+    size=(740, 290),
+    places={
+        "absent": (70, 110),
+        "running": (270, 110),
+        "complete": (470, 110),
+        "closed": (670, 110),
+        "answered": (170, 240),
+        "going on": (370, 240),
+        "spent": (570, 240),
+    },
+    bends={("running", "closed"): Bend(120, 0.5), ("going on", "spent"): Bend(45), ("spent", "going on"): Bend(45)},
 )
 ROOMS = Layout(
     size=(670, 600),
@@ -93,5 +101,5 @@ def texts() -> dict[str, str]:
     return {
         "rooms.svg": svg(ROOMS, between_rooms()),
         "dispatch.svg": svg(DISPATCH, merged(of_dispatch())),
-        "campaign.svg": svg(CAMPAIGN, tests),
+        "campaign.svg": svg(CAMPAIGN, tests | merged(of_problem())),
     }

@@ -34,6 +34,11 @@ def of_legal() -> set[Transition]:
     return _changes(state.LEGAL)
 
 
+def of_problem() -> set[Transition]:
+    """Return the changes of a problem's standing."""
+    return _changes(state.LEGAL_OF_PROBLEM)
+
+
 def of_campaign() -> set[Transition]:
     """Return every change of a test's phase."""
     return of_legal() | BESIDE_CAMPAIGN

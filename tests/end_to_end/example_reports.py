@@ -274,6 +274,7 @@ def _problem(name: str, sense: str, tests: int) -> Problem:
         rollouts=tests,
         stopped_by="converged",
         left=None,
+        outlook=None,
         surfaces=(_surface(shape=(5, 4)),),
         observed=tests,
         tests=TestSeries(

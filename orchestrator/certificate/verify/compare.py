@@ -12,11 +12,13 @@ from ....schemas.base import digest
 from ....schemas.facts import (
     BoundFact,
     DiscardFact,
+    ExtensionFact,
     Fact,
     Header,
     ObservationFact,
     ProposalFact,
     RolloutFact,
+    extended_link,
     first_link,
     next_link,
 )
@@ -82,11 +84,19 @@ def tables(header: Header, recomputed: Iterable[Fact], stored: UntrustedFacts) -
         ("discards", stored.discards),
         ("observations", stored.observations),
         ("bounds", stored.bounds),
+        ("extensions", stored.extensions),
     ):
         # The evidence alone is enough: a database that was cut down contradicts nothing.
         if not rows:
-            if name != "discards":  # which few campaigns have
+            if name not in ("discards", "extensions"):  # which few campaigns have
                 gone.append(name)
+            # Tests beyond the first budget without what allowed them: this is no table that was merely left out.
+            if (
+                name == "extensions"
+                and stored.bounds
+                and any(isinstance(each, ExtensionFact) for each in derived.values())
+            ):
+                return "table extensions: it is empty, the evidence has more tests than the budget", ""
             continue
         compared.append(f"{len(rows)} {name}")
         fault = _table(header, name, derived, rows)
@@ -132,6 +142,8 @@ def _label(fact: Fact) -> str:
             return str(rollout)
         case DiscardFact(rollout):
             return f"{rollout}, {fact.sha256[:16]}..."
+        case ExtensionFact(number):
+            return f"extension {number}"
         case _:
             return f"{fact.problem}, test {fact.test}"
 
@@ -145,7 +157,7 @@ def _values(fact: Fact) -> dict[str, Any]:
             return asdict(found)
         case BoundFact(bound=bound):
             return {"upper": bound.upper, "lower": bound.lower, "stopped_by": fact.stopped_by}
-        case RolloutFact() | DiscardFact():
+        case RolloutFact() | DiscardFact() | ExtensionFact():
             return asdict(fact)
 
 
@@ -164,6 +176,8 @@ def chain_head(header: Header, recomputed: Sequence[Fact], recorded: Sequence[Pr
             discards.setdefault((fact.rollout.problem, fact.rollout.test), []).append(fact)
     links: dict[str, str] = {problem.name: first_link(header, problem.name) for problem in header.config.problems}
     for fact in recomputed:
+        if isinstance(fact, ExtensionFact):
+            links |= {each.name: extended_link(links[each.name], fact) for each in header.config.problems}
         if isinstance(fact, ObservationFact):
             test = (fact.problem, fact.test)
             # A check has its first link when its first test comes.

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from ....schemas.errors import EvidenceError, PerfboundError, RequestError, TrajectoryError
-from ....schemas.facts import DiscardFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from ....schemas.errors import EvidenceError, IllegalEvent, PerfboundError, RequestError, TrajectoryError
+from ....schemas.facts import DiscardFact, ExtensionFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from ....schemas.ids import RolloutId
 from ....schemas.trajectory import Trajectory, decode, read_mcap
 from ....schemas.values import Proposal
@@ -79,7 +79,9 @@ class Rerun:
         header: Header,
         entries: Mapping[RolloutId, Entry],
         discards: Sequence[DiscardFact] = (),
+        extensions: Sequence[ExtensionFact] = (),
     ) -> None:
+        self._extensions = deque(extensions)
         self._directory, self._entries, self._discards = directory, entries, list(discards)
         self._first: dict[tuple[str, int], RolloutId] = {}
         # The request in the first file of a test has its start; the file must then fit the whole request.
@@ -114,7 +116,10 @@ class Rerun:
         self._check_size()
         used, missing = set[RolloutId](), list[RolloutId]()
         waiting = deque(self._step(self.ledger.outstanding))
-        while waiting:
+        while waiting or self._extensions:
+            if not waiting:
+                waiting.extend(self._extend(missing))
+                continue
             rollout = waiting.popleft()
             if rollout not in self._entries:
                 missing.append(rollout)  # legal if its problem stops before it is needed
@@ -136,9 +141,18 @@ class Rerun:
                 wanted = f"{len(each.plan.rollouts)} rollouts a test"
                 raise CheckFailed("evidence", f"{each.plan.problem} needs {wanted}, the manifest lists {listed}")
 
+    def _extend(self, missing: Sequence[RolloutId]) -> Sequence[RolloutId]:
+        """Extend the campaign, which has to be done, as the certificate lists it."""
+        if not self.ledger.done:
+            self._check_end(set(), missing)
+        fact = self._extensions.popleft()
+        try:
+            return self._step(lambda: self.ledger.extend(fact))
+        except IllegalEvent as error:
+            raise CheckFailed("stop", str(error)) from None
+
     def _stopped(self) -> set[str]:
-        bounds = {name: account.last_bound for name, account in self.ledger.series.items()}
-        return {name for name, bound in bounds.items() if bound is not None and bound.stopped_by is not None}
+        return {each.plan.problem for each in self.ledger.state.problems if each.stopped_by is not None}
 
     def _step(self, act: Callable[[], Work]) -> Sequence[RolloutId]:
         try:

@@ -28,6 +28,7 @@ from ..issue import manifest, question, subject
 from . import compare
 from .checks import CheckFailed, Checks, plural
 from .discards import discarded
+from .extensions import extended
 from .input import VerificationInput, parsed, signed_text
 from .manifest import Entry, check_files, parse_manifest, sha256_of, split_manifest
 from .regions import compared_regions
@@ -104,7 +105,7 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
     check_files(directory, every, lambda done: report("digests", done, len(every)))
     checks.passed("files", plural(len(every), "file"))
     with checks.making("observations"):
-        rerun = Rerun(directory, header, entries, discards)
+        rerun = Rerun(directory, header, entries, discards, extended(certificate))
         rerun.play(lambda done: report("campaign", done, len(entries)))
     # The rerun reached its end, so the checks inside it passed.
     _campaign(rerun, text, certificate, checks)
@@ -177,6 +178,7 @@ def _campaign(rerun: Rerun, text: str, certificate: Certificate, checks: Checks)
     tests = sum(isinstance(fact, ObservationFact) for fact in rerun.facts)
     accounts = rerun.ledger.series
     ends = ", ".join(f"{name}: {a.last_bound.stopped_by}" for name, a in accounts.items() if a.last_bound)
+    ends += "".join(f"; extended to {max(tests for _, tests in each.budgets)}" for each in rerun.ledger.extensions)
     count = sum(sum(account.counts.values()) for account in accounts.values())
     checks.passed("requests", plural(count, "rollout"))
     checks.passed("trajectories", plural(count, "file"))

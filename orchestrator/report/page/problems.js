@@ -87,6 +87,7 @@ function problemFacts(problem) {
     ["Failure probability delta", num(problem.delta)],
     ["Stopped", problem.stopped_by === null ? null : stoppedText(problem)],
     [problem.drawn ? "Left" : "Tests left (forecast)", problem.left === null ? null : short(problem.left, 200)],
+    ["Outlook", problem.outlook === null ? null : short(problem.outlook, 200)],
   ];
   return definitions(".facts", facts, { "data-stopped": problem.stopped_by });
 }

@@ -48,7 +48,7 @@ def fixed(space: Space = BOX) -> Header:
 def test_starts_of_the_spot_check_stay_what_they_were() -> None:
     # A change here refutes every certificate with a spot check.
     found = replace(header(config("segway-paper").space, spot_check=299), config_sha256="1234" * 16)
-    starts = _uniform_starts(found, list(plans(found.config, found.spec).values()))
+    starts = _uniform_starts(found, list(plans(found.config, found.spec).values()), "spot_check")
     assert starts[0] == (3.658339854727783, 1.9530640519583016)
     assert hashlib.sha256(repr(starts).encode()).hexdigest().startswith("a811733fe43480a359842503647e691f")
 

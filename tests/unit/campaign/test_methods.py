@@ -158,7 +158,8 @@ def test_tests_left_follow_a_power_law_and_end_with_the_budget() -> None:
     problem = chosen.problems[0]
     assert isinstance(problem, RigorousProblem)
     start = 2 * problem.rkhs_norm
-    assert forecast.tests_left(chosen, problem, start / 10, 5) is None
+    assert forecast.tests_left(chosen, problem, start / 10, 5, None) is None
     # 4/n at n = 100 is .04; alpha = .02 needs n = 200
-    assert forecast.tests_left(chosen, problem, 0.04, 100) in (100, 101)
-    assert forecast.tests_left(chosen, problem, 0.9 * start, 100) == chosen.max_tests - 100
+    assert forecast.tests_left(chosen, problem, 0.04, 100, None) in (100, 101)
+    assert forecast.tests_left(chosen, problem, 0.9 * start, 100, None) == chosen.max_tests - 100
+    assert forecast.tests_left(chosen, problem, 0.9 * start, 100, 9000) == 8900

@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from perfbound.orchestrator.campaign import state as campaign
 from perfbound.orchestrator.campaign.state import (
     LEGAL,
+    LEGAL_OF_PROBLEM,
     Action,
     Certify,
     Event,
+    Extended,
     Observe,
     Observed,
     OpenTest,
@@ -24,12 +26,14 @@ from perfbound.orchestrator.campaign.state import (
     Proposed,
     Recorded,
     Simulate,
+    Standing,
     State,
     Withdraw,
     assert_invariants,
     initial,
     outstanding,
     step,
+    with_series,
 )
 from perfbound.schemas.errors import IllegalEvent
 from perfbound.schemas.ids import RolloutId
@@ -68,10 +72,12 @@ EVENTS: dict[str, Event] = {
 }
 
 
-def printed_table() -> dict[tuple[str, str], str]:
-    """The table at the head of the module."""
+def printed_table(first: str = "phase") -> dict[tuple[str, str], str]:
+    """The table at the head of the module whose first column has this name."""
     assert campaign.__doc__ is not None
-    lines = [line.split("  ") for line in campaign.__doc__.splitlines() if line.startswith("    ")]
+    _, behind = campaign.__doc__.split(f"    {first}  ")
+    text = f"    {first}  {behind}".split("\n\n")[0]
+    lines = [line.split("  ") for line in text.splitlines()]
     rows = [[cell.strip() for cell in line if cell.strip()] for line in lines]
     return {(row[0], name): cell for row in rows[1:] for name, cell in zip(rows[0][1:], row[1:], strict=True)}
 
@@ -148,6 +154,68 @@ def test_the_budget_ends_a_problem() -> None:
     assert (state.problems[0].stopped_by, actions) == ("budget", (Certify(),))
     with pytest.raises(IllegalEvent):
         step(state, Proposed("p", 1))
+
+
+STANDINGS: dict[Standing, list[Event]] = {
+    "going on": HISTORY["complete"][:-1],
+    "spent": [*HISTORY["complete"], Observed("p", 0)],
+    "answered": [*HISTORY["complete"], Observed("p", 0, "converged")],
+}
+
+
+def test_the_printed_table_of_problems_is_the_law() -> None:
+    printed = {key: cell for key, cell in printed_table("problem").items() if cell != "-"}
+    assert printed == {key: ", or ".join(after) for key, after in LEGAL_OF_PROBLEM.items()}
+
+
+@pytest.mark.parametrize("standing", STANDINGS)
+def test_only_a_problem_that_has_spent_its_budget_is_extended(standing: Standing) -> None:
+    state = replay((a_plan(max_tests=1),), STANDINGS[standing])
+    assert state.problems[0].standing == standing
+    if (standing, "Extended") in LEGAL_OF_PROBLEM:
+        state, actions = step(state, Extended((("p", 3),)))
+        assert_invariants(state)
+        assert (state.problems[0].standing, actions) == ("going on", (Propose("p", 1),))
+        return
+    with pytest.raises(IllegalEvent, match="not allowed"):
+        step(state, Extended((("p", 3),)))
+
+
+def test_every_way_a_problem_stands_after_an_observation() -> None:
+    before = replay((a_plan(max_tests=2),), HISTORY["complete"])
+    answered, _ = step(before, Observed("p", 0, "converged"))
+    going_on, _ = step(before, Observed("p", 0))
+    last = replay((a_plan(max_tests=1),), HISTORY["complete"])
+    spent, _ = step(last, Observed("p", 0))
+    seen = {state.problems[0].standing for state in (answered, going_on, spent)}
+    assert seen == set(LEGAL_OF_PROBLEM["going on", "Observed"])
+
+
+@pytest.mark.parametrize("budgets", [(), (("p", 1),), (("p", 0),), (("q", 3),), (("p", 3), ("p", 4))])
+def test_an_extension_names_problems_once_and_a_larger_budget(budgets: tuple[tuple[str, int], ...]) -> None:
+    state = replay((a_plan(max_tests=1),), STANDINGS["spent"])
+    with pytest.raises(IllegalEvent):
+        step(state, Extended(budgets))
+    assert state == replay((a_plan(max_tests=1),), STANDINGS["spent"])
+
+
+def test_no_problem_is_extended_before_the_last_series_has_stopped() -> None:
+    state, _ = with_series(replay((a_plan(max_tests=1),), STANDINGS["spent"]), a_plan("check"))
+    with pytest.raises(IllegalEvent, match="has not stopped"):
+        step(state, Extended((("p", 3),)))
+
+
+def test_an_extension_fills_the_window_and_leaves_answered_problems_as_they_are() -> None:
+    plans = (a_plan("p", window=3, max_tests=1), a_plan("q"))
+    history: list[Event] = [*STANDINGS["spent"], Proposed("q", 0)]
+    history += [Recorded(rollout(0, variant, problem="q")) for variant in ("nominal", "true")]
+    state = replay(plans, [*history, Observed("q", 0, "converged")])
+    state, actions = step(state, Extended((("p", 5),)))
+    assert actions == (Propose("p", 1),)
+    for test in (1, 2, 3):
+        state, actions = step(state, Proposed("p", test))
+    assert not any(isinstance(action, Propose) for action in actions)
+    assert state.problems[1].standing == "answered"
 
 
 def test_what_still_runs_at_the_stop_is_withdrawn() -> None:

@@ -36,7 +36,7 @@ from perfbound.schemas.base import canonical_json
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import PerfboundError
-from perfbound.schemas.facts import DiscardFact, Fact, RolloutFact
+from perfbound.schemas.facts import DiscardFact, ExtensionFact, Fact, RolloutFact
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.system import SystemSpec
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
@@ -492,6 +492,7 @@ def test_rollouts_in_flight_when_their_problem_stopped_have_their_seeds(campaign
     there = read_untrusted(campaign)
 
     def last(fact: Fact) -> bool:
+        assert not isinstance(fact, ExtensionFact)
         problem, test = fact.rollout[:2] if isinstance(fact, RolloutFact | DiscardFact) else (fact.problem, fact.test)
         return (problem, test) == ("sim_gap", 7)
 
@@ -502,6 +503,7 @@ def test_rollouts_in_flight_when_their_problem_stopped_have_their_seeds(campaign
         (),
         tuple(fact for fact in there.observations if not last(fact)),
         tuple(fact for fact in there.bounds if not last(fact)),
+        (),
     )
     derived: list[Fact] = [*there.proposals, *early.observations, *early.bounds]
     derived += [fact for fact in there.rollouts if not last(fact)]

@@ -27,7 +27,7 @@ from perfbound.orchestrator.store.untrusted import read_untrusted
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError, PerfboundError
-from perfbound.schemas.facts import BoundFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
+from perfbound.schemas.facts import BoundFact, ExtensionFact, Fact, Header, ObservationFact, ProposalFact, RolloutFact
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from perfbound.schemas.ranges import MOST_SECONDS
@@ -46,6 +46,7 @@ FACTS: list[Fact] = [
     ObservationFact("maximum", 0, Observation(-0.1, (-0.2, 0.0)), "b" * 64),
     BoundFact("maximum", 0, Bound(None, None, None)),
     ProposalFact("maximum", 1, Proposal(0, (5.0, -0.0), 1e-300, 0.1 + 0.2, 2.0, 3.0)),
+    ExtensionFact(1, (("maximum", 9),)),
 ]
 
 

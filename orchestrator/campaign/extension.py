@@ -1,0 +1,79 @@
+"""The extension of a campaign that has ended by its budget: where it is valid, and the fact of it.
+
+The decision to go on may depend on every rollout so far. So it needs bounds that hold after every test at once, with
+one probability for all of them: then no choice of the last test can miss it.
+"""
+
+from collections.abc import Mapping
+
+from ...schemas.errors import CampaignError, IllegalEvent
+from ...schemas.facts import ExtensionFact
+from .account import Account
+from .closing_checks import ClosingChecks
+from .plan import ProblemPlan, within_starts
+
+
+def extension(accounts: Mapping[str, Account], closing: ClosingChecks, number: int, max_tests: int) -> ExtensionFact:
+    """Return the fact that gives problems that have spent their budget a larger one; `number` counts from 1.
+
+    Raises:
+        CampaignError: it would not be valid, or changes nothing; the text says why.
+
+    """
+    for account in accounts.values():
+        if (reason := _not_at_every_test(account.plan)) is not None:
+            raise CampaignError(f"problem {account.plan.name}: {reason}")
+    if (fault := closing.fault) is not None:
+        raise CampaignError(f"{fault}, which more tests do not change; start a new campaign that does not assume it")
+    spent = {name: each for name, each in accounts.items() if _has_spent(each)}
+    if not spent:
+        ends = ", ".join(f"{name}: {each.last_bound.stopped_by}" for name, each in accounts.items() if each.last_bound)
+        raise CampaignError(f"no problem ended by its budget ({ends}), and an answered one needs no further test")
+    largest = max(each.budget for each in spent.values())
+    if max_tests <= largest:
+        raise CampaignError(f"max_tests {max_tests} is no more than the {largest} tests so far; choose a larger number")
+    budgets = {name: within_starts(each.plan, max_tests) for name, each in spent.items()}
+    larger = tuple((name, tests) for name, tests in budgets.items() if tests > spent[name].budget)
+    if not larger:
+        raise CampaignError("every start has been tested, and without noise a further test shows nothing")
+    return ExtensionFact(number, larger)
+
+
+def check_extension(fact: ExtensionFact, accounts: Mapping[str, Account], closing: ClosingChecks, number: int) -> None:
+    """Refuse a fact that is not the extension of this campaign at this moment.
+
+    Raises:
+        IllegalEvent: it is not.
+
+    """
+    try:
+        expected = extension(accounts, closing, number, max((tests for _, tests in fact.budgets), default=0))
+    except CampaignError as error:
+        raise IllegalEvent(f"extension {fact.number}: {error}") from None
+    if fact != expected:
+        raise IllegalEvent(f"extension {fact.number} is not the one that follows, {expected}")
+
+
+def _has_spent(account: Account) -> bool:
+    return account.last_bound is not None and account.last_bound.stopped_by == "budget"
+
+
+def _not_at_every_test(plan: ProblemPlan) -> str | None:
+    """Return why the bound of a problem does not hold after every test; None if it does."""
+    match plan.problem.method:
+        case "paper":
+            return (
+                "method 'paper' claims its bound for the one test at which its rule or its budget ends it, so a budget "
+                "that is chosen afterwards has no probability; start a new campaign with a larger max_tests"
+            )
+        case "kriging":
+            return (
+                f"method 'kriging' plans every start and weight for {plan.budget} tests, and proposes none after them; "
+                "start a new campaign with a larger max_tests"
+            )
+        case "sample" if not plan.until_counterexample:
+            return (
+                f"the number of samples was fixed at {plan.budget}, and its claims hold at this number alone; start a "
+                "new campaign with a larger max_tests and another seed"
+            )
+    return None

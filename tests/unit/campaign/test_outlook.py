@@ -1,0 +1,110 @@
+"""The forecast of a bound: what it finds of known courses, where there is none, and that all places show one."""
+
+import math
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.campaign.outlook import in_words, outlook, outlook_lines
+from perfbound.orchestrator.report.collect import Collector
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.progress import read_progress
+from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.values import MARKED, Bound, ProblemProgress
+from tests.fakes.simulators import robustness, simulate
+
+RIGOROUS: dict[str, Any] = {
+    "method": "rigorous",
+    "alpha": 1e-6,
+    "rkhs_norm": 2.0,
+    "noise_scale": 0.0,
+    "kernel": {"nu": 2.5, "length_scale": 0.5},
+}
+
+
+def course(tests: int, power: float, limit: float = 1.0, start: float = 2.0) -> list[tuple[int, float]]:
+    return [(n, limit + start * n**-power) for n in sorted(MARKED) if n < tests] + [
+        (tests, limit + start * tests**-power)
+    ]
+
+
+@given(st.floats(0.25, 1.0), st.integers(60, 2000), st.integers(2, 10), st.floats(-3, 3))
+def test_the_range_contains_a_course_whose_power_is_between_those_fitted(
+    power: float, tests: int, factor: int, limit: float
+) -> None:
+    found = outlook(course(tests, power, limit), tests=tests, least=None, most=factor * tests, per_test=1.0)
+    assert found is not None
+    truth = limit + 2.0 * (factor * tests) ** -power
+    slack = 1e-6
+    assert found.bound.low - slack <= truth <= found.bound.high + slack
+    assert found.bound.low <= found.bound.middle <= found.bound.high
+    assert 0 <= found.gain.low <= found.gain.middle <= found.gain.high
+
+
+def test_a_known_power_is_continued() -> None:
+    found = outlook(course(400, 0.5), tests=400, least=None, most=1600, per_test=2.0)
+    assert found is not None
+    assert found.bound.middle == pytest.approx(1 + 2 / 40, abs=2e-3)
+    # 1000 rollouts are 500 tests
+    assert found.gain.middle == pytest.approx(2 / 40 - 2 / math.sqrt(2100), rel=0.3)
+
+
+def test_no_bound_falls_below_its_partner_or_rises() -> None:
+    found = outlook(course(200, 0.5), tests=200, least=1.13, most=10**6, per_test=1.0)
+    assert found is not None
+    assert found.bound.low == 1.13
+    assert found.gain.low == 0.0
+    rising = [(n, 1.0 + n / 1000) for n in sorted(MARKED) if n < 200]
+    flat = outlook(rising, tests=rising[-1][0], least=None, most=1000, per_test=1.0)
+    assert flat is not None
+    assert flat.bound.low == flat.bound.high == rising[-1][1]
+
+
+@pytest.mark.parametrize("points", [[], course(10, 0.5), [(n, math.inf) for n in sorted(MARKED) if n < 900]])
+def test_few_bounds_allow_no_forecast(points: list[tuple[int, float]]) -> None:
+    assert outlook(points, tests=900, least=None, most=1000, per_test=1.0) is None
+
+
+def progress(stopped_by: Any, *, tests: int = 100, extended: int | None = None) -> ProblemProgress:
+    points = course(tests, 0.5)
+    return ProblemProgress(tests, 2 * tests, None, Bound(points[-1][1], 0.0, None), stopped_by, extended, tuple(points))
+
+
+def test_words_have_the_sense_of_the_problem_and_the_budget() -> None:
+    config = robustness(RIGOROUS, max_tests=400)
+    words = in_words(config, config.problems[0], progress(None))
+    assert words is not None
+    assert words.startswith("forecast: bound about -1.1 (-1.")
+    assert "after 400 tests; 1000 further rollouts would bring about 0.0" in words
+    longer = in_words(config, config.problems[0], progress(None, extended=900))
+    assert "after 900 tests" in (longer or "")
+    spent = in_words(config, config.problems[0], progress("budget"))
+    assert spent is not None
+    assert spent.startswith("forecast: 1000 further rollouts would bring about")
+    assert in_words(config, config.problems[0], progress("converged")) is None
+    sampled = robustness({"method": "sample"}, max_tests=400)
+    assert in_words(sampled, sampled.problems[0], progress(None)) is None
+
+
+def wave(request: RolloutRequest) -> float:
+    z1, z2 = request.x
+    return 0.7 + 0.4 * math.sin(4 * z1) * math.cos(3 * z2)
+
+
+def test_terminal_status_and_page_show_one_forecast(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    config = robustness(RIGOROUS, max_tests=30, spot_check=0, recheck=0)
+    simulate(tmp_path, config, wave, noisy=False)
+    status = read_progress(tmp_path)
+    with closing(Journal.open(tmp_path)) as journal:
+        ledger = Ledger(tmp_path, journal)
+        ledger.replay()
+        terminal = outlook_lines(config, [each.progress for each in ledger.accounts.values()])
+    assert len(terminal) == 1
+    assert outlook_lines(config, status.problems) == terminal
+    assert f"robustness, {Collector(tmp_path).refresh().problems[0].outlook}" == terminal[0]
