@@ -347,9 +347,10 @@ def _conduct(
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
             plans = ledger.plans
+            extended = {name: replace(each, budget=ledger.accounts[name].budget) for name, each in plans.items()}
             for sentence in (
                 *(() if resumed else (*scope.scope(plans), *closing_checks.cost(ledger.header, plans))),
-                *forecast.warnings(plans),
+                *forecast.warnings(extended),
                 *consistency.before(plans, ledger.header.spec),
             ):
                 terminal.print_line(sentence)
