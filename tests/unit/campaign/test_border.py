@@ -272,7 +272,7 @@ def test_a_discard_that_is_killed_before_its_commit_leaves_nothing(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as crash:
-        crash.setattr(store_discard, "_unguarded", killed)
+        crash.setattr(store_discard, "unguarded", killed)
         with pytest.raises(KeyboardInterrupt):
             discard_rollout(stuck, str(PARTNER), "killed")
     assert list((stuck / "discarded").iterdir()) != []
