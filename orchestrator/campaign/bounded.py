@@ -9,7 +9,7 @@ from ...schemas.values import Bound
 from ..mathematics.bounds.joint import JointMethod
 from .account import Account
 from .methods import Methods
-from .observation import by_requirement
+from .observation import of_requirement
 from .plan import ProblemPlan
 
 
@@ -30,7 +30,7 @@ def bounded_accounts(accounts: Mapping[str, Account], methods: Methods) -> dict[
 
 
 def _part(account: Account, place: int, plan: ProblemPlan, bound: Bound) -> Account:
-    each = [by_requirement(account.plan, observation)[place] for observation in account.observed]
+    each = [of_requirement(account.plan, place, observation) for observation in account.observed]
     last = account.last_bound
     return Account(
         account.link,

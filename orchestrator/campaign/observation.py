@@ -174,14 +174,15 @@ def _together(each: Sequence[Observation]) -> Observation:
 
 def by_requirement(plan: ProblemPlan, observation: Observation) -> list[Observation]:
     """Return the observation of each requirement of a problem that bounds each on its own."""
+    return [of_requirement(plan, place, observation) for place in range(len(plan.parts))]
+
+
+def of_requirement(plan: ProblemPlan, place: int, observation: Observation) -> Observation:
+    """Return the observation of one of its requirements, by its place among them."""
     width = len(observation.each) // len(plan.parts)
-    mirrored = replicates_are_robustness(plan.name, plan.problem.method)
-    found = []
-    for place in range(len(plan.parts)):
-        each = observation.each[place * width : (place + 1) * width]
-        mean = objectives.mean(list(each))
-        found.append(Observation(-mean if mirrored else mean, each))
-    return found
+    each = observation.each[place * width : (place + 1) * width]
+    mean = objectives.mean(list(each))
+    return Observation(-mean if replicates_are_robustness(plan.name, plan.problem.method) else mean, each)
 
 
 def _mean(each: list[float]) -> Observation:

@@ -13,9 +13,8 @@ from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import ExtensionFact, Header, ProposalFact, RolloutFact
 from ...schemas.ids import RECHECK, RolloutId, closing_check
 from ...schemas.requirements import parts_of
-from ...schemas.values import Observation
-from ..campaign.observation import by_requirement
-from ..campaign.plan import ProblemPlan, plans
+from ..campaign.observation import of_requirement
+from ..campaign.plan import plans
 from ..certificate import files
 from ..certificate.text import check_sentences
 from ..run.format import replay_command, resume_command
@@ -256,11 +255,7 @@ def _collectors(header: Header) -> Iterator[tuple[str, ProblemCollector]]:
     for plan in plans(header.config, header.spec).values():
         yield plan.key, ProblemCollector(header, plan, header.config)
         for place, (part, config) in enumerate(zip(plan.parts, parts_of(header.config), strict=True)):
-            yield part.key, ProblemCollector(header, part, config, partial(_of_requirement, plan, place))
-
-
-def _of_requirement(plan: ProblemPlan, place: int, observation: Observation) -> Observation:
-    return by_requirement(plan, observation)[place]
+            yield part.key, ProblemCollector(header, part, config, partial(of_requirement, plan, place))
 
 
 def _axes(header: Header) -> tuple[Axis, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 from ...schemas.errors import PerfboundError
 from ...schemas.values import Band, Bound
 from ..campaign.methods import PartMethod, method
-from ..campaign.observation import by_requirement
+from ..campaign.observation import of_requirement
 from ..campaign.plan import ProblemPlan, plans
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.gp.kernels import Floats
@@ -46,7 +46,7 @@ def posterior(directory: Path, problem: str | None, x: Floats) -> tuple[Floats, 
         whole = found[plan.name]
         place = whole.parts.index(plan)
         # The database has the bound of the whole.
-        bound = fed.bound_after([(proposal, by_requirement(whole, each)[place]) for proposal, each in pairs])
+        bound = fed.bound_after([(proposal, of_requirement(whole, place, each)) for proposal, each in pairs])
     else:
         fed.recall(pairs)
     if isinstance(fed, RigorousMethod) and isinstance(plan.candidates, Lattice):
