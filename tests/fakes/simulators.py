@@ -156,6 +156,24 @@ def simulate(
     return (directory / files.CERTIFICATE).read_text()
 
 
+def certificates(
+    directory: Path, config: CampaignConfig, function: Function, *, noisy: bool, cut_after: int
+) -> set[bytes]:
+    """Return the certificates of one campaign with one worker, with five, and stopped after a number of rollouts."""
+    for name, workers in (("one", 1), ("five", 5)):
+        simulate(directory / name, config, function, noisy=noisy, workers=workers)
+    seen = 0
+
+    def stop(_: RolloutRequest) -> bool:
+        nonlocal seen
+        seen += 1
+        return seen == cut_after
+
+    assert simulate(directory / "cut", config, function, noisy=noisy, stop=stop) is None
+    simulate(directory / "cut", config, function, noisy=noisy)
+    return {(directory / name / files.CERTIFICATE).read_bytes() for name in ("one", "five", "cut")}
+
+
 def predicate(text: str | None) -> dict[str, Any]:
     """Return the predicate of a certificate."""
     assert text is not None

@@ -22,7 +22,7 @@ from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import CampaignError, PerfboundError
 from perfbound.schemas.requirements import parts_of
 from perfbound.schemas.rollout import RolloutRequest
-from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, statuses, verified
+from tests.fakes.simulators import certificates, noise, predicate, robustness, simulate, spec, statuses, verified
 
 RIGOROUS = {
     "method": "rigorous",
@@ -153,18 +153,7 @@ def test_scenarios_serve_every_requirement(tmp_path: Path) -> None:
 
 def test_workers_and_a_stop_in_between_change_no_byte(tmp_path: Path) -> None:
     config = several(problem=NOISY, clip=(-1.0, 2.0), replicates=2, max_tests=20, window=3, spot_check=10, recheck=2)
-    for name, workers in (("one", 1), ("five", 5)):
-        simulate(tmp_path / name, config, shaky, noisy=True, workers=workers)
-    cut = 0
-
-    def stop(_: RolloutRequest) -> bool:
-        nonlocal cut
-        cut += 1
-        return cut == 25
-
-    simulate(tmp_path / "cut", config, shaky, noisy=True, stop=stop)
-    simulate(tmp_path / "cut", config, shaky, noisy=True)
-    assert len({(tmp_path / name / "certificate.json").read_bytes() for name in ("one", "five", "cut")}) == 1
+    assert len(certificates(tmp_path, config, shaky, noisy=True, cut_after=25)) == 1
 
 
 def test_a_counterexample_to_any_requirement_ends_the_campaign(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from perfbound.schemas.certificate import Certificate, CertificateClaim
 from perfbound.schemas.errors import CampaignError
 from perfbound.schemas.facts import ProposalFact, RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
-from tests.fakes.simulators import noise, robustness, simulate, spec, verified
+from tests.fakes.simulators import certificates, noise, robustness, simulate, spec, verified
 
 SAMPLE = {"method": "sample"}
 CLIP = (-1.0, 1.0)
@@ -261,19 +261,7 @@ def test_a_fault_in_a_requirement_names_it() -> None:
 
 def test_workers_and_a_stop_in_between_change_no_byte(tmp_path: Path) -> None:
     config = sampled(claims=LEVELS)
-    for name, workers in (("one", 1), ("five", 5)):
-        simulate(tmp_path / name, config, shaky, noisy=True, workers=workers)
-    cut = 0
-
-    def stop(_: RolloutRequest) -> bool:
-        nonlocal cut
-        cut += 1
-        return cut == 25
-
-    simulate(tmp_path / "cut", config, shaky, noisy=True, stop=stop)
-    simulate(tmp_path / "cut", config, shaky, noisy=True)
-    texts = {(tmp_path / name / "certificate.json").read_bytes() for name in ("one", "five", "cut")}
-    assert len(texts) == 1
+    assert len(certificates(tmp_path, config, shaky, noisy=True, cut_after=25)) == 1
 
 
 def test_claims_are_part_of_the_identity_and_their_absence_is_not() -> None:
