@@ -100,6 +100,18 @@ def test_a_claim_rests_on_the_assumptions_of_its_requirement(tmp_path: Path) -> 
     assert "only_campaign" in low.assumptions
 
 
+def test_each_requirement_is_computed_with_other_constants_from_its_own_values(tmp_path: Path) -> None:
+    simulate(tmp_path, several(), plane, noisy=False)
+    rows = certificate(tmp_path).predicate.sensitivity
+    assert rows is not None
+    _, low, high, double = (each.bound for each in rows if (each.constant, each.factor) == ("rkhs_norm", 2.0))
+    assert low is not None
+    assert high is not None
+    # The same tests, the same norm: the bounds differ as the least values do.
+    assert high - low == pytest.approx(LEAST["high"] - LEAST["low"], abs=0.1)
+    assert double == pytest.approx(2 * low, abs=0.05)
+
+
 def test_a_norm_that_is_too_small_refutes_its_requirement_and_the_whole(tmp_path: Path) -> None:
     requirements = [THREE[0], {**THREE[1], "rkhs_norm": 0.3}]
     text = simulate(tmp_path, several(requirements), plane, noisy=False)

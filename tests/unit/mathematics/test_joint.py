@@ -105,6 +105,13 @@ def test_of_equal_starts_the_one_that_serves_the_others_is_tested() -> None:
     assert method.propose().node == 2, "a twentieth of 9 is worth .3"
 
 
+def test_a_refuted_method_leads_no_more() -> None:
+    method = JointMethod([part(), part()], [ALPHA, ALPHA], split, NODES)
+    method.observe(method.propose(20), Observation(0.5, (0.4, 0.3)))
+    method.bounds = (Bound(9.0, 0.0, "refuted"), Bound(0.5, 0.0, None))
+    assert method.propose() == method.parts[1].propose() != method.parts[0].propose()
+
+
 def test_a_refuted_method_ends_only_when_the_others_do_and_marks_the_whole() -> None:
     method = JointMethod([part(), part(rkhs_norm=0.05)], [ALPHA, ALPHA], split, NODES)
     bounds, _ = run(method)
