@@ -8,6 +8,8 @@ from typing import Any
 from perfbound.schemas.campaign import CampaignConfig
 
 FOLDER = Path(__file__).parents[1] / "deploy" / "campaigns"
+PAIR = Path(__file__).parent / "fixtures" / "segway-pair.toml"
+"""Two problems by method `rigorous`, with the composition at each start."""
 REPLICATES = 8
 """Of a cheap campaign."""
 
@@ -17,8 +19,9 @@ UNCHECKED: dict[str, Any] = {"spot_check": 0, "recheck": 0}
 
 
 def table(name: str, **changes: Any) -> dict[str, Any]:
-    """Return a shipped campaign file as a table, without checks afterwards, with top-level keys replaced."""
-    return {**tomllib.loads((FOLDER / f"{name}.toml").read_text()), **UNCHECKED, **changes}
+    """Return a shipped campaign file, or `PAIR`, as a table, without checks afterwards, with top-level keys replaced."""
+    source = PAIR if name == PAIR.stem else FOLDER / f"{name}.toml"
+    return {**tomllib.loads(source.read_text()), **UNCHECKED, **changes}
 
 
 def config(name: str, **changes: Any) -> CampaignConfig:

@@ -1,28 +1,33 @@
-"""Methods `rigorous` and `scenario` on the real Segway with real processes: the same bytes whatever happens."""
+"""Methods `rigorous`, `kriging` and `scenario` on the real Segway with real processes: the same bytes whatever happens."""
 
 import random
 from pathlib import Path
 
 import pytest
 
-from tests.campaigns import FOLDER
+from tests.campaigns import FOLDER, PAIR
 from tests.end_to_end.processes import Processes, recorded, wait_for
 
 SMALL = {
-    "rigorous": {
+    PAIR: {
         "resolution = 26": "resolution = 7",
         "max_tests = 400": "max_tests = 6",
         "max_tests = 100": "max_tests = 3",
     }
     | {"replicates = 64": "replicates = 5"},
-    "scenario": {"max_tests = 750": "max_tests = 10", "replicates = 8": "replicates = 3"},
+    FOLDER / "segway-rigorous.toml": {
+        "resolution = 41": "resolution = 9",
+        "max_tests = 400": "max_tests = 6",
+        "replicates = 16": "replicates = 4",
+    },
+    FOLDER / "segway-scenario.toml": {"max_tests = 750": "max_tests = 10", "replicates = 8": "replicates = 3"},
 }
 
 
-@pytest.mark.parametrize("method", SMALL)
-def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path, method: str) -> None:
-    text = (FOLDER / f"segway-{method}.toml").read_text()
-    for old, new in SMALL[method].items():
+@pytest.mark.parametrize("source", SMALL, ids=lambda source: source.stem)
+def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path, source: Path) -> None:
+    text = source.read_text()
+    for old, new in SMALL[source].items():
         assert old in text
         text = text.replace(old, new)
     campaign = tmp_path / "c.toml"
@@ -31,7 +36,7 @@ def test_workers_and_kills_change_no_byte(started: Processes, tmp_path: Path, me
     assert ended.code == 0, ended.err
     assert "CLAIM  rho*" in ended.out
     assert "REFUTED" not in ended.out
-    directory, rng = tmp_path / "killed", random.Random(method)
+    directory, rng = tmp_path / "killed", random.Random(source.stem)
     first = started.start("perfbound", "run", campaign, "--out", directory, "--workers", "1")
     goal = rng.randint(1, 8)
     wait_for(lambda: recorded(directory) >= goal)

@@ -19,7 +19,7 @@ from tests.fakes.finished import a_pair
     ("campaign", "wanted"),
     [
         ("segway-paper", [-0.05, None]),  # the paper does not clip its gap
-        ("segway-rigorous", [-0.05, 0.8]),
+        ("segway-pair", [-0.05, 0.8]),
         ("segway-scenario", [-0.057921562]),
         ("segway-direct", [-0.057921562]),
         ("test-function", [None]),
@@ -31,7 +31,7 @@ def test_every_problem(campaign: str, wanted: list[float | None]) -> None:
 
 
 def test_a_gap_in_the_unit_of_the_signal() -> None:
-    found = config("segway-rigorous")
+    found = config("segway-pair")
     gap = Gap(kind="signal_sup", column="phi", lipschitz=4.0)
     assert by_clip(found, found.problems[1].model_copy(update={"gap": gap})) == 0.2
 

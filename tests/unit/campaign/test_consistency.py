@@ -16,7 +16,7 @@ from tests.campaigns import config, table
 from tests.fakes.finished import a_pair, play
 
 
-def a_plan(campaign: str = "segway-rigorous", number: int = 1, **problem: Any) -> ProblemPlan:
+def a_plan(campaign: str = "segway-pair", number: int = 1, **problem: Any) -> ProblemPlan:
     found = table(campaign)
     found["problems"][number] |= problem
     changed = config(campaign, problems=found["problems"])
@@ -29,7 +29,7 @@ def spec(*units: str) -> SystemSpec:
     return found.model_copy(update={"parameters": tuple(p.model_copy(update={"unit": unit}) for p, unit in pairs)})
 
 
-@pytest.mark.parametrize("campaign", ["segway-rigorous", "segway-scenario"])
+@pytest.mark.parametrize("campaign", ["segway-pair", "segway-scenario"])
 def test_a_good_campaign_has_no_line(campaign: str) -> None:
     found = config(campaign)
     assert consistency.before({p.name: plan(found, spec(), p) for p in found.problems}, spec()) == []
@@ -108,8 +108,8 @@ def test_a_length_per_parameter_has_its_own_unit_and_spacing() -> None:
 def test_the_robustness_of_the_replicates() -> None:
     each = [(0.1, 0.2), (0.3,)]
     for campaign, number, wanted in [
-        ("segway-rigorous", 0, [-0.1, -0.2, -0.3]),  # of J = -rho
-        ("segway-rigorous", 1, []),  # a gap
+        ("segway-pair", 0, [-0.1, -0.2, -0.3]),  # of J = -rho
+        ("segway-pair", 1, []),  # a gap
         ("segway-scenario", 0, [0.1, 0.2, 0.3]),
         ("segway-direct", 0, [0.1, 0.2, 0.3]),
         ("test-function", 0, []),  # a column

@@ -14,9 +14,9 @@ from perfbound.schemas.problem_models import RigorousProblem
 from perfbound.schemas.space import Scenarios
 from perfbound.schemas.system import Column, Option, Parameter, SystemSpec
 from perfbound.workers.systems import load_system
-from tests.campaigns import FOLDER, config
+from tests.campaigns import FOLDER, PAIR, config
 
-RIGOROUS = (FOLDER / "segway-rigorous.toml").read_text()
+RIGOROUS = PAIR.read_text()
 SCENARIO = (FOLDER / "segway-scenario.toml").read_text()
 SPEC = SystemSpec(
     name="segway",
@@ -145,7 +145,7 @@ def test_a_csv_file_elsewhere_is_refused(name: str) -> None:
 
 
 def test_a_budget_that_cannot_reach_its_tolerance_is_said() -> None:
-    chosen = config("segway-rigorous")
+    chosen = config("segway-pair")
     gap = plan(chosen, load_system(chosen.system.name).spec, chosen.problems[1])
     sentence = forecast.out_of_reach(gap)
     assert sentence is not None

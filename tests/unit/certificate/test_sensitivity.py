@@ -50,7 +50,7 @@ def check(directory: Path) -> Checks:
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A pair whose claims are more than the clip and the constants prove."""
     directory = tmp_path_factory.mktemp("pair") / "run"
-    found = table("segway-rigorous", horizon=1.0, resolution=7)
+    found = table("segway-pair", horizon=1.0, resolution=7)
     for problem in found["problems"]:
         problem |= {"max_tests": 4, "alpha": 1e-9, "replicates": min(problem["replicates"], 8)}
     finished(directory, CampaignConfig.model_validate_json(json.dumps(found)))

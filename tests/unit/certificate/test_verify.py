@@ -92,7 +92,7 @@ def failed(directory: Path, key: Path | None = None) -> list[str]:
 # Untouched
 
 
-@pytest.mark.parametrize("name", ["segway-paper", "segway-rigorous", "segway-scenario", "test-function"])
+@pytest.mark.parametrize("name", ["segway-paper", "segway-pair", "segway-scenario", "test-function"])
 def test_an_honest_campaign_passes_everything(name: str, tmp_path: Path) -> None:
     changes: dict[str, Any] = {"window": 3} if name == "segway-scenario" else {}
     config = shortened(name, 26 if name == "segway-scenario" else TESTS, **changes)

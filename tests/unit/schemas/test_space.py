@@ -154,7 +154,7 @@ DIGESTS = {
     "deploy/campaigns/segway-aggressive": "1cf9c427c8d79d35",
     "deploy/campaigns/segway-direct": "594e2e59f7a43cd4",
     "deploy/campaigns/segway-paper": "fdbb0397d0689038",
-    "deploy/campaigns/segway-rigorous": "6ed3e1ecbf608c18",
+    "tests/fixtures/segway-pair": "6ed3e1ecbf608c18",
     "deploy/campaigns/segway-scenario": "1fa82d6a43b92518",
     "deploy/campaigns/test-function-rigorous": "6ae322dd2c7e6271",
     "deploy/campaigns/test-function": "8bb5c1c859284c1e",

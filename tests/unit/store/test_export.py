@@ -199,8 +199,8 @@ ITSELF = {"observation": -0.7, "mu": -0.6, "lower": -0.9, "upper": -0.5}
     [
         ("segway-paper", "nominal_robustness", ROBUSTNESS, [0.8, 0.6]),
         ("segway-paper", "sim_gap", ITSELF, [-0.8, -0.6]),
-        ("segway-rigorous", "nominal_robustness", ROBUSTNESS, [0.8, 0.6]),
-        ("segway-rigorous", "sim_gap", ITSELF, [-0.8, -0.6]),
+        ("segway-pair", "nominal_robustness", ROBUSTNESS, [0.8, 0.6]),
+        ("segway-pair", "sim_gap", ITSELF, [-0.8, -0.6]),
         ("segway-scenario", "true_risk", ROBUSTNESS, [-0.8, -0.6]),
         ("segway-direct", "true_risk", ROBUSTNESS, [-0.8, -0.6]),
         ("test-function", "maximum", ITSELF, [-0.8, -0.6]),
@@ -227,9 +227,9 @@ def test_signs(tmp_path: Path, preset: str, problem: str, expected: dict[str, fl
 
 
 def test_a_linearised_risk_contributes_what_its_mean_is_made_of(tmp_path: Path) -> None:
-    problem = table("segway-rigorous")["problems"][0]
+    problem = table("segway-pair")["problems"][0]
     risk = {**problem, "name": "true_risk", "linearised": {"centre": 0.7, "spread": 0.1}}
-    journal = journal_of(tmp_path, config("segway-rigorous", problems=[risk], composition="single"))
+    journal = journal_of(tmp_path, config("segway-pair", problems=[risk], composition="single"))
     add(
         journal,
         ProposalFact("true_risk", 0, Proposal(7, (1.0, 2.0), None, None, None, None)),
@@ -240,7 +240,7 @@ def test_a_linearised_risk_contributes_what_its_mean_is_made_of(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("preset", "each"), [("segway-rigorous", ["0.8", "0.6"]), ("segway-scenario", ["-0.8", "-0.6"])]
+    ("preset", "each"), [("segway-pair", ["0.8", "0.6"]), ("segway-scenario", ["-0.8", "-0.6"])]
 )
 def test_a_robustness_keeps_its_sign_in_method_scenario_alone(tmp_path: Path, preset: str, each: list[str]) -> None:
     problem = {**table(preset)["problems"][0], "name": "robustness"}
