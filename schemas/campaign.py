@@ -21,7 +21,10 @@ Asked = Annotated[
 ]
 """An entry of `[[claims]]`."""
 
-DECIDES_NOTHING = {"visual", "max_attempts", "hung_after", "deadline", "platform", "second_opinion"}
+DECIDES_NOTHING = {
+    *("visual", "max_attempts", "hung_after", "deadline", "platform", "second_opinion"),
+    *("required_margin", "required_at_most", "required_probability"),
+}
 """Keys that change no number of a campaign, and so neither its identity nor its seeds."""
 IDENTIFIES_ALWAYS: Any = {
     "seed": True,
@@ -62,6 +65,24 @@ class CampaignConfig(Model):
         max_length=MOST,
         exclude_if=lambda requirements: requirements == (),
         description="several requirements instead of `specification`, one table each; not with method `paper`",
+    )
+    required_margin: float = Field(
+        default=0.0,
+        exclude_if=lambda margin: margin == 0,
+        description="of the verdict: the least margin that the first claim has to show",
+    )
+    required_at_most: float | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of the verdict, where the first claim is a bound from above: the largest value that is "
+        "acceptable, such as a failure probability; without it such a claim has no verdict but `NOT SHOWN`",
+    )
+    required_probability: float | None = Field(
+        default=None,
+        gt=0,
+        lt=1,
+        exclude_if=lambda value: value is None,
+        description="of the verdict: the least probability of the first claim; by default 1 - delta",
     )
     gap: Gap | None = Field(
         default=None, description="how `sim_gap` compares two trajectories; required by it, here or in the problem"

@@ -1,0 +1,326 @@
+"""The verdict on a finished campaign: does its first claim show what the campaign file requires?"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from ...schemas.campaign import CampaignConfig
+from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
+from ...schemas.claims import PROBABILITIES, is_sampled
+from ...schemas.errors import one_line
+from ...schemas.facts import Header
+from ...schemas.problems import Quantity, rolled_out
+from ...schemas.requirements import parts_of
+from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
+from ..campaign.clip import SAME
+from ..campaign.plan import ProblemPlan, plans
+from ..mathematics.bounds.betting import ROUND_OFF
+from ..mathematics.bounds.opposite import OppositeTest
+from ..store.robustness import RolloutValue
+from .claims import bases
+from .refutation_text import refutation_sentence
+from .text import claim_words, nothing_shown, outward
+
+WORST: dict[Quantity, str] = {
+    "rho_star": "robustness risk, the mean of the robustness less r standard deviations",
+    "robustness": "robustness",
+    "expected_robustness": "expected robustness",
+}
+"""Quantities of a claim about the worst start, and what their margin is."""
+
+Values = Iterable[RolloutValue]
+
+
+@dataclass(frozen=True, slots=True)
+class Commands:
+    """Commands that the advice names; empty where there is none."""
+
+    resume: str = ""
+    """Continues the campaign."""
+    repeat: str = ""
+    """Simulates the worst rollout again."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Required:
+    """What the file requires of the first claim."""
+
+    bound: float | None
+    """None where it requires nothing."""
+    probability: float
+    unit: str
+    """Of the robustness."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Finding:
+    """A verdict with its reasons, and what would help."""
+
+    word: VerdictWord
+    reasons: tuple[str, ...]
+    advice: tuple[str, ...] = ()
+
+
+def tested_by(header: Header) -> str:
+    """Return the variant whose robustness the claims are about: the true system where it is simulated."""
+    return max(variant for problem in header.config.problems for variant in rolled_out(problem.name, header.spec))
+
+
+def judge(
+    header: Header,
+    predicate: Predicate,
+    violations: Violations,
+    values: Callable[[], Values],
+    *,
+    unit: str = "",
+    commands: Commands = Commands(),
+) -> CampaignVerdict:
+    """Return the verdict; `values` are the rollouts of the tested variant in test order, read only where needed.
+
+    `unit` is that of the robustness.
+    """
+    claim, config = predicate.claims[0], header.config
+    limit = config.required_margin if claim.sense == ">=" else config.required_at_most
+    required = _Required(limit, _required_probability(config, claim), unit)
+    found = (
+        _shown(claim, required)
+        or _violated(header, predicate, required, values)
+        or _not_shown(predicate, required, commands)
+    )
+    return CampaignVerdict(
+        verdict=found.word,
+        campaign=config.name,
+        seed=config.seed,
+        claim=guarantee(claim, unit),
+        reasons=found.reasons,
+        advice=found.advice,
+        bound=claim.bound,
+        sense=claim.sense,
+        required=required.bound,
+        probability=claim.probability,
+        required_probability=required.probability,
+        unit=unit,
+        violations=violations,
+        repeat=commands.repeat if violations.violations else "",
+    )
+
+
+def guarantee(claim: CertificateClaim, unit: str) -> str:
+    """Return the first claim in plain words, as a margin where it is one.
+
+    >>> guarantee(CertificateClaim(quantity="robustness", sense=">=", bound=0.58125, probability=0.95, rule="single",
+    ...                            method="rigorous", assumptions=(), refuted=()), "rad")
+    'Guaranteed margin 0.5812 rad (robustness) from every start, with probability at least 0.9500'
+    """
+    bound, probability = outward(claim.bound, claim.sense), outward(claim.probability, ">=")
+    chance = f"with probability at least {probability}"
+    meaning = WORST.get(claim.quantity)
+    if meaning is None:
+        return f"{_capitalised(claim_words(claim))} {claim.sense} {_with_unit(bound, claim, unit)}, {chance}"
+    where = "every start" if claim.starts is None else f"each of the {claim.starts} listed starts"
+    of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
+    return f"Guaranteed margin {_with_unit(bound, claim, unit)} ({meaning}{of}) from {where}, {chance}"
+
+
+def _capitalised(words: str) -> str:
+    return f"{words[0].upper()}{words[1:]}"
+
+
+def _with_unit(text: str, claim: CertificateClaim, unit: str) -> str:
+    has = unit not in ("", "1") and claim.quantity not in PROBABILITIES and claim.quantity != "J_star"
+    return f"{text} {one_line(unit)}" if has else text
+
+
+def _required_probability(config: CampaignConfig, claim: CertificateClaim) -> float:
+    """Return what the file requires; by default 1 - delta, with the deltas of a composed claim added up."""
+    if config.required_probability is not None:
+        return config.required_probability
+    if is_sampled(claim.quantity):
+        return claim.probability
+    deltas: dict[str, float] = {problem.name: problem.delta or 0.0 for problem in config.problems}
+    for each, part in zip(config.specifications, parts_of(config), strict=False):
+        deltas |= {f"{problem.name}/{each.name}": problem.delta or 0.0 for problem in part.problems}
+    basis = bases(config)[0]
+    found = [deltas[key] for key in basis.problems]
+    return 1.0 - (max(found) if basis.rule == "every" else math.fsum(found))
+
+
+def _shown(claim: CertificateClaim, required: _Required) -> _Finding | None:
+    if claim.refuted or claim.vacuous or _missing(claim, required) or _too_unlikely(claim, required):
+        return None
+    limit = _with_unit(f"{required.bound:g}", claim, required.unit)
+    return _Finding("SHOWN", (f"Required {'at least' if claim.sense == '>=' else 'at most'} {limit}.",))
+
+
+def _missing(claim: CertificateClaim, required: _Required) -> bool:
+    """Whether the bound is on the wrong side of what is required, or nothing is."""
+    if required.bound is None:
+        return True
+    return claim.bound < required.bound if claim.sense == ">=" else claim.bound > required.bound
+
+
+def _too_unlikely(claim: CertificateClaim, required: _Required) -> bool:
+    return claim.probability < required.probability - SAME
+
+
+# The opposite
+
+
+def _violated(
+    header: Header, predicate: Predicate, required: _Required, values: Callable[[], Values]
+) -> _Finding | None:
+    claim = predicate.claims[0]
+    if required.bound is not None:
+        found = _by_rollouts(header, claim, required.bound, required.probability, values)
+        return found or _by_partner(predicate, required.bound)
+    # Who names no acceptable probability of a violation accepts none.
+    if claim.quantity == "failure_probability" and claim.requirement is None and _is_deterministic(header):
+        return _one_start_below(0.0, values())
+    return None
+
+
+def _is_deterministic(header: Header) -> bool:
+    return tested_by(header) not in header.spec.noisy
+
+
+def _by_partner(predicate: Predicate, required: float) -> _Finding | None:
+    """Return the finding where the bound from the other side is beyond what is required, at the same probability."""
+    claim, partner = predicate.claims[0], _partner(predicate)
+    if partner is None or claim.refuted:
+        return None
+    other = "<=" if claim.sense == ">=" else ">="
+    if not (partner < required if claim.sense == ">=" else partner > required):
+        return None
+    chance = f"with probability at least {outward(claim.probability, '>=')}"
+    return _Finding("VIOLATED", (f"{_capitalised(claim_words(claim))} {other} {outward(partner, other)}, {chance}.",))
+
+
+def _partner(predicate: Predicate) -> float | None:
+    """Return the bound from the other side of the quantity of a claim about one problem; None where there is none."""
+    claim, (first, *others) = predicate.claims[0], predicate.problems
+    if claim.rule != "single" or others or is_sampled(claim.quantity) or first.parameters.get("linearised"):
+        return None
+    return first.partner if _is_of(first, claim) else None
+
+
+def _is_of(result: ProblemResult, claim: CertificateClaim) -> bool:
+    return result.requirement == claim.requirement and result.method == claim.method
+
+
+def _by_rollouts(
+    header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
+) -> _Finding | None:
+    """Return the finding where the robustness of rollouts shows the opposite, which needs no smoothness.
+
+    A risk is at most the expectation, so that an expectation below the margin shows it too.
+    """
+    if claim.quantity in WORST:
+        if claim.requirement is not None:
+            return None  # the stored robustness is that of the whole specification
+        if _is_deterministic(header):
+            return _one_start_below(required, values())
+        pairs = ((each.start, each.robustness) for each in values())
+        return _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
+    if not is_sampled(claim.quantity) or claim.requirement is not None:
+        return None
+    (plan,) = plans(header.config, header.spec).values()
+    samples = (each.robustness for each in _samples(plan, values()))
+    if claim.quantity in ("mean", "risk"):
+        pairs = (("", each) for each in samples)
+        return _mean_below(header.config, required, probability, pairs, "The mean robustness at drawn starts")
+    # A quantile or CVaR at a level is below the margin if more than this share of the rollouts is.
+    if claim.quantity == "failure_probability":
+        return _too_many_below(required, 0.0, probability, samples)
+    if claim.quantity in ("quantile", "cvar"):
+        return _too_many_below(claim.level or 1.0, required, probability, samples)
+    return None
+
+
+def _one_start_below(required: float, values: Values) -> _Finding | None:
+    below = min((each for each in values if each.robustness < required), key=lambda each: each.robustness, default=None)
+    if below is None:
+        return None
+    return _Finding("VIOLATED", (f"A start has a robustness of {below.robustness:.4f}, and nothing there is random.",))
+
+
+def _mean_below(
+    config: CampaignConfig, required: float, probability: float, pairs: Iterable[tuple[str, float]], whose: str
+) -> _Finding | None:
+    """Return the finding where some mean of the values, each with its start, is below the margin."""
+    if config.clip is None or not config.clip[0] < required < config.clip[1]:
+        return None
+    low, high = config.clip
+    test = OppositeTest(required, low, high)
+    for start, value in pairs:
+        test.observe(start, min(max(value, low), high))
+    return _refuting(test, probability, f"{whose} is below {required:g}")
+
+
+def _too_many_below(share: float, margin: float, probability: float, samples: Iterable[float]) -> _Finding | None:
+    """Return the finding where more than a share of the values is below the margin."""
+    if not share < 1.0:
+        return None
+    test = OppositeTest(1.0 - share, 0.0, 1.0)
+    for value in samples:
+        test.observe("", float(value >= margin))
+    return _refuting(
+        test, probability, f"More than {100 * share:g} % of the rollouts at drawn starts are below {margin:g}"
+    )
+
+
+def _refuting(test: OppositeTest, probability: float, words: str) -> _Finding | None:
+    if test.wealth < (1.0 + ROUND_OFF) / (1.0 - probability):
+        return None
+    return _Finding("VIOLATED", (f"{words}, with probability at least {outward(probability, '>=')}.",))
+
+
+def _samples(plan: ProblemPlan, values: Values) -> Values:
+    """Return the first rollout at each start that was drawn; further ones there are no samples of their own."""
+    return (each for each in values if each.series == plan.name and each.replicate == 0 and plan.is_drawn(each.test))
+
+
+# Neither
+
+
+def _not_shown(predicate: Predicate, required: _Required, commands: Commands) -> _Finding:
+    claim, reasons, advice = predicate.claims[0], list[str](), list[str]()
+    if claim.refuted:
+        reasons.append(refutation_sentence(claim.refuted))
+        advice.append(_instead_of_refuted(claim))
+    if claim.vacuous:
+        reasons.append(nothing_shown(claim.quantity))
+    if required.bound is None:
+        what = "probability" if claim.quantity in PROBABILITIES else "value"
+        reasons.append(f"The campaign file does not say the largest acceptable {what}.")
+        advice.append("Say it with the key `required_at_most`; the bound stays the same.")
+    elif _missing(claim, required):
+        limit, bound = _with_unit(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
+        reasons.append(f"The bound {bound} does not reach the required {limit}{_ended(predicate)}.")
+        if not claim.refuted:
+            advice.append(_for_a_better_bound(predicate, commands))
+    if _too_unlikely(claim, required):
+        chance = outward(claim.probability, ">=")
+        reasons.append(f"It holds with probability {chance}, and {required.probability:g} is required.")
+        advice.append("Choose a smaller `delta`, or say with `required_probability` what is enough.")
+    return _Finding("NOT SHOWN", tuple(reasons), tuple(advice))
+
+
+def _ended(predicate: Predicate) -> str:
+    spent = [each.key for each in predicate.problems if each.stopped_by == "budget"]
+    return f"; {' and '.join(spent)} ended by the budget" if spent else ""
+
+
+def _instead_of_refuted(claim: CertificateClaim) -> str:
+    kinds = {each.partition("/")[0] for each in claim.refuted}
+    if kinds & {"rkhs_norm", "noise_scale", "kernel", "prior_mean"}:
+        return "`perfbound calibrate` proposes constants that the rollouts do not refute; `sample` needs none."
+    return "Find the cause of what is refuted first: more rollouts do not help."
+
+
+def _for_a_better_bound(predicate: Predicate, commands: Commands) -> str:
+    spent = [each for each in predicate.problems if each.stopped_by == "budget"]
+    if commands.resume and any(each.method in ("rigorous", "scenario") for each in spent):
+        return f"More tests: `{commands.resume} --max-tests N` continues this campaign."
+    if spent:
+        return "More tests: a larger `max_tests` in a new campaign."
+    return "A smaller `alpha` in a new campaign, which costs more tests."

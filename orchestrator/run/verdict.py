@@ -1,0 +1,63 @@
+"""The verdict on the campaign in a run directory, and its lines on a terminal."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from ...schemas.certificate import Certificate
+from ...schemas.errors import one_line
+from ...schemas.facts import Header
+from ...schemas.verdict import CampaignVerdict
+from ..certificate.verdict import Commands, judge, tested_by
+from ..fleet.child import in_file
+from ..store.export_tables import robustness_unit
+from ..store.read import system_reference
+from ..store.robustness import read_values, read_violations
+from .format import replay_command, resume_command
+
+
+def verdict_of(directory: Path, header: Header, certificate: Certificate) -> CampaignVerdict:
+    """Return the verdict on a finished campaign.
+
+    Raises:
+        JournalError: its database is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    variant, problems = tested_by(header), [problem.name for problem in header.config.problems]
+    violations, reference = read_violations(directory, variant), system_reference(directory)
+    system = reference if in_file(reference) else None
+    return judge(
+        header,
+        certificate.predicate,
+        violations,
+        lambda: read_values(directory, variant, problems),
+        unit=robustness_unit(header.config, header.spec),
+        commands=Commands(
+            resume_command(directory), replay_command(directory, header, violations.rollout or "", system)
+        ),
+    )
+
+
+def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
+    """Yield the verdict, its reasons, what would help, and how many rollouts violate the specification."""
+    yield f"VERDICT  {found.verdict}"
+    # The number of a claim that does not answer the question comes after the answer.
+    first, second = ((f"{found.claim}.",), found.reasons)
+    yield from (*first, *second) if found.verdict == "SHOWN" else (*second, *first)
+    for sentence in found.advice:
+        yield f"What would help: {sentence[0].lower()}{sentence[1:]}"
+    yield from violation_lines(found)
+
+
+def violation_lines(found: CampaignVerdict) -> Iterator[str]:
+    """Yield how many rollouts violate the specification, and how the worst is repeated."""
+    seen = found.violations
+    if not seen.rollouts or seen.least is None:
+        return
+    worst = f"the worst {seen.least:.4f} {one_line(found.unit)}".rstrip()
+    count = f"{seen.violations:,} of {seen.rollouts:,} rollouts violate the specification"
+    if not seen.violations:
+        yield f"{count}; {worst}."
+        return
+    again = f"; repeat it with: {found.repeat}" if found.repeat else "."
+    yield f"{count}, at {seen.violating_starts:,} of {seen.starts:,} starts, {worst}{again}"

@@ -1,0 +1,91 @@
+"""The robustness of the rollouts behind the bounds and in the closing checks of a campaign, in test order.
+
+The queries go to the SQLite driver directly, as those of `progress`: `perfbound list` reads many campaigns.
+"""
+
+import json
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from ...schemas.ids import RECHECK, RolloutId, closing_check, series_order
+from ...schemas.verdict import Violations
+from .damage import naming_cause
+from .readonly import is_still, open_readonly
+from .rows import existing
+
+_SERIES = "SELECT DISTINCT problem FROM tests"
+# A test without an observation is under way, and which of its rollouts came first may depend on their outcome.
+_OF = """
+    FROM rollouts JOIN tests USING (problem, test) JOIN observations USING (problem, test)
+    WHERE variant = ? AND problem IN (SELECT value FROM json_each(?)) AND robustness IS NOT NULL
+"""
+_COUNTS = f"""
+    SELECT count(*), count(CASE WHEN robustness < 0 THEN 1 END), count(DISTINCT x),
+    count(DISTINCT CASE WHEN robustness < 0 THEN x END) {_OF}
+"""
+_WORST = f"SELECT robustness, problem, test, replicate {_OF} ORDER BY robustness, problem, test, replicate LIMIT 1"
+_VALUES = f"SELECT test, replicate, x, robustness {_OF} ORDER BY test, replicate"
+
+
+class RolloutValue(NamedTuple):
+    """The robustness of one rollout, clipped."""
+
+    series: str
+    test: int
+    replicate: int
+    start: str
+    """As the database has it: equal for equal starts."""
+    robustness: float
+
+
+def read_violations(directory: Path, variant: str) -> Violations:
+    """Return how many rollouts of a variant violate the specification.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    with _snapshot(directory) as connection:
+        which = [variant, json.dumps(_series(connection))]
+        rollouts, violations, starts, violating = connection.execute(_COUNTS, which).fetchone()
+        worst = connection.execute(_WORST, which).fetchone()
+    return Violations(
+        rollouts=rollouts,
+        violations=violations,
+        starts=starts,
+        violating_starts=violating,
+        least=worst and worst[0],
+        rollout=worst and str(RolloutId(worst[1], worst[2], variant, worst[3])),
+    )
+
+
+def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Iterator[RolloutValue]:
+    """Yield the rollouts of a variant: those of the problems in the order of the file, then those of closing checks.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    with _snapshot(directory) as connection:
+        for series in sorted(_series(connection), key=lambda name: series_order(problems, name)):
+            for test, replicate, start, robustness in connection.execute(_VALUES, [variant, json.dumps([series])]):
+                yield RolloutValue(series, test, replicate, start, robustness)
+
+
+def _series(connection: sqlite3.Connection) -> list[str]:
+    """Return the problems and closing checks whose rollouts are new ones: those of a recheck repeat others."""
+    names = [str(name) for (name,) in connection.execute(_SERIES)]
+    return [name for name in names if closing_check(name) != RECHECK]
+
+
+@contextmanager
+def _snapshot(directory: Path) -> Iterator[sqlite3.Connection]:
+    path = existing(directory).resolve()
+    with naming_cause(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
+        connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
+        yield connection
