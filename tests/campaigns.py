@@ -19,7 +19,7 @@ UNCHECKED: dict[str, Any] = {"spot_check": 0, "recheck": 0}
 
 
 def table(name: str, **changes: Any) -> dict[str, Any]:
-    """Return a shipped campaign file, or `PAIR`, as a table, without checks afterwards, with top-level keys replaced."""
+    """Return a shipped file, or `PAIR`, as a table, without checks afterwards, with top-level keys replaced."""
     source = PAIR if name == PAIR.stem else FOLDER / f"{name}.toml"
     return {**tomllib.loads(source.read_text()), **UNCHECKED, **changes}
 

@@ -5,8 +5,7 @@ styles, never as markup: names, paths and formulas may contain brackets.
 """
 
 import math
-import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterator, Mapping, Sequence, Sized
 
 from rich.console import Console
 from rich.text import Text
@@ -28,12 +27,12 @@ from ...schemas.composition import composes
 from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
+from .assumption_text import print_list
+from .console_lines import hanging, heading, plain_line
 from .counterexample import DIGITS, counterexample_words
 from .refutation_text import refutation_sentence
 from .region_text import region_sentences
 
-WIDTH = 100
-COLOURS = {"refuted": "red", "derived": "green"}
 QUANTITIES: dict[Quantity, str] = {
     "rho_star": "rho* (robustness risk of the true system at its worst start)",
     "J_star": "J* (maximum of the expectation)",
@@ -59,8 +58,6 @@ CERTAIN = "It shows nothing: every probability is at most 1."
 NO_SHARE = "It shows nothing: no start is certified safe."
 VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale", 0.5): "half the length scale"}
 """Names of the variations of the sensitivity."""
-NAME = 25
-"""Columns of the name of an assumption; the longest are `simulator_is_the_system` and `sampled_at_sample_times`."""
 
 
 def outward(bound: float, sense: str) -> str:
@@ -105,16 +102,17 @@ def claim_words(claim: CertificateClaim) -> str:
     return words if claim.requirement is None else f"{words}, of requirement {claim.requirement}"
 
 
-def print_certificate(certificate: Certificate, console: Console, unit: str = "") -> None:
-    """Print the whole certificate; `unit` is that of the robustness, if it has one."""
+def print_certificate(certificate: Certificate, console: Console, unit: str = "", *, assumptions: bool = True) -> None:
+    """Print the whole certificate; `unit` is that of the robustness, if it has one.
+
+    Without `assumptions` only those that are refuted are listed.
+    """
     predicate = certificate.predicate
     # First of all: a claim that rests on a refuted assumption proves nothing, however good its number.
     broken = [each for each in predicate.assumptions if each.status == "refuted"]
     of_first = [each for each in broken if each.id in predicate.claims[0].assumptions]
     _refuted(of_first, "", console)
-    if predicate.counterexample is not None:
-        found = counterexample_words(predicate.counterexample, unit)
-        _heading(console, f"COUNTEREXAMPLE  {found}", "bold red")
+    print_counterexample(predicate, console, unit)
     first_claim(certificate, console, unit)
     for number in range(1, len(predicate.claims)):
         _claim("also", certificate, number, console, unit)
@@ -122,27 +120,35 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
     if len(predicate.claims) > 1:
         console.print()
         for line in _on_several(predicate):
-            _line(console, line)
+            plain_line(console, line)
     if found_regions := region_sentences(predicate):
-        _heading(console, "Regions", "bold")
+        heading(console, "Regions", "bold")
     for sentence in found_regions:
-        _line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
+        plain_line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
     if sentences := check_sentences(predicate):
-        _heading(console, "After the campaign", "bold")
+        heading(console, "After the campaign", "bold")
     for sentence in sentences:
-        _line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
-    _heading(console, "Problems", "bold")
+        plain_line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
+    heading(console, "Problems", "bold")
     for problem in predicate.problems:
         _problem(problem, console)
-    _heading(console, "Assumptions that are not refuted", "bold")
-    _assumptions([each for each in predicate.assumptions if each.status != "refuted"], console)
+    if assumptions:
+        heading(console, "Assumptions that are not refuted", "bold")
+        print_list([each for each in predicate.assumptions if each.status != "refuted"], console)
+
+
+def print_counterexample(predicate: Predicate, console: Console, unit: str) -> None:
+    """Print the rollout that ended the campaign, if one did; `unit` is that of the robustness."""
+    if predicate.counterexample is not None:
+        found = counterexample_words(predicate.counterexample, unit)
+        heading(console, f"COUNTEREXAMPLE  {found}", "bold red")
 
 
 def _refuted(broken: Sequence[Assumption], whose: str, console: Console) -> None:
     if broken:
         title = f"REFUTED{whose}, by the data of this campaign or by derivation: {_count(broken)}"
-        _heading(console, title, "bold red")
-        _assumptions(broken, console)
+        heading(console, title, "bold red")
+        print_list(broken, console)
 
 
 def _on_several(predicate: Predicate) -> tuple[str, ...]:
@@ -162,13 +168,30 @@ def _on_several(predicate: Predicate) -> tuple[str, ...]:
 
 def print_assumptions(certificate: Certificate, console: Console) -> None:
     """Print every assumption."""
-    _heading(console, "Assumptions", "bold")
-    _assumptions(certificate.predicate.assumptions, console)
+    heading(console, "Assumptions", "bold")
+    print_list(certificate.predicate.assumptions, console)
 
 
 def first_claim(certificate: Certificate, console: Console, unit: str = "") -> None:
     """Print the claim that was chosen beforehand; `unit` is that of the robustness."""
     _claim("CLAIM", certificate, 0, console, unit)
+
+
+def other_claims(predicate: Predicate, unit: str, most: int) -> tuple[str, ...]:
+    """Return the claims after the first in a line each, at most so many of them, and how many more there are."""
+    others = [
+        f"{_claim_heading(claim, unit)}, probability {outward(claim.probability, '>=')}"
+        + (": REFUTED" if claim.refuted else "")
+        for claim in predicate.claims[1:]
+    ]
+    more = len(others) - most
+    return tuple(others) if more <= 0 else (*others[:most], f"{more} further claim{'s' if more > 1 else ''}")
+
+
+def _claim_heading(claim: CertificateClaim, unit: str) -> str:
+    of_robustness = claim.quantity not in {"J_star", "safe_share", *PROBABILITIES}
+    shown = f"{_bound(claim)} {one_line(unit)}" if of_robustness and unit not in {"", "1"} else _bound(claim)
+    return f"{claim_words(claim)} {claim.sense} {shown}"
 
 
 def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
@@ -247,22 +270,20 @@ def _bound(claim: CertificateClaim) -> str:
 def _claim(title: str, certificate: Certificate, number: int, console: Console, unit: str) -> None:
     predicate = certificate.predicate
     claim = predicate.claims[number]
-    of_robustness = claim.quantity not in {"J_star", "safe_share", *PROBABILITIES}
-    shown = f"{_bound(claim)} {one_line(unit)}" if of_robustness and unit not in {"", "1"} else _bound(claim)
-    _heading(console, f"{title}  {claim_words(claim)} {claim.sense} {shown}", "bold")
+    heading(console, f"{title}  {_claim_heading(claim, unit)}", "bold")
     rule = f"{claim.rule} rule, " if composes(claim.rule) else ""
     source = f"method {claim.method}, {rule}{_validity(claim)}{_count(claim.assumptions)}"
-    _line(console, f"       with probability at least {outward(claim.probability, '>=')} ({source})")
+    plain_line(console, f"       with probability at least {outward(claim.probability, '>=')} ({source})")
     # The terms of a composition are those of the first claim; the others have none in the certificate.
     if predicate.composition is not None and number == 0:
         _composition(claim, predicate.composition, console)
     if claim.vacuous:
-        _line(console, f"       {nothing_shown(claim.quantity)}", "bold red")
+        plain_line(console, f"       {nothing_shown(claim.quantity)}", "bold red")
     for note in notes(predicate, number):
-        _hanging(console, Text("       "), note)
+        hanging(console, Text("       "), note)
     # Beside every claim as well: a reader may copy these lines alone.
     if claim.refuted:
-        _hanging(console, Text("       ", "bold red"), refutation_sentence(claim.refuted))
+        hanging(console, Text("       ", "bold red"), refutation_sentence(claim.refuted))
 
 
 def _validity(claim: CertificateClaim) -> str:
@@ -277,9 +298,9 @@ def _composition(claim: CertificateClaim, composition: CompositionTerms, console
     line = f"{outward(composition.nominal_bound, '>=')} (nominal) {terms}"
     # A claim is never weaker than what the clip alone proves, and then it is not the sum of the terms.
     if claim.vacuous and composition.bound < claim.bound - SAME:
-        _line(console, f"       composed: {line} = {outward(composition.bound, claim.sense)}, below the clip")
+        plain_line(console, f"       composed: {line} = {outward(composition.bound, claim.sense)}, below the clip")
     else:
-        _line(console, f"       = {line}")
+        plain_line(console, f"       = {line}")
 
 
 def check_sentences(predicate: Predicate) -> tuple[str, ...]:
@@ -328,17 +349,17 @@ def _signed_term(term: float) -> str:
 def _problem(problem: ProblemResult, console: Console) -> None:
     sense = ">=" if problem.sense == "min" else "<="
     end = _ending(problem)
-    _line(console, f"  {problem.key}", "bold")
+    plain_line(console, f"  {problem.key}", "bold")
     shown = floored(problem.bound, sense, problem.by_clip)
     alone = " (the clip alone proves it)" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
     bound, probability = outward(shown, sense), outward(problem.probability, ">=")
-    _line(console, f"    {problem.objective} {sense} {bound}{alone}, probability {probability}")
+    plain_line(console, f"    {problem.objective} {sense} {bound}{alone}, probability {probability}")
     counts = ((problem.rollouts.nominal, "nominal"), (problem.rollouts.true, "true"))
     rollouts = (" and ".join(f"{number} {variant}" for number, variant in counts if number) or "no") + " rollouts"
-    _line(console, f"    {problem.tests} tests with {rollouts}")
+    plain_line(console, f"    {problem.tests} tests with {rollouts}")
     planned = problem.method in PLANNED and problem.stopped_by != "refuted"
     as_planned = problem.stopped_by == "converged" or planned
-    _line(console, f"    {end}", "" if as_planned else "yellow")
+    plain_line(console, f"    {end}", "" if as_planned else "yellow")
 
 
 def _ending(problem: ProblemResult) -> str:
@@ -361,37 +382,6 @@ def _left(problem: ProblemResult) -> str:
         return f"F = {problem.last_F:.4f}"
     width = abs((problem.partner or 0.0) - problem.bound)
     return f"{'possible gain by more rollouts' if problem.method == 'scenario' else 'upper - lower'} = {width:.4f}"
-
-
-def _assumptions(assumptions: Iterable[Assumption], console: Console) -> None:
-    """Print assumptions problem by problem, with hanging indents."""
-    groups: dict[str, list[tuple[str, Assumption]]] = {}
-    for each in assumptions:
-        name, _, problem = each.id.partition("/")
-        groups.setdefault(problem or "whole campaign", []).append((name, each))
-    for group, members in groups.items():
-        _line(console, f"  {group}", "bold")
-        for name, each in members:
-            head = Text(f"    {name:<{NAME}}")
-            head.append(f"{each.status:<12}", COLOURS.get(each.status, "yellow"))
-            _hanging(console, head, each.detail)
-
-
-def _hanging(console: Console, head: Text, body: str) -> None:
-    """Print `body` right of `head`, wrapped, its lines below each other."""
-    indent = len(head.plain)
-    width = min(console.width, WIDTH) if console.is_terminal else WIDTH
-    lines = textwrap.wrap(body, max(40, width - indent), break_long_words=False, break_on_hyphens=False)
-    console.print(head.append(("\n" + " " * indent).join(lines)), soft_wrap=True)
-
-
-def _heading(console: Console, text: str, style: str) -> None:
-    console.print()
-    _line(console, text, style)
-
-
-def _line(console: Console, text: str, style: str = "") -> None:
-    console.print(Text(text, style), soft_wrap=True)
 
 
 def _count(assumptions: Sized) -> str:

@@ -66,7 +66,7 @@ def tested_by(header: Header) -> str:
     return max(variant for problem in header.config.problems for variant in rolled_out(problem.name, header.spec))
 
 
-def judge(
+def campaign_verdict(
     header: Header,
     predicate: Predicate,
     violations: Violations,
@@ -116,17 +116,17 @@ def guarantee(claim: CertificateClaim, unit: str) -> str:
     chance = f"with probability at least {probability}"
     meaning = WORST.get(claim.quantity)
     if meaning is None:
-        return f"{_capitalised(claim_words(claim))} {claim.sense} {_with_unit(bound, claim, unit)}, {chance}"
+        return f"{_capitalised(claim_words(claim))} {claim.sense} {_margin_text(bound, claim, unit)}, {chance}"
     where = "every start" if claim.starts is None else f"each of the {claim.starts} listed starts"
     of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
-    return f"Guaranteed margin {_with_unit(bound, claim, unit)} ({meaning}{of}) from {where}, {chance}"
+    return f"Guaranteed margin {_margin_text(bound, claim, unit)} ({meaning}{of}) from {where}, {chance}"
 
 
 def _capitalised(words: str) -> str:
     return f"{words[0].upper()}{words[1:]}"
 
 
-def _with_unit(text: str, claim: CertificateClaim, unit: str) -> str:
+def _margin_text(text: str, claim: CertificateClaim, unit: str) -> str:
     has = unit not in ("", "1") and claim.quantity not in PROBABILITIES and claim.quantity != "J_star"
     return f"{text} {one_line(unit)}" if has else text
 
@@ -146,13 +146,13 @@ def _required_probability(config: CampaignConfig, claim: CertificateClaim) -> fl
 
 
 def _shown(claim: CertificateClaim, required: _Required) -> _Finding | None:
-    if claim.refuted or claim.vacuous or _missing(claim, required) or _too_unlikely(claim, required):
+    if claim.refuted or claim.vacuous or _falls_short(claim, required) or _too_unlikely(claim, required):
         return None
-    limit = _with_unit(f"{required.bound:g}", claim, required.unit)
+    limit = _margin_text(f"{required.bound:g}", claim, required.unit)
     return _Finding("SHOWN", (f"Required {'at least' if claim.sense == '>=' else 'at most'} {limit}.",))
 
 
-def _missing(claim: CertificateClaim, required: _Required) -> bool:
+def _falls_short(claim: CertificateClaim, required: _Required) -> bool:
     """Whether the bound is on the wrong side of what is required, or nothing is."""
     if required.bound is None:
         return True
@@ -224,7 +224,7 @@ def _by_rollouts(
     if not is_sampled(claim.quantity) or claim.requirement is not None:
         return None
     (plan,) = plans(header.config, header.spec).values()
-    samples = (each.robustness for each in _samples(plan, values()))
+    samples = (each.robustness for each in _drawn_samples(plan, values()))
     if claim.quantity in ("mean", "risk"):
         pairs = (("", each) for each in samples)
         return _mean_below(header.config, required, probability, pairs, "The mean robustness at drawn starts")
@@ -274,7 +274,7 @@ def _refuting(test: OppositeTest, probability: float, words: str) -> _Finding | 
     return _Finding("VIOLATED", (f"{words}, with probability at least {outward(probability, '>=')}.",))
 
 
-def _samples(plan: ProblemPlan, values: Values) -> Values:
+def _drawn_samples(plan: ProblemPlan, values: Values) -> Values:
     """Return the first rollout at each start that was drawn; further ones there are no samples of their own."""
     return (each for each in values if each.series == plan.name and each.replicate == 0 and plan.is_drawn(each.test))
 
@@ -293,9 +293,9 @@ def _not_shown(predicate: Predicate, required: _Required, commands: Commands) ->
         what = "probability" if claim.quantity in PROBABILITIES else "value"
         reasons.append(f"The campaign file does not say the largest acceptable {what}.")
         advice.append("Say it with the key `required_at_most`; the bound stays the same.")
-    elif _missing(claim, required):
-        limit, bound = _with_unit(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
-        reasons.append(f"The bound {bound} does not reach the required {limit}{_ended(predicate)}.")
+    elif _falls_short(claim, required):
+        limit, bound = _margin_text(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
+        reasons.append(f"The bound {bound} does not reach the required {limit}{_budget_words(predicate)}.")
         if not claim.refuted:
             advice.append(_for_a_better_bound(predicate, commands))
     if _too_unlikely(claim, required):
@@ -305,7 +305,7 @@ def _not_shown(predicate: Predicate, required: _Required, commands: Commands) ->
     return _Finding("NOT SHOWN", tuple(reasons), tuple(advice))
 
 
-def _ended(predicate: Predicate) -> str:
+def _budget_words(predicate: Predicate) -> str:
     spent = [each.key for each in predicate.problems if each.stopped_by == "budget"]
     return f"; {' and '.join(spent)} ended by the budget" if spent else ""
 

@@ -203,7 +203,7 @@ def _overrides(seed: int | None, *, until_counterexample: bool) -> dict[str, Any
 def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, report: bool) -> None:
     from ..run.directory import finished_certificate  # noqa: PLC0415
     from ..store.read import stored_header  # noqa: PLC0415
-    from .status import print_result  # noqa: PLC0415
+    from .result import print_end  # noqa: PLC0415
 
     console, found = output_console(), finished_certificate(directory)
     if key is not None:
@@ -211,7 +211,7 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
     # Before anything is printed: a pipe that closes, as that of `| head`, ends the process.
     if report:
         draw(directory)
-    print_result(directory, stored_header(directory), found, console)
+    print_end(directory, stored_header(directory), found, console)
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
 
@@ -243,6 +243,19 @@ def status(directory: Path) -> None:
     from . import status as view  # noqa: PLC0415
 
     view.print_status(directory, output_console())
+
+
+@cli.command()
+@click.argument("directory", type=RUN_DIRECTORY)
+@click.option("--assumptions", is_flag=True, help="Also list every assumption with its status.")
+def show(*, directory: Path, assumptions: bool) -> None:
+    """Show everything about the finished campaign in DIRECTORY: its verdict, claims, problems and files."""
+    from ..run.directory import finished_certificate  # noqa: PLC0415
+    from ..store.read import stored_header  # noqa: PLC0415
+    from .result import print_everything  # noqa: PLC0415
+
+    header, console = stored_header(directory), output_console()
+    print_everything(directory, header, finished_certificate(directory), console, assumptions=assumptions)
 
 
 @cli.group()

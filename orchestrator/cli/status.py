@@ -1,38 +1,21 @@
 """`perfbound status`: the progress of a campaign, from its database alone."""
 
 import math
-import shlex
 import time
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.certificate import Certificate
 from ...schemas.errors import one_line
-from ...schemas.facts import Header
-from ...schemas.places import short_path
 from ..campaign.forecast import left_in_words
 from ..campaign.outlook import outlook_lines
-from ..certificate import files, text
-from ..fleet.child import in_file
-from ..run.format import duration, replay_command, resume_command
+from ..certificate import files
+from ..run.format import duration, resume_command
 from ..run.table import progress_table, remaining_tests
 from ..store import lock
-from ..store.export_tables import robustness_unit
 from ..store.progress import CampaignProgress, read_progress
-from ..store.read import system_reference
-
-OUTPUT = {
-    "certificate.json": "certificate",
-    "certificate.dsse.json": "signed",
-    "regions.csv": "regions",
-    "manifest.sha256": "manifest",
-    "trajectories": "evidence",
-    "campaign.db": "database",
-    "report.html": "report",
-}
-"""The files of a run directory, and what they are, in the order of the output."""
+from .result import print_end
 
 
 def print_status(directory: Path, console: Console) -> None:
@@ -57,34 +40,9 @@ def print_status(directory: Path, console: Console) -> None:
     for line in (*outlook_lines(config, found.problems), *_work(found, running=running)):
         console.print(Text(line), soft_wrap=True)
     if certificate is not None:
-        print_result(directory, found.header, certificate, console)
+        print_end(directory, found.header, certificate, console)
     elif not running:
         console.print(Text(f"continue with: {resume_command(directory)}"), soft_wrap=True)
-
-
-def print_result(directory: Path, header: Header, certificate: Certificate, console: Console) -> None:
-    """Print the certificate of a finished campaign, its files, and what comes next."""
-    text.print_certificate(certificate, console, robustness_unit(header.config, header.spec))
-    print_files(directory, console)
-    reference = system_reference(directory)
-    found = certificate.predicate.counterexample
-    if found and (again := replay_command(directory, header, found.rollout, reference if in_file(reference) else None)):
-        console.print(Text("\nTo repeat the counterexample, with a picture:"))
-        console.print(Text(f"  {again} --out counterexample.png"), soft_wrap=True)
-    verify = f"perfbound verify {shlex.quote(str(directory))}"
-    if header.spec.repeated == "anywhere":
-        system = f" --system {shlex.quote(short_path(reference))}" if in_file(reference) else ""
-        verify += f" --resimulate 5{system}"
-    console.print(Text("\nThe campaign is finished. Its report shows the claim; to check it against the evidence:"))
-    console.print(Text(f"  {verify}"), soft_wrap=True)
-
-
-def print_files(directory: Path, console: Console) -> None:
-    """Print the output files of a run."""
-    console.print(Text("\nOutput files", "bold"))
-    for name, content in OUTPUT.items():
-        if (directory / name).exists():
-            console.print(Text(f"  {content:<12} {directory / name}"), soft_wrap=True)
 
 
 def _work(progress: CampaignProgress, *, running: bool) -> list[str]:

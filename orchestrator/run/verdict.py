@@ -7,7 +7,7 @@ from ...schemas.certificate import Certificate
 from ...schemas.errors import one_line
 from ...schemas.facts import Header
 from ...schemas.verdict import CampaignVerdict
-from ..certificate.verdict import Commands, judge, tested_by
+from ..certificate.verdict import Commands, campaign_verdict, tested_by
 from ..fleet.child import in_file
 from ..store.export_tables import robustness_unit
 from ..store.read import system_reference
@@ -26,7 +26,7 @@ def verdict_of(directory: Path, header: Header, certificate: Certificate) -> Cam
     variant, problems = tested_by(header), [problem.name for problem in header.config.problems]
     violations, reference = read_violations(directory, variant), system_reference(directory)
     system = reference if in_file(reference) else None
-    return judge(
+    return campaign_verdict(
         header,
         certificate.predicate,
         violations,

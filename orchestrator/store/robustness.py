@@ -50,7 +50,7 @@ def read_violations(directory: Path, variant: str) -> Violations:
 
     """
     with _snapshot(directory) as connection:
-        which = [variant, json.dumps(_series(connection))]
+        which = [variant, json.dumps(_new_series(connection))]
         rollouts, violations, starts, violating = connection.execute(_COUNTS, which).fetchone()
         worst = connection.execute(_WORST, which).fetchone()
     return Violations(
@@ -72,12 +72,12 @@ def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Itera
 
     """
     with _snapshot(directory) as connection:
-        for series in sorted(_series(connection), key=lambda name: series_order(problems, name)):
+        for series in sorted(_new_series(connection), key=lambda name: series_order(problems, name)):
             for test, replicate, start, robustness in connection.execute(_VALUES, [variant, json.dumps([series])]):
                 yield RolloutValue(series, test, replicate, start, robustness)
 
 
-def _series(connection: sqlite3.Connection) -> list[str]:
+def _new_series(connection: sqlite3.Connection) -> list[str]:
     """Return the problems and closing checks whose rollouts are new ones: those of a recheck repeat others."""
     names = [str(name) for (name,) in connection.execute(_SERIES)]
     return [name for name in names if closing_check(name) != RECHECK]

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rich.console import Console
 
-from ..orchestrator.certificate import files, text
+from ..orchestrator.certificate import console_lines, files, text
 from ..orchestrator.run import directory as places
 from ..orchestrator.run import session
+from ..orchestrator.run.verdict import verdict_of
 from ..orchestrator.store import export, read
 from ..orchestrator.store.export_tables import robustness_unit
 from ..orchestrator.store.rows import DATABASE, existing
@@ -24,6 +25,7 @@ from ..schemas.facts import Header
 from ..schemas.ids import closing_check
 from ..schemas.link import LOCAL
 from ..schemas.trajectory import Trajectory
+from ..schemas.verdict import CampaignVerdict
 from .forked import Forked
 from .given import GivenSystem, given_system
 from .process import interruptible, output, reproducible
@@ -75,6 +77,16 @@ class Run:
         if found is None:
             raise PerfboundError(f"{self.directory}: no certificate yet; perfbound.resume continues the campaign")
         return found.predicate
+
+    @property
+    def verdict(self) -> CampaignVerdict:
+        """Whether the first claim shows what the campaign file requires.
+
+        Raises:
+            PerfboundError: there is no certificate yet, or it is damaged.
+
+        """
+        return verdict_of(self.directory, self.header, places.finished_certificate(self.directory))
 
     @property
     def tests(self) -> Table:
@@ -285,9 +297,7 @@ def _in_words(run: Run) -> str:
     if found is None:
         rollouts = len(run.rollouts)
         return f"{run.directory}: not finished, {rollouts} rollouts so far; perfbound.resume continues it\n"
-    console = Console(file=io.StringIO(), width=text.WIDTH, force_terminal=False, color_system=None)
-    refuted = [each.id for each in found.predicate.assumptions if each.status == "refuted"]
+    console = Console(file=io.StringIO(), width=console_lines.WIDTH, force_terminal=False, color_system=None)
     with console.capture() as captured:
         text.first_claim(found, console, robustness_unit(run.header.config, run.header.spec))
-    first = f"REFUTED: {', '.join(refuted)}\n" if refuted else ""
-    return f"{first}{captured.get().lstrip()}"
+    return f"VERDICT  {run.verdict.verdict}\n{captured.get().lstrip()}"

@@ -1,4 +1,4 @@
-"""Methods `rigorous`, `kriging` and `scenario` on the real Segway with real processes: the same bytes whatever happens."""
+"""Methods `rigorous`, `kriging` and `scenario` on the real Segway: the same bytes whatever happens."""
 
 import random
 from pathlib import Path

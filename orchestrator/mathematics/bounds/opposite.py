@@ -11,8 +11,9 @@
 With 0 <= lambda_s <= CAP/(high - u) every factor is positive and has a mean of at most 1 under the hypothesis, whatever
 rule chose the start of x_t from the past. So W is a positive supermartingale that starts at 1, and by Ville it reaches
 1/delta with probability at most delta. Then some start has a mean below u, whichever it is: a hypothesis about every
-start needs no union over them. One strategy bets what the values at the same start suggest (Kelly, second order), the
-others a fixed part of the largest bet.
+start needs no union over them. Two strategies bet what the values at the same start suggest (Kelly, second order), the
+second for a deficit that is a standard error smaller, so that many starts at the limit cost little; the third bets a
+fixed part of the largest bet, for a system that is bad everywhere.
 """
 
 import math
@@ -23,8 +24,8 @@ from .betting import RICHEST
 
 CAP = 0.95
 """Largest share of the wealth that one value may cost."""
-PARTS = (0.05, 0.3)
-"""Bets of the fixed strategies, as parts of the largest one."""
+PART = 0.1
+"""The fixed bet, as a part of the largest one."""
 
 
 @dataclass(slots=True)
@@ -33,9 +34,13 @@ class _Past:
     total: float = 0.0
     squares: float = 0.0
 
-    def suggested(self) -> float:
-        """Return the best bet for the mean and the mean square of these deficits; 0 where they suggest none."""
-        return max(0.0, self.total / self.squares) if self.squares > 0 else 0.0
+    def suggested(self, caution: float) -> float:
+        """Return the best bet for a mean so many standard errors below that of these deficits; 0 for none."""
+        if not self.squares > 0.0:
+            return 0.0
+        mean, square = self.total / self.count, self.squares / self.count
+        error = math.sqrt(max(square - mean * mean, 0.0) / self.count)
+        return max(0.0, (mean - caution * error) / square)
 
     def add(self, deficit: float) -> None:
         self.count += 1
@@ -64,7 +69,7 @@ class OppositeTest:
     limit: float
     low: float
     high: float
-    _wealth: list[float] = field(default_factory=lambda: [1.0] * (1 + len(PARTS)))
+    _wealth: list[float] = field(default_factory=lambda: [1.0] * 3)
     _starts: dict[Hashable, _Past] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -88,7 +93,7 @@ class OppositeTest:
             raise ValueError(f"a value must be in [{self.low!r}, {self.high!r}], not {value!r}")
         past, deficit = self._starts.setdefault(start, _Past()), self.limit - value
         largest = CAP / (self.high - self.limit)
-        bets = (min(past.suggested(), largest), *(part * largest for part in PARTS))
+        bets = (min(past.suggested(0.0), largest), min(past.suggested(1.0), largest), PART * largest)
         for number, bet in enumerate(bets):
             self._wealth[number] = min(self._wealth[number] * (1.0 + bet * deficit), RICHEST)
         past.add(deficit)

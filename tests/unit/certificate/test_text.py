@@ -6,7 +6,7 @@ from rich.console import Console
 
 from perfbound.orchestrator.certificate import text as summary
 from perfbound.orchestrator.certificate.text import outward
-from perfbound.orchestrator.cli.status import print_files
+from perfbound.orchestrator.cli.result import print_files
 from perfbound.orchestrator.report.wording import claim_sentence
 from perfbound.orchestrator.run.progress import Plain
 from perfbound.schemas.certificate import (

@@ -239,9 +239,7 @@ def test_a_linearised_risk_contributes_what_its_mean_is_made_of(tmp_path: Path) 
     assert [row["contribution"] for row in exported(tmp_path)["observations"]] == ["0.8", "0.6"]
 
 
-@pytest.mark.parametrize(
-    ("preset", "each"), [("segway-pair", ["0.8", "0.6"]), ("segway-scenario", ["-0.8", "-0.6"])]
-)
+@pytest.mark.parametrize(("preset", "each"), [("segway-pair", ["0.8", "0.6"]), ("segway-scenario", ["-0.8", "-0.6"])])
 def test_a_robustness_keeps_its_sign_in_method_scenario_alone(tmp_path: Path, preset: str, each: list[str]) -> None:
     problem = {**table(preset)["problems"][0], "name": "robustness"}
     problem.pop("linearised", None)

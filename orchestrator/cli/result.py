@@ -1,0 +1,110 @@
+"""The result of a finished campaign on a terminal: the end of a run on one screen, and everything on request."""
+
+import shlex
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from ...schemas.certificate import Certificate
+from ...schemas.facts import Header
+from ...schemas.places import short_path
+from ...schemas.verdict import VerdictWord
+from ..certificate import text
+from ..certificate.console_lines import hanging, heading, plain_line
+from ..certificate.region_text import region_sentences
+from ..fleet.child import in_file
+from ..run.format import replay_command
+from ..run.verdict import verdict_lines, verdict_of
+from ..store.export_tables import robustness_unit
+from ..store.read import system_reference
+
+COLOURS: dict[VerdictWord, str] = {"SHOWN": "bold green", "VIOLATED": "bold red", "NOT SHOWN": "bold yellow"}
+OUTPUT = {
+    "certificate.json": "certificate",
+    "certificate.dsse.json": "signed",
+    "regions.csv": "regions",
+    "manifest.sha256": "manifest",
+    "trajectories": "evidence",
+    "campaign.db": "database",
+    "report.html": "report",
+}
+"""The files of a run directory, and what they are, in the order of the output."""
+MOST_CLAIMS = 3
+"""Claims after the first that the end of a run shows."""
+MOST_SENTENCES = 4
+"""Sentences on regions and closing checks that it shows."""
+
+
+def print_end(directory: Path, header: Header, certificate: Certificate, console: Console) -> None:
+    """Print the verdict, the first claim and what comes next, on one screen of 30 lines."""
+    unit, predicate = robustness_unit(header.config, header.spec), certificate.predicate
+    print_verdict(directory, header, certificate, console)
+    text.print_counterexample(predicate, console, unit)
+    text.first_claim(certificate, console, unit)
+    if others := text.other_claims(predicate, unit, MOST_CLAIMS):
+        console.print()
+        for each in others:
+            hanging(console, Text("also   "), each)
+    if sentences := (*region_sentences(predicate), *text.check_sentences(predicate)):
+        console.print()
+        for sentence in sentences[:MOST_SENTENCES]:
+            plain_line(console, sentence, "bold red" if "REFUTED" in sentence else "")
+    console.print()
+    shown = shlex.quote(str(directory))
+    if again := _repeat_command(directory, header, certificate):
+        plain_line(console, f"repeat it     {again}")
+    plain_line(console, f"report        {directory / 'report.html'}")
+    plain_line(console, f"certificate   {directory / 'certificate.json'}")
+    plain_line(console, f"everything    perfbound show {shown}")
+    plain_line(console, f"check it      {_verify_command(directory, header)}")
+
+
+def print_everything(
+    directory: Path, header: Header, certificate: Certificate, console: Console, *, assumptions: bool
+) -> None:
+    """Print the verdict, every claim, problem and file, and with `assumptions` each of them with its sentence."""
+    print_verdict(directory, header, certificate, console)
+    text.print_certificate(certificate, console, robustness_unit(header.config, header.spec), assumptions=assumptions)
+    if not assumptions:
+        heading(console, f"Assumptions: perfbound show {shlex.quote(str(directory))} --assumptions", "bold")
+    print_files(directory, console)
+    heading(console, f"To check it against the evidence: {_verify_command(directory, header)}", "bold")
+
+
+def print_files(directory: Path, console: Console) -> None:
+    """Print the output files of a run."""
+    heading(console, "Output files", "bold")
+    for name, content in OUTPUT.items():
+        if (directory / name).exists():
+            plain_line(console, f"  {content:<12} {directory / name}")
+
+
+def print_verdict(directory: Path, header: Header, certificate: Certificate, console: Console) -> None:
+    """Print the verdict of a finished campaign, its reasons, and how many rollouts violate the specification."""
+    found = verdict_of(directory, header, certificate)
+    first, *others = verdict_lines(found)
+    plain_line(console, first, COLOURS[found.verdict])
+    for each in others:
+        hanging(console, Text(" " * 9), each)
+
+
+def _repeat_command(directory: Path, header: Header, certificate: Certificate) -> str:
+    """Return the command that draws the counterexample that ended a campaign; empty where there is none."""
+    found = certificate.predicate.counterexample
+    again = found and replay_command(directory, header, found.rollout, _system_file(directory))
+    return f"{again} --out counterexample.png" if again else ""
+
+
+def _verify_command(directory: Path, header: Header) -> str:
+    command = f"perfbound verify {shlex.quote(str(directory))}"
+    if header.spec.repeated != "anywhere":
+        return command
+    system = _system_file(directory)
+    return f"{command} --resimulate 5" + (f" --system {shlex.quote(short_path(system))}" if system else "")
+
+
+def _system_file(directory: Path) -> str | None:
+    """Return the reference of a system that is not installed; None for one that is."""
+    reference = system_reference(directory)
+    return reference if in_file(reference) else None

@@ -1,0 +1,164 @@
+"""The verdict on whole campaigns: standing, violated, refuted, vacuous, out of budget, and without a requirement."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.run.verdict import verdict_lines, verdict_of
+from perfbound.orchestrator.store.read import stored_header
+from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.verdict import CampaignVerdict
+from tests.fakes.simulators import Function, noise, robustness, simulate
+
+RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
+SAMPLE = {"method": "sample"}
+FEW = {"spot_check": 0, "recheck": 0}
+
+
+def smooth(request: RolloutRequest) -> float:
+    """Between 0.3 and 0.7."""
+    return 0.5 - 0.2 * (sum(request.x) - 1.0)
+
+
+def shifted(by: float, *, noisy: float = 0.0) -> Function:
+    return lambda request: smooth(request) + by + noisy * noise(request.seed)
+
+
+def verdict(
+    directory: Path, problem: dict[str, Any], function: Function, *, noisy: bool = False, **changes: Any
+) -> CampaignVerdict:
+    assert simulate(directory, robustness(problem, **FEW | changes), function, noisy=noisy) is not None
+    certificate = files.read(directory)
+    assert certificate is not None
+    return verdict_of(directory, stored_header(directory), certificate)
+
+
+def test_a_bound_beyond_what_is_required_is_shown(tmp_path: Path) -> None:
+    found = verdict(tmp_path, RIGOROUS, smooth)
+    assert (found.verdict, found.advice) == ("SHOWN", ())
+    assert found.reasons == ("Required at least 0.",)
+    assert found.claim.startswith(f"Guaranteed margin {found.bound:.1f}")
+    assert found.violations.violations == 0
+    assert found.repeat == ""
+
+
+def test_a_larger_margin_may_not_be_shown_by_the_same_campaign(tmp_path: Path) -> None:
+    first = verdict(tmp_path / "a", RIGOROUS, smooth)
+    same = verdict(tmp_path / "b", RIGOROUS, smooth, required_margin=first.bound)
+    assert (same.verdict, same.bound) == ("SHOWN", first.bound), "what is required changes no number"
+    least = same.violations.least
+    assert least is not None
+    more = verdict(tmp_path / "c", RIGOROUS, smooth, required_margin=(first.bound + least) / 2)
+    assert more.verdict == "NOT SHOWN"
+    assert "does not reach the required" in more.reasons[0]
+    assert "smaller `alpha`" in more.advice[0]
+    beyond = verdict(tmp_path / "d", RIGOROUS, smooth, required_margin=least + 1e-6)
+    assert beyond.verdict == "VIOLATED", "a start is below the margin"
+
+
+def test_one_start_without_noise_violates(tmp_path: Path) -> None:
+    found = verdict(tmp_path, RIGOROUS, shifted(-0.35))
+    assert found.verdict == "VIOLATED"
+    least = found.violations.least
+    assert least is not None
+    assert found.reasons == (f"A start has a robustness of {least:.4f}, and nothing there is random.",)
+    assert 0 < found.violations.violations == found.violations.violating_starts < found.violations.starts
+    text = list(verdict_lines(found))
+    assert text[:2] == ["VERDICT  VIOLATED", found.reasons[0]], "the answer comes before the bound"
+    assert text[-1].startswith(f"{found.violations.violations} of {found.violations.rollouts} rollouts violate")
+
+
+NOISY = {**RIGOROUS, "noise_scale": 0.3, "replicates": 4, "alpha": 0.05}
+
+
+@pytest.mark.parametrize(("by", "expected"), [(-0.5, "VIOLATED"), (-0.305, "NOT SHOWN"), (0.4, "SHOWN")])
+def test_an_expectation_below_the_margin(tmp_path: Path, by: float, expected: str) -> None:
+    found = verdict(tmp_path, NOISY, shifted(by, noisy=0.2), noisy=True, clip=[-1.0, 2.0], max_tests=60)
+    assert found.verdict == expected
+    assert found.violations.violations > 0 or expected == "SHOWN"
+    if expected == "VIOLATED":
+        assert found.reasons == ("At some start the expected robustness is below 0, with probability at least 0.9500.",)
+    if expected == "NOT SHOWN":
+        assert "ended by the budget" in found.reasons[0]
+        assert f"perfbound resume {tmp_path} --max-tests N" in found.advice[0]
+
+
+def test_a_false_verdict_is_as_rare_as_its_probability_says(tmp_path: Path) -> None:
+    """The least expectation is exactly 0, the hardest case: VIOLATED in at most a fifth of the campaigns."""
+    false = sum(
+        verdict(
+            tmp_path / str(seed),
+            {**NOISY, "delta": 0.2},
+            shifted(-0.3, noisy=0.2),
+            noisy=True,
+            clip=[-1.0, 2.0],
+            max_tests=10,
+            seed=seed,
+        ).verdict
+        == "VIOLATED"
+        for seed in range(24)
+    )
+    assert false <= 10, "the .99 quantile of 24 campaigns at .2"
+
+
+def test_a_refuted_claim_shows_nothing(tmp_path: Path) -> None:
+    found = verdict(tmp_path, {**RIGOROUS, "rkhs_norm": 0.1, "prior_mean": 0.0}, smooth)
+    assert found.verdict == "NOT SHOWN"
+    assert found.reasons[0].startswith("REFUTED by its own data: rkhs_norm of robustness.")
+    assert "perfbound calibrate" in found.advice[0]
+
+
+def test_a_refuted_claim_does_not_hide_a_violation(tmp_path: Path) -> None:
+    found = verdict(tmp_path, {**RIGOROUS, "rkhs_norm": 0.1, "prior_mean": 0.0}, shifted(-0.9))
+    assert found.verdict == "VIOLATED"
+
+
+def test_a_vacuous_claim_shows_nothing(tmp_path: Path) -> None:
+    few = {**NOISY, "noise_scale": "derived", "rkhs_norm": 50.0}
+    found = verdict(tmp_path, few, shifted(0.1, noisy=0.1), noisy=True, clip=[-0.5, 2.0], max_tests=3)
+    assert found.verdict == "NOT SHOWN"
+    assert found.reasons[0] == "It shows nothing: the clip alone proves it."
+
+
+@pytest.mark.parametrize(
+    ("required", "by", "expected"),
+    [(None, 0.0, "NOT SHOWN"), (None, -0.35, "VIOLATED"), (0.05, 0.0, "SHOWN"), (0.05, -0.45, "VIOLATED")],
+)
+def test_a_failure_probability_needs_a_limit(tmp_path: Path, required: float | None, by: float, expected: str) -> None:
+    limit: dict[str, Any] = {} if required is None else {"required_at_most": required}
+    found = verdict(tmp_path, SAMPLE, shifted(by), max_tests=200, **limit)
+    assert found.verdict == expected
+    if expected == "NOT SHOWN":
+        assert found.reasons == ("The campaign file does not say the largest acceptable probability.",)
+        assert "required_at_most" in found.advice[0]
+
+
+@pytest.mark.parametrize(
+    ("claim", "by", "expected"),
+    [
+        ({"quantity": "quantile", "level": 0.1}, 0.0, "SHOWN"),
+        ({"quantity": "quantile", "level": 0.1}, -0.5, "VIOLATED"),
+        ({"quantity": "cvar", "level": 0.2}, -0.5, "VIOLATED"),
+        ({"quantity": "mean"}, -0.7, "VIOLATED"),
+        ({"quantity": "mean"}, -0.49, "NOT SHOWN"),
+        ({"quantity": "next_rollout", "level": 0.05}, -0.7, "NOT SHOWN"),
+    ],
+)
+def test_claims_about_drawn_starts(tmp_path: Path, claim: dict[str, Any], by: float, expected: str) -> None:
+    found = verdict(tmp_path, SAMPLE, shifted(by), max_tests=200, clip=[-2.0, 2.0], claims=[claim])
+    assert found.verdict == expected
+
+
+def test_a_smaller_probability_than_required_is_said(tmp_path: Path) -> None:
+    changes: dict[str, Any] = {"clip": [-1.0, 2.0], "max_tests": 60}
+    found = verdict(tmp_path, NOISY, shifted(0.4, noisy=0.2), noisy=True, required_probability=0.99, **changes)
+    assert (found.verdict, found.required_probability) == ("NOT SHOWN", 0.99)
+    assert found.reasons == ("It holds with probability 0.9500, and 0.99 is required.",)
+
+
+@pytest.mark.parametrize("key", ["required_margin", "required_at_most", "required_probability"])
+def test_what_is_required_is_no_part_of_the_identity(key: str) -> None:
+    plain = robustness(RIGOROUS)
+    assert robustness(RIGOROUS, **{key: 0.5}).digest == plain.digest
