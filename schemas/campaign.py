@@ -4,12 +4,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from .base import Model, digest, merged
+from .base import digest, merged
 from .campaign_rules import check_consistent
+from .campaign_size import CampaignSize
 from .claims import SAMPLED, ClaimRequest, DrawnClaim, drawn_claims
 from .composition import ComposedClaim, Rule, is_composed
 from .falsify import Falsify
-from .method_spaces import MOST_STARTS, RESOLUTION, fixed_starts
+from .method_spaces import MOST_STARTS, fixed_starts
 from .problem_models import Gap, Problem, SampleProblem
 from .problems import OBJECTIVES, Sense
 from .requirements import MOST, Requirement, conjunction
@@ -35,17 +36,9 @@ IDENTIFIES_ALWAYS: Any = {
 writes it, and files from before these keys had a default keep their identity."""
 
 
-class CampaignConfig(Model):
+class CampaignConfig(CampaignSize):
     """A whole campaign file."""
 
-    name: str = Field(
-        pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$", description="also names the run directory; without it that of the file"
-    )
-    seed: int = Field(default=1, ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
-    window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")
-    replicates: int = Field(default=1, ge=1, le=100_000, description="rollouts per test and variant")
-    resolution: int = Field(default=RESOLUTION, ge=2, description="lattice nodes per parameter")
-    max_tests: int = Field(default=2000, ge=1, le=1_000_000, description="largest number of tests per problem")
     horizon: float = Field(
         default=0.0, ge=0, description="duration of a rollout in s; 0 for a function, whose rollout is one sample"
     )
@@ -225,26 +218,10 @@ class CampaignConfig(Model):
         """Return the gap of one problem; None for one that compares no trajectories."""
         return problem.gap or self.gap if OBJECTIVES[problem.name].measured == "gap" else None
 
-    def window_of(self, problem: Problem) -> int:
-        """Return the tests in flight of one problem."""
-        return problem.window or self.window
-
-    def replicates_of(self, problem: Problem) -> int:
-        """Return the rollouts per test and variant of one problem."""
-        return problem.replicates or self.replicates
-
-    def resolution_of(self, problem: Problem) -> int:
-        """Return the lattice nodes per parameter of one problem."""
-        return problem.resolution or self.resolution
-
     def starts_of(self, problem: Problem) -> int | None:
         """Return how many fixed starts of the box a problem chooses from; None for a lattice, a list and draws."""
         resolution, region = self.resolution_of(problem), self.where is not None
         return fixed_starts(problem.method, self.space, resolution, self.candidates, region=region)
-
-    def max_tests_of(self, problem: Problem) -> int:
-        """Return the budget of one problem."""
-        return problem.max_tests or self.max_tests
 
     @property
     def digest(self) -> str:

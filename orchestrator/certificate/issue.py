@@ -13,7 +13,8 @@ from ..campaign.bounded import bounded_accounts
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
 from .assumptions import assumptions
-from .claims import Results, bases, claims, of_listed_starts
+from .bases import bases
+from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .opinions import workers_honest
 from .problem_results import result

@@ -17,7 +17,8 @@ from ..campaign.clip import by_clip, floored, is_vacuous, least_risk, of_drawn_s
 from ..campaign.methods import Methods, ProblemMethod, kernel_method
 from ..campaign.plan import Plans, ProblemPlan
 from ..mathematics.bounds.rounding import decimal
-from .claims import Basis, Results, bases, bound
+from .bases import Basis, bases
+from .claims import Results, bound
 from .problem_results import in_sense
 
 Constant = Literal["rkhs_norm", "length_scale"]

@@ -13,11 +13,9 @@ from ...schemas.problems import Quantity, rolled_out
 from ...schemas.requirements import parts_of
 from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
 from ..campaign.clip import SAME
-from ..campaign.plan import ProblemPlan, plans
-from ..mathematics.bounds.betting import ROUND_OFF
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.robustness import RolloutValue
-from .claims import bases
+from .bases import bases
 from .refutation_text import refutation_sentence
 from .text import claim_words, nothing_shown, outward
 
@@ -223,8 +221,7 @@ def _by_rollouts(
         return _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
     if not is_sampled(claim.quantity) or claim.requirement is not None:
         return None
-    (plan,) = plans(header.config, header.spec).values()
-    samples = (each.robustness for each in _drawn_samples(plan, values()))
+    samples = (each.robustness for each in _drawn_samples(header.config, values()))
     if claim.quantity in ("mean", "risk"):
         pairs = (("", each) for each in samples)
         return _mean_below(header.config, required, probability, pairs, "The mean robustness at drawn starts")
@@ -269,14 +266,16 @@ def _too_many_below(share: float, margin: float, probability: float, samples: It
 
 
 def _refuting(test: OppositeTest, probability: float, words: str) -> _Finding | None:
-    if test.wealth < (1.0 + ROUND_OFF) / (1.0 - probability):
+    if not test.refutes(1.0 - probability):
         return None
     return _Finding("VIOLATED", (f"{words}, with probability at least {outward(probability, '>=')}.",))
 
 
-def _drawn_samples(plan: ProblemPlan, values: Values) -> Values:
+def _drawn_samples(config: CampaignConfig, values: Values) -> Values:
     """Return the first rollout at each start that was drawn; further ones there are no samples of their own."""
-    return (each for each in values if each.series == plan.name and each.replicate == 0 and plan.is_drawn(each.test))
+    (problem,), search = config.problems, config.falsify
+    of_problem = (each for each in values if each.series == problem.name and each.replicate == 0)
+    return (each for each in of_problem if search is None or search.is_random(each.test))
 
 
 # Neither

@@ -47,7 +47,20 @@ class BandAt(NamedTuple):
     upper: NDArray[np.float64]
 
 
-class Run:
+class _Shown:
+    """A run as a session shows it."""
+
+    directory: Path
+
+    def __repr__(self) -> str:
+        """Return the verdict and the claim, or the number of tests so far."""
+        return _in_words(self.directory).rstrip()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(_in_words(self.directory))}</pre>"
+
+
+class Run(_Shown):
     """A run directory, read from its files at every access; it changes nothing there."""
 
     def __init__(self, directory: Path) -> None:
@@ -189,13 +202,6 @@ class Run:
 
         return open_study(self.directory)
 
-    def __repr__(self) -> str:
-        """Return the claim, or the number of tests so far."""
-        return _in_words(self).rstrip()
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(_in_words(self))}</pre>"
-
 
 def _of_series(tests: Table, *, closing: bool) -> Table:
     """Return the tests of the closing checks, or those of the problems."""
@@ -291,12 +297,11 @@ def robustness(specification: str, trajectory: Trajectory | dict[str, Sequence[f
         raise PerfboundError(f"robustness: {error}") from None
 
 
-def _in_words(run: Run) -> str:
+def _in_words(directory: Path) -> str:
     """Return what `perfbound run` prints of the first claim; names in it may be anybody's text."""
-    found = files.read(run.directory)
+    run, found = Run(directory), files.read(directory)
     if found is None:
-        rollouts = len(run.rollouts)
-        return f"{run.directory}: not finished, {rollouts} rollouts so far; perfbound.resume continues it\n"
+        return f"{directory}: not finished, {len(run.rollouts)} rollouts so far; perfbound.resume continues it\n"
     console = Console(file=io.StringIO(), width=console_lines.WIDTH, force_terminal=False, color_system=None)
     with console.capture() as captured:
         text.first_claim(found, console, robustness_unit(run.header.config, run.header.spec))

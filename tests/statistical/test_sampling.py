@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.special import bdtr
 from scipy.stats import binom
 
-from perfbound.orchestrator.mathematics.bounds.betting import ROUND_OFF
 from perfbound.orchestrator.mathematics.bounds.failures import (
     FailureSequence,
     QuantileSequence,
@@ -23,6 +22,7 @@ from perfbound.orchestrator.mathematics.bounds.failures import (
     log_wealth_below,
 )
 from perfbound.orchestrator.mathematics.bounds.predictable import CvarSequence, PredictableSequence, RiskSequence
+from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF
 from perfbound.orchestrator.mathematics.bounds.sample import SampleMethod, Terms
 from perfbound.orchestrator.mathematics.bounds.share import (
     clopper_pearson_lower,

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc, betaincc, betaln
 
-from perfbound.orchestrator.mathematics.bounds.betting import BOLD_AND_CAREFUL, ROUND_OFF
+from perfbound.orchestrator.mathematics.bounds.betting import BOLD_AND_CAREFUL
 from perfbound.orchestrator.mathematics.bounds.predictable import LEAST_SPREAD, RENEWAL, STRATEGIES
 from perfbound.orchestrator.mathematics.bounds.rollout_spread import BORROWED
+from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF
 from perfbound.orchestrator.mathematics.bounds.spot_check import CAP, DEFICITS, EXPLORE, OUTSIDE, SUSPICIOUS
 
 DELTA = 0.05

@@ -30,14 +30,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from .rounding import RICHEST, ROUND_OFF
+
 Floats = NDArray[np.float64]
 
 GRID = 4096
-ROUND_OFF = 1e-4
-"""A candidate is rejected only when W exceeds 1/delta by this share. A value costs at most 2e-11 of it in rounding, at
-the least candidate, so that the rounding of millions of values causes no rejection."""
-RICHEST = 1e300
-"""Wealth above this is discarded, so that nothing overflows: less wealth keeps a supermartingale one."""
 
 
 @dataclass(frozen=True, slots=True)

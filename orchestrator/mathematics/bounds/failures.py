@@ -38,8 +38,7 @@ from itertools import pairwise
 
 from scipy.special import betainc, betaincc
 
-from .betting import ROUND_OFF
-from .rounding import STEP
+from .rounding import ROUND_OFF, STEP
 from .share import check_counts
 
 SHAPE = 0.5

@@ -20,7 +20,7 @@ import math
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 
-from .betting import RICHEST
+from .rounding import RICHEST, ROUND_OFF
 
 CAP = 0.95
 """Largest share of the wealth that one value may cost."""
@@ -79,8 +79,12 @@ class OppositeTest:
 
     @property
     def wealth(self) -> float:
-        """W: at 1/delta or more the hypothesis is refuted with confidence 1 - delta."""
+        """W, at first 1."""
         return math.fsum(self._wealth) / len(self._wealth)
+
+    def refutes(self, delta: float) -> bool:
+        """Whether the values refute the hypothesis with confidence 1 - delta."""
+        return self.wealth >= (1.0 + ROUND_OFF) / delta
 
     def observe(self, start: Hashable, value: float) -> None:
         """Add the next value.

@@ -33,9 +33,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..gp.kernels import Floats
-from .betting import BOLD_AND_CAREFUL, GRID, RICHEST, ROUND_OFF, Strategy
+from .betting import BOLD_AND_CAREFUL, GRID, Strategy
 from .risk import RiskReading, check_clip, linearised
-from .rounding import round_down
+from .rounding import RICHEST, ROUND_OFF, round_down
 
 STRATEGIES = (Strategy(0.9, 0.95, 1.0), Strategy(0.1, 0.5))
 """For CVaR the largest bets are nearly always best: the least x, which caps them, is far below the others."""

@@ -1,10 +1,15 @@
-"""Outward rounding of bounds to multiples of 1e-9, exact on the printed decimals."""
+"""Rounding to the safe side: of bounds outward to multiples of 1e-9, exact on the printed decimals, and of wealth."""
 
 import math
 from fractions import Fraction
 
 STEP = 10**9
 """Bounds are whole multiples of 1/STEP."""
+ROUND_OFF = 1e-4
+"""A hypothesis is rejected only when its wealth exceeds 1/delta by this share. A value costs at most 2e-11 of it in
+rounding, so that the rounding of millions of values causes no rejection."""
+RICHEST = 1e300
+"""Wealth above this is discarded, so that nothing overflows: less wealth keeps a supermartingale one."""
 
 
 def round_down(x: float) -> float:

@@ -41,9 +41,8 @@ from numpy.typing import NDArray
 from ....schemas.values import Proposal
 from ..gp.kernels import Floats
 from ..gp.lattice import check_index
-from .betting import RICHEST, ROUND_OFF
 from .rollout_spread import Spread
-from .rounding import decimal, floor_to_step
+from .rounding import RICHEST, ROUND_OFF, decimal, floor_to_step
 from .share import clopper_pearson_upper
 
 VIOLATION = 1e-9

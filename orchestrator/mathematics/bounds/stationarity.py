@@ -34,7 +34,7 @@ import numpy as np
 
 from ..gp.kernels import Floats
 from .audit import Finding, Status
-from .betting import RICHEST, ROUND_OFF
+from .rounding import RICHEST, ROUND_OFF
 
 LEVEL = 0.01
 CAP = 0.95

@@ -13,13 +13,13 @@ from perfbound.orchestrator.mathematics.bounds.betting import (
     BOLD_AND_CAREFUL,
     CAREFUL,
     GRID,
-    ROUND_OFF,
     BettingSequence,
     Past,
     Strategy,
 )
 from perfbound.orchestrator.mathematics.bounds.predictable import RiskSequence
 from perfbound.orchestrator.mathematics.bounds.risk import bhatia_davis, linearised, linearised_range
+from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF
 from perfbound.orchestrator.mathematics.bounds.scenario import MAX_SCENARIOS, ScenarioMethod, _ConstantScenario
 from perfbound.orchestrator.mathematics.gp.points import Points
 from tests.fakes.observations import an_observation
