@@ -20,7 +20,7 @@ from .refutation_text import refutation_sentence
 from .text import claim_words, nothing_shown, outward
 
 WORST: dict[Quantity, str] = {
-    "rho_star": "robustness risk, the mean of the robustness less r standard deviations",
+    "rho_star": "robustness risk: mean less {:g} standard deviations",
     "robustness": "robustness",
     "expected_robustness": "expected robustness",
 }
@@ -89,7 +89,7 @@ def campaign_verdict(
         verdict=found.word,
         campaign=config.name,
         seed=config.seed,
-        claim=guarantee(claim, unit),
+        claim=guarantee(claim, unit, config.risk_weight),
         reasons=found.reasons,
         advice=found.advice,
         bound=claim.bound,
@@ -103,21 +103,26 @@ def campaign_verdict(
     )
 
 
-def guarantee(claim: CertificateClaim, unit: str) -> str:
-    """Return the first claim in plain words, as a margin where it is one.
+def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
+    """Return the first claim in plain words, as a margin where it is one; what is refuted is not called guaranteed.
 
     >>> guarantee(CertificateClaim(quantity="robustness", sense=">=", bound=0.58125, probability=0.95, rule="single",
-    ...                            method="rigorous", assumptions=(), refuted=()), "rad")
+    ...                            method="rigorous", assumptions=(), refuted=()), "rad", 0.2)
     'Guaranteed margin 0.5812 rad (robustness) from every start, with probability at least 0.9500'
     """
     bound, probability = outward(claim.bound, claim.sense), outward(claim.probability, ">=")
     chance = f"with probability at least {probability}"
     meaning = WORST.get(claim.quantity)
     if meaning is None:
-        return f"{_capitalised(claim_words(claim))} {claim.sense} {_margin_text(bound, claim, unit)}, {chance}"
+        words = f"Refuted: {claim_words(claim)}" if claim.refuted else _capitalised(claim_words(claim))
+        return f"{words} {claim.sense} {_margin_text(bound, claim, unit)}, {chance}"
     where = "every start" if claim.starts is None else f"each of the {claim.starts} listed starts"
     of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
-    return f"Guaranteed margin {_margin_text(bound, claim, unit)} ({meaning}{of}) from {where}, {chance}"
+    margin = f"{_margin_text(bound, claim, unit)} ({meaning.format(risk_weight)}{of})"
+    head = (
+        "Refuted: margin at least" if claim.refuted else "Guaranteed margin" if claim.bound > 0 else "Margin at least"
+    )
+    return f"{head} {margin} from {where}, {chance}"
 
 
 def _capitalised(words: str) -> str:
@@ -287,7 +292,7 @@ def _not_shown(predicate: Predicate, required: _Required, commands: Commands) ->
         reasons.append(refutation_sentence(claim.refuted))
         advice.append(_instead_of_refuted(claim))
     if claim.vacuous:
-        reasons.append(nothing_shown(claim.quantity))
+        reasons.append(nothing_shown(claim.quantity).replace("It shows", "The bound shows"))
     if required.bound is None:
         what = "probability" if claim.quantity in PROBABILITIES else "value"
         reasons.append(f"The campaign file does not say the largest acceptable {what}.")

@@ -18,11 +18,12 @@ from ..campaign.plan import plans
 from ..certificate import files
 from ..certificate.text import check_sentences
 from ..run.format import replay_command, resume_command
+from ..run.verdict import verdict_of
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, rollouts_of
 from . import rollouts, wording
 from .counterexample import ending_counterexample
-from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State
+from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State, VerdictCard
 from .problem import ProblemCollector
 from .ranges import ranges
 from .trust import TrustStatistics
@@ -56,6 +57,7 @@ class Collector:
         self._code: str | None = None
         self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
         self._divided: dict[str, RegionMap | None] = {}
+        self._verdict: VerdictCard | None = None
 
     def refresh(self, live: Mapping[str, LiveState] | None = None, at: float | None = None) -> ReportData:
         """Add the new facts and return all data; `live` is the state of the workers, `at` the Unix time to show.
@@ -92,7 +94,11 @@ class Collector:
         certificate = self._certificate or files.read(self.directory)
         changes = self._changes.read()
         if self._certificate and changes.extended:
-            certificate, self._divided = None, {}  # that of before; the next refresh finds the one that follows
+            certificate, self._verdict, self._divided = (
+                None,
+                None,
+                {},
+            )  # that of before; the next refresh finds the one that follows
         header = self._header = changes.header
         _check_same(self.directory, certificate, header)
         self._certificate = certificate
@@ -187,7 +193,13 @@ class Collector:
             compared=self._trust.compared_rows(),
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
+            verdict=self._verdict_card(header),
         )
+
+    def _verdict_card(self, header: Header) -> VerdictCard | None:
+        if self._certificate is not None and self._verdict is None:
+            self._verdict = wording.verdict_card(verdict_of(self.directory, header, self._certificate))
+        return self._verdict
 
     def _of_problem(self, problem: str) -> list[ProblemCollector]:
         """Return the collector of a problem, and those of its requirements."""

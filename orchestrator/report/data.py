@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from ...schemas.certificate import Assumption, CompositionTerms
 from ...schemas.problems import Quantity
 from ...schemas.signals import SignalKind
+from ...schemas.verdict import VerdictWord
 from ..store.changes import ComparedResult
 from .worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 
@@ -41,6 +42,20 @@ class Claim:
     """Whether the clip alone proves it."""
     notes: tuple[str, ...] = ()
     """What it owes to its constants, in sentences."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictCard:
+    """The verdict on a finished campaign, in sentences."""
+
+    word: VerdictWord
+    claim: str
+    reasons: tuple[str, ...]
+    advice: tuple[str, ...]
+    count: str
+    """How many rollouts violate the specification; empty where none has a robustness."""
+    command: str
+    """Simulates the worst rollout again; empty where none violates it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,6 +353,8 @@ class ReportData:
     """Number of all of them."""
     set_aside: tuple[SetAsideRow, ...] = ()
     """For good first, then the latest, at most 50."""
+    verdict: VerdictCard | None = None
+    """Of a finished campaign."""
     where: str | None = None
     """The condition on the parameters, of a campaign that leaves out a part of the ranges."""
 

@@ -6,12 +6,14 @@ from ...schemas import certificate as document
 from ...schemas.certificate import OF_DRAWN_STARTS
 from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
+from ...schemas.verdict import CampaignVerdict
 from ..campaign.clip import is_vacuous
 from ..certificate.counterexample import counterexample_words
 from ..certificate.refutation_text import refutation_sentence
 from ..certificate.text import claim_words, notes, nothing_shown, outward, quantity_words
+from ..run.verdict import violation_words
 from ..store.export_tables import robustness_unit
-from .data import Claim, Problem
+from .data import Claim, Problem, VerdictCard
 
 SIGNS = {">=": "≥", "<=": "≤", " -": " \u2212", "rho*": "ρ*"}
 """ASCII of certificate and terminal, and its sign on the page."""
@@ -37,6 +39,18 @@ def worded(predicate: document.Predicate) -> tuple[Claim, ...]:
             notes=tuple(map(typeset, notes(predicate, number))),
         )
         for number, claim in enumerate(predicate.claims)
+    )
+
+
+def verdict_card(found: CampaignVerdict) -> VerdictCard:
+    """Return the verdict in sentences with real signs."""
+    return VerdictCard(
+        found.verdict,
+        typeset(f"{found.claim}."),
+        tuple(map(typeset, found.reasons)),
+        found.advice,
+        typeset(violation_words(found)),
+        found.repeat,
     )
 
 

@@ -42,22 +42,20 @@ def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
     """Yield the verdict, its reasons, what would help, and how many rollouts violate the specification."""
     yield f"VERDICT  {found.verdict}"
     # The number of a claim that does not answer the question comes after the answer.
-    first, second = ((f"{found.claim}.",), found.reasons)
-    yield from (*first, *second) if found.verdict == "SHOWN" else (*second, *first)
+    yield from (f"{found.claim}.", *found.reasons) if found.verdict == "SHOWN" else (*found.reasons, f"{found.claim}.")
     for sentence in found.advice:
         yield f"What would help: {sentence[0].lower()}{sentence[1:]}"
-    yield from violation_lines(found)
+    if count := violation_words(found):
+        yield f"{count.removesuffix('.')}; repeat it with: {found.repeat}" if found.repeat else count
 
 
-def violation_lines(found: CampaignVerdict) -> Iterator[str]:
-    """Yield how many rollouts violate the specification, and how the worst is repeated."""
+def violation_words(found: CampaignVerdict) -> str:
+    """Return how many rollouts violate the specification; empty where none has a robustness."""
     seen = found.violations
     if not seen.rollouts or seen.least is None:
-        return
+        return ""
     worst = f"the worst {seen.least:.4f} {one_line(found.unit)}".rstrip()
     count = f"{seen.violations:,} of {seen.rollouts:,} rollouts violate the specification"
     if not seen.violations:
-        yield f"{count}; {worst}."
-        return
-    again = f"; repeat it with: {found.repeat}" if found.repeat else "."
-    yield f"{count}, at {seen.violating_starts:,} of {seen.starts:,} starts, {worst}{again}"
+        return f"{count}; {worst}."
+    return f"{count}, at {seen.violating_starts:,} of {seen.starts:,} starts, {worst}."

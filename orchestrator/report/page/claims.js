@@ -42,16 +42,38 @@ function claimSection(report) {
   const [first, ...others] = report.claims;
   return el(
     "section#verdict",
-    { "aria-label": "Claim" },
+    { "aria-label": "Verdict and claim" },
+    verdictCard(report),
     refutation(report),
     counterexample(report),
     el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "Claim") : "Bounds so far"),
     el("p.claim#claim", sentence(first ? first.sentence : report.now)),
     first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
     first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
-    report.violations && !report.counterexample ? el("p", el("a", { href: "#counterexamples" }, `${plural(report.violations, "rollout")} violated the specification.`)) : null,
+    report.violations && !report.counterexample && !report.verdict ? el("p", el("a", { href: "#counterexamples" }, `${plural(report.violations, "rollout")} violated the specification.`)) : null,
     others.length ? otherClaims(others) : null,
   );
+}
+
+/** The answer to the question of the campaign, why, what would help, and how many rollouts violate the specification. */
+function verdictCard({ verdict: found }) {
+  if (found === null) return null;
+  const answer = found.word === "SHOWN" ? [found.claim, ...found.reasons] : [...found.reasons, found.claim];
+  const violating = el("a", { href: "#counterexamples" }, sentence(found.count));
+  return el(
+    "div.card#answer",
+    { "data-verdict": found.word },
+    el("p.word", found.word),
+    answer.map((text, place) => el(place === 0 ? "p.answer" : "p", sentence(text))),
+    found.advice.map((text) => el("p", el("strong", "What would help: "), withCommands(text))),
+    found.count ? el("p", found.command ? violating : sentence(found.count)) : null,
+    found.command ? commandLine(found.command) : null,
+  );
+}
+
+/** A sentence with its commands and keys, which stand between backticks, as code. */
+function withCommands(text) {
+  return text.split("`").map((part, place) => (place % 2 ? el("code", short(part, 300)) : sentence(part)));
 }
 
 function claimBasis(claim, unit) {

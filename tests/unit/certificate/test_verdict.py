@@ -119,7 +119,7 @@ def test_a_vacuous_claim_shows_nothing(tmp_path: Path) -> None:
     few = {**NOISY, "noise_scale": "derived", "rkhs_norm": 50.0}
     found = verdict(tmp_path, few, shifted(0.1, noisy=0.1), noisy=True, clip=[-0.5, 2.0], max_tests=3)
     assert found.verdict == "NOT SHOWN"
-    assert found.reasons[0] == "It shows nothing: the clip alone proves it."
+    assert found.reasons[0] == "The bound shows nothing: the clip alone proves it."
 
 
 @pytest.mark.parametrize(
