@@ -102,6 +102,8 @@ class Collector:
         header = self._header = changes.header
         _check_same(self.directory, certificate, header)
         self._certificate = certificate
+        if certificate is not None and self._verdict is None:
+            self._verdict = wording.verdict_card(verdict_of(self.directory, header, certificate))
         if not self._problems:
             self._problems = dict(_collectors(header))
         origin = changes.origin or (None, None)
@@ -115,13 +117,13 @@ class Collector:
                 if isinstance(fact, ExtensionFact):
                     _extend_all(self._problems.values(), fact)
                 elif closing_check(fact.problem) is None:
-                    for collector in self._of_problem(fact.problem):
+                    for collector in _collectors_of(self._problems.values(), fact.problem):
                         collector.add(fact)
                 elif isinstance(fact, ProposalFact):
                     self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
                 if closing_check(problem) is None:
-                    for collector in self._of_problem(problem):
+                    for collector in _collectors_of(self._problems.values(), problem):
                         collector.rollouts += number
         except (KeyError, ValueError) as error:
             raise JournalError(
@@ -165,7 +167,7 @@ class Collector:
             assumptions=predicate.assumptions if predicate else (),
             checks=check_sentences(predicate) if predicate else (),
             problems=problems,
-            scenes=tuple(self._rollouts(*test) for test in self._worst_tests()),
+            scenes=tuple(self._rollouts(*test) for test in _worst_tests(self._problems.values())),
             counterexamples=tuple(
                 rollouts.described(
                     fact,
@@ -193,27 +195,8 @@ class Collector:
             compared=self._trust.compared_rows(),
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
-            verdict=self._verdict_card(header),
+            verdict=self._verdict,
         )
-
-    def _verdict_card(self, header: Header) -> VerdictCard | None:
-        if self._certificate is not None and self._verdict is None:
-            self._verdict = wording.verdict_card(verdict_of(self.directory, header, self._certificate))
-        return self._verdict
-
-    def _of_problem(self, problem: str) -> list[ProblemCollector]:
-        """Return the collector of a problem, and those of its requirements."""
-        found = [each for each in self._problems.values() if each.problem.name == problem]
-        if not found:
-            raise KeyError(problem)
-        return found
-
-    def _worst_tests(self) -> list[tuple[str, int]]:
-        """Return the worst tests of every problem and requirement, each once."""
-        tests = (
-            (each.problem.name, test) for each in self._problems.values() for test in each.worst_tests(WORST_STARTS)
-        )
-        return list(dict.fromkeys(tests))
 
     def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
         # A certificate is final, and so is its table.
@@ -248,6 +231,20 @@ class Collector:
             if len(self._cache) > MOST_CACHED:
                 del self._cache[next(iter(self._cache))]
         return found
+
+
+def _worst_tests(collectors: Iterable[ProblemCollector]) -> list[tuple[str, int]]:
+    """Return the worst tests of every problem and requirement, each once."""
+    tests = ((each.problem.name, test) for each in collectors for test in each.worst_tests(WORST_STARTS))
+    return list(dict.fromkeys(tests))
+
+
+def _collectors_of(collectors: Iterable[ProblemCollector], problem: str) -> list[ProblemCollector]:
+    """Return the collector of a problem, and those of its requirements."""
+    found = [each for each in collectors if each.problem.name == problem]
+    if not found:
+        raise KeyError(problem)
+    return found
 
 
 def _extend_all(collectors: Iterable[ProblemCollector], fact: ExtensionFact) -> None:
