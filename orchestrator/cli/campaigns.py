@@ -1,6 +1,7 @@
 """Commands that run campaigns and show their progress."""
 
 import shlex
+import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ...schemas.errors import one_line
 from ..run.address import Address
 from . import signing
 from .exits import resumable
@@ -19,6 +21,7 @@ from .web_option import web_option
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+    from ...schemas.verdict import CampaignVerdict
     from ..run.session import Link
 
 REFUTED = 3
@@ -73,6 +76,14 @@ strict_option = click.option(
 )
 
 
+on_finish_option = click.option(
+    "--on-finish",
+    default=None,
+    metavar="COMMAND",
+    help="Run COMMAND when the certificate is issued, with the verdict as JSON on its stdin.",
+)
+
+
 def _log(_context: click.Context, _option: click.Parameter, form: str) -> None:
     if form == "json":
         STDERR.as_json()
@@ -105,6 +116,7 @@ def workers_option(least: int) -> Callable[..., Any]:
 @counterexample_option
 @signing.sign_option
 @strict_option
+@on_finish_option
 @drain_option
 @log_option
 @link_options
@@ -122,6 +134,7 @@ def run(
 @counterexample_option
 @signing.sign_option
 @strict_option
+@on_finish_option
 @drain_option
 @log_option
 @link_options
@@ -146,6 +159,7 @@ def orchestrate(
 @workers_option(0)
 @signing.sign_option
 @strict_option
+@on_finish_option
 @drain_option
 @log_option
 @link_options
@@ -157,6 +171,7 @@ def resume(
     workers: int,
     sign: Path | None,
     strict: bool,
+    on_finish: str | None,
     drain: bool,
     **link: Any,
 ) -> None:
@@ -167,7 +182,7 @@ def resume(
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain, system)
         resumed = session.resume_campaign(directory, options, STDERR.console, max_tests)
-        _finish(directory, key, strict=strict, report=resumed)
+        _finish(directory, key, strict=strict, on_finish=on_finish, report=resumed)
 
 
 def _run_new(
@@ -178,6 +193,7 @@ def _run_new(
     *,
     sign: Path | None,
     strict: bool,
+    on_finish: str | None,
     drain: bool,
     **link: Any,
 ) -> None:
@@ -192,7 +208,7 @@ def _run_new(
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
         session.start_campaign(config, campaign, directory, options, STDERR.console)
-        _finish(directory, key, strict=strict, report=True)
+        _finish(directory, key, strict=strict, on_finish=on_finish, report=True)
 
 
 def _overrides(seed: int | None, *, until_counterexample: bool) -> dict[str, Any]:
@@ -200,8 +216,11 @@ def _overrides(seed: int | None, *, until_counterexample: bool) -> dict[str, Any
     return ({} if seed is None else {"seed": seed}) | ({"until_counterexample": True} if until_counterexample else {})
 
 
-def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, report: bool) -> None:
+def _finish(
+    directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, on_finish: str | None, report: bool
+) -> None:
     from ..run.directory import finished_certificate  # noqa: PLC0415
+    from ..run.verdict import verdict_of  # noqa: PLC0415
     from ..store.read import stored_header  # noqa: PLC0415
     from .result import print_end  # noqa: PLC0415
 
@@ -211,9 +230,25 @@ def _finish(directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, r
     # Before anything is printed: a pipe that closes, as that of `| head`, ends the process.
     if report:
         draw(directory)
-    print_end(directory, stored_header(directory), found, console)
+    header = stored_header(directory)
+    print_end(directory, header, found, console)
+    if on_finish is not None and report:
+        _tell(on_finish, verdict_of(directory, header, found))
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
+
+
+def _tell(command: str, verdict: "CampaignVerdict") -> None:
+    """Run a command of the user with the verdict on its stdin; what it prints goes to stderr."""
+    try:
+        ended = subprocess.run(
+            shlex.split(command), input=verdict.model_dump_json(), text=True, stdout=sys.stderr, check=False
+        )
+        fault = f"exit code {ended.returncode}" if ended.returncode else ""
+    except (OSError, ValueError) as error:
+        fault = getattr(error, "strerror", None) or str(error)
+    if fault:
+        STDERR.fail(f"perfbound: --on-finish {one_line(command)}: {one_line(fault)}; the certificate stands")
 
 
 @cli.command()
