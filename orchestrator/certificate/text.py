@@ -181,6 +181,7 @@ def other_claims(predicate: Predicate, unit: str, most: int) -> tuple[str, ...]:
     """Return the claims after the first in a line each, at most so many of them, and how many more there are."""
     others = [
         f"{_claim_heading(claim, unit)}, probability {outward(claim.probability, '>=')}"
+        + (f", {claim.rule} rule" if composes(claim.rule) else "")
         + (": REFUTED" if claim.refuted else "")
         for claim in predicate.claims[1:]
     ]

@@ -26,6 +26,8 @@ WORST: dict[Quantity, str] = {
 }
 """Quantities of a claim about the worst start, and what their margin is."""
 
+_SAY_LIMIT = "say it with the key `required_at_most`; the bound stays the same."
+
 Values = Iterable[RolloutValue]
 
 
@@ -176,10 +178,17 @@ def _violated(
     if required.bound is not None:
         found = _by_rollouts(header, claim, required.bound, required.probability, values)
         return found or _by_partner(predicate, required.bound)
-    # Who names no acceptable probability of a violation accepts none.
-    if claim.quantity == "failure_probability" and claim.requirement is None and _is_deterministic(header):
-        return _one_start_below(0.0, values())
+    if claim.quantity == "failure_probability" and claim.requirement is None:
+        return _any_violation(values())
     return None
+
+
+def _any_violation(values: Values) -> _Finding | None:
+    """Return the finding where some rollout violates the specification: who names no acceptable share accepts none."""
+    if all(each.robustness >= 0.0 for each in values):
+        return None
+    reason = "A rollout violates the specification, and the campaign file names no acceptable probability of that."
+    return _Finding("VIOLATED", (reason,), (f"If some are acceptable, {_SAY_LIMIT}",))
 
 
 def _is_deterministic(header: Header) -> bool:
@@ -296,7 +305,7 @@ def _not_shown(predicate: Predicate, required: _Required, commands: Commands) ->
     if required.bound is None:
         what = "probability" if claim.quantity in PROBABILITIES else "value"
         reasons.append(f"The campaign file does not say the largest acceptable {what}.")
-        advice.append("Say it with the key `required_at_most`; the bound stays the same.")
+        advice.append(_SAY_LIMIT.capitalize())
     elif _falls_short(claim, required):
         limit, bound = _margin_text(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
         reasons.append(f"The bound {bound} does not reach the required {limit}{_budget_words(predicate)}.")

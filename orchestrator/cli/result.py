@@ -53,7 +53,7 @@ def print_end(directory: Path, header: Header, certificate: Certificate, console
     console.print()
     shown = shlex.quote(str(directory))
     if again := _repeat_command(directory, header, certificate):
-        plain_line(console, f"repeat it     {again}")
+        plain_line(console, f"draw it       {again}")
     plain_line(console, f"report        {directory / 'report.html'}")
     plain_line(console, f"certificate   {directory / 'certificate.json'}")
     plain_line(console, f"everything    perfbound show {shown}")
@@ -85,8 +85,11 @@ def print_verdict(directory: Path, header: Header, certificate: Certificate, con
     found = verdict_of(directory, header, certificate)
     first, *others = verdict_lines(found)
     plain_line(console, first, COLOURS[found.verdict])
+    indent = " " * 9
     for each in others:
-        hanging(console, Text(" " * 9), each)
+        hanging(console, Text(indent), each)
+    if found.repeat:
+        plain_line(console, f"{indent}Repeat the worst: {found.repeat}")  # in one line, to be copied
 
 
 def _repeat_command(directory: Path, header: Header, certificate: Certificate) -> str:

@@ -46,7 +46,7 @@ def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
     for sentence in found.advice:
         yield f"What would help: {sentence[0].lower()}{sentence[1:]}"
     if count := violation_words(found):
-        yield f"{count.removesuffix('.')}; repeat it with: {found.repeat}" if found.repeat else count
+        yield count
 
 
 def violation_words(found: CampaignVerdict) -> str:

@@ -25,8 +25,8 @@ def test_a_counterexample_is_found_verified_and_repeated_by_the_printed_command(
         certificate = json.loads((run / "certificate.json").read_text())["predicate"]
         assert certificate["problems"][0]["tests"] < 60
         assert certificate["counterexample"]["robustness"] < 0
-        (again,) = (line for line in lines if line.startswith("repeat it "))
-        program, *arguments = shlex.split(again.removeprefix("repeat it "))
+        (again,) = (line for line in lines if line.startswith("draw it "))
+        program, *arguments = shlex.split(again.removeprefix("draw it "))
         repeated = started.run(program, *arguments)
         assert repeated.code == 0, repeated.err
         assert "bitwise the same as the recorded trajectory" in repeated.out

@@ -135,6 +135,15 @@ def test_a_failure_probability_needs_a_limit(tmp_path: Path, required: float | N
         assert "required_at_most" in found.advice[0]
 
 
+def test_who_accepts_no_violation_gets_none(tmp_path: Path) -> None:
+    """A noisy system, of which one rollout is enough."""
+    found = verdict(tmp_path, SAMPLE, shifted(-0.2, noisy=0.1), noisy=True, max_tests=200)
+    assert 0 < found.violations.violations < 100
+    assert found.verdict == "VIOLATED"
+    assert found.reasons[0].startswith("A rollout violates the specification, and the campaign file names no")
+    assert "required_at_most" in found.advice[0]
+
+
 @pytest.mark.parametrize(
     ("claim", "by", "expected"),
     [
