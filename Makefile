@@ -14,6 +14,9 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 # Hashes are checked, and nothing is compiled on the way: what was tested is what runs.
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
+# The tests start hundreds of processes: compiled modules are kept, also where the environment would not have it.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help setup run test test-all other-pythons mujoco smoke announce lint types imports unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
 
