@@ -98,14 +98,15 @@ doctests: $(INSTALLED)-dev ## Examples in docstrings
 	$(BIN)/python -m pytest --doctest-modules $(DOCTESTS)
 
 NOT_SLOW := -m "not slow"
-# A file's tests share what is costly to make. Those with real processes wait much of their time: AT_ONCE.
+# A file's tests share what is costly to make. Most tests with processes of their own, and some others, wait a part of
+# their time: for processes, for the disk.
 PROCESSES := tests/end_to_end tests/faults
-IN_TWO := -n 2 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
+WITHOUT := -n 3 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
 AT_ONCE ?= 4
-SOME_AT_ONCE := -n $(AT_ONCE) --dist loadgroup $(PROCESSES)
+WITH := -n $(AT_ONCE) --dist loadgroup $(PROCESSES)
 unit: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
-	$(BIN)/python -m pytest $(IN_TWO) --durations=10 $(NOT_SLOW)
-	$(BIN)/python -m pytest $(SOME_AT_ONCE) --durations=10 $(NOT_SLOW)
+	$(BIN)/python -m pytest $(WITHOUT) --durations=10 $(NOT_SLOW)
+	$(BIN)/python -m pytest $(WITH) --durations=10 $(NOT_SLOW)
 
 explore: $(INSTALLED)-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit
