@@ -33,35 +33,35 @@ class StandIn(ModuleType):
         return late
 
     def _imported(self) -> ModuleType:
-        _remove(self)
+        _withdraw(self)
         return importlib.import_module(self.__name__)
 
 
-def _remove(stand_in: StandIn) -> None:
+def _withdraw(stand_in: StandIn) -> None:
     if sys.modules.get(stand_in.__name__) is stand_in:
         sys.modules.pop(stand_in.__name__, None)
 
 
 @contextmanager
-def _without(name: str) -> Iterator[None]:
+def _stand_in_for(name: str) -> Iterator[None]:
     """Have a stand-in for a module that is not imported yet."""
     stand_in = StandIn(name)
     sys.modules.setdefault(name, stand_in)
     try:
         yield
     finally:
-        _remove(stand_in)
+        _withdraw(stand_in)
 
 
 @cache
 def scikit_matern() -> Callable[..., Any]:
     """Return the class `sklearn.gaussian_process.kernels.Matern`; its first import takes most of a second."""
-    with _without(LATE), suppress(ImportError):  # another scikit-learn may need more of it than this stand-in has
-        return _imported()
-    return _imported()
+    with _stand_in_for(LATE), suppress(ImportError):  # another scikit-learn may need more of it than this stand-in has
+        return _import_matern()
+    return _import_matern()
 
 
-def _imported() -> Callable[..., Any]:
+def _import_matern() -> Callable[..., Any]:
     from sklearn.gaussian_process.kernels import Matern  # noqa: PLC0415
 
     return Matern  # type: ignore[no-any-return]
