@@ -14,8 +14,11 @@ RUN_DIR = runs/$(basename $(notdir $(CAMPAIGN)))
 # Hashes are checked, and nothing is compiled on the way: what was tested is what runs.
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
+# The tests start hundreds of processes: compiled modules are kept, also where the environment would not have it.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-all other-pythons mujoco smoke announce lint types imports unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
+.PHONY: help setup run test test-all other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -45,16 +48,16 @@ run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORK
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
 	else $(BIN)/perfbound run $(CAMPAIGN) --workers $(WORKERS) --out $(RUN_DIR); fi
 
-test: announce lint types imports unit ## All checks: ruff, mypy, import rules, pytest; about 25 minutes
+test: announce checks unit ## All checks: ruff, mypy, import rules, pytest; about 25 minutes
 
-test-all: announce lint types imports mujoco unit other-pythons ## All checks, the tests that take longer still, and every other Python
+test-all: announce checks mujoco unit other-pythons ## All checks, the tests that take longer still, and every other Python
 
 test-all: NOT_SLOW :=
 
 other-pythons:
 	@for version in $(filter-out $(VERSION),$(VERSIONS)); do \
 	  if python$$version -c '' 2>/dev/null; \
-	  then $(MAKE) mujoco unit PYTHON=python$$version VENV=.venv-$$version NOT_SLOW= || exit 1; \
+	  then $(MAKE) mujoco doctests unit PYTHON=python$$version VENV=.venv-$$version NOT_SLOW= || exit 1; \
 	  else missing="$$missing python$$version"; fi; \
 	done; test -z "$$missing" || echo "Not tested, because not on PATH:$$missing"
 
@@ -63,6 +66,10 @@ smoke: $(INSTALLED)-dev ## Two minutes: real workers, kills, the contract of the
 
 announce:
 	@echo "About 25 minutes on two quiet cores, after the installation; \`make smoke\` takes two."
+
+# Side by side: each of them takes one core.
+checks: $(INSTALLED)-dev
+	@$(MAKE) --no-print-directory --output-sync --jobs 2 types lint imports doctests
 
 lint: $(INSTALLED)-dev ## Style
 	$(BIN)/ruff check .
@@ -86,17 +93,20 @@ build/backend/.installed: pyproject.toml $(INSTALLED)
 	$(INSTALL) --target build/backend "$$(sed -n 's/^requires = \["\(.*\)"\]$$/\1/p' pyproject.toml)"
 	touch $@
 
+DOCTESTS := $(addprefix perfbound/,orchestrator workers schemas library) tests/architecture/source.py tests/golden/record.py
+doctests: $(INSTALLED)-dev ## Examples in docstrings
+	$(BIN)/python -m pytest --doctest-modules $(DOCTESTS)
+
 NOT_SLOW := -m "not slow"
-# A file's tests share what is costly to make. Those with real processes wait much of their time: AT_ONCE.
+# A file's tests share what is costly to make. Most tests with processes of their own, and some others, wait a part of
+# their time: for processes, for the disk.
 PROCESSES := tests/end_to_end tests/faults
-IN_TWO := -n 2 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
-AT_ONCE ?= 3
-SOME_AT_ONCE := -n $(AT_ONCE) --dist loadgroup $(PROCESSES)
-OUR_DOCTESTS := tests/architecture/source.py tests/golden/record.py
+WITHOUT := -n 3 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
+AT_ONCE ?= 4
+WITH := -n $(AT_ONCE) --dist loadgroup $(PROCESSES)
 unit: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
-	$(BIN)/python -m pytest --doctest-modules perfbound/orchestrator perfbound/workers perfbound/schemas perfbound/library $(OUR_DOCTESTS)
-	$(BIN)/python -m pytest $(IN_TWO) --durations=10 $(NOT_SLOW)
-	$(BIN)/python -m pytest $(SOME_AT_ONCE) --durations=10 $(NOT_SLOW)
+	$(BIN)/python -m pytest $(WITHOUT) --durations=10 $(NOT_SLOW)
+	$(BIN)/python -m pytest $(WITH) --durations=10 $(NOT_SLOW)
 
 explore: $(INSTALLED)-dev ## Property tests with new random cases, many of them
 	PERFBOUND_EXPLORE=1 $(BIN)/python -m pytest -q tests/unit

@@ -32,10 +32,10 @@ def verify(*, path: Path, key: Path | None, again: int, system: str | None, as_j
     """
     from rich.progress import Progress  # noqa: PLC0415
 
-    from ..certificate.verify import run, table  # noqa: PLC0415
+    from ..certificate.verify import run, stages, table  # noqa: PLC0415
 
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        found = run.verify_certificate(path, key=key, again=again, report=table.stage_bars(progress), system=system)
+        found = run.verify_certificate(path, key=key, again=again, report=stages.stage_bars(progress), system=system)
     if as_json:
         click.echo(table.as_json(found))
     else:

@@ -44,7 +44,7 @@ def check_system(
     """
     from rich.progress import Progress  # noqa: PLC0415
 
-    from ..certificate.verify.table import stage_bars  # noqa: PLC0415
+    from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
     from ..run import system_check  # noqa: PLC0415
 
     with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:

@@ -3,7 +3,7 @@
 import json
 import os
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from ..campaign.system_check.findings import SystemFinding
 from ..campaign.system_check.judge import judge
 from ..campaign.system_check.measurements import Measurements
 from ..campaign.system_check.trials import Trials, own_horizon
+from ..certificate.verify.stages import Report
 from ..fleet.child import named_campaign, system_options, system_spec
 from ..fleet.measure import measure_in_child
 from ..fleet.simulate import chosen_horizon, chosen_options
@@ -29,8 +30,6 @@ from ..fleet.simulate import chosen_horizon, chosen_options
 LIMIT = 60.0
 """Seconds that a rollout may take where neither `--timeout` nor a campaign file says otherwise."""
 COLOURS = {"passed": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
-Report = Callable[[str, int, int], None]
-"""Progress callback: stage, completed, total."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
-from tests.end_to_end.processes import Processes, of_run, wait_for
+from tests.end_to_end.processes import Ended, Processes, of_run, wait_for
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs" / "how-to"
@@ -26,10 +26,14 @@ def write(folder: Path, page: str, more: str = "", lines: int = 12) -> Path:
     return path
 
 
-def check_claim(started: Processes, folder: Path, page: str) -> None:
-    """Assert that the file of a page gives the claim of the page, in a campaign that is verified."""
+def run_page(started: Processes, folder: Path, page: str) -> Ended:
+    """Run the file of a page, into `folder / "run"`."""
+    return started.run("perfbound", "run", write(folder, page), "--out", folder / "run")
+
+
+def check_claim(started: Processes, folder: Path, page: str, found: Ended) -> None:
+    """Assert that a run of the file of a page gave the claim of the page, in a campaign that is verified."""
     run = folder / "run"
-    found = started.run("perfbound", "run", write(folder, page), "--out", run)
     assert found.code == 0, found.err
     printed = re.search(r"```text\n(CLAIM.*?)```", page, re.DOTALL)
     assert printed is not None
@@ -39,11 +43,13 @@ def check_claim(started: Processes, folder: Path, page: str) -> None:
     assert (run / "report.html").exists()
 
 
-def claims_after_a_kill(started: Processes, campaign: Path, *, after: int) -> list[dict[str, Any]]:
-    """Return the claims of a campaign that was killed after so many rollouts; its certificate is that of a calm one."""
-    calm, cut = campaign.parent / "calm", campaign.parent / "cut"
-    assert started.run("perfbound", "run", campaign, "--workers", "1", "--out", calm).code == 0
-    process = started.start("perfbound", "run", campaign, "--out", cut)
+def claims_after_a_kill(started: Processes, campaign: Path, calm: Path, *, after: int) -> list[dict[str, Any]]:
+    """Return the claims of a campaign that was killed after so many rollouts, with one worker.
+
+    Its certificate is that of the run in `calm`, with two workers.
+    """
+    cut = campaign.parent / "cut"
+    process = started.start("perfbound", "run", campaign, "--workers", "1", "--out", cut)
     wait_for(lambda: len(list(cut.rglob("*.mcap"))) >= after)
     process.popen.kill()
     assert process.wait().code == -signal.SIGKILL

@@ -3,14 +3,14 @@
 import re
 from pathlib import Path
 
-from tests.end_to_end.pages import PAGES, check_claim, claims_after_a_kill, write
+from tests.end_to_end.pages import PAGES, check_claim, claims_after_a_kill, run_page, write
 from tests.end_to_end.processes import Processes
 
 PAGE = (PAGES / "failure-probability.md").read_text()
 
 
 def test_the_file_of_the_page_gives_the_claim_of_the_page(started: Processes, tmp_path: Path) -> None:
-    check_claim(started, tmp_path, PAGE)
+    check_claim(started, tmp_path, PAGE, run_page(started, tmp_path, PAGE))
 
 
 def test_the_file_of_the_page_on_requirements_gives_its_claims(started: Processes, tmp_path: Path) -> None:
@@ -34,5 +34,7 @@ def test_the_file_of_the_page_on_requirements_gives_its_claims(started: Processe
 
 def test_a_kill_in_between_changes_no_byte(started: Processes, tmp_path: Path) -> None:
     campaign = write(tmp_path, PAGE, '[[claims]]\nquantity = "quantile"\nlevel = 0.05\n')
-    claims = claims_after_a_kill(started, campaign, after=30)
+    calm = tmp_path / "calm"
+    assert started.run("perfbound", "run", campaign, "--out", calm).code == 0
+    claims = claims_after_a_kill(started, campaign, calm, after=30)
     assert [each["quantity"] for each in claims] == ["failure_probability", "quantile"]

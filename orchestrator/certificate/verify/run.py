@@ -6,7 +6,7 @@ campaign is then decided again from the files alone, and compared with the certi
 
 import html
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -35,9 +35,8 @@ from .regions import compared_regions
 from .reissue import compared, reissue
 from .rerun import Rerun
 from .resimulate import Simulate, finding, resimulate
+from .stages import Report
 
-Report = Callable[[str, int, int], None]
-"""Progress callback: stage, completed, total."""
 NOT_REPEATED = {
     "session": "{name} was defined in an interactive session, and no process can simulate it again",
     "nowhere": "the rollouts of {name} were handed in, and nothing can simulate them again",

@@ -3,12 +3,11 @@
 import json
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table as Lines
 from rich.text import Text
 
 from .. import text
-from .run import Report, Verification
+from .run import Verification
 
 COLOURS = {"passed": "green", "failed": "bold red", "skipped": "yellow"}
 
@@ -44,15 +43,3 @@ def as_json(found: Verification) -> str:
     own = [] if found.reissued is None else found.reissued.predicate.assumptions
     assumptions = [each.model_dump(mode="json") for each in own]
     return json.dumps({"verified": found.checks.good, "checks": checks, "assumptions": assumptions}, indent=1)
-
-
-def stage_bars(progress: Progress) -> Report:
-    """Return a progress callback that draws a bar for every stage."""
-    bars = {}
-
-    def report(stage: str, done: int, total: int) -> None:
-        if stage not in bars:
-            bars[stage] = progress.add_task(stage, total=total)
-        progress.update(bars[stage], completed=done)
-
-    return report

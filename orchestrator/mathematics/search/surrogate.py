@@ -24,7 +24,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
-from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
 from ..gp.kernels import Floats, Matern
@@ -48,6 +47,8 @@ def prior_mode(dimension: int) -> Floats:
 
 def fitted(points: Floats, values: Floats, theta: Floats) -> Floats:
     """Return the best theta (p + 1,), sought from the given one and from the mode of the prior."""
+    from scipy.optimize import minimize  # noqa: PLC0415  (a tenth of a second that few commands need)
+
     dimension = points.shape[1]
     squares = np.stack([(column[:, None] - column[None, :]) ** 2 for column in points.T])  # (p, n, n)
     mode, sd = prior_mode(dimension), np.array([LENGTH_SD] * dimension + [NUGGET_SD])
