@@ -176,9 +176,6 @@ def resume(
     **link: Any,
 ) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
-    from ..store.rows import existing  # noqa: PLC0415
-
-    existing(directory)  # before a second of imports
     from ..run import session  # noqa: PLC0415
 
     key = signing.load_key(sign) if sign else None
@@ -201,13 +198,12 @@ def _run_new(
     **link: Any,
 ) -> None:
     from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
+    from ..run import session  # noqa: PLC0415
 
     key = (
         signing.load_key(sign) if sign else None
     )  # before hours of work: a wrong passphrase must not be noticed at their end
     config = load_campaign(campaign, **overrides)
-    from ..run import session  # noqa: PLC0415  (half a second: a file with a mistake is reported before)
-
     directory = out or Path("runs") / config.name
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
@@ -279,9 +275,6 @@ def discard(directory: Path, rollout: str, reason: str) -> None:
 @click.argument("directory", type=RUN_DIRECTORY)
 def status(directory: Path) -> None:
     """Show the progress of the campaign in DIRECTORY, while it runs and afterwards."""
-    from ..store.rows import existing  # noqa: PLC0415
-
-    existing(directory)  # before the imports of the view
     from . import status as view  # noqa: PLC0415
 
     view.print_status(directory, output_console())

@@ -20,8 +20,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .scikit import scikit_matern
-
 Floats = NDArray[np.float64]
 
 
@@ -84,13 +82,16 @@ class Matern:
             ValueError: a distance is negative or not finite, or the Bessel function overflows (nu far above 10).
 
         """
+        # scikit-learn takes over a second to import, and most commands evaluate no kernel.
+        from sklearn.gaussian_process.kernels import Matern as ScikitMatern  # noqa: PLC0415
+
         r = np.asarray(distances, dtype=np.float64)
         if not np.all(np.isfinite(r) & (r >= 0)):
             raise ValueError("kernel distances must be finite and not negative")
         # Equal distances get one evaluation: 760 ns each for a general nu, and bitwise equal values.
         unique, inverse = np.unique(r, return_inverse=True)
         with np.errstate(invalid="ignore", over="ignore"):
-            values = scikit_matern()(length_scale=self.unit, nu=self.nu)(np.zeros((1, 1)), unique[:, None])[0]
+            values = ScikitMatern(length_scale=self.unit, nu=self.nu)(np.zeros((1, 1)), unique[:, None])[0]
         values[unique == 0] = 1.0  # the limit; the general formula computes 0 * inf there for a large nu
         if not np.all(np.isfinite(values)):
             raise ValueError(f"Matern kernel overflows at nu = {self.nu:g} for these distances: take a smaller nu")
