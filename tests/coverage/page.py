@@ -25,7 +25,9 @@ JUDGED: dict[str, tuple[str, ...]] = {
     "composition": ("failed",),
     "regions": ("failed",),
     "requirements": ("every", "first", "last"),
+    "kriging": ("sum", "bound", "refuted"),
     "audit": ("refuted", "spread"),
+    "kriging-audit": ("bound", "refuted"),
     "paper": (),
 }
 """The statements of a kind that must not fail more often than claimed; `failed` is any of the others."""
@@ -58,7 +60,7 @@ class Found(NamedTuple):
     @property
     def judged(self) -> tuple[str, ...]:
         """Requirement on this row: nothing where the premises are wrong on purpose."""
-        wrong = self.row.kind == "audit" and (self.row.small_b, self.row.small_r) != (1.0, 1.0)
+        wrong = any(getattr(self.row, name, 1.0) != 1.0 for name in ("small_b", "small_r"))
         return () if wrong else JUDGED[self.row.kind]
 
     @property
@@ -213,6 +215,22 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
             ("mean tests", _mean("tests", 1)),
         ],
     ),
+    "kriging": (
+        "Method `kriging`: campaigns in which a statement was ever false",
+        [
+            ("mu", lambda found: "m0 - B everywhere" if found.row.flat else "random"),
+            ("rollouts", lambda found: found.row.noise),
+            ("starts", lambda found: found.row.order),
+            ("tests", lambda found: f"{found.row.tests} of {found.row.replicates}"),
+            ("claimed delta", _claimed),
+            CAMPAIGNS,
+            ("sum", _sum("sum")),
+            ("bound", _sum("bound")),
+            ("falsely refuted", _sum("refuted")),
+            *RULED,
+            ("mean loss of ell", _mean("width", 3)),
+        ],
+    ),
     "audit": (
         "The audit of `rigorous`: false alarms in the rows with B and R right, power in the others",
         [
@@ -225,6 +243,20 @@ TABLES: dict[str, tuple[str, list[Column]]] = {
             ("bound wrong", _share("bound")),
             ("bound wrong and nothing refuted", _share("unnoticed")),
             ("mean tests", _mean("tests", 1)),
+            ("allowed", lambda found: str(found.allowed) if found.judged else "-"),
+            ("verdict", lambda found: _verdict(found) if found.judged else "-"),
+        ],
+    ),
+    "kriging-audit": (
+        "The audit of `kriging`: false alarms in the rows with B right, power in the others",
+        [
+            ("rollouts", lambda found: found.row.noise),
+            ("B too small by a factor", _of("small_b")),
+            CAMPAIGNS,
+            ("B refuted", _share("refuted")),
+            ("bound wrong", _share("bound")),
+            ("bound wrong and B not refuted", _share("unnoticed")),
+            ("mean loss of ell", _mean("width", 3)),
             ("allowed", lambda found: str(found.allowed) if found.judged else "-"),
             ("verdict", lambda found: _verdict(found) if found.judged else "-"),
         ],
@@ -332,8 +364,13 @@ NAMES = {
     ("requirements", "every"): "every requirement",
     ("requirements", "first"): "the first one",
     ("requirements", "last"): "the last one",
+    ("kriging", "sum"): "sum of rollouts",
+    ("kriging", "bound"): "bound",
+    ("kriging", "refuted"): "false alarm about B",
     ("audit", "refuted"): "false alarm about B",
     ("audit", "spread"): "false alarm about R",
+    ("kriging-audit", "bound"): "bound",
+    ("kriging-audit", "refuted"): "false alarm about B",
 }
 
 

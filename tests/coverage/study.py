@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.coverage import composition, paper, regions, requirements, rigorous, sampling, scenario
+from tests.coverage import composition, kriging, paper, regions, requirements, rigorous, sampling, scenario
 from tests.coverage.records import Chunk, Row, digest
 
 CHUNK = 50
@@ -18,7 +18,9 @@ CAMPAIGNS: dict[str, Callable[[Any, np.random.Generator], dict[str, float]]] = {
     "composition": composition.campaign,
     "regions": regions.campaign,
     "requirements": requirements.campaign,
+    "kriging": kriging.campaign,
     "audit": rigorous.audited,
+    "kriging-audit": kriging.campaign,
     "paper": paper.campaign,
 }
 
@@ -32,7 +34,9 @@ def all_rows() -> list[Row]:
         composition.rows,
         regions.rows,
         requirements.rows,
+        kriging.rows,
         rigorous.audits,
+        kriging.audits,
         paper.rows,
     )
     return [row for rows in makers for row in rows()]

@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 from scipy.stats import binom
 from sklearn.gaussian_process.kernels import Matern
 
-from tests.coverage import functions, laws, noises, oracle, page, records, run
+from tests.coverage import bounded, functions, laws, noises, oracle, page, records, run
+from tests.coverage.kriging import Kriging
 from tests.coverage.records import Row
 from tests.coverage.regions import Region
 from tests.coverage.requirements import Requirements
@@ -21,7 +23,7 @@ from tests.coverage.rigorous import Audit
 from tests.coverage.scenario import Scenario
 from tests.coverage.study import CHUNK, all_rows, one_chunk
 
-PURE = (functions, noises, laws, oracle)
+PURE = (functions, noises, bounded, laws, oracle)
 ALLOWED = {"numpy", "scipy", "sklearn"} | set(sys.stdlib_module_names)
 
 
@@ -72,6 +74,16 @@ def test_noise_is_centred_and_sub_gaussian(name: str) -> None:
     for t in (-2.0 / scale, -0.5 / scale, 0.5 / scale, 2.0 / scale):
         powers = np.exp(t * draws)
         assert powers.mean() <= math.exp(t * t * scale * scale / 2) + 4 * powers.std() / math.sqrt(len(draws))
+
+
+@pytest.mark.parametrize("errors", [0.0, 1.0])
+@pytest.mark.parametrize("mean", [0.6, 0.72, 0.9])
+@pytest.mark.parametrize("name", bounded.BOUNDED)
+def test_bounded_rollouts_are_in_the_range_and_have_their_mean(name: str, mean: float, errors: float) -> None:
+    draws = bounded.BOUNDED[name](np.random.default_rng(4), mean, errors, 20_000)
+    assert draws.min() >= 0.0
+    assert draws.max() <= 1.0
+    assert abs(draws.mean() - mean) < 5 * draws.std() / math.sqrt(len(draws))
 
 
 @pytest.mark.parametrize("law", [law for pair in laws.LAWS.values() for law in pair])
@@ -128,6 +140,9 @@ def test_the_design_has_every_level() -> None:
         *(("scenario", worst) for worst in ("apart", "same")),
         *(("rigorous", worst) for worst in ("apart", "same", "flat")),
     }
+    weighted = [row for row in rows if type(row) is Kriging]
+    assert {row.noise for row in weighted} == set(bounded.BOUNDED)
+    assert {(row.flat, row.order) for row in weighted} == set(product((False, True), ("planned", "where lowest")))
     assert {(row.dimension, row.flat) for row in rows if isinstance(row, Region)} == {
         (1, True),
         (1, False),

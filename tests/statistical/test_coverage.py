@@ -15,8 +15,9 @@ from threadpoolctl import threadpool_limits
 import perfbound.orchestrator.mathematics.bounds.candidate_band
 from perfbound.orchestrator.mathematics.bounds.composition import compose_mean
 from perfbound.orchestrator.mathematics.bounds.confidence import scales_squared
-from tests.coverage import composition, rigorous, sampling, scenario
+from tests.coverage import composition, kriging, rigorous, sampling, scenario
 from tests.coverage.composition import Composition
+from tests.coverage.kriging import Kriging, KrigingAudit
 from tests.coverage.oracle import allowed
 from tests.coverage.page import Found
 from tests.coverage.records import Row
@@ -25,7 +26,7 @@ from tests.coverage.sampling import Sampling
 from tests.coverage.scenario import Scenario
 from tests.coverage.study import all_rows, one_chunk
 
-JUDGED = [row for row in all_rows() if Found(row, {}).judged and row.kind != "audit"]
+JUDGED = [row for row in all_rows() if Found(row, {}).judged and not row.kind.endswith("audit")]
 KINDS = sorted({(row.kind, row.claimed) for row in JUDGED})
 
 
@@ -75,6 +76,18 @@ def test_an_understated_delta_of_a_confidence_set_is_noticed() -> None:
     row = Rigorous("list", 2, 1.5, noise_scale=1.0)
     found = together(rigorous.campaign, row, 50, told_delta=0.9)
     assert found["set"] > allowed(50, row.claimed)
+
+
+def test_an_understated_delta_of_weighted_sums_is_noticed() -> None:
+    row = Kriging("skewed", flat=True, tests=200, replicates=1)
+    found = together(kriging.campaign, row, 50, told_delta=0.9)
+    assert min(found["sum"], found["bound"]) > allowed(50, row.claimed)
+
+
+def test_the_audit_of_kriging_needs_no_noise_to_find_a_norm_that_is_half_the_right_one() -> None:
+    """Where all of its weights are cut, it keeps the signs of the coefficients alone, and finds a third of them."""
+    found = together(kriging.campaign, KrigingAudit("nearly exact", small_b=2.0, spread=0.006), 20)
+    assert found["refuted"] > 12
 
 
 def test_an_understated_delta_of_scenarios_is_noticed() -> None:

@@ -8,7 +8,7 @@
 | s      | `spread`    | guess of the standard deviation of a rollout                      | ()     | unit X   |
 | z_i    | `means`     | mean of the rollouts at x_i so far                                | (q,)   | unit X   |
 | r_i    | `roughness` | coefficients of (K + diag(s^2/(B^2 n_i)))^-1 (z - m0), n_i so far | (q,)   | unit X   |
-| v_t    |             | C r_i/n_i for a rollout at x_i, r from the tests before it        | ()     | 1/unit X |
+| v_t    |             | C r_i/n_i for a rollout at x_i, C and r from the tests before it  | ()     | 1/unit X |
 | W_i    | `weights`   | sum of v_t over the rollouts at x_i                               | (q,)   | 1/unit X |
 | B_min  | `b_min`     | smallest norm that the rollouts allow                             | ()     | unit X   |
 
@@ -24,6 +24,9 @@ import numpy as np
 
 from ..gp.kernels import Floats
 from .kriging import EPSILON, GuessedMean, KrigingPremises
+
+MOST_CUT = 3.0
+"""Planned weights are at most so many times what leaves the wealth positive; the rest is cut."""
 
 
 class PointMeans:
@@ -78,9 +81,15 @@ class NormAudit:
         if np.any(self._means.counts[used] == 0) or not used[point]:
             return 0.0
         r = self._means.roughness()
+        each = r[used] / self._planned[used]
         # What a full campaign with these r would lose to ln(1/delta) and to the variance is least for this C.
-        variance = 0.5 * self._variance * float(np.sum(r[used] ** 2 / self._planned[used]))
-        return math.sqrt(self._premises.cost / variance) * float(r[point] / self._planned[point]) if variance else 0.0
+        variance = 0.5 * self._variance * float(np.sum(r[used] * each))
+        if not variance:
+            return 0.0
+        low, high = self._guess.limits
+        # With little noise it is so large that every weight would be cut, which leaves of r no more than its signs.
+        largest = MOST_CUT / float(np.max(np.maximum(each / low, each / high)))
+        return min(math.sqrt(self._premises.cost / variance), largest) * float(r[point] / self._planned[point])
 
     def _norm(self) -> float:
         """Return the norm that the rollouts so far need at 1 - delta.
