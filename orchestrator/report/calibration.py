@@ -132,13 +132,18 @@ _FORECAST_LINES: Mapping[type[Forecast], Callable[[Any], Iterator[str]]] = {
 
 def _other_methods(found: Calibration) -> Iterator[str]:
     """Yield a line for each problem without a method for which another one may be expected to prove more."""
+    numbers = {problem.name: number for number, problem in enumerate(found.problems)}
     for each in found.instead:
-        if each.is_tighter:
-            yield (
-                f"{each.problem}: method kriging may be expected to prove {each.kriging.words(each.sign)} with "
-                f"{each.rollouts} rollouts, where rigorous proves {each.sign * each.default:.3g}; for a file with it "
-                f'add method = "kriging" to a copy of {found.wish.campaign.name}'
-            )
+        if not each.is_tighter:
+            continue
+        given = found.draft.given(numbers[each.problem])
+        unused = [key for key in ("alpha", "noise_scale", "slack", "regulariser") if key in given]
+        change = f"put it in place of {', '.join(unused)}" if unused else "add it"
+        yield (
+            f"{each.problem}: method kriging may be expected to prove {each.kriging.words(each.sign)} with "
+            f"{each.rollouts} rollouts, where rigorous proves {each.sign * each.default:.3g}; for a file with "
+            f'method = "kriging", {change} in a copy of {found.wish.campaign.name} and calibrate that'
+        )
 
 
 def _value_text(value: Any) -> str:
