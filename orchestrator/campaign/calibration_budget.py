@@ -48,7 +48,7 @@ THOUSAND = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Budget:
+class PlannedBudget:
     """One budget, and what it may be expected to prove."""
 
     tests: int
@@ -70,10 +70,10 @@ class Budget:
 class BudgetForecast:
     """The bounds of several budgets, if every assumption holds."""
 
-    budgets: tuple[Budget, ...]
+    budgets: tuple[PlannedBudget, ...]
     """From the smallest to the largest."""
-    proposed: Budget
-    doubled: Budget
+    proposed: PlannedBudget
+    doubled: PlannedBudget
     """About twice the proposed one."""
     without: float
     """The bound of J that B and the prior mean prove without any rollout."""
@@ -197,14 +197,14 @@ class _Forecaster:
         assert isinstance(found, KrigingMethod), "the table of forecasts has others for other methods"
         return found
 
-    def budget(self, rollouts: int) -> Budget:
+    def budget(self, rollouts: int) -> PlannedBudget:
         """Return what about so many rollouts may be expected to prove."""
         started, plan = time.monotonic(), self._planned(rollouts)
         bounds = self._bounds(self.method(rollouts))
         low, middle, high = np.quantile(bounds, (RANGE[0], 0.5, RANGE[1])).tolist()
         in_all, seconds = rollout_time(self.config, plan, self.measured.cost, tests=plan.budget)
         own = PLANS * (time.monotonic() - started)
-        return Budget(plan.budget, plan.replicates, Guess(middle, low, high), in_all, seconds + own)
+        return PlannedBudget(plan.budget, plan.replicates, Guess(middle, low, high), in_all, seconds + own)
 
     def _planned(self, rollouts: int) -> ProblemPlan:
         tests, replicates = division(rollouts, len(self.measured.box.names))
@@ -221,11 +221,11 @@ class _Forecaster:
         means = self.fit.mean(data, points)
         noise = residuals[nearest].reshape(len(points), -1)
         noise = noise - noise.mean(axis=1, keepdims=True) if measured.noisy else np.zeros((len(points), 1))
-        variance = noise.var(axis=1) / np.maximum(method.left, 1.0)
+        variance = noise.var(axis=1) / np.maximum(method.coming.left, 1.0)
         covariance = self.fit.covariance(data, points) + np.diag(variance)
         rng = np.random.default_rng(0)
         errors = rng.multivariate_normal(np.zeros(len(points)), covariance, DRAWS, check_valid="ignore", method="eigh")
-        return method.forecast(list(means[:, None] + noise), errors)
+        return method.coming.forecast(list(means[:, None] + noise), errors)
 
 
 def division(rollouts: int, parameters: int) -> tuple[int, int]:

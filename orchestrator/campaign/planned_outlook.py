@@ -25,11 +25,11 @@ def planned_outlook(plan: ProblemPlan, method: ProblemMethod) -> tuple[Guess, Gu
     # Of several requirements each has a method of its own, and the campaign has no single bound to forecast.
     if not isinstance(method, KrigingMethod):
         return None
-    found = method.outlook(MORE / max(1, len(plan.variants)))
-    return None if found is None else (_guess(found[0]), _guess(found[1]))
+    found = method.coming.outlook(MORE / max(1, len(plan.variants)))
+    return None if found is None else (_of_draws(found[0]), _of_draws(found[1]))
 
 
-def _guess(found: Floats) -> Guess:
+def _of_draws(found: Floats) -> Guess:
     low, middle, high = np.quantile(found, (RANGE[0], 0.5, RANGE[1])).tolist()
     return Guess(middle, low, high)
 

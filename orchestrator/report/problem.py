@@ -4,8 +4,9 @@ Facts are in terms of the maximised objective J; the data carry the sign of the 
 lower change places for a minimum.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Predicate, ProblemResult
 from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
 from ...schemas.requirements import alpha_of
-from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, StoppedBy
+from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import PartMethod, method
@@ -61,7 +62,7 @@ class ProblemCollector:
         self._drawn: list[Drawn] = []
         self._tests = observed_series(self.plan, self.observed)
         self._extended: int | None = None
-        self._outlooks = PlannedOutlooks()
+        self._planned = partial(PlannedOutlooks().of, plan, self._method)
         self._described = 0
         """Tests in surfaces and columns."""
         self._warnings = self._contradictions()
@@ -135,7 +136,16 @@ class ProblemCollector:
             rollouts=self.rollouts,
             stopped_by=stopped_by,
             left=None if stopped_by else self._left(),
-            outlook=None if self._own else self._outlook(),
+            outlook=_outlook(
+                self._config,
+                self.plan,
+                self.observed,
+                rollouts=self.rollouts,
+                extended=self._extended,
+                planned=self._planned,
+            )
+            if self.observed and not self._own
+            else None,
             surfaces=self._surfaces,
             tests=self._tests,
             by_clip=limit,
@@ -209,19 +219,25 @@ class ProblemCollector:
         found = consistency.of_tests(self.plan, y, each, robustness)
         return tuple(map(typeset, (*consistency.of_plan(self.plan, self._header.spec), *found.values())))
 
-    def _outlook(self) -> str | None:
-        if not self.observed:
-            return None
-        points = ((each.test + 1, each.bound.upper) for each in self.observed if each.test + 1 in MARKED)
-        course = tuple((tests, upper) for tests, upper in points if upper is not None)
-        last, tests = self.observed[-1], len(self.observed)
-        progress = ProblemProgress(tests, self.rollouts, None, last.bound, last.stopped_by, self._extended, course)
-        planned = self._outlooks.of(self.plan, self._method, progress)
-        return in_words(self._config, self.problem, replace(progress, planned=planned))
-
     def _left(self) -> str | None:
         if self._own is not None:
             return None  # its tests are those of the whole
         now = self._tests.distance[-1] if self._tests.distance else None
         left = forecast.tests_left(self._config, self.problem, now, len(self.observed), self._extended)
         return None if left is None else forecast.left_in_words(self._config, self.problem, left)
+
+
+def _outlook(
+    config: CampaignConfig,
+    plan: ProblemPlan,
+    observed: Sequence[ObservedTest],
+    *,
+    rollouts: int,
+    extended: int | None,
+    planned: Callable[[ProblemProgress], tuple[Guess, Guess] | None],
+) -> str | None:
+    points = ((each.test + 1, each.bound.upper) for each in observed if each.test + 1 in MARKED)
+    course = tuple((tests, upper) for tests, upper in points if upper is not None)
+    last = observed[-1]
+    progress = ProblemProgress(len(observed), rollouts, None, last.bound, last.stopped_by, extended, course)
+    return in_words(config, plan.problem, replace(progress, planned=planned(progress)))

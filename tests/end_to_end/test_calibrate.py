@@ -34,8 +34,8 @@ def jumping(x, y):
     return 1.2 + np.sin(x) * np.cos(2 * y) - (0.8 if x + y > 4.9 else 0)
 
 @pb.system(parameters=BOX, columns={"value": "m"})
-def noisy(x, y, rng):
-    return 1.2 + 0.1 * np.sin(x) * np.cos(2 * y) + 0.1 * rng.standard_normal()
+def noisy(x, y, *, seed):
+    return 1.2 + 0.1 * np.sin(x) * np.cos(2 * y) + 0.1 * np.random.default_rng(seed).standard_normal()
 
 @pb.system(parameters=BOX, columns={"value": "m"})
 def slow(x, y):

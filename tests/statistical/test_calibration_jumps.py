@@ -1,6 +1,6 @@
 """False alarms of the test for jumps, on continuous functions with noise of several laws, and its power on jumps."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +17,12 @@ FUNCTIONS = 60
 Law = Callable[[np.random.Generator, Floats], Floats]
 LAWS: dict[str, Law] = {
     "Gaussian": lambda rng, z: SD * rng.standard_normal(len(z)),
-    "heavy tails": lambda rng, z: SD / np.sqrt(3.0) * rng.standard_t(3, len(z)),
+    "heavy tails": lambda rng, z: SD / 3.0**0.5 * np.asarray(rng.standard_t(3, len(z)), dtype=np.float64),
     "skewed": lambda rng, z: -SD * (rng.exponential(1.0, len(z)) - 1.0),
     "different from start to start": lambda rng, z: (
         SD * (0.2 + 2.0 * (z[:, 0] / 5.0) ** 2) * rng.standard_normal(len(z))
     ),
-    "rare falls": lambda rng, z: -5.0 * SD * (rng.random(len(z)) < 0.04),
+    "rare falls": lambda rng, z: np.where(rng.random(len(z)) < 0.04, -5.0 * SD, 0.0),
 }
 
 
@@ -33,7 +33,7 @@ class NoisyRollouts(FunctionRollouts):
         super().__init__(rng, function, OBSERVED[1])
         self._law = law
 
-    def simulate(self, wanted: list[StartRollout]) -> RolloutBatch:  # type: ignore[override]
+    def simulate(self, wanted: Sequence[StartRollout]) -> RolloutBatch:
         """Draw the robustness of every rollout."""
         z = np.array([each.start for each in wanted])
         values = self._function(z) + self._law(self._rng, z)

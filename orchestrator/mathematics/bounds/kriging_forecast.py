@@ -28,6 +28,10 @@ import numpy as np
 
 from ..gp.kernels import Floats
 from .kriging import KrigingBounds
+from .kriging_audit import PointMeans
+
+DRAWS = 40
+"""Of a forecast while the campaign runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,3 +65,48 @@ def forecast_minima(bounds: KrigingBounds, coming: ComingRollouts, longer: float
     cost = bounds.premises.cost
     found = [end.shifted(slopes @ error).current(cost) for error in coming.errors]
     return np.array([float(np.maximum(bounds.lower, each).min()) for each in found])
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedBounds:
+    """The rest of a plan: the bounds and the means of its rollouts so far, and its rollouts at each point, (q,)."""
+
+    bounds: KrigingBounds
+    means: PointMeans
+    counts: Floats
+
+    @property
+    def left(self) -> Floats:
+        """Rollouts at each point of the design that are still to come, (q,)."""
+        return np.maximum(self.counts - self.means.counts, 0.0)
+
+    def forecast(self, laws: Sequence[Floats], errors: Floats) -> Floats:
+        """Return the bound of max J at the end of the plan, for each row of `errors`, (r,), unit J; no claim.
+
+        `laws` are values of J that a rollout at each point of the design may have, equally likely, and `errors` (r, q)
+        by how much their means may be wrong.
+        """
+        return -forecast_minima(self.bounds, ComingRollouts(self.left, self._mirrored(laws), -errors))
+
+    def outlook(self, more: float) -> tuple[Floats, Floats] | None:
+        """Return bounds of max J at the end of the plan, (r,), and what `more` rollouts in it would gain, (r,).
+
+        It is how the rollouts so far may go on, and no claim. Means follow the posterior of a Gaussian process, and
+        rollouts have the variance seen so far. None before every point was tested: nothing is known there.
+        """
+        if np.any((self.counts > 0) & (self.means.counts == 0)):
+            return None
+        variances = self.means.variances()
+        means, covariance = self.means.posterior(variances)
+        covariance = covariance + np.diag(variances / np.maximum(self.left, 1.0))
+        rng = np.random.default_rng(0)
+        errors = rng.multivariate_normal(np.zeros(len(means)), covariance, DRAWS, check_valid="ignore", method="eigh")
+        # Two equally likely values have this mean and variance.
+        laws = [-(mean + np.array([-sd, sd])) for mean, sd in zip(means, np.sqrt(variances), strict=True)]
+        again = ComingRollouts(self.counts, self._mirrored(laws), errors)
+        longer = 1.0 + more / float(self.counts.sum())
+        now, then = (forecast_minima(self.bounds.empty(), again, factor) for factor in (1.0, longer))
+        return self.forecast(laws, -errors), np.maximum(then - now, 0.0)
+
+    def _mirrored(self, laws: Sequence[Floats]) -> list[Floats]:
+        return [np.clip(-law, *self.bounds.premises.ends) for law in laws]

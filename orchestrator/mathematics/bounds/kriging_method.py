@@ -30,12 +30,9 @@ from .kriging import GuessedMean, KrigingBounds, KrigingPremises, check_value
 from .kriging_audit import NormAudit, PointMeans
 from .kriging_cells import NodeCells, between
 from .kriging_design import plan_design
-from .kriging_forecast import ComingRollouts, forecast_minima
+from .kriging_forecast import PlannedBounds
 from .kriging_weights import WeightTerms, plan_weights
 from .method import Method
-
-DRAWS = 40
-"""Of a forecast while the campaign runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,40 +100,9 @@ class KrigingMethod(Method):
         return self._audit.b_min
 
     @property
-    def left(self) -> Floats:
-        """Rollouts at each point of the design that are still to come, (q,)."""
-        return np.maximum(self._counts - self._means.counts, 0.0)
-
-    def forecast(self, laws: Sequence[Floats], errors: Floats) -> Floats:
-        """Return the bound at the end of the budget, for each row of `errors`, (r,), unit J; no claim.
-
-        `laws` are values of J that a rollout at each point of the design may have, equally likely, and `errors` (r, q)
-        by how much their means may be wrong. See `kriging_forecast`.
-        """
-        return -forecast_minima(self._bounds, ComingRollouts(self.left, self._mirrored(laws), -errors))
-
-    def outlook(self, more: float) -> tuple[Floats, Floats] | None:
-        """Return bounds of max J at the end of the budget, (r,), and what `more` rollouts in the plan would gain, (r,).
-
-        It is how the rollouts so far may go on, and no claim. Means follow the posterior of a Gaussian process, and
-        rollouts have the variance seen so far. None before every point was tested: nothing is known there.
-        """
-        if np.any((self._counts > 0) & (self._means.counts == 0)):
-            return None
-        variances = self._means.variances()
-        means, covariance = self._means.posterior(variances)
-        draw = np.random.default_rng(0).multivariate_normal
-        noise = np.diag(variances / np.maximum(self.left, 1.0))
-        errors = draw(np.zeros(len(means)), covariance + noise, DRAWS, check_valid="ignore", method="eigh")
-        # Two equally likely values have this mean and variance.
-        laws = [-(mean + np.array([-sd, sd])) for mean, sd in zip(means, np.sqrt(variances), strict=True)]
-        total, start = float(self._counts.sum()), self._bounds.empty()
-        again = ComingRollouts(self._counts, self._mirrored(laws), errors)
-        now, then = (forecast_minima(start, again, longer) for longer in (1.0, 1.0 + more / total))
-        return self.forecast(laws, -errors), np.maximum(then - now, 0.0)
-
-    def _mirrored(self, laws: Sequence[Floats]) -> list[Floats]:
-        return [np.clip(-law, *self._premises.ends) for law in laws]
+    def coming(self) -> PlannedBounds:
+        """The rest of the plan, for forecasts."""
+        return PlannedBounds(self._bounds, self._means, self._counts)
 
     def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:  # noqa: ARG002
         """Return the next test of the design; it changes nothing, and `first` has no effect here.
