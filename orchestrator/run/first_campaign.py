@@ -100,12 +100,12 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
         raise _exists(out) from None
     yield f"{out}: {news}"
     file, edit = shlex.quote(str(out)), "" if wish.specification else "Edit its specification. "
-    yield f"{edit}Check the system: perfbound check-system {file}. Then: perfbound run {file}"
     if campaign.noisy and wish.question in CALIBRATED and len(spec.parameters) <= LATTICE_PARAMETERS:
         yield (
             f"Rollouts are noisy. perfbound calibrate {file} proposes constants from more of them, and says whether "
             "method kriging may be expected to prove more."
         )
+    yield f"{edit}Check the system: perfbound check-system {file}. Then: perfbound run {file}"
 
 
 def _check_unwritten(out: Path) -> None:

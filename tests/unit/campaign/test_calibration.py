@@ -183,9 +183,9 @@ def test_a_planned_method_gets_its_budget_from_the_bounds_of_several(tmp_path: P
     proposed = forecast.proposed
     assert (config.max_tests, config.replicates) == (proposed.tests, proposed.replicates)
     assert [each.enters / proposed.enters for each in forecast.budgets] == pytest.approx(FACTORS, rel=0.05)
-    # J falls with the budget, towards the largest J of the function and never below it.
+    # J falls with the budget, towards the largest J of the function and never below it; from one to the next it may
+    # rise, because a larger plan trusts the fit between the points more.
     middles = [each.bound.middle for each in forecast.budgets]
-    assert middles[2:] == sorted(middles[2:], reverse=True), "smaller ones have fewer points"
     assert all(each.bound.low <= each.bound.middle <= each.bound.high for each in forecast.budgets)
     assert forecast.without >= middles[0] > middles[-1] > forecast.fitted - 0.05
     assert forecast.fitted == pytest.approx(-0.95, abs=0.1), "the worst start has .95"
