@@ -15,6 +15,7 @@ CLIP = (-1e100, 1e100)
 """Stands in for a clip that the draft leaves open: no value is beyond it."""
 STAND_INS: Mapping[str, Mapping[str, Any]] = {
     "rigorous": {"alpha": 1.0, "rkhs_norm": 1.0, "noise_scale": "derived", "kernel": {"length_scale": 1.0}},
+    "kriging": {"rkhs_norm": 1.0, "kernel": {"length_scale": 1.0}},
 }
 """The constants that a draft may leave open: a row for each method that is calibrated."""
 NOT_CALIBRATED: Mapping[str, str] = {
@@ -43,9 +44,12 @@ class Draft:
         return self.config.clip if "clip" in self.table else None
 
     def given(self, number: int) -> Mapping[str, Any]:
-        """Return the keys of a problem as the file gives them; those of the only one may be at the top."""
-        problem: Mapping[str, Any] = self.table if leaves_out_problems(self.table) else self.table["problems"][number]
-        return problem
+        """Return the keys of a problem as the file gives them, over those of the campaign."""
+        return self.table if leaves_out_problems(self.table) else {**self.table, **self.table["problems"][number]}
+
+    def names_method(self, number: int) -> bool:
+        """Whether the file says which method a problem has."""
+        return "method" in self.given(number)
 
 
 def load_draft(path: Path) -> Draft:

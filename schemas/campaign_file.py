@@ -22,6 +22,7 @@ from .claims import ClaimRequest
 from .composition import ComposedClaim
 from .errors import CampaignError
 from .kernel import MaternKernel, Weighted
+from .method_spaces import SPACES, space_needed
 from .outside import read_outside
 from .problem_models import PROBLEM_MODELS, Gap, Linearised
 from .problems import OBJECTIVES, any_of
@@ -171,7 +172,8 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
     try:
         return CampaignConfig.model_validate_json(json.dumps(found, default=str))
     except ValidationError as error:
-        fault = _first_fault(error, found, leaves_out_problems(table))
+        one_problem = leaves_out_problems(table)
+        fault = _list_fault(found, one_problem) or _first_fault(error, found, one_problem)
         if not OF_PROBLEM & table.keys() and is_description(table):
             fault += f"; this file describes a program alone: perfbound init {source} makes a campaign of it"
         raise CampaignError(f"{source}: {fault}") from None
@@ -218,6 +220,20 @@ def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
         return
     for part, child in inner:
         yield from _leaves(child, f"{key}.{part}" if key else str(part))
+
+
+def _list_fault(table: Mapping[str, Any], one_problem: bool) -> str | None:
+    """Return the fault of a method that takes no list of starts: with another method its missing keys do not matter."""
+    space, problems = table.get("space"), table.get("problems")
+    if not isinstance(space, Mapping) or not isinstance(space.get("scenarios"), list) or not isinstance(problems, list):
+        return None
+    for number, problem in enumerate(problems):
+        method = problem.get("method") if isinstance(problem, Mapping) else None
+        for name, kinds in SPACES.items():
+            if method == name and "scenarios" not in kinds:
+                key = "" if one_problem else f"problems.{problem.get('name', number)}."
+                return f"{key}{space_needed(name, 'scenarios')}"
+    return None
 
 
 def _first_fault(error: ValidationError, table: dict[str, Any], one_problem: bool) -> str:

@@ -126,7 +126,17 @@ def check_space(method: MethodName, space: Space, resolution: int, starts: int |
             f"space.{name}.{given.for_draws[0]}: not allowed with method {method!r}, which draws no starts; give low "
             f"and high alone{otherwise}"
         )
-    raise ValueError(f"{where}.method: {method!r} needs {NEEDED[SPACES[method][0]]}")
+    raise ValueError(f"{where}.{space_needed(method, kind)}")
+
+
+def space_needed(method: MethodName, kind: SpaceKind) -> str:
+    """Return the fault of a method that does not take a space of this kind, and the methods that do.
+
+    >>> space_needed("kriging", "scenarios").partition("; ")[2]
+    "for a list of scenarios under [space] choose 'rigorous' or 'scenario'"
+    """
+    others = any_of(tuple(name for name, kinds in SPACES.items() if kind in kinds))
+    return f"method: {method!r} needs {NEEDED[SPACES[method][0]]}; for {NEEDED[kind]} choose {others}"
 
 
 def check_region(method: MethodName, space: Space) -> None:

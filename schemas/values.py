@@ -78,6 +78,24 @@ MARKED = frozenset(math.ceil(1.1**power) for power in range(150))
 
 
 @dataclass(frozen=True, slots=True)
+class Guess:
+    """A guess of J, and its range."""
+
+    middle: float
+    low: float
+    high: float
+
+    def ends(self, sign: int) -> tuple[float, float]:
+        """Return the ends of the range in the unit of the objective, which is J times `sign`; the lower one first."""
+        return (self.low, self.high) if sign > 0 else (-self.high, -self.low)
+
+    def words(self, sign: int) -> str:
+        """Return the guess with its range, in the unit of the objective."""
+        low, high = self.ends(sign)
+        return f"{sign * self.middle:.3g} ({low:.3g} to {high:.3g})"
+
+
+@dataclass(frozen=True, slots=True)
 class ProblemProgress:
     """The state of one problem: its closed tests, their rollouts and the last bound; `F` is that of the last test.
 
@@ -92,6 +110,8 @@ class ProblemProgress:
     extended: int | None = None
     course: tuple[tuple[int, float], ...] = ()
     """(tests, bound on J after them) at the tests that are `MARKED`."""
+    planned: tuple[Guess, Guess] | None = None
+    """Of a method that plans its tests: the bound at the end of the budget, and what a longer plan would gain."""
 
 
 def _drop_signs_of_zeros(value: object, *names: str) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...schemas.campaign_defaults import derived_lengths
 from ...schemas.problems import MethodName
@@ -36,6 +37,8 @@ WORST_SHARE = 0.05
 """Of the starts, those where values are least on average, around which c and s are taken."""
 SPREAD_MARGIN = 1.2
 """A larger spread loses less by rare falls."""
+FINE_NODES: Mapping[int, int] = {1: 101, 2: 41}
+"""Nodes per parameter of method `kriging`, by the number of parameters, where the default is coarse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,16 +152,28 @@ def _rigorous_proposal(
     return (*found, *_effort(measured, given, found))
 
 
-CONSTANTS: Mapping[MethodName, Callable[..., tuple[Constant, ...]]] = {"rigorous": _rigorous_proposal}
+def _kriging_proposal(
+    measured: ProblemEvidence, choice: Choice, trial: KernelTrial, given: Mapping[str, Any]
+) -> tuple[Constant, ...]:
+    """Return the constants of a problem by method `kriging`, without its budget."""
+    found = [*_kernel_constants(measured, choice, trial), _spread_constant(measured)]
+    nodes = FINE_NODES.get(len(measured.box.names))
+    if nodes is not None and "resolution" not in given:
+        reason = "Nodes per parameter: the cells around them are so small that they cost the bound little."
+        found.append(Constant("resolution", nodes, reason))
+    return tuple(found)
+
+
+CONSTANTS: Mapping[MethodName, Callable[..., tuple[Constant, ...]]] = {
+    "rigorous": _rigorous_proposal,
+    "kriging": _kriging_proposal,
+}
 """What a method needs beside clip, linearised risk and budget: a row for each that is calibrated."""
 
 
 def linearised_constants(shares: Floats, robustness: Floats) -> Constant:
     """Return centre and spread of a linearised risk, from clipped robustness (n, k), k >= 2, at starts (n, p)."""
-    # One start ranks by chance, and its own values would then be too low: its neighbours are ranked with it.
-    means = robustness.mean(axis=1)[nearest_starts(shares)].mean(axis=1)
-    worst = np.argsort(means, kind="stable")[: max(4, round(WORST_SHARE * len(robustness)))]
-    worst = np.unique(nearest_starts(shares)[worst])
+    worst = _worst_starts(shares, robustness)
     centre, sd = float(robustness[worst].mean()), pooled(robustness[worst])
     spread = SPREAD_MARGIN * sd or 0.01 * float(np.ptp(robustness)) or 1.0
     value = {"centre": rounded(centre, spread), "spread": rounded_up(spread)}
@@ -167,6 +182,14 @@ def linearised_constants(shares: Floats, robustness: Floats) -> Constant:
         f"{len(robustness)} starts, where the bound has to be sharp."
     )
     return Constant("linearised", value, reason, f"spread times {SPREAD_MARGIN:g}")
+
+
+def _worst_starts(shares: Floats, robustness: Floats) -> NDArray[np.intp]:
+    """Return the starts (n, p) with the least robustness (n, k)."""
+    # One start ranks by chance, and its own values would then be too low: its neighbours are ranked with it.
+    means = robustness.mean(axis=1)[nearest_starts(shares)].mean(axis=1)
+    worst = np.argsort(means, kind="stable")[: max(4, round(WORST_SHARE * len(robustness)))]
+    return np.unique(nearest_starts(shares)[worst])
 
 
 def _plain_fit(measured: ProblemEvidence) -> KernelFit:
@@ -214,6 +237,21 @@ def _prediction(measured: ProblemEvidence, trial: KernelTrial) -> str:
     if measured.data.exact:
         return f"The other values explain {100 * found.explained:.4g} % of the variance of each."
     return f"Predictions of each value from the others miss by {math.sqrt(found.excess):.2f} times its own noise."
+
+
+def _spread_constant(measured: ProblemEvidence) -> Constant:
+    values = measured.values
+    least = 0.01 * float(np.ptp(values)) or 0.01
+    if not measured.noisy:
+        return Constant(
+            "spread", rounded_up(least), "The rollouts do not depend on the seed; a hundredth of the range."
+        )
+    worst = _worst_starts(measured.shares, -values)
+    reason = (
+        f"Standard deviation of a rollout at the {len(worst)} worst of {len(values)} starts, where the bound has to be "
+        "sharp; no assumption."
+    )
+    return Constant("spread", rounded_up(max(pooled(values[worst]), least)), reason)
 
 
 def _noise_constant(measured: ProblemEvidence) -> Constant:

@@ -4,7 +4,8 @@ A forecast, and no claim: the bounds so far are continued as now - c (x(n) - x(n
 log n for p = 0, and c by least squares. The power p of a bound is not known: large noise hides a bound at first, and it
 falls faster and faster (p < 0); later it approaches a limit (p > 0). So each of `POWERS` is fitted to all bounds and to
 the later half of them; the range is that of the fits that describe the later half nearly as well as the best one. Pure
-Python, because `perfbound status` loads no numpy.
+Python, because `perfbound status` loads no numpy. A method that plans its tests has a forecast of its own, from its
+weights: see `planned_outlook`.
 """
 
 import math
@@ -14,7 +15,7 @@ from statistics import median
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.problem_models import KrigingProblem, Problem, SampleProblem
-from ...schemas.values import ProblemProgress
+from ...schemas.values import Guess, ProblemProgress
 from .forecast import FEWEST, budget
 
 POWERS = (-0.5, -0.25, 0.0, 0.25, 0.5, 1.0)
@@ -28,15 +29,6 @@ FEWEST_POINTS = 6
 
 Point = tuple[int, float]
 """(tests, bound on J after them)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Guess:
-    """A guess, and its range over the fits."""
-
-    middle: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +76,11 @@ def outlook_lines(config: CampaignConfig, progress: Sequence[ProblemProgress]) -
 
 def in_words(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> str | None:
     """Return the forecast of a problem in words; None where there is none, and for a question that is answered."""
-    # A number of samples is fixed, and so is what it can show; the weights of `kriging` are those of its budget.
-    if (
-        isinstance(problem, SampleProblem | KrigingProblem)
-        or progress.stopped_by not in (None, "budget")
-        or not progress.tests
-    ):
+    # A number of samples is fixed, and so is what it can show.
+    if isinstance(problem, SampleProblem) or progress.stopped_by not in (None, "budget") or not progress.tests:
         return None
+    if isinstance(problem, KrigingProblem):
+        return _planned_words(config, problem, progress)
     found = outlook(
         _with_last(progress),
         tests=progress.tests,
@@ -101,11 +91,23 @@ def in_words(config: CampaignConfig, problem: Problem, progress: ProblemProgress
     if found is None:
         return None
     sign = -1 if config.sense_of(problem) == "min" else 1
-    gain = _in_range(found.gain, 1)
+    gain = found.gain.words(1)
     more = f"{MORE} further rollouts would bring about {gain}"
     if progress.stopped_by == "budget":
         return f"forecast: {more}"
-    return f"forecast: bound about {_in_range(found.bound, sign)} after {found.tests} tests; {more}"
+    return f"forecast: bound about {found.bound.words(sign)} after {found.tests} tests; {more}"
+
+
+def _planned_words(config: CampaignConfig, problem: KrigingProblem, progress: ProblemProgress) -> str | None:
+    """Return the forecast of a problem whose tests are planned, and end with the plan."""
+    if progress.planned is None:
+        return None
+    bound, gain = progress.planned
+    more = f"a campaign planned for {MORE} more rollouts would gain about {gain.words(1)}"
+    if progress.stopped_by == "budget":
+        return f"forecast: {more}"
+    sign = -1 if config.sense_of(problem) == "min" else 1
+    return f"forecast: bound about {bound.words(sign)} after {config.max_tests_of(problem)} tests; {more}"
 
 
 def _with_last(progress: ProblemProgress) -> list[Point]:
@@ -141,8 +143,3 @@ class _Fit:
 
 def _over_fits(values: Sequence[float]) -> Guess:
     return Guess(median(values), min(values), max(values))
-
-
-def _in_range(found: Guess, sign: int) -> str:
-    ends = sorted((sign * found.low, sign * found.high))
-    return f"{sign * found.middle:.3g} ({ends[0]:.3g} to {ends[1]:.3g})"

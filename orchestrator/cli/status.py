@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ...schemas.errors import one_line
+from ...schemas.problem_models import KrigingProblem
 from ..campaign.forecast import left_in_words
 from ..campaign.outlook import outlook_lines
 from ..certificate import files
@@ -37,12 +38,22 @@ def print_status(directory: Path, console: Console) -> None:
         left = remaining_tests(config, problem, each)
         rows.append((each, "-" if left is None else left_in_words(config, problem, left)))
     console.print(progress_table(config, rows))
-    for line in (*outlook_lines(config, found.problems), *_work(found, running=running)):
+    outlooks = outlook_lines(config, found.problems)
+    if certificate is None and any(isinstance(each, KrigingProblem) for each in config.problems):
+        outlooks = _planned_outlooks(directory)
+    for line in (*outlooks, *_work(found, running=running)):
         console.print(Text(line), soft_wrap=True)
     if certificate is not None:
         print_end(directory, found.header, certificate, console)
     elif not running:
         console.print(Text(f"continue with: {resume_command(directory)}"), soft_wrap=True)
+
+
+def _planned_outlooks(directory: Path) -> list[str]:
+    """Return the forecasts of a campaign with planned tests: they take its weights, which are planned again."""
+    from ..report.collect import Collector  # noqa: PLC0415  (loads numpy, and takes seconds)
+
+    return [f"{each.name}, {each.outlook}" for each in Collector(directory).refresh().problems if each.outlook]
 
 
 def _work(progress: CampaignProgress, *, running: bool) -> list[str]:

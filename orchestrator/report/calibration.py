@@ -1,8 +1,9 @@
 """The output of `perfbound calibrate`: a table, a campaign file, pictures, and the numbers behind them as JSON."""
 
+import itertools
 import json
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ from rich.table import Column, Table
 from ...schemas import atomic
 from ...schemas.errors import PerfboundError
 from ..campaign.calibration import ProblemCalibration
+from ..campaign.calibration_budget import RANGE, THOUSAND, BudgetForecast
 from ..campaign.calibration_forecast import Forecast
+from ..campaign.calibration_tolerance import ToleranceForecast
 from ..mathematics.calibration.trust import KernelTrial
 from ..run.calibration import Calibration, CalibrationWish, Report, calibrate_draft
 from ..run.format import duration
@@ -33,8 +36,8 @@ def calibration_of(wish: CalibrationWish, folder: Path, report: Report) -> Calib
     _check_new(wish.out, folder)
     found = calibrate_draft(wish, report)
     files = {folder / NUMBERS: json.dumps(_json_numbers(found), indent=1).encode() + b"\n"}
-    for problem in found.problems:
-        files[folder / f"calibration-{problem.name}.png"] = calibration_picture(problem)
+    for problem, guess in itertools.zip_longest(found.problems, found.forecasts):
+        files[folder / f"calibration-{problem.name}.png"] = calibration_picture(problem, guess)
     if found.text is not None:
         files[wish.out] = found.text.encode()
     folder.mkdir(parents=True, exist_ok=True)
@@ -79,7 +82,10 @@ def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
                 "the clipped robustness. Choose a wider one, unless that is meant."
             )
     for problem, guess in zip(found.problems, found.forecasts, strict=False):
-        yield f"{problem.name}: {_forecast_words(problem, guess)}"
+        lines = _FORECAST_LINES[type(guess)](guess)
+        yield f"{problem.name}: forecast{next(lines)}"
+        yield from lines
+    yield from _other_methods(found)
     yield f"evidence: {folder}/{NUMBERS} and calibration-*.png"
     if found.text is None:
         yield "No campaign file is written: without a specification there is nothing to sample; give one."
@@ -88,15 +94,56 @@ def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
     yield f"{found.wish.out}: the campaign {what}. Then: perfbound run {shlex.quote(str(found.wish.out))}"
 
 
-def _forecast_words(problem: ProblemCalibration, guess: Forecast) -> str:
-    alpha = problem.keys["alpha"]
+def _tolerance_lines(guess: ToleranceForecast) -> Iterator[str]:
     seconds = f"{guess.rollouts} rollouts in about {duration(guess.seconds)} with {guess.workers} workers at most"
     if guess.tests is None:
-        return (
-            f"forecast: {len(guess.widths)} tests leave {guess.widths[-1]:.3g} between the bounds, and alpha = {alpha} "
+        yield (
+            f": {len(guess.widths)} tests leave {guess.widths[-1]:.3g} between the bounds, and alpha = {guess.alpha} "
             f"is out of reach; raise alpha, or accept the wider bound after {guess.budget} tests ({seconds})"
         )
-    return f"forecast: alpha = {alpha} after about {guess.tests} tests; {seconds}, closing checks included"
+    else:
+        yield f": alpha = {guess.alpha} after about {guess.tests} tests; {seconds}, closing checks included"
+
+
+def _budget_lines(guess: BudgetForecast) -> Iterator[str]:
+    sign, share = guess.sign, RANGE[1] - RANGE[0]
+    yield (
+        f" of the bound, if every assumption holds; without any rollout it is {sign * guess.without:.3g}, and the "
+        f"worst start of the fitted function has {sign * guess.fitted:.3g}"
+    )
+    yield f"  {'rollouts':>9}  {'max_tests':>9}  {'replicates':>10}  {f'bound, {100 * share:.0f} % range':<26}  time"
+    for each in guess.budgets:
+        mark = "  <- proposed" if each == guess.proposed else ""
+        yield (
+            f"  {each.enters:>9}  {each.tests:>9}  {each.replicates:>10}  {each.bound.words(sign):<26}  "
+            f"{duration(each.seconds)}{mark}"
+        )
+    yield (
+        f"  {THOUSAND} further rollouts would bring about {guess.thousand:.2g}; times are those of {guess.workers} "
+        "workers, closing checks included"
+    )
+
+
+_FORECAST_LINES: Mapping[type[Forecast], Callable[[Any], Iterator[str]]] = {
+    ToleranceForecast: _tolerance_lines,
+    BudgetForecast: _budget_lines,
+}
+
+
+def _other_methods(found: Calibration) -> Iterator[str]:
+    """Yield a line for each problem without a method for which another one may be expected to prove more."""
+    numbers = {problem.name: number for number, problem in enumerate(found.problems)}
+    for each in found.instead:
+        if not each.is_tighter:
+            continue
+        given = found.draft.given(numbers[each.problem])
+        unused = [key for key in ("alpha", "noise_scale", "slack", "regulariser") if key in given]
+        change = f"put it in place of {', '.join(unused)}" if unused else "add it"
+        yield (
+            f"{each.problem}: method kriging may be expected to prove {each.kriging.words(each.sign)} with "
+            f"{each.rollouts} rollouts, where rigorous proves {each.sign * each.default:.3g}; for a file with "
+            f'method = "kriging", {change} in a copy of {found.wish.campaign.name} and calibrate that'
+        )
 
 
 def _value_text(value: Any) -> str:
@@ -118,10 +165,11 @@ def _json_numbers(found: Calibration) -> dict[str, Any]:
         "trustworthy": found.trusted,
         "clip": None if found.clip is None else found.clip.value,
         "problems": [_problem_numbers(each) for each in found.problems],
-        "forecasts": [
-            {"tests": each.tests, "budget": each.budget, "seconds": each.seconds, "rollouts": each.rollouts}
-            | {"widths": list(each.widths)}
-            for each in found.forecasts
+        "forecasts": [each.numbers for each in found.forecasts],
+        "kriging_instead": [
+            {"problem": each.problem, "rollouts": each.rollouts, "default": each.sign * each.default}
+            | {"bound": each.sign * each.kriging.middle, "range": list(each.kriging.ends(each.sign))}
+            for each in found.instead
         ],
     }
 

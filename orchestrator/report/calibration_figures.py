@@ -6,6 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..campaign.calibration import ProblemCalibration
+from ..campaign.calibration_budget import BudgetForecast
+from ..campaign.calibration_forecast import Forecast
 from ..campaign.pilot import rounded_up
 from ..mathematics.calibration.norm_growth import sizes_of
 from ..mathematics.calibration.steepness import quotients
@@ -14,19 +16,26 @@ from ..mathematics.calibration.variogram import variogram
 from . import style
 from .style import BLUE, GREEN, GREY, RED, THICK, THIN
 
-WIDTH, HEIGHT = 7.2, 4.4
-"""Inches."""
+WIDTH, HEIGHT, FORECAST = 7.2, 4.4, 2.2
+"""Inches; the last one is the height of a forecast below the panels."""
 COLOURS = (BLUE, GREEN, RED)
 BINS = 30
 
 
-def calibration_picture(found: ProblemCalibration) -> bytes:
-    """Return the picture of one problem as PNG."""
-    with style.new_figure(HEIGHT, WIDTH) as figure:
-        panels = figure.subplots(2, 3).flat
-        for axes, draw in zip(panels, _PANELS, strict=True):
+def calibration_picture(found: ProblemCalibration, guess: Forecast | None) -> bytes:
+    """Return the picture of one problem as PNG; the bounds of several budgets are below the panels."""
+    budgets = guess if isinstance(guess, BudgetForecast) else None
+    with style.new_figure(HEIGHT + FORECAST * (budgets is not None), WIDTH) as figure:
+        rows = 2 if budgets is None else 3
+        places = figure.add_gridspec(rows, 3)
+        for number, draw in enumerate(_PANELS):
+            axes = figure.add_subplot(places[divmod(number, 3)])
             axes.spines[["top", "right"]].set_visible(False)
             draw(axes, found)
+        if budgets is not None:
+            axes = figure.add_subplot(places[2, :])
+            axes.spines[["top", "right"]].set_visible(False)
+            _draw_budgets(axes, budgets)
         trial = found.choice.chosen
         verdict = (
             "no kernel is trustworthy" if trial is None else f"nu = {trial.fit.nu:g}, B = {rounded_up(trial.bound):g}"
@@ -129,6 +138,9 @@ def _draw_noise(axes: Axes, found: ProblemCalibration) -> None:
     scale = found.keys.get("noise_scale")
     if isinstance(scale, float):
         style.draw_tolerance(axes, scale, "black", "R")
+    spread = found.keys.get("spread")
+    if isinstance(spread, float):
+        style.draw_tolerance(axes, spread, "black", "spread")
     axes.set_ylim(bottom=0)
     axes.legend(loc="best")
 
@@ -141,6 +153,21 @@ def _draw_histogram(axes: Axes, found: ProblemCalibration) -> None:
     mean = found.keys.get("prior_mean", float(np.mean(measured.values)))
     if isinstance(mean, float):
         axes.axvline(mean, color="black", linestyle="--", linewidth=THICK)
+
+
+def _draw_budgets(axes: Axes, guess: BudgetForecast) -> None:
+    axes.set(title="forecast", xlabel="rollouts", ylabel="bound", xscale="log")
+    sizes = [each.enters for each in guess.budgets]
+    middles = [guess.sign * each.bound.middle for each in guess.budgets]
+    low, high = (list(each) for each in zip(*(each.bound.ends(guess.sign) for each in guess.budgets), strict=True))
+    axes.fill_between(sizes, low, high, color=BLUE, alpha=0.2, linewidth=0)
+    axes.plot(sizes, middles, "o-", color=BLUE, markersize=3, linewidth=THICK, label="expected, with its range")
+    at, bound = guess.proposed.enters, guess.sign * guess.proposed.bound.middle
+    axes.plot([at], [bound], "D", color=RED, markersize=5, label="proposed")
+    axes.axhline(guess.sign * guess.fitted, color=GREY, linestyle="--", linewidth=THIN, label="worst fitted start")
+    axes.axhline(guess.sign * guess.without, color=GREY, linestyle=":", linewidth=THIN, label="without rollouts")
+    style.plain_ticks(axes.xaxis, sizes)
+    axes.legend(loc="best")
 
 
 _PANELS: tuple[Callable[[Axes, ProblemCalibration], None], ...] = (

@@ -6,6 +6,7 @@ lower change places for a minimum.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -13,12 +14,13 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Predicate, ProblemResult
 from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
 from ...schemas.requirements import alpha_of
-from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, StoppedBy
+from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import PartMethod, method
 from ..campaign.outlook import in_words
 from ..campaign.plan import ProblemPlan
+from ..campaign.planned_outlook import PlannedOutlooks
 from ..certificate.problem_results import objective
 from ..mathematics.bounds.sample import SampleMethod
 from ..store.changes import Decision
@@ -60,6 +62,7 @@ class ProblemCollector:
         self._drawn: list[Drawn] = []
         self._tests = observed_series(self.plan, self.observed)
         self._extended: int | None = None
+        self._planned = partial(PlannedOutlooks().of, plan, self._method)
         self._described = 0
         """Tests in surfaces and columns."""
         self._warnings = self._contradictions()
@@ -133,9 +136,16 @@ class ProblemCollector:
             rollouts=self.rollouts,
             stopped_by=stopped_by,
             left=None if stopped_by else self._left(),
-            outlook=None
-            if self._own
-            else _outlook(self._config, self.plan, self.observed, self.rollouts, self._extended),
+            outlook=_outlook(
+                self._config,
+                self.plan,
+                self.observed,
+                rollouts=self.rollouts,
+                extended=self._extended,
+                planned=self._planned,
+            )
+            if self.observed and not self._own
+            else None,
             surfaces=self._surfaces,
             tests=self._tests,
             by_clip=limit,
@@ -218,12 +228,16 @@ class ProblemCollector:
 
 
 def _outlook(
-    config: CampaignConfig, plan: ProblemPlan, observed: Sequence[ObservedTest], rollouts: int, extended: int | None
+    config: CampaignConfig,
+    plan: ProblemPlan,
+    observed: Sequence[ObservedTest],
+    *,
+    rollouts: int,
+    extended: int | None,
+    planned: Callable[[ProblemProgress], tuple[Guess, Guess] | None],
 ) -> str | None:
-    if not observed:
-        return None
     points = ((each.test + 1, each.bound.upper) for each in observed if each.test + 1 in MARKED)
     course = tuple((tests, upper) for tests, upper in points if upper is not None)
     last = observed[-1]
     progress = ProblemProgress(len(observed), rollouts, None, last.bound, last.stopped_by, extended, course)
-    return in_words(config, plan.problem, progress)
+    return in_words(config, plan.problem, replace(progress, planned=planned(progress)))

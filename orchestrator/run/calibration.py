@@ -1,7 +1,6 @@
 """`perfbound calibrate`: rollouts of its own at the draft's starts, the constants that follow, and a campaign file."""
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,15 @@ from ...schemas.campaign_draft import Draft, load_draft
 from ...schemas.campaign_file import parse_campaign
 from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.parameters import signal_shapes
+from ...schemas.problem_models import KrigingProblem
 from ...schemas.problems import OBJECTIVES, rolled_out
 from ...schemas.system import SystemSpec
 from ..campaign import plan as plans
 from ..campaign.calibrated_file import kernel_file, sample_file, without_keys
 from ..campaign.calibration import Constant, ProblemCalibration
-from ..campaign.calibration_forecast import Forecast, forecast, with_forecast
+from ..campaign.calibration_forecast import FORECASTS, Forecast
+from ..campaign.calibration_instead import Instead, kriging_instead
+from ..campaign.calibration_tolerance import ToleranceForecast
 from ..campaign.checks import check, check_new
 from ..campaign.pilot import clip_around
 from ..fleet.child import system_spec
@@ -57,6 +59,8 @@ class Calibration:
     """Of each problem; empty where a kernel is not trustworthy."""
     text: str | None
     """The campaign file; None where no method fits."""
+    instead: tuple[Instead, ...] = ()
+    """Comparisons with method `kriging`, of problems that name no method."""
 
     @property
     def trusted(self) -> bool:
@@ -101,7 +105,11 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
 def _needs_clip(config: CampaignConfig, spec: SystemSpec) -> bool:
     return any(
         OBJECTIVES[each.name].measured != "column"
-        and (bool(set(rolled_out(each.name, spec)) & set(spec.noisy)) or not OBJECTIVES[each.name].static)
+        and (
+            isinstance(each, KrigingProblem)
+            or bool(set(rolled_out(each.name, spec)) & set(spec.noisy))
+            or not OBJECTIVES[each.name].static
+        )
         for each in config.problems
     )
 
@@ -122,17 +130,17 @@ def with_file(found: Calibration) -> Calibration:
     constants = [each.constants for each in found.problems]
     config = parse_campaign(kernel_file(table, constants, found.clip, "").encode(), source)
     forecasts = tuple(
-        _forecast(config, found.spec, each, may_raise="alpha" not in found.draft.given(number))
-        for number, each in enumerate(found.problems)
+        _forecast(config, found.spec, each, found.draft.given(number)) for number, each in enumerate(found.problems)
     )
     found = replace(
         found,
         problems=tuple(
-            replace(each, constants=with_forecast(each.constants, guess))
+            replace(each, constants=guess.settled(each.constants))
             for each, guess in zip(found.problems, forecasts, strict=True)
         ),
         forecasts=forecasts,
     )
+    found = replace(found, instead=tuple(_comparisons(found, config)))
     spent = sum(each.measured.rollouts for each in found.problems)
     head = (
         f"Constants from `perfbound calibrate`: {spent} rollouts of its own, --seed {found.wish.seed}. They are "
@@ -143,16 +151,21 @@ def with_file(found: Calibration) -> Calibration:
     return replace(found, text=text)
 
 
-def _forecast(config: CampaignConfig, spec: SystemSpec, found: ProblemCalibration, *, may_raise: bool) -> Forecast:
+def _forecast(
+    config: CampaignConfig, spec: SystemSpec, found: ProblemCalibration, given: Mapping[str, Any]
+) -> Forecast:
     problem = next(each for each in config.problems if each.name == found.name)
     assert found.choice.chosen is not None, "the caller has checked it"
     plan = plans.plan(config, spec, problem)
-    started = time.monotonic()
-    guess = forecast(config, plan, found.choice.chosen.fit, found.measured, may_raise=may_raise)
-    # Its own tests took as long as those of the campaign will; each later one takes longer, with the square of its
-    # number.
-    own = (time.monotonic() - started) * max(1.0, guess.budget / len(guess.widths)) ** 3
-    return replace(guess, seconds=guess.seconds + own)
+    return FORECASTS[problem.method](config, plan, found.choice.chosen.fit, found.measured, given)
+
+
+def _comparisons(found: Calibration, config: CampaignConfig) -> Iterator[Instead]:
+    for number, (problem, guess) in enumerate(zip(found.problems, found.forecasts, strict=True)):
+        if isinstance(guess, ToleranceForecast) and not found.draft.names_method(number):
+            compared = kriging_instead(config, found.spec, problem, guess, found.draft.given(number))
+            if compared is not None:
+                yield compared
 
 
 def _sample_text(found: Calibration) -> str | None:

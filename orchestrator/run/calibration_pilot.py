@@ -1,13 +1,14 @@
 """The rollouts of a calibration of one problem, in the order in which each shows where the next ones go."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_draft import Draft
-from ...schemas.problem_models import Linearised, RigorousProblem
+from ...schemas.problem_models import KrigingProblem, Linearised, RigorousProblem
 from ...schemas.problems import OBJECTIVES, rolled_out
 from ...schemas.system import SystemSpec
 from ..campaign import plan as plans
@@ -17,7 +18,7 @@ from ..campaign.pilot import clip_around
 from ..campaign.region import Start
 from ..mathematics.calibration.noise import noisiest, pooled
 from ..mathematics.calibration.sampled import SampledValues
-from ..mathematics.calibration.steepness import Descent, End, SteepPlace, steepest
+from ..mathematics.calibration.steepness import FRESH, Descent, End, SteepPlace, steepest
 from ..mathematics.calibration.trust import least_predicted
 from ..mathematics.gp.kernels import Floats
 from .calibration_rollouts import RolloutBatch, StartRollout
@@ -73,9 +74,9 @@ class CalibrationPilot:
         """The clip that is proposed, if the draft needs one."""
 
     @property
-    def _problem(self) -> RigorousProblem:
+    def _problem(self) -> RigorousProblem | KrigingProblem:
         problem = self._config.problems[self._number]
-        assert isinstance(problem, RigorousProblem), "a draft has no other"
+        assert isinstance(problem, RigorousProblem | KrigingProblem), "a draft has no other"
         return problem
 
     def calibrated(self, rollouts: int, seed: int) -> ProblemCalibration:
@@ -101,6 +102,10 @@ class CalibrationPilot:
         later = self._budget.replicates + self._budget.at_noisiest
         again = self._repeated(starts, doubted, self._budget.at_doubted, later).mean(axis=1) if doubted else []
         descents = self._descents(data, pooled(values), len(starts))
+        repeated = {start: float(mean) for start, mean in zip(doubted, again, strict=True)}
+        if self._noisy:
+            descents = self._tested(descents, pooled(values), len(starts) * 2)
+            repeated |= _at_starts(descents, shares)
         measured = ProblemEvidence(
             plan=plans.plan(self._config, self._spec, self._problem),
             box=self._box,
@@ -108,7 +113,7 @@ class CalibrationPilot:
             values=values,
             noisiest=tuple(chosen),
             at_noisiest=at_noisiest,
-            again={start: float(mean) for start, mean in zip(doubted, again, strict=True)},
+            again=repeated,
             descents=descents,
             clipped=clipped,
             cost=self._simulated.cost,
@@ -166,8 +171,35 @@ class CalibrationPilot:
             test += len(paths)
         return tuple(Descent(tuple(path)) for path in paths)
 
+    def _tested(self, descents: Sequence[Descent], sd: float, test: int) -> tuple[Descent, ...]:
+        """Return the descents with fresh rollouts at both ends of every suspected jump; they are beyond the budget."""
+        found = []
+        for k, each in enumerate(descents):
+            if not each.is_suspected:
+                found.append(each)
+                continue
+            last = each.places[-1]
+            ends = (self._fresh(last.a, test + 2 * k, sd), self._fresh(last.b, test + 2 * k + 1, sd))
+            found.append(replace(each, fresh=SteepPlace(*ends)))
+        return tuple(found)
+
+    def _fresh(self, end: End, test: int, sd: float) -> End:
+        """Return an end by fresh rollouts; `sd` is that of a rollout at most starts."""
+        start = self._box.starts(np.array([end.shares]))[0]
+        wanted = [StartRollout(test, start, r) for r in range(FRESH)]
+        found = list(self._simulated.values(self._simulated.simulate(wanted), self._config).values())
+        variance = max(float(np.var(found, ddof=1)), sd**2)  # the noise may differ from start to start
+        return End(end.shares, float(np.mean(found)), variance / FRESH)
+
     def _matrix(self, found: Values) -> Floats:
         """Return the values of the space-filling starts, (n, k)."""
         return np.array(
             [[found[test, r] for r in range(self._budget.replicates)] for test in range(self._budget.starts)]
         )
+
+
+def _at_starts(descents: Sequence[Descent], shares: Floats) -> dict[int, float]:
+    """Return the fresh means at ends that are among the starts (n, p)."""
+    numbers = {tuple(each): k for k, each in enumerate(shares.tolist())}
+    ends = (end for each in descents if each.fresh for end in (each.fresh.a, each.fresh.b))
+    return {numbers[end.shares]: end.value for end in ends if end.shares in numbers}

@@ -30,6 +30,8 @@ from .first_pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
 
 REACH = 2.0
 """`alpha` is at least so many times what the tests could reach if all were at one start."""
+CALIBRATED = ("worst",)
+"""Questions about the worst start of a box, whose file is a draft for `perfbound calibrate` as well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,8 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
             f"--question {wish.question}: rollouts of {spec.name} are one sample, and this question needs longer ones; "
             "choose --question worst"
         )
-    text = _reachable(_first_campaign(wish, spec, choice, basis, cost)).text()
+    campaign = _reachable(_first_campaign(wish, spec, choice, basis, cost))
+    text = campaign.text()
     check_new(parse_campaign(text.encode(), str(out)), spec, str(out))
     try:
         atomic.write_new({out.absolute(): (text.encode(), 0o666)})
@@ -97,6 +100,11 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
         raise _exists(out) from None
     yield f"{out}: {news}"
     file, edit = shlex.quote(str(out)), "" if wish.specification else "Edit its specification. "
+    if campaign.noisy and wish.question in CALIBRATED and len(spec.parameters) <= LATTICE_PARAMETERS:
+        yield (
+            f"Rollouts are noisy. perfbound calibrate {file} proposes constants from more of them, and says whether "
+            "method kriging may be expected to prove more."
+        )
     yield f"{edit}Check the system: perfbound check-system {file}. Then: perfbound run {file}"
 
 

@@ -8,7 +8,7 @@ import queue
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from ...schemas.campaign import CampaignConfig
@@ -16,6 +16,7 @@ from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import RolloutId, closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
+from ..campaign.planned_outlook import PlannedOutlooks
 from ..fleet import dispatch, events
 from ..fleet.choice import out_of_favour
 from ..fleet.inbox import Inbox
@@ -107,6 +108,7 @@ class Service:
         self._listeners = listeners
         self._lines = Lines(self._print_line)
         self._roster = Roster(ledger.header.spec, journal.platform)
+        self._outlooks = PlannedOutlooks()
         self._review = Review(ledger, journal)
         self._results = Results(ledger, journal, self._review, self.inbox.put)
         self._assignments = Assignments(journal.directory, journal.header.run)
@@ -282,7 +284,7 @@ class Service:
             listener.print_line(line)
 
     def _show(self) -> None:
-        status = _status(self._ledger, self._state, self._roster, time.monotonic() - self._started)
+        status = _status(self._ledger, self._state, self._roster, self._outlooks, time.monotonic() - self._started)
         for listener in self._listeners:
             listener.show(status)
 
@@ -301,10 +303,17 @@ def _received(inbox: Inbox[Message], tick: float) -> tuple[list[Message], float]
     return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
 
 
-def _status(ledger: Ledger, state: DispatchState, roster: Roster, seconds: float) -> RunStatus:
+def _status(
+    ledger: Ledger, state: DispatchState, roster: Roster, outlooks: PlannedOutlooks, seconds: float
+) -> RunStatus:
     return RunStatus(
         ledger.config,
-        {name: account.progress for name, account in ledger.accounts.items()},
+        {
+            name: replace(
+                progress := account.progress, planned=outlooks.of(account.plan, ledger.methods[name], progress)
+            )
+            for name, account in ledger.accounts.items()
+        },
         {name: each.progress for name, each in ledger.series.items() if closing_check(name)},
         _phases(state),
         roster.records,

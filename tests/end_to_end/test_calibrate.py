@@ -12,7 +12,7 @@ import pytest
 
 from perfbound.schemas.campaign_file import load_campaign
 from perfbound.schemas.certificate import Certificate
-from perfbound.schemas.problem_models import RigorousProblem
+from perfbound.schemas.problem_models import KrigingProblem, RigorousProblem
 from tests.end_to_end.processes import Processes, contents, processes
 from tests.end_to_end.test_wheel import ROOT
 from tests.patience import patience
@@ -34,6 +34,10 @@ def jumping(x, y):
     return 1.2 + np.sin(x) * np.cos(2 * y) - (0.8 if x + y > 4.9 else 0)
 
 @pb.system(parameters=BOX, columns={"value": "m"})
+def noisy(x, y, *, seed):
+    return 1.2 + 0.1 * np.sin(x) * np.cos(2 * y) + 0.1 * np.random.default_rng(seed).standard_normal()
+
+@pb.system(parameters=BOX, columns={"value": "m"})
 def slow(x, y):
     time.sleep(0.2)
     return x
@@ -48,7 +52,7 @@ DRAFT = 'specification = "value >= 0"\nspace.x = [0, 5]\nspace.y = [-1, 1]\nsyst
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Processes]:
     (tmp_path / "systems.py").write_text(SYSTEMS)
-    for name in ("smooth", "jumping", "slow", "failing"):
+    for name in ("smooth", "jumping", "noisy", "slow", "failing"):
         (tmp_path / f"{name}.toml").write_text(DRAFT.format(name))
     with processes(tmp_path) as started:
         yield started
@@ -102,6 +106,42 @@ def test_noisy_rollouts_get_clip_noise_and_replicates(folder: Processes) -> None
     assert config.clip is not None
     assert config.clip[0] < 0
     assert config.replicates >= 2
+
+
+def test_a_planned_method_gets_a_budget_with_its_forecast_and_a_campaign(folder: Processes) -> None:
+    draft = folder.folder / "noisy.toml"
+    draft.write_text(f'method = "kriging"\nresolution = 9\n{draft.read_text()}')
+    ended = folder.run("perfbound", "calibrate", "noisy.toml", "--rollouts", "200")
+    assert (ended.code, ended.err) == (0, ""), ended.err
+    assert "robustness: forecast of the bound, if every assumption holds; without any rollout it is " in ended.out
+    assert ended.out.count("<- proposed") == 1
+    (numbers,) = json.loads((folder.folder / "noisy-calibration" / "calibration.json").read_text())["forecasts"]
+    assert len(numbers["budgets"]) == 5
+    written = folder.folder / "noisy-calibrated.toml"
+    problem = load_campaign(written).problems[0]
+    assert isinstance(problem, KrigingProblem)
+    # A small plan of the same file, whose bound is valid as well.
+    lines = written.read_text().splitlines()
+    kept = [each for each in lines if not each.startswith(("max_tests", "replicates"))]
+    written.write_text("\n".join(["max_tests = 50", "replicates = 4", "spot_check = 20", "recheck = 2", *kept]) + "\n")
+    claim = certified(folder, "noisy").predicate.claims[0]
+    assert claim.refuted == ()
+    assert claim.bound < 1.1, "the truth is about 1.1"
+    assert claim.bound > numbers["without_rollouts"]
+
+
+def test_a_list_of_starts_needs_another_method(folder: Processes) -> None:
+    draft = folder.folder / "list.toml"
+    draft.write_text(
+        'specification = "value >= 0"\nmethod = "kriging"\nsystem.python = "systems.py:noisy"\n'
+        "space.scenarios = [[1, 0], [2, 0]]\n"
+    )
+    for command in ("run", "calibrate"):
+        ended = folder.run("perfbound", command, "list.toml")
+        assert ended.last_line == (
+            "perfbound: list.toml: method: 'kriging' needs a box under [space]: low and high per parameter; for a list "
+            "of scenarios under [space] choose 'rigorous' or 'scenario'"
+        )
 
 
 def test_existing_files_stay_as_they_are_and_cost_no_rollout(folder: Processes) -> None:

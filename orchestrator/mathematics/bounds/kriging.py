@@ -25,6 +25,7 @@ The least one over the nodes bounds the minimum of mu over the box without a uni
 the cell in which the minimum is, one fixed cell, would be false [B82].
 """
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -84,8 +85,16 @@ class GuessedMean:
     @property
     def limits(self) -> tuple[float, float]:
         """The least and the largest weight of the next rollout that leave at least 1 - CAP of every wealth."""
-        u = self.value
+        return self.limits_at(self.value)
+
+    def limits_at(self, u: float) -> tuple[float, float]:
+        """Return the same for another guess `u` in [a, b]."""
         return -CAP / max(self._high - u, 1e-300), CAP / max(u - self._low, 1e-300)
+
+    def after(self, mean: float, count: float) -> float:
+        """Return the guess after `count` further rollouts of this mean."""
+        found = (self._sum + count * mean) / (self._count + count)
+        return min(max(found, self._low), self._high)
 
     def add(self, value: float) -> None:
         """Take a rollout.
@@ -164,6 +173,38 @@ class KrigingBounds:
         self._moved += np.abs(total)  # weights of one point have one sign
         self._add_weight(point, total)
         self.lower = np.maximum(self.lower, self.current(self.premises.cost))
+
+    def weights_at(self, u: float) -> Floats:
+        """Return the weight of a rollout at each point for each node, (m, q), where the guess of its mean is `u`."""
+        return np.clip(self._planned, *self._guess.limits_at(u))
+
+    @property
+    def guess(self) -> GuessedMean:
+        """U of the next rollout."""
+        return self._guess
+
+    def empty(self) -> "KrigingBounds":
+        """Return the state before the first rollout."""
+        return KrigingBounds(self._planned, self._kernel, self._cells, self.premises, error=self._error)
+
+    def ahead(self, totals: Floats, gains: Floats) -> "KrigingBounds":
+        """Return the state after further rollouts with these sums of weights (m, q) and of S + ln(1/delta), (m,).
+
+        It is for forecasts: such rollouts are no data, and `lower` stays that of the rollouts so far.
+        """
+        found = copy.copy(self)
+        found._weights, found._of_weights = self._weights.copy(), self._of_weights.copy()
+        found._least, found._squared = self._least.copy(), self._squared.copy()
+        for point in np.flatnonzero(np.any(totals != 0, axis=0)).tolist():
+            found._add_weight(point, totals[:, point])
+        found._moved = self._moved + np.abs(totals).sum(axis=1)
+        return found.shifted(gains)
+
+    def shifted(self, gains: Floats) -> "KrigingBounds":
+        """Return the state with S larger by `gains` (m,)."""
+        found = copy.copy(self)
+        found._sum = self._sum + gains
+        return found
 
     def current(self, cost: float) -> Floats:
         """Return the bound over every cell that the rollouts so far prove, (m,), unit X, where ln(1/delta) is `cost`.

@@ -27,6 +27,10 @@ from .kriging import EPSILON, GuessedMean, KrigingPremises
 
 MOST_CUT = 3.0
 """Planned weights are at most so many times what leaves the wealth positive; the rest is cut."""
+FEW = 10.0
+"""Rollouts at a point that show its variance as well as those of all points do."""
+AMPLITUDES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.06, 0.03)
+"""Amplitudes of a forecast that are tried, in units of B."""
 
 
 class PointMeans:
@@ -36,11 +40,43 @@ class PointMeans:
         self.kernel, self._premises = kernel, premises
         self._noise = (spread / premises.rkhs_norm) ** 2
         self.counts, self._sums = np.zeros(len(kernel)), np.zeros(len(kernel))
+        self._squares = np.zeros(len(kernel))
 
     def add(self, point: int, values: Sequence[float]) -> None:
         """Add the rollouts of one test."""
         self.counts[point] += len(values)
         self._sums[point] += math.fsum(values)
+        # About m0, where fewer digits cancel.
+        self._squares[point] += math.fsum((value - self._premises.prior_mean) ** 2 for value in values)
+
+    def variances(self) -> Floats:
+        """Return the variance of a rollout at each point, with that of all points as half of the evidence, (q,)."""
+        seen = np.maximum(self.counts, 1.0)
+        shifts = self._sums / seen - self._premises.prior_mean
+        squares = np.maximum(self._squares - seen * shifts**2, 0.0)
+        free = np.maximum(self.counts - 1.0, 0.0)
+        pooled = float(squares.sum() / max(float(free.sum()), 1.0))
+        return np.asarray((squares + FEW * pooled) / (free + FEW), dtype=np.float64)
+
+    def posterior(self, variances: Floats) -> tuple[Floats, Floats]:
+        """Return mean (q,) and covariance (q, q) of mu at the points, of a Gaussian process around m0.
+
+        Its amplitude is the likeliest of B and parts of B: one of amplitude B has a norm far above B.
+        """
+        seen = self.counts > 0
+        noise = np.diag(variances[seen] / self.counts[seen])
+        shift = self._sums[seen] / self.counts[seen] - self._premises.prior_mean
+        inner = self.kernel[np.ix_(seen, seen)]
+
+        def likelihood(amplitude: float) -> float:
+            gram = amplitude**2 * inner + noise + 1e-12 * amplitude**2 * np.eye(len(shift))
+            return float(-shift @ np.linalg.solve(gram, shift) - np.linalg.slogdet(gram)[1])
+
+        amplitude = max((self._premises.rkhs_norm * part for part in AMPLITUDES), key=likelihood)
+        between = amplitude**2 * self.kernel[:, seen]
+        gram = between[seen] + noise + 1e-12 * amplitude**2 * np.eye(len(shift))
+        solved = np.linalg.solve(gram, np.column_stack([shift, between.T]))
+        return self._premises.prior_mean + between @ solved[:, 0], amplitude**2 * self.kernel - between @ solved[:, 1:]
 
     def roughness(self) -> Floats:
         """Return r, 0 at points without rollouts, (q,)."""

@@ -30,6 +30,7 @@ from .kriging import GuessedMean, KrigingBounds, KrigingPremises, check_value
 from .kriging_audit import NormAudit, PointMeans
 from .kriging_cells import NodeCells, between
 from .kriging_design import plan_design
+from .kriging_forecast import PlannedBounds
 from .kriging_weights import WeightTerms, plan_weights
 from .method import Method
 
@@ -74,7 +75,7 @@ class KrigingMethod(Method):
         self._premises = KrigingPremises(premises.rkhs_norm, -premises.prior_mean, (-high, -low), premises.delta)
         points = lattice.nodes[list(self.design.nodes)]
         self._to_nodes, inner = between(radial, lattice.nodes, points), between(radial, points, points)
-        counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
+        self._counts = counts = np.array(self.design.counts, dtype=np.float64) * budget.replicates
         planned = plan_weights(self._to_nodes, inner, counts, _weight_terms(self._premises, spread))
         self._bounds = KrigingBounds(
             planned, inner, NodeCells(lattice, radial, points), self._premises, error=radial.error
@@ -97,6 +98,11 @@ class KrigingMethod(Method):
     def b_min(self) -> float:
         """The norm that the rollouts need, by the audit, at a failure probability delta of its own."""
         return self._audit.b_min
+
+    @property
+    def coming(self) -> PlannedBounds:
+        """The rest of the plan, for forecasts."""
+        return PlannedBounds(self._bounds, self._means, self._counts)
 
     def propose(self, first: int | None = None, pending: Sequence[int] = ()) -> Proposal:  # noqa: ARG002
         """Return the next test of the design; it changes nothing, and `first` has no effect here.

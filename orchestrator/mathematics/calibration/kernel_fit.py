@@ -49,6 +49,20 @@ class KernelFit:
         """Return w of the posterior mean m0 + sum_i w_i k(., u_i), shape (n,)."""
         return np.asarray(cho_solve((self.factor(data), True), data.values - centre, check_finite=False))
 
+    def mean(self, data: SampledValues, shares: Floats) -> Floats:
+        """Return the posterior mean at starts (m, p), in the unit of the values."""
+        centre = float(data.values.mean())
+        return np.asarray(
+            centre + kernel_matrix(self.nu, self.lengths, shares, data.shares) @ self.weights(data, centre)
+        )
+
+    def covariance(self, data: SampledValues, shares: Floats) -> Floats:
+        """Return the posterior covariance at starts (m, p), shape (m, m), in the square of the unit of the values."""
+        between = kernel_matrix(self.nu, self.lengths, data.shares, shares)
+        half = solve_triangular(self.factor(data), between, lower=True, check_finite=False)
+        own = kernel_matrix(self.nu, self.lengths, shares, shares)
+        return np.asarray(self.amplitude**2 * (own - half.T @ half), dtype=np.float64)
+
 
 def fit_kernel(nu: float, data: SampledValues) -> KernelFit:
     """Return the kernel of smoothness `nu` with the largest likelihood, A profiled out; unit of A that of the values.

@@ -6,6 +6,9 @@
 | D      | `difference` | |y_a - y_b| less what the noise explains, at least 0              | ()    | unit J |
 | h      | `distance`   | distance of the starts, parameters as shares of their ranges      | ()    | -      |
 | D/h    | `quotient`   | it levels off at a slope, and doubles with every halving of a jump | ()   | unit J |
+
+The steepest of several hundred noisy pairs is steep because its noise is large, and its ends keep that noise through
+every halving. So with noise a place that looks like a jump is a suspicion, and rollouts that chose nothing decide.
 """
 
 import math
@@ -27,6 +30,10 @@ JUMP = 0.25
 """Share of a difference that is left by a jump; a slope leaves 1/2 at each halving, one at its steepest some more."""
 FEWEST_HALVINGS = 4
 """With fewer a slope may leave as much as a jump."""
+FRESH = 16
+"""Fresh rollouts at each end of a suspected jump."""
+FRESH_ERRORS = 3.0
+"""Standard errors of a difference of fresh rollouts that count as noise: nothing was selected among them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +60,11 @@ class SteepPlace:
     @property
     def difference(self) -> float:
         """Difference of the values beyond the noise."""
-        noise = ERRORS * math.sqrt(self.a.variance + self.b.variance)
-        return max(abs(self.a.value - self.b.value) - noise, 0.0)
+        return self.beyond(ERRORS)
+
+    def beyond(self, errors: float) -> float:
+        """Return by how much the values differ beyond so many standard errors, at least 0."""
+        return max(abs(self.a.value - self.b.value) - errors * math.sqrt(self.a.variance + self.b.variance), 0.0)
 
     @property
     def quotient(self) -> float:
@@ -77,12 +87,21 @@ class Descent:
     """One place and the halves of it that followed, each of half the distance."""
 
     places: tuple[SteepPlace, ...]
+    fresh: SteepPlace | None = None
+    """The last place by rollouts that had no part in its choice; None without noise, where they would be the same."""
+
+    @property
+    def is_suspected(self) -> bool:
+        """Whether the difference stays while the distance falls."""
+        return self._stays(self.places[-1].difference)
 
     @property
     def is_jump(self) -> bool:
-        """Whether the difference stays while the distance falls."""
-        first, last = self.places[0].difference, self.places[-1].difference
-        return len(self.places) > FEWEST_HALVINGS and last > 0 and last >= JUMP * first
+        """Whether it stays in fresh rollouts as well."""
+        return self.is_suspected and (self.fresh is None or self._stays(self.fresh.beyond(FRESH_ERRORS)))
+
+    def _stays(self, last: float) -> bool:
+        return len(self.places) > FEWEST_HALVINGS and last > 0 and last >= JUMP * self.places[0].difference
 
 
 def steepest(data: SampledValues, count: int = PLACES) -> list[SteepPlace]:

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign import plan as plans
 from perfbound.orchestrator.campaign.calibrated_file import kernel_file, sample_file, without_keys
-from perfbound.orchestrator.campaign.calibration import Constant, linearised_constants
+from perfbound.orchestrator.campaign.calibration import CONSTANTS, Constant, linearised_constants
+from perfbound.orchestrator.campaign.calibration_budget import FACTORS, BudgetForecast, division
 from perfbound.orchestrator.campaign.calibration_design import Box, RolloutBudget, calibration_seed
+from perfbound.orchestrator.campaign.calibration_tolerance import ToleranceForecast
 from perfbound.orchestrator.mathematics.calibration.noise import NOISIEST
 from perfbound.orchestrator.mathematics.calibration.steepness import PLACES
 from perfbound.orchestrator.mathematics.calibration.trust import DOUBTED
@@ -23,7 +26,7 @@ from perfbound.orchestrator.run.calibration_pilot import CalibrationPilot
 from perfbound.schemas.campaign_draft import CLIP, Draft, load_draft
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import CampaignError
-from perfbound.schemas.problem_models import RigorousProblem
+from perfbound.schemas.problem_models import KrigingProblem, RigorousProblem
 from tests.coverage.calibration import FunctionRollouts, spec
 from tests.coverage.functions import Floats
 from tests.coverage.spot_checks import OBSERVED
@@ -153,8 +156,66 @@ def test_every_constant_has_a_reason_and_the_file_has_all_of_them(tmp_path: Path
         assert problem.noise_scale == 0
     assert measured.rollouts <= 400
     (forecast,) = found.forecasts
+    assert isinstance(forecast, ToleranceForecast)
     assert forecast.tests is not None
     assert forecast.budget >= forecast.tests
+
+
+COARSE = f"clip = [-1, 3]\nresolution = 5\n{HEAD}"
+
+
+def gentle(z: Floats) -> Floats:
+    return np.asarray(1.0 + 0.5 * np.sin(z[:, 0] / 2) * np.cos(z[:, 1] / 3))
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_planned_method_gets_its_budget_from_the_bounds_of_several(tmp_path: Path, noisy: bool) -> None:
+    found = result(tmp_path, f'method = "kriging"\n{COARSE}', noisy=noisy, function=gentle)
+    keys = found.problems[0].keys
+    assert keys.keys() == {"prior_mean", "kernel", "rkhs_norm", "spread", "replicates", "max_tests"}
+    assert found.text is not None
+    config = parse_campaign(found.text.encode(), "c.toml")
+    problem = config.problems[0]
+    assert isinstance(problem, KrigingProblem)
+    assert (problem.rkhs_norm, problem.spread, config.resolution) == (keys["rkhs_norm"], keys["spread"], 5)
+    (forecast,) = found.forecasts
+    assert isinstance(forecast, BudgetForecast)
+    proposed = forecast.proposed
+    assert (config.max_tests, config.replicates) == (proposed.tests, proposed.replicates)
+    assert [each.enters / proposed.enters for each in forecast.budgets] == pytest.approx(FACTORS, rel=0.05)
+    # J falls with the budget, towards the largest J of the function and never below it; from one to the next it may
+    # rise, because a larger plan trusts the fit between the points more.
+    middles = [each.bound.middle for each in forecast.budgets]
+    assert all(each.bound.low <= each.bound.middle <= each.bound.high for each in forecast.budgets)
+    assert forecast.without >= middles[0] > middles[-1] > forecast.fitted - 0.05
+    assert forecast.fitted == pytest.approx(-0.95, abs=0.1), "the worst start has .95"
+    numbers = forecast.numbers["budgets"]
+    assert numbers[0]["bound"] == -middles[0]
+    assert numbers[0]["range"][0] <= numbers[0]["bound"] <= numbers[0]["range"][1]
+    if noisy:
+        assert 0.05 <= float(problem.spread or 0) <= 0.15  # the noise has a standard deviation of .1
+        measured, choice = found.problems[0].measured, found.problems[0].choice
+        finer = {each.key: each.value for each in CONSTANTS["kriging"](measured, choice, choice.chosen, {})}
+        assert finer["resolution"] == 41, "where the draft gives none"
+
+
+def test_another_method_is_named_where_it_may_be_expected_to_prove_more(tmp_path: Path) -> None:
+    (compared,) = result(tmp_path, COARSE, noisy=True, function=gentle).instead
+    assert compared.kriging.low <= compared.kriging.middle <= compared.kriging.high
+    assert (compared.sign, compared.problem) == (-1, "robustness")
+    assert -1.0 < compared.default < -0.5, "the default comes near the worst start, .95"
+    assert compared.is_tighter == (compared.kriging.high < compared.default)
+    assert replace(compared, default=compared.kriging.high + 1e-9).is_tighter
+    assert not replace(compared, default=compared.kriging.high).is_tighter
+    named = result(tmp_path, f'method = "rigorous"\n{COARSE}', noisy=True, function=gentle)
+    assert named.instead == ()
+
+
+@given(st.integers(100, 50_000), st.integers(1, 3))
+def test_a_budget_is_divided_into_tests_of_whole_rollouts(rollouts: int, parameters: int) -> None:
+    tests, replicates = division(rollouts, parameters)
+    assert 0.6 * rollouts <= tests * replicates <= 1.5 * rollouts
+    assert tests >= 50
 
 
 def test_the_file_replaces_constants_and_keeps_the_rest(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from perfbound.orchestrator.campaign import plan as plans
+from perfbound.orchestrator.campaign import planned_outlook
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.outlook import in_words, outlook, outlook_lines
+from perfbound.orchestrator.campaign.planned_outlook import PlannedOutlooks
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.values import MARKED, Bound, ProblemProgress
-from tests.fakes.simulators import robustness, simulate
+from tests.fakes.simulators import robustness, simulate, spec
 
 RIGOROUS: dict[str, Any] = {
     "method": "rigorous",
@@ -108,3 +112,51 @@ def test_terminal_status_and_page_show_one_forecast(tmp_path: Path, monkeypatch:
     assert len(terminal) == 1
     assert outlook_lines(config, status.problems) == terminal
     assert f"robustness, {Collector(tmp_path).refresh().problems[0].outlook}" == terminal[0]
+
+
+KRIGING: dict[str, Any] = {
+    "method": "kriging",
+    "rkhs_norm": 1.0,
+    "prior_mean": -0.7,
+    "kernel": {"nu": 2.5, "length_scale": 0.5},
+}
+
+
+def noisy_wave(request: RolloutRequest) -> float:
+    return wave(request) + (0.1 if request.seed % 2 else -0.1)
+
+
+def test_a_planned_campaign_has_one_forecast_in_all_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    config = robustness(KRIGING, max_tests=60, replicates=4, resolution=9, clip=(-1, 2), spot_check=0, recheck=0)
+    simulate(tmp_path, config, noisy_wave, noisy=True)
+    with closing(Journal.open(tmp_path)) as journal:
+        ledger = Ledger(tmp_path, journal)
+        ledger.replay()
+        (account,) = ledger.accounts.values()
+        progress = account.progress
+        planned = PlannedOutlooks().of(account.plan, ledger.methods[account.plan.key], progress)
+    assert planned is not None
+    bound, gain = planned
+    assert progress.bound is not None
+    assert bound.low == bound.middle == bound.high == progress.bound.upper, "nothing is left to come"
+    assert 0 < gain.low <= gain.middle <= gain.high < 1
+    (terminal,) = outlook_lines(config, [replace(progress, planned=planned)])
+    assert "forecast: a campaign planned for 1000 more rollouts would gain about 0." in terminal
+    assert f"robustness, {Collector(tmp_path).refresh().problems[0].outlook}" == terminal
+    running = in_words(config, config.problems[0], replace(progress, planned=planned, stopped_by=None))
+    assert running is not None
+    assert f"forecast: bound about {-bound.middle:.3g} (" in running
+    assert "after 60 tests; a campaign planned" in running
+    assert in_words(config, config.problems[0], progress) is None, "without its weights there is none"
+
+
+def test_a_planned_forecast_is_made_anew_after_a_part_of_the_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    monkeypatch.setattr(planned_outlook, "planned_outlook", lambda *_: made.append(1))
+    config = robustness(KRIGING, max_tests=400, clip=(-1, 2))
+    plan = plans.plan(config, spec(noisy=True), config.problems[0])
+    outlooks = PlannedOutlooks()
+    for tests in range(1, 401):
+        outlooks.of(plan, None, progress(None, tests=tests))  # type: ignore[arg-type]
+    assert len(made) == planned_outlook.FORECASTS

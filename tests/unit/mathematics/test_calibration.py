@@ -68,6 +68,20 @@ def test_a_longer_function_gets_longer_length_scales() -> None:
     assert fast.lengths[0] < fast.lengths[1], "the other parameter changes it slowly"
 
 
+def test_the_posterior_of_a_fit_is_that_of_the_gaussian_process() -> None:
+    data = noisy(smooth, 0.1).first(60)
+    fit, points = fit_kernel(2.5, data), np.array([[0.3, 0.4], [0.9, 0.1], SHARES[0]])
+    both = np.concatenate([data.shares, points])
+    prior = fit.amplitude**2 * kernel_matrix(fit.nu, fit.lengths, both, both)
+    gram = prior[:60, :60] + fit.amplitude**2 * fit.ratio * np.eye(60)
+    centre = data.values.mean()
+    mean = centre + prior[60:, :60] @ np.linalg.solve(gram, data.values - centre)
+    covariance = prior[60:, 60:] - prior[60:, :60] @ np.linalg.solve(gram, prior[:60, 60:])
+    assert np.allclose(fit.mean(data, points), mean, atol=1e-9)
+    assert np.allclose(fit.covariance(data, points), covariance, atol=1e-9)
+    assert np.abs(fit.mean(data, points) - smooth(points)).max() < 0.15
+
+
 def test_the_noise_of_a_fit_is_that_of_the_values() -> None:
     data = noisy(smooth, 0.1)
     fit = fit_kernel(2.5, data)
@@ -143,6 +157,22 @@ def test_a_jump_keeps_its_difference_and_a_kink_does_not() -> None:
         assert not any(each.is_jump for each in found)
     few = descents(jumping, exact(jumping), halvings=3)
     assert not any(each.is_jump for each in few), "a slope may leave as much after so few halvings"
+
+
+def test_fresh_rollouts_decide_on_a_suspected_jump() -> None:
+    """An end whose one value is far off keeps its difference through every halving; fresh values there show none."""
+
+    def place(distance: float, outlier: float) -> SteepPlace:
+        a, b = ((0.0, outlier, 0.01), (distance, 0.0, 0.01))
+        return SteepPlace(*(End((u, 0.0), value, variance) for u, value, variance in (a, b)))
+
+    halved = tuple(place(0.1 / 2**k, 2.0) for k in range(5))
+    assert Descent(halved).is_jump, "exact values are what they are"
+    again = [SteepPlace(End((0.0, 0.0), value, 0.01), End((0.1, 0.0), 0.0, 0.01)) for value in (0.1, 1.9)]
+    assert [Descent(halved, fresh).is_jump for fresh in again] == [False, True]
+    assert all(Descent(halved, fresh).is_suspected for fresh in again)
+    smooth_place = Descent(tuple(place(0.1 / 2**k, 2.0 / 2**k) for k in range(5)), again[1])
+    assert not smooth_place.is_jump, "nothing was suspected"
 
 
 def test_a_difference_within_the_noise_is_no_jump() -> None:

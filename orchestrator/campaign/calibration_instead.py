@@ -1,0 +1,63 @@
+"""Whether method `kriging` may be expected to prove more than the default, for a problem that names no method."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ...schemas.campaign import CampaignConfig
+from ...schemas.method_spaces import LATTICE_PARAMETERS
+from ...schemas.problem_models import KrigingProblem
+from ...schemas.problems import OBJECTIVES
+from ...schemas.system import SystemSpec
+from ...schemas.values import Guess
+from . import plan as plans
+from .calibration import CONSTANTS, ProblemCalibration
+from .calibration_budget import expected_bound
+from .calibration_tolerance import ToleranceForecast
+
+
+@dataclass(frozen=True, slots=True)
+class Instead:
+    """Two methods with the same rollouts, bounds of J."""
+
+    problem: str
+    rollouts: int
+    """Of the budget, without closing checks."""
+    default: float
+    kriging: Guess
+    sign: int
+    """1 where J is the objective, -1 where it is minus the objective."""
+
+    @property
+    def is_tighter(self) -> bool:
+        """Whether even the worse end of the range of `kriging` is better."""
+        return self.kriging.high < self.default
+
+
+def kriging_instead(
+    config: CampaignConfig,
+    spec: SystemSpec,
+    found: ProblemCalibration,
+    guess: ToleranceForecast,
+    given: Mapping[str, Any],
+) -> Instead | None:
+    """Return the comparison; None where `kriging` does not fit, or nothing is noisy.
+
+    `config` has the constants of the default, `guess` is its forecast, and `given` are the keys of the draft.
+    """
+    measured, trial = found.measured, found.choice.chosen
+    problem = next(each for each in config.problems if each.name == found.name)
+    fits = "kriging" in OBJECTIVES[problem.name].methods and len(measured.box.names) <= LATTICE_PARAMETERS
+    if not fits or not measured.noisy or config.where is not None or config.clip is None or trial is None:
+        return None
+    keys = {each.key: each.value for each in CONSTANTS["kriging"](measured, found.choice, trial, given)}
+    keys |= {key: each for key, each in found.keys.items() if key == "linearised"}
+    if "linearised" in given:
+        keys["linearised"] = given["linearised"]
+    kept = problem.model_dump(include={"name", "delta", "gap"}, exclude_none=True)
+    instead = KrigingProblem.model_validate({**kept, "method": "kriging", **keys})
+    plan = plans.plan(config.model_copy(update={"problems": (instead,)}), spec, instead)
+    rollouts = guess.budget * config.replicates_of(problem)
+    bound = expected_bound(config, plan, trial.fit, measured, rollouts)
+    sign = -1 if config.sense_of(problem) == "min" else 1
+    return Instead(found.name, rollouts, guess.bound, bound, sign)
