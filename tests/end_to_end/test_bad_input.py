@@ -237,6 +237,28 @@ def test_a_run_directory_that_exists_or_cannot_be_made(here: Here, calm: Path) -
     assert sorted(path.name for path in here.folder.rglob("*")) == ["c.toml", "full", "mine"]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("horizon = 20.0", "horizont = 20.0", "horizont: unknown key"),
+        ('gains = "paper"', 'gains = "papers"', "system.gains: 'papers' is not allowed"),
+        ("\nx = {", "\nz = {", "space."),
+        ("abs(phi)", "abs(roll)", "specification: character 13: unknown column 'roll'"),
+    ],
+)
+@pytest.mark.usefixtures("asked")
+def test_the_file_is_checked_before_the_directory_of_its_name(
+    here: Here, calm: Path, old: str, new: str, key: str
+) -> None:
+    text = write_campaign(here.folder / "c.toml").read_text()
+    assert old in text
+    (here.folder / "c.toml").write_text(text.replace(old, new, 1))
+    ended = here.run("run", "c.toml", "--out", str(calm))
+    assert ended.code == 1
+    assert ended.err.startswith(f"perfbound: c.toml: {key}")
+    assert str(calm) not in ended.err
+
+
 @pytest.mark.usefixtures("asked")
 def test_endpoints_that_cannot_be_used(here: Here) -> None:
     write_campaign(here.folder / "c.toml")
