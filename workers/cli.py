@@ -32,9 +32,10 @@ OUTBOX_KEPT = 600.0
 """Seconds without its orchestrator after which undelivered results are given up."""
 
 
-def fail(message: str) -> NoReturn:
-    """Print one line on stderr and exit with 1."""
-    click.echo(f"perfbound-worker: {one_line(message)}", err=True)
+def fail(*reasons: str) -> NoReturn:
+    """Print each reason in one line on stderr, and exit with 1."""
+    for reason in reasons:
+        click.echo(f"perfbound-worker: {one_line(reason)}", err=True)
     sys.exit(1)
 
 
@@ -59,7 +60,7 @@ def _add_file(reference: str) -> str:
         with contextlib.redirect_stdout(sys.stderr):  # what a file prints must not mix with the data
             return add_file(reference)
     except PerfboundError as error:
-        fail(str(error))
+        fail(*error.lines)
 
 
 system_option = click.option(

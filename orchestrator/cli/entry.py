@@ -47,7 +47,7 @@ def main() -> None:
     try:
         _main()
     except Stopped as request:
-        end(f"stopped; {request.state}", 128 + request.signal)
+        end(f"stopped; {request.state}", code=128 + request.signal)
 
 
 def _main() -> None:
@@ -55,6 +55,6 @@ def _main() -> None:
     try:
         cli(prog_name="perfbound")
     except PerfboundError as error:
-        end(str(error), 1)
+        end(*error.lines, code=1)
     except OSError as error:
-        end(f"{error.filename or 'file system'}: {error.strerror or error}", 1)
+        end(f"{error.filename or 'file system'}: {error.strerror or error}", code=1)

@@ -31,7 +31,7 @@ def web(*, directory: Path, web: Address, insecure: bool) -> None:
         _print_stderr(f"live page: {address.url}")
         server.run([listening])
     except Stopped as request:
-        end("the live page has ended", 128 + request.signal)
+        end("the live page has ended", code=128 + request.signal)
 
 
 @cli.command()
