@@ -39,7 +39,10 @@ def fail(*reasons: str) -> NoReturn:
     sys.exit(1)
 
 
-@click.group()
+HELP = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+
+
+@click.group(context_settings=HELP)
 def group() -> None:
     """Run a command in a child process of the orchestrator."""
     one_blas_thread()
@@ -74,7 +77,7 @@ system_option = click.option(
 )
 
 
-@group.command()
+@group.command(context_settings=HELP)  # again: `perfbound-worker` is this command alone
 @system_option
 @click.option("--connect", "endpoint", required=True, help="Endpoint of the orchestrator, e.g. tcp/127.0.0.1:7447.")
 @click.option(
