@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from .campaign import CampaignConfig
 from .claims import drawn_claims, fewest_samples
 from .errors import CampaignError
-from .meant import meant
+from .meant import meant, nearest
 from .parameters import signal_shapes
 from .problem_models import KernelProblem, Problem, RigorousProblem
 from .problems import rolled_out
@@ -68,7 +68,12 @@ def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         for name in config.space
         if name not in known
     ]
-    faults += [f"space.{name}: this parameter of {spec.name} is required" for name in known if name not in config.space]
+    misspelt = {nearest(name, known) for name in config.space if name not in known}
+    faults += [
+        f"space.{name}: this parameter of {spec.name} is required"
+        for name in known
+        if name not in config.space and name not in misspelt
+    ]
     for name, box in config.space.items():
         parameter = known.get(name)
         if parameter is None:

@@ -1,6 +1,6 @@
 """All checks of a campaign against its system: those of `schemas.campaign_check`, and those of the parsed formula."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from ...schemas.campaign import CampaignConfig
@@ -74,17 +74,18 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) 
     try:
         formula = parse_formula(config.formula, known)
         check_horizon(formula, config.horizon)
-        _check_gap(config, columns(formula), source)
+        _check_gap(config, known, columns(formula), source)
     except FormulaError as error:
         raise CampaignError(f"{source}: specification: {error}") from None
 
 
-def _check_gap(config: CampaignConfig, read: frozenset[str], source: str) -> None:
+def _check_gap(config: CampaignConfig, known: Sequence[str], read: frozenset[str], source: str) -> None:
     """Refuse a gap in one column where the robustness depends on others."""
     for problem in config.problems:
         gap = config.gap_of(problem)
         # The composition needs |rho(s) - rho(z)| <= L * gap: a gap in one column bounds nothing that others change.
-        if gap is not None and gap.kind == "signal_sup" and read != {gap.column}:
+        # An unknown column has a line already.
+        if gap is not None and gap.kind == "signal_sup" and gap.column in known and read != {gap.column}:
             raise CampaignError(
                 f"{source}: gap.column: {gap.column!r} does not bound the robustness: the specification reads "
                 f'{", ".join(sorted(read)) or "no column"}; use kind = "predicate_sup", which fits every specification'

@@ -328,8 +328,10 @@ def test_a_parameter_is_meant() -> None:
     )
     with pytest.raises(CampaignError) as caught:
         check_against(parse_campaign(changed("\nx = {", "\ngapx = {").encode(), "c.toml"), renamed, "c.toml")
-    assert caught.value.lines[0] == (
-        "c.toml: space.gapx: unknown parameter; did you mean 'gap_x'? segway has gap_x, gap_y"
+    assert caught.value.lines[:3] == (
+        "c.toml: space.gapx: unknown parameter; did you mean 'gap_x'? segway has gap_x, gap_y",
+        "c.toml: space.y: unknown parameter; segway has gap_x, gap_y",
+        "c.toml: space.gap_y: this parameter of segway is required",
     )
 
 
