@@ -6,7 +6,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from perfbound.orchestrator.cli.entry import cli
+from perfbound.orchestrator.cli import entry  # noqa: F401  (it adds the commands)
+from perfbound.orchestrator.cli.group import cli
 from perfbound.workers.cli import group, serve
 
 
