@@ -227,7 +227,6 @@ def _finish(
     console, found = output_console(), finished_certificate(directory)
     if key is not None:
         signing.sign_directory(directory, key)
-    # Before anything is printed: a pipe that closes, as that of `| head`, ends the process.
     if report:
         draw(directory)
     header = stored_header(directory)

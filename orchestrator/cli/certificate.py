@@ -11,6 +11,7 @@ from ...schemas.errors import one_line
 from ...schemas.meant import meant
 from . import signing
 from .group import RUN_DIRECTORY, cli, output_console
+from .pipes import stdout_bytes
 from .stderr import STDERR
 
 
@@ -115,7 +116,8 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
     if str(out) == "-":
         if len(tables) != 1 or form != "csv":
             raise click.UsageError("--out - writes one table, as CSV; name that table")
-        store.stream(directory, tables[0], sys.stdout.buffer)
+        with stdout_bytes() as stream:
+            store.stream(directory, tables[0], stream)
         return
     with STDERR.console.status("") as status:
         found = store.export(

@@ -11,6 +11,7 @@ from ...schemas.blas import one_blas_thread
 from ...schemas.errors import PerfboundError, Stopped
 from .exits import end, take_signals
 from .group import cli
+from .pipes import readers_may_end
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -44,10 +45,11 @@ def main() -> None:
     """`perfbound`: a known error is one line on stderr and exit code 1."""
     take_signals(_stop)
     sys.unraisablehook = _unraisable
-    try:
-        _main()
-    except Stopped as request:
-        end(f"stopped; {request.state}", code=128 + request.signal)
+    with readers_may_end():
+        try:
+            _main()
+        except Stopped as request:
+            end(f"stopped; {request.state}", code=128 + request.signal)
 
 
 def _main() -> None:
