@@ -5,7 +5,10 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import BinaryIO, TextIO
+from typing import TYPE_CHECKING, BinaryIO, TextIO
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 BROKEN_PIPE = 128 + signal.SIGPIPE
 """Exit code where nobody read the whole of stdout: that of a program which the signal ends."""
@@ -16,7 +19,7 @@ class _Output(io.FileIO):
 
     unread = False
 
-    def write(self, data: "bytes | bytearray | memoryview", /) -> int:  # type: ignore[override]
+    def write(self, data: "ReadableBuffer", /) -> int:
         """Write; after the reader has ended, drop the data."""
         if not self.unread:
             try:
