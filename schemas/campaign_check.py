@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from .campaign import CampaignConfig
 from .claims import drawn_claims, fewest_samples
 from .errors import CampaignError
-from .meant import meant, nearest
+from .meant import meant, nearest_name
 from .parameters import signal_shapes
 from .problem_models import KernelProblem, Problem, RigorousProblem
 from .problems import rolled_out
@@ -68,7 +68,7 @@ def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         for name in config.space
         if name not in known
     ]
-    misspelt = {nearest(name, known) for name in config.space if name not in known}
+    misspelt = {nearest_name(name, known) for name in config.space if name not in known}
     faults += [
         f"space.{name}: this parameter of {spec.name} is required"
         for name in known

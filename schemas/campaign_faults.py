@@ -13,7 +13,7 @@ from .campaign_rules import InconsistentKeysError
 from .claims import ClaimRequest
 from .composition import ComposedClaim
 from .kernel import MaternKernel, Weighted
-from .meant import meant, nearest
+from .meant import meant, nearest_name
 from .problem_models import PROBLEM_MODELS, Gap, Linearised
 from .problems import OBJECTIVES, any_of
 from .requirements import Requirement
@@ -79,7 +79,7 @@ def faults(error: ValidationError, table: dict[str, Any], one_problem: bool) -> 
         key, missing = _key(fault["loc"], table, one_problem), fault["type"] == "missing"
         if fault["type"] == "extra_forbidden":
             wrong = str(place[-1])
-            misspelt.add(key.removesuffix(wrong) + nearest(wrong, _keys_at(fault["loc"], one_problem)))
+            misspelt.add(key.removesuffix(wrong) + nearest_name(wrong, _keys_at(fault["loc"], one_problem)))
         # A misspelt key has a second fault: the key that it was meant to be is missing.
         again = missing and key in misspelt
         # Length scales that follow from the ranges need those to be right.

@@ -36,7 +36,7 @@ def check_consistent(config: "CampaignConfig") -> None:
 
     """
     # A rule may rely on those of the steps before its own.
-    for step in (_ends, _problems, _campaign):
+    for step in (_rules_of_keys, _rules_of_problems, _rules_of_claims):
         faults: dict[str, str] = {}
         for check in step(config):
             try:
@@ -48,21 +48,21 @@ def check_consistent(config: "CampaignConfig") -> None:
             raise InconsistentKeysError(tuple(faults.values()))
 
 
-def _ends(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
+def _rules_of_keys(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
     """Yield the rules of single keys, on which those of several keys rely."""
     yield partial(_check_repeated, config)
-    yield partial(_check_clip, config)
+    yield partial(_check_clip_order, config)
     yield partial(check_signals, config.space, config.horizon)
 
 
-def _problems(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
+def _rules_of_problems(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
     """Yield the rules of each problem."""
     for problem in config.problems:
         yield partial(_check_objective, config, problem)
         yield partial(_check_method, config, problem)
 
 
-def _campaign(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
+def _rules_of_claims(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
     """Yield the rules of all problems together, and of what is claimed."""
     yield partial(_check_starts_agree, config)
     if config.until_counterexample:
@@ -81,7 +81,7 @@ def _check_repeated(config: "CampaignConfig") -> None:
         raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
 
 
-def _check_clip(config: "CampaignConfig") -> None:
+def _check_clip_order(config: "CampaignConfig") -> None:
     if config.clip is not None and not config.clip[0] < config.clip[1]:
         raise ValueError(f"clip: {list(config.clip)} must be [low, high] with low < high")
 

@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 
 
-def nearest(given: str, allowed: Iterable[str]) -> str:
+def nearest_name(given: str, allowed: Iterable[str]) -> str:
     """Return the one of the `allowed` names that is nearest to a misspelt one; empty if none is near.
 
-    >>> nearest("Horizont", ["horizon", "seed"]), nearest("wind", ["gains"])
+    >>> nearest_name("Horizont", ["horizon", "seed"]), nearest_name("wind", ["gains"])
     ('horizon', '')
     """
     import difflib  # noqa: PLC0415  (late: only a mistake needs it)
@@ -18,5 +18,5 @@ def nearest(given: str, allowed: Iterable[str]) -> str:
 
 def meant(given: str, allowed: Iterable[str]) -> str:
     """Return the question that a message has before the allowed names: `did you mean 'NAME'? `, or nothing."""
-    near = nearest(given, allowed)
+    near = nearest_name(given, allowed)
     return f"did you mean {near!r}? " if near else ""

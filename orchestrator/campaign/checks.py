@@ -41,10 +41,10 @@ def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
         CampaignError: a line for each fault, with the source, the key and the remedy.
 
     """
-    check_all(partial(check, config, spec, source), partial(_check_clip, config, source))
+    check_all(partial(check, config, spec, source), partial(_check_new_clip, config, source))
 
 
-def _check_clip(config: CampaignConfig, source: str) -> None:
+def _check_new_clip(config: CampaignConfig, source: str) -> None:
     """Refuse a clip beyond what a campaign records, or one that hides violations."""
     if config.clip is not None and max(map(abs, config.clip)) > LARGEST:
         raise CampaignError(

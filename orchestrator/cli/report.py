@@ -1,7 +1,9 @@
 """The commands of the report: its files, and the live page."""
 
 import shlex
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +13,9 @@ from .exits import end
 from .group import RUN_DIRECTORY, cli
 from .stderr import STDERR
 from .web_option import web_option
+
+if TYPE_CHECKING:
+    from ..report.stages import Report
 
 
 @cli.command()
@@ -39,19 +44,31 @@ def web(*, directory: Path, web: Address, insecure: bool) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print what the page shows as JSON, and write nothing.")
 def report(*, directory: Path, as_json: bool) -> None:
     """Write report.html, counterexamples.csv and figures of the campaign in DIRECTORY, finished or not."""
+    from rich.progress import Progress  # noqa: PLC0415
+
+    from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
+
+    with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        lines = _write_report(directory, as_json=as_json, report=stage_bars(progress))
+    for line in lines:
+        click.echo(line)
+
+
+def _write_report(directory: Path, *, as_json: bool, report: "Report") -> list[str]:
+    """Write the report and return its files; with `as_json` write nothing, and return what the page shows."""
+    report("campaign", 0, 1)
     from ..report.data import to_json  # noqa: PLC0415
     from ..report.nominal import with_nominal  # noqa: PLC0415
     from ..report.write import collected, write_figures, write_page  # noqa: PLC0415
 
     data = collected(directory)
+    report("campaign", 1, 1)
     if as_json:
-        click.echo(to_json(data))
-        return
+        return [to_json(data)]
     if data.state != "finished":
         _print_stderr(f"{directory}: the campaign is {data.state}; the report shows its present state")
-    data = with_nominal(directory, data)
-    for path in (*write_page(directory, data), *write_figures(directory, data)):
-        click.echo(path)
+    data = with_nominal(directory, data, report)
+    return [str(path) for path in (*write_page(directory, data), *write_figures(directory, data, report))]
 
 
 def draw(directory: Path) -> None:
