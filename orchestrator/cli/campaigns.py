@@ -12,6 +12,7 @@ import click
 from ...schemas.errors import one_line
 from ..run.address import Address
 from . import signing
+from .early import check_campaign, check_directory
 from .exits import resumable
 from .group import RUN_DIRECTORY, cli, output_console
 from .report import draw
@@ -98,7 +99,7 @@ log_option = click.option(
     expose_value=False,
     help="Form of progress and errors on stderr; json is one object a line.",
 )
-campaign_argument = click.argument("campaign", type=click.Path(path_type=Path))
+campaign_argument = click.argument("campaign", type=click.Path(path_type=Path), callback=check_campaign)
 
 
 def workers_option(least: int) -> Callable[..., Any]:
@@ -146,7 +147,7 @@ def orchestrate(
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.option("--system", default=None, metavar="FILE.py:NAME", help="The system in a file, if it is elsewhere now.")
 @click.option(
     "--max-tests",
@@ -198,12 +199,12 @@ def _run_new(
     **link: Any,
 ) -> None:
     from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
-    from ..run import session  # noqa: PLC0415
 
-    key = (
-        signing.load_key(sign) if sign else None
-    )  # before hours of work: a wrong passphrase must not be noticed at their end
+    # Before hours of work: a wrong passphrase must not be noticed at their end.
+    key = signing.load_key(sign) if sign else None
     config = load_campaign(campaign, **overrides)
+    from ..run import session  # noqa: PLC0415  (late: a fault of the file is reported before it is loaded)
+
     directory = out or Path("runs") / config.name
     with resumable(directory):
         options = session.RunOptions(workers, _link(**link), drain)
@@ -251,7 +252,7 @@ def _tell(command: str, verdict: "CampaignVerdict") -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.argument("rollout")
 @click.option("--reason", required=True, metavar="TEXT", help="The reason, for the certificate.")
 def discard(directory: Path, rollout: str, reason: str) -> None:
@@ -271,7 +272,7 @@ def discard(directory: Path, rollout: str, reason: str) -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 def status(directory: Path) -> None:
     """Show the progress of the campaign in DIRECTORY, while it runs and afterwards."""
     from . import status as view  # noqa: PLC0415

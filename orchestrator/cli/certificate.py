@@ -10,6 +10,7 @@ import click
 from ...schemas.errors import one_line
 from ...schemas.meant import meant
 from . import signing
+from .early import check_directory
 from .group import RUN_DIRECTORY, cli, output_console
 from .pipes import stdout_bytes
 from .stderr import STDERR
@@ -84,7 +85,7 @@ def sign(*, directory: Path, key: Path) -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.argument("tables", nargs=-1, metavar="[TABLES]...")
 @click.option(
     "--out",

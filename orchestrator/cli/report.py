@@ -9,6 +9,7 @@ import click
 
 from ...schemas.errors import Stopped, one_line
 from ..run.address import Address
+from .early import check_directory
 from .exits import end
 from .group import RUN_DIRECTORY, cli
 from .stderr import STDERR
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @web_option("Where to serve it.  [default: loopback and a free port]", default=Address())
 @click.option("--insecure", is_flag=True, help="Allow serving it beyond this machine, where anyone can read it.")
 def web(*, directory: Path, web: Address, insecure: bool) -> None:
@@ -40,7 +41,7 @@ def web(*, directory: Path, web: Address, insecure: bool) -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.option("--json", "as_json", is_flag=True, help="Print what the page shows as JSON, and write nothing.")
 def report(*, directory: Path, as_json: bool) -> None:
     """Write report.html, counterexamples.csv and figures of the campaign in DIRECTORY, finished or not."""
