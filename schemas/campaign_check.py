@@ -112,6 +112,9 @@ def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str
 
 
 def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    # Other parameters have lines already, and length scales that follow from them would repeat their names.
+    if isinstance(config.space, dict) and config.space.keys() != {each.name for each in spec.declared.parameters}:
+        return
     parameters = spec.spread(signal_shapes(config.space)).parameters
     names = {parameter.name for parameter in parameters}
     for where, problem in _having(config, "kernel"):

@@ -123,7 +123,10 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
     except ValidationError as error:
         lines = faults(error, found, leaves_out_problems(table))
         if not OF_PROBLEM & table.keys() and is_description(table):
-            lines[0] += f"; this file describes a program alone: perfbound init {source} makes a campaign of it"
+            first, *others = lines
+            hint = f"; this file describes a program alone: perfbound init {source} makes a campaign of it"
+            # What a campaign needs in addition is what that command adds.
+            lines = [first + hint, *(line for line in others if ": this key is required" not in line)]
         raise CampaignError(*(f"{source}: {line}" for line in lines)) from None
 
 

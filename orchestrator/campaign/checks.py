@@ -60,11 +60,13 @@ def _check_new_clip(config: CampaignConfig, source: str) -> None:
 
 def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     known = [column.name for column in spec.columns]
+    # A horizon that is missing has a line already.
+    horizon = spec.max_horizon if config.horizon == 0 and spec.timed else config.horizon
     # One by one first, so that an error names the requirement.
     faults = []
     for each in config.specifications:
         try:
-            check_horizon(parse_formula(each.formula, known), config.horizon)
+            check_horizon(parse_formula(each.formula, known), horizon)
         except FormulaError as error:
             faults.append(f"{source}: specifications.{each.name}: {error}")
     if faults:
@@ -73,7 +75,7 @@ def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) 
         return
     try:
         formula = parse_formula(config.formula, known)
-        check_horizon(formula, config.horizon)
+        check_horizon(formula, horizon)
         _check_gap(config, known, columns(formula), source)
     except FormulaError as error:
         raise CampaignError(f"{source}: specification: {error}") from None

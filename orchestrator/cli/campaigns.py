@@ -281,7 +281,7 @@ def status(directory: Path) -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.option("--assumptions", is_flag=True, help="Also list every assumption with its status.")
 def show(*, directory: Path, assumptions: bool) -> None:
     """Show everything about the finished campaign in DIRECTORY: its verdict, claims, problems and files."""
