@@ -193,10 +193,8 @@ def _run_new(
     overrides: Mapping[str, Any],
     *,
     sign: Path | None,
-    strict: bool,
-    on_finish: str | None,
     drain: bool,
-    **link: Any,
+    **options: Any,
 ) -> None:
     from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
 
@@ -206,10 +204,11 @@ def _run_new(
     from ..run import session  # noqa: PLC0415  (late: a fault of the file is reported before it is loaded)
 
     directory = out or Path("runs") / config.name
+    at_end = {name: options.pop(name) for name in ("strict", "on_finish")}
     with resumable(directory):
-        options = session.RunOptions(workers, _link(**link), drain)
-        session.start_campaign(config, campaign, directory, options, STDERR.console)
-        _finish(directory, key, strict=strict, on_finish=on_finish, report=True)
+        settings = session.RunOptions(workers, _link(**options), drain)
+        session.start_campaign(config, campaign, directory, settings, STDERR.console)
+        _finish(directory, key, **at_end, report=True)
 
 
 def _overrides(seed: int | None, *, until_counterexample: bool) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from .stderr import STDERR
 from .web_option import web_option
 
 if TYPE_CHECKING:
-    from ..report.stages import Report
+    from ..certificate.verify.stages import Report
 
 
 @cli.command()

@@ -8,12 +8,13 @@ from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory, decode
+from ..certificate.verify.stages import Report
 from ..fleet.child import system_specs
 from ..fleet.simulate import simulate_to
 from ..store.read import read_header, reading
 from . import curves
 from .data import ReportData, Rollout, RolloutsOfTest
-from .stages import Report, unreported
+from .stages import unreported
 
 MOST = 8
 """Tests that get a nominal curve; a child process simulates each."""

@@ -1,9 +1,4 @@
-"""Progress of a report, for a terminal."""
-
-from collections.abc import Callable
-
-Report = Callable[[str, int, int], None]
-"""Progress callback: stage, completed, total."""
+"""A report without a terminal."""
 
 
 def unreported(_stage: str, _completed: int, _total: int) -> None:

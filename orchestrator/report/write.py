@@ -5,13 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...schemas import atomic
+from ..certificate.verify.stages import Report
 from ..run.format import resume_command
 from ..store import export
 from ..store.files import inside
 from . import html
 from .collect import Collector
 from .data import ReportData, Rollout, to_json
-from .stages import Report, unreported
+from .stages import unreported
 
 REPORT, COUNTEREXAMPLES, FIGURES = "report.html", "counterexamples.csv", "figures"
 
