@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from .campaign import CampaignConfig
 from .claims import drawn_claims, fewest_samples
 from .errors import CampaignError
+from .meant import meant, nearest_name
 from .parameters import signal_shapes
 from .problem_models import KernelProblem, Problem, RigorousProblem
 from .problems import rolled_out
@@ -17,11 +18,11 @@ def check_against(config: CampaignConfig, spec: SystemSpec, source: str) -> None
     """Check the parameters, columns, options and horizon of a campaign.
 
     Raises:
-        CampaignError: one line with the file, the key and the allowed values.
+        CampaignError: a line for each fault, with the file, the key and the allowed values.
 
     """
-    for fault in _faults(config, spec):
-        raise CampaignError(f"{source}: {fault}")
+    if faults := _faults(config, spec):
+        raise CampaignError(*(f"{source}: {fault}" for fault in faults))
 
 
 def _faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
@@ -63,9 +64,16 @@ def _space_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         return list(_row_faults(config.space, spec))
     known = {parameter.name: parameter for parameter in spec.declared.parameters}
     faults = [
-        f"space.{name}: unknown parameter; {spec.name} has {', '.join(known)}" for name in config.space.keys() - known
+        f"space.{name}: unknown parameter; {meant(name, known)}{spec.name} has {', '.join(known)}"
+        for name in config.space
+        if name not in known
     ]
-    faults += [f"space.{name}: this parameter of {spec.name} is required" for name in known if name not in config.space]
+    misspelt = {nearest_name(name, known) for name in config.space if name not in known}
+    faults += [
+        f"space.{name}: this parameter of {spec.name} is required"
+        for name in known
+        if name not in config.space and name not in misspelt
+    ]
     for name, box in config.space.items():
         parameter = known.get(name)
         if parameter is None:
@@ -104,6 +112,9 @@ def _row_faults(space: Scenarios | StartTable, spec: SystemSpec) -> Iterator[str
 
 
 def _kernel_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
+    # Other parameters have lines already, and length scales that follow from them would repeat their names.
+    if isinstance(config.space, dict) and config.space.keys() != {each.name for each in spec.declared.parameters}:
+        return
     parameters = spec.spread(signal_shapes(config.space)).parameters
     names = {parameter.name for parameter in parameters}
     for where, problem in _having(config, "kernel"):
@@ -130,7 +141,7 @@ def _option_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         option = known.get(name)
         if option is None:
             allowed = ", ".join(["name", *known])
-            faults.append(f"system.{name}: unknown key; allowed for {spec.name} are {allowed}")
+            faults.append(f"system.{name}: unknown key; {meant(name, known)}allowed for {spec.name} are {allowed}")
         elif option.choices:
             if value not in option.choices:
                 faults.append(f"system.{name}: {value!r} is not allowed: choose from {', '.join(option.choices)}")
@@ -159,7 +170,7 @@ def _nominal_faults(config: CampaignConfig, spec: SystemSpec) -> Iterator[str]:
     known = {parameter.name: parameter for parameter in spec.parameters}
     for name, value in (config.falsify.nominal if config.falsify else {}).items():
         if name not in known:
-            yield f"falsify.nominal.{name}: unknown parameter; {spec.name} has {', '.join(known)}"
+            yield f"falsify.nominal.{name}: unknown parameter; {meant(name, known)}{spec.name} has {', '.join(known)}"
         elif not known[name].low <= value <= known[name].high:
             yield (
                 f"falsify.nominal.{name}: {value:g} leaves [{known[name].low:g}, {known[name].high:g}], the range of "
@@ -196,5 +207,5 @@ def _rollout_faults(config: CampaignConfig, spec: SystemSpec) -> list[str]:
         chosen[f"problems.{problem.name}.column"] = problem.column
     for key, column in chosen.items():
         if column is not None and column not in columns:
-            faults.append(f"{key}: no column {column!r}; {spec.name} has {', '.join(columns)}")
+            faults.append(f"{key}: no column {column!r}; {meant(column, columns)}{spec.name} has {', '.join(columns)}")
     return faults

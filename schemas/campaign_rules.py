@@ -1,5 +1,7 @@
 """Which keys of a campaign go together: every rule that two of them or more have to keep."""
 
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from .claims import SAMPLED, UP_TO_CHANCE, ClaimRequest, DrawnClaim, drawn_claims, fewest_samples
@@ -18,33 +20,76 @@ ORDERED = {"quantile", "next_rollout"}
 """Quantities that are bounded by one of the values, so that few samples have no bound at all."""
 
 
+class InconsistentKeysError(ValueError):
+    """Keys that do not go together; `lines` has one for each fault, with the key and the remedy."""
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        self.lines = tuple(lines)
+        super().__init__("\n".join(lines))
+
+
 def check_consistent(config: "CampaignConfig") -> None:
     """Refuse keys that do not go together.
 
     Raises:
-        ValueError: one line with the key and the remedy.
+        InconsistentKeysError: a line for each fault, with the key and the remedy.
 
     """
+    # A rule may rely on those of the steps before its own.
+    for step in (_rules_of_keys, _rules_of_problems, _rules_of_claims):
+        faults: dict[str, str] = {}
+        for check in step(config):
+            try:
+                check()
+            except ValueError as error:
+                # Several rules may need one key: it is given once.
+                faults.setdefault(str(error).partition(":")[0], str(error))
+        if faults:
+            raise InconsistentKeysError(tuple(faults.values()))
+
+
+def _rules_of_keys(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
+    """Yield the rules of single keys, on which those of several keys rely."""
+    yield partial(_check_repeated, config)
+    yield partial(_check_clip_order, config)
+    yield partial(check_signals, config.space, config.horizon)
+
+
+def _rules_of_problems(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
+    """Yield the rules of each problem."""
+    for problem in config.problems:
+        yield partial(_check_objective, config, problem)
+        yield partial(_check_method, config, problem)
+
+
+def _rules_of_claims(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
+    """Yield the rules of all problems together, and of what is claimed."""
+    yield partial(_check_starts_agree, config)
+    if config.until_counterexample:
+        yield partial(_check_until_counterexample, config, config.problems[0])
+    if config.regions:
+        yield partial(check_regions, config)
+    yield partial(check_composition, config)
+    if config.specifications:
+        yield partial(_check_specifications, config)
+    yield partial(_check_claims, config)
+
+
+def _check_repeated(config: "CampaignConfig") -> None:
     names = [problem.name for problem in config.problems]
     for repeated in {name for name in names if names.count(name) > 1}:
         raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
+
+
+def _check_clip_order(config: "CampaignConfig") -> None:
     if config.clip is not None and not config.clip[0] < config.clip[1]:
         raise ValueError(f"clip: {list(config.clip)} must be [low, high] with low < high")
-    check_signals(config.space, config.horizon)
-    for problem in config.problems:
-        _check_objective(config, problem)
-        _check_method(config, problem)
+
+
+def _check_starts_agree(config: "CampaignConfig") -> None:
     # A claim that is composed of two bounds is about the starts that both cover.
     if len({config.starts_of(problem) for problem in config.problems if not draws_starts(problem.method)}) > 1:
         raise ValueError("candidates: the problems choose from different starts; give their number, or one resolution")
-    if config.until_counterexample:
-        _check_until_counterexample(config, config.problems[0])
-    if config.regions:
-        check_regions(config)
-    check_composition(config)
-    if config.specifications:
-        _check_specifications(config)
-    _check_claims(config)
 
 
 def _check_objective(config: "CampaignConfig", problem: Problem) -> None:

@@ -1,16 +1,37 @@
 """The known errors: one family with one base, each one line of text with the place, the fault and the remedy."""
 
+from collections.abc import Callable
+
 
 class PerfboundError(Exception):
     """perfbound cannot continue."""
 
-    def __init__(self, text: str | None = None) -> None:
+    def __init__(self, text: str | None = None, *further: str) -> None:
         # The docstring of the class is the default text, so that no error is ever empty.
-        super().__init__(text or str(type(self).__doc__).partition("\n")[0].removesuffix("."))
+        self.lines = (text or str(type(self).__doc__).partition("\n")[0].removesuffix("."), *further)
+        """One for each fault; most errors have one."""
+        super().__init__("\n".join(self.lines))
 
 
 class CampaignError(PerfboundError):
     """The campaign file cannot be run."""
+
+
+def check_all(*checks: Callable[[], None]) -> None:
+    """Call every check, also those after one that fails.
+
+    Raises:
+        CampaignError: with the lines of all that fail.
+
+    """
+    lines: list[str] = []
+    for check in checks:
+        try:
+            check()
+        except CampaignError as error:
+            lines += error.lines
+    if lines:
+        raise CampaignError(*lines)
 
 
 class LinkError(PerfboundError):

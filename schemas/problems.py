@@ -4,7 +4,7 @@ A new problem is a name and a row. Modules ask for the properties and not for th
 measured like an older one needs nothing else; a new `Measured` needs a branch where mypy finds one missing.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -102,7 +102,7 @@ def replicates_are_robustness(name: ProblemName, method: MethodName) -> bool:
     return method in {"scenario", "sample"} or (method == "paper" and OBJECTIVES[name].risk)
 
 
-def any_of(names: tuple[str, ...]) -> str:
+def any_of(names: Iterable[str]) -> str:
     """Return quoted names as a choice.
 
     >>> any_of(("a", "b", "c"))

@@ -32,13 +32,17 @@ OUTBOX_KEPT = 600.0
 """Seconds without its orchestrator after which undelivered results are given up."""
 
 
-def fail(message: str) -> NoReturn:
-    """Print one line on stderr and exit with 1."""
-    click.echo(f"perfbound-worker: {one_line(message)}", err=True)
+def fail(*reasons: str) -> NoReturn:
+    """Print each reason in one line on stderr, and exit with 1."""
+    for reason in reasons:
+        click.echo(f"perfbound-worker: {one_line(reason)}", err=True)
     sys.exit(1)
 
 
-@click.group()
+HELP = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+
+
+@click.group(context_settings=HELP)
 def group() -> None:
     """Run a command in a child process of the orchestrator."""
     one_blas_thread()
@@ -59,7 +63,7 @@ def _add_file(reference: str) -> str:
         with contextlib.redirect_stdout(sys.stderr):  # what a file prints must not mix with the data
             return add_file(reference)
     except PerfboundError as error:
-        fail(str(error))
+        fail(*error.lines)
 
 
 system_option = click.option(
@@ -73,7 +77,7 @@ system_option = click.option(
 )
 
 
-@group.command()
+@group.command(context_settings=HELP)  # again: `perfbound-worker` is this command alone
 @system_option
 @click.option("--connect", "endpoint", required=True, help="Endpoint of the orchestrator, e.g. tcp/127.0.0.1:7447.")
 @click.option(

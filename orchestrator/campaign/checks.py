@@ -1,8 +1,11 @@
 """All checks of a campaign against its system: those of `schemas.campaign_check`, and those of the parsed formula."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
+
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_check import check_against
-from ...schemas.errors import CampaignError
+from ...schemas.errors import CampaignError, check_all
 from ...schemas.space import space_kind
 from ...schemas.system import SystemSpec
 from ..mathematics.stl.horizon import check_horizon
@@ -15,27 +18,34 @@ def check(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     """Refuse a campaign, read from `source`, that its system cannot run or whose claim would not follow.
 
     Raises:
-        CampaignError: one line with the source, the key and the remedy.
+        CampaignError: a line for each fault, with the source, the key and the remedy.
 
     """
     if config.system.name not in ("", spec.name):
         raise CampaignError(f"{source}: system.name: is {config.system.name!r}, the system here is {spec.name!r}")
-    check_against(config, spec, source)
-    _check_specification(config, spec, source)
+    checks: list[Callable[[], None]] = [
+        partial(check_against, config, spec, source),
+        partial(_check_specification, config, spec, source),
+    ]
     if isinstance(config.space, dict) and space_kind(config.space) == "distributions":
-        check_distributions(config.space, source)
+        checks.append(partial(check_distributions, config.space, source))
     if isinstance(config.space, dict) and config.where is not None:
-        check_where(config.space, config.where, source)
+        checks.append(partial(check_where, config.space, config.where, source))
+    check_all(*checks)
 
 
 def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     """Refuse what `check` refuses, and a clip that hides violations; campaigns that have begun may have one.
 
     Raises:
-        CampaignError: one line with the source, the key and the remedy.
+        CampaignError: a line for each fault, with the source, the key and the remedy.
 
     """
-    check(config, spec, source)
+    check_all(partial(check, config, spec, source), partial(_check_new_clip, config, source))
+
+
+def _check_new_clip(config: CampaignConfig, source: str) -> None:
+    """Refuse a clip beyond what a campaign records, or one that hides violations."""
     if config.clip is not None and max(map(abs, config.clip)) > LARGEST:
         raise CampaignError(
             f"{source}: clip: {list(config.clip)} is beyond {LARGEST:g}; give a range of the robustness"
@@ -50,28 +60,34 @@ def check_new(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
 
 def _check_specification(config: CampaignConfig, spec: SystemSpec, source: str) -> None:
     known = [column.name for column in spec.columns]
+    # A horizon that is missing has a line already.
+    horizon = spec.max_horizon if config.horizon == 0 and spec.timed else config.horizon
     # One by one first, so that an error names the requirement.
+    faults = []
     for each in config.specifications:
         try:
-            check_horizon(parse_formula(each.formula, known), config.horizon)
+            check_horizon(parse_formula(each.formula, known), horizon)
         except FormulaError as error:
-            raise CampaignError(f"{source}: specifications.{each.name}: {error}") from None
+            faults.append(f"{source}: specifications.{each.name}: {error}")
+    if faults:
+        raise CampaignError(*faults)
     if config.formula is None:
         return
     try:
         formula = parse_formula(config.formula, known)
-        check_horizon(formula, config.horizon)
-        _check_gap(config, columns(formula), source)
+        check_horizon(formula, horizon)
+        _check_gap(config, known, columns(formula), source)
     except FormulaError as error:
         raise CampaignError(f"{source}: specification: {error}") from None
 
 
-def _check_gap(config: CampaignConfig, read: frozenset[str], source: str) -> None:
+def _check_gap(config: CampaignConfig, known: Sequence[str], read: frozenset[str], source: str) -> None:
     """Refuse a gap in one column where the robustness depends on others."""
     for problem in config.problems:
         gap = config.gap_of(problem)
         # The composition needs |rho(s) - rho(z)| <= L * gap: a gap in one column bounds nothing that others change.
-        if gap is not None and gap.kind == "signal_sup" and read != {gap.column}:
+        # An unknown column has a line already.
+        if gap is not None and gap.kind == "signal_sup" and gap.column in known and read != {gap.column}:
             raise CampaignError(
                 f"{source}: gap.column: {gap.column!r} does not bound the robustness: the specification reads "
                 f'{", ".join(sorted(read)) or "no column"}; use kind = "predicate_sup", which fits every specification'

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ...schemas.meant import meant
 from ...schemas.toml_text import toml_comment, toml_value
 
 if TYPE_CHECKING:
@@ -290,7 +291,7 @@ def question_help() -> str:
 def unknown_question(name: str) -> str:
     """Return the error for a question that has no row."""
     known = "; ".join(f"{each} ({row.words})" for each, row in QUESTIONS.items())
-    return f"--question {name}: there is no such question; choose one of {known}"
+    return f"--question {name}: there is no such question; {meant(name, QUESTIONS)}choose one of {known}"
 
 
 def docs_table() -> str:

@@ -22,6 +22,7 @@ def print_list(assumptions: Iterable[Assumption], console: Console) -> None:
     for group, members in groups.items():
         plain_line(console, f"  {group}", "bold")
         for name, each in members:
-            head = Text(f"    {name:<{NAME}}")
-            head.append(f"{each.status:<12}", COLOURS.get(each.status, "yellow"))
+            # The blank stands apart, so that a name that fills its column keeps it.
+            head = Text(f"    {name:<{NAME - 1}} ")
+            head.append(f"{each.status:<11} ", COLOURS.get(each.status, "yellow"))
             hanging(console, head, each.detail)

@@ -1,6 +1,15 @@
 """The command line: it parses, calls one function, prints and exits; heavy modules load inside the commands."""
 
-from . import calibrate, campaigns, certificate, check, report, start, systems  # each adds its commands
+from . import (  # each adds its commands
+    calibrate,
+    campaigns,
+    certificate,
+    check,
+    completion,
+    report,
+    start,
+    systems,
+)
 from .entry import main
 
-__all__ = ["calibrate", "campaigns", "certificate", "check", "main", "report", "start", "systems"]
+__all__ = ["calibrate", "campaigns", "certificate", "check", "completion", "main", "report", "start", "systems"]

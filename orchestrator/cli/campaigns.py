@@ -12,6 +12,7 @@ import click
 from ...schemas.errors import one_line
 from ..run.address import Address
 from . import signing
+from .early import check_campaign, check_directory
 from .exits import resumable
 from .group import RUN_DIRECTORY, cli, output_console
 from .report import draw
@@ -98,7 +99,7 @@ log_option = click.option(
     expose_value=False,
     help="Form of progress and errors on stderr; json is one object a line.",
 )
-campaign_argument = click.argument("campaign", type=click.Path(path_type=Path))
+campaign_argument = click.argument("campaign", type=click.Path(path_type=Path), callback=check_campaign)
 
 
 def workers_option(least: int) -> Callable[..., Any]:
@@ -146,7 +147,7 @@ def orchestrate(
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.option("--system", default=None, metavar="FILE.py:NAME", help="The system in a file, if it is elsewhere now.")
 @click.option(
     "--max-tests",
@@ -192,23 +193,22 @@ def _run_new(
     overrides: Mapping[str, Any],
     *,
     sign: Path | None,
-    strict: bool,
-    on_finish: str | None,
     drain: bool,
-    **link: Any,
+    **options: Any,
 ) -> None:
     from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
-    from ..run import session  # noqa: PLC0415
 
-    key = (
-        signing.load_key(sign) if sign else None
-    )  # before hours of work: a wrong passphrase must not be noticed at their end
+    # Before hours of work: a wrong passphrase must not be noticed at their end.
+    key = signing.load_key(sign) if sign else None
     config = load_campaign(campaign, **overrides)
+    from ..run import session  # noqa: PLC0415  (late: a fault of the file is reported before it is loaded)
+
     directory = out or Path("runs") / config.name
+    at_end = {name: options.pop(name) for name in ("strict", "on_finish")}
     with resumable(directory):
-        options = session.RunOptions(workers, _link(**link), drain)
-        session.start_campaign(config, campaign, directory, options, STDERR.console)
-        _finish(directory, key, strict=strict, on_finish=on_finish, report=True)
+        settings = session.RunOptions(workers, _link(**options), drain)
+        session.start_campaign(config, campaign, directory, settings, STDERR.console)
+        _finish(directory, key, **at_end, report=True)
 
 
 def _overrides(seed: int | None, *, until_counterexample: bool) -> dict[str, Any]:
@@ -227,7 +227,6 @@ def _finish(
     console, found = output_console(), finished_certificate(directory)
     if key is not None:
         signing.sign_directory(directory, key)
-    # Before anything is printed: a pipe that closes, as that of `| head`, ends the process.
     if report:
         draw(directory)
     header = stored_header(directory)
@@ -252,7 +251,7 @@ def _tell(command: str, verdict: "CampaignVerdict") -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.argument("rollout")
 @click.option("--reason", required=True, metavar="TEXT", help="The reason, for the certificate.")
 def discard(directory: Path, rollout: str, reason: str) -> None:
@@ -272,7 +271,7 @@ def discard(directory: Path, rollout: str, reason: str) -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 def status(directory: Path) -> None:
     """Show the progress of the campaign in DIRECTORY, while it runs and afterwards."""
     from . import status as view  # noqa: PLC0415
@@ -281,7 +280,7 @@ def status(directory: Path) -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.option("--assumptions", is_flag=True, help="Also list every assumption with its status.")
 def show(*, directory: Path, assumptions: bool) -> None:
     """Show everything about the finished campaign in DIRECTORY: its verdict, claims, problems and files."""

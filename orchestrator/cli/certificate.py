@@ -7,8 +7,12 @@ from typing import Literal
 
 import click
 
+from ...schemas.errors import one_line
+from ...schemas.meant import meant
 from . import signing
+from .early import check_directory
 from .group import RUN_DIRECTORY, cli, output_console
+from .pipes import stdout_bytes
 from .stderr import STDERR
 
 
@@ -49,20 +53,27 @@ def verify(*, path: Path, key: Path | None, again: int, system: str | None, as_j
 @click.option(
     "--out",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
-    default=".",
-    help="Folder for the two files.  [default: here]",
+    default=None,
+    help="Folder for the two files.  [default: ~/.config/perfbound/keys]",
 )
 @click.option("--passphrase", "encrypted", is_flag=True, help="Encrypt the private key with a passphrase.")
-def keygen(*, name: str, out: Path, encrypted: bool) -> None:
+def keygen(*, name: str, out: Path | None, encrypted: bool) -> None:
     """Make a key that signs certificates: NAME.key, which is secret, and NAME.pub, for their verification."""
+    from ..certificate.key_folder import made_key_folder, work_tree  # noqa: PLC0415
     from ..certificate.keys import new_pair  # noqa: PLC0415
 
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", name):
         raise click.UsageError("NAME consists of letters, digits, '.', '_' and '-'; --out names the folder")
-    pair = new_pair(out, name, signing.passphrase(f"Passphrase of {name}", twice=True) if encrypted else b"")
+    secret = signing.passphrase(f"Passphrase of {name}", twice=True) if encrypted else b""
+    pair = new_pair(out or made_key_folder(), name, secret)
     click.echo(f"private key  {pair.private}   keep it secret: it signs in your name")
     click.echo(f"public key   {pair.public}   give it to everyone who verifies your certificates")
     click.echo(f"key id       {pair.id}")
+    if (tree := work_tree(pair.private.parent)) is not None:
+        warning = (
+            f"{pair.private}: is in the git work tree {tree} and may be committed; move this private key elsewhere"
+        )
+        click.echo(f"perfbound: {one_line(warning)}", err=True)
 
 
 @cli.command()
@@ -74,7 +85,7 @@ def sign(*, directory: Path, key: Path) -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.argument("tables", nargs=-1, metavar="[TABLES]...")
 @click.option(
     "--out",
@@ -101,11 +112,13 @@ def export(*, directory: Path, tables: tuple[str, ...], out: Path | None, form: 
 
     unknown = [name for name in tables if name not in store.TABLES]
     if unknown:
-        raise click.UsageError(f"there is no table {unknown[0]!r}; allowed are {', '.join(store.TABLES)}")
+        near, allowed = meant(unknown[0], store.TABLES), ", ".join(store.TABLES)
+        raise click.UsageError(f"there is no table {unknown[0]!r}; {near}allowed are {allowed}")
     if str(out) == "-":
         if len(tables) != 1 or form != "csv":
             raise click.UsageError("--out - writes one table, as CSV; name that table")
-        store.stream(directory, tables[0], sys.stdout.buffer)
+        with stdout_bytes() as stream:
+            store.stream(directory, tables[0], stream)
         return
     with STDERR.console.status("") as status:
         found = store.export(

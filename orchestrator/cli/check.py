@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .early import check_reference
 from .group import cli, output_console
 from .stderr import STDERR
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @cli.command("check-system")
-@click.argument("system")
+@click.argument("system", callback=check_reference)
 @click.option("--variant", type=click.Choice(["nominal", "true"]), default=None, help="This one alone.")
 @click.option(
     "--horizon", type=click.FloatRange(0, 86_400), default=None, help="Seconds of a rollout; default: its own, or 10."

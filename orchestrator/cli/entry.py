@@ -11,6 +11,7 @@ from ...schemas.blas import one_blas_thread
 from ...schemas.errors import PerfboundError, Stopped
 from .exits import end, take_signals
 from .group import cli
+from .pipes import readers_may_end
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -44,10 +45,11 @@ def main() -> None:
     """`perfbound`: a known error is one line on stderr and exit code 1."""
     take_signals(_stop)
     sys.unraisablehook = _unraisable
-    try:
-        _main()
-    except Stopped as request:
-        end(f"stopped; {request.state}", 128 + request.signal)
+    with readers_may_end():
+        try:
+            _main()
+        except Stopped as request:
+            end(f"stopped; {request.state}", code=128 + request.signal)
 
 
 def _main() -> None:
@@ -55,6 +57,6 @@ def _main() -> None:
     try:
         cli(prog_name="perfbound")
     except PerfboundError as error:
-        end(str(error), 1)
+        end(*error.lines, code=1)
     except OSError as error:
-        end(f"{error.filename or 'file system'}: {error.strerror or error}", 1)
+        end(f"{error.filename or 'file system'}: {error.strerror or error}", code=1)

@@ -26,14 +26,14 @@ def resumable(directory: Path, again: str | None = None) -> Iterator[None]:
     try:
         yield
     except Stopped as request:
-        end(f"stopped; {remedy()}", 128 + request.signal)
+        end(f"stopped; {remedy()}", code=128 + request.signal)
     except OSError as error:
-        end(f"{error.filename or directory}: {error.strerror or error}; {remedy('fix this, then ')}", 1)
+        end(f"{error.filename or directory}: {error.strerror or error}; {remedy('fix this, then ')}", code=1)
     except Exception as error:
         cause = getattr(error, "orig", None)  # SQLAlchemy's wrapping
         if not isinstance(cause, sqlite3.Error):
             raise
-        end(f"{directory / 'campaign.db'}: {cause}; {remedy('fix this, then ')}", 1)
+        end(f"{directory / 'campaign.db'}: {cause}; {remedy('fix this, then ')}", code=1)
 
 
 def take_signals(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
@@ -42,8 +42,9 @@ def take_signals(handler: Callable[[int, FrameType | None], None] | signal.Handl
         signal.signal(number, handler)
 
 
-def end(message: str, code: int) -> NoReturn:
-    """Print the reason in one line, and exit."""
+def end(*reasons: str, code: int) -> NoReturn:
+    """Print each reason in one line, and exit."""
     take_signals(signal.SIG_IGN)  # nothing is left to stop
-    STDERR.fail(f"perfbound: {one_line(message)}")
+    for reason in reasons:
+        STDERR.fail(f"perfbound: {one_line(reason)}")
     sys.exit(code)

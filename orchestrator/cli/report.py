@@ -1,20 +1,26 @@
 """The commands of the report: its files, and the live page."""
 
 import shlex
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from ...schemas.errors import Stopped, one_line
 from ..run.address import Address
+from .early import check_directory
 from .exits import end
 from .group import RUN_DIRECTORY, cli
 from .stderr import STDERR
 from .web_option import web_option
 
+if TYPE_CHECKING:
+    from ..certificate.verify.stages import Report
+
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @web_option("Where to serve it.  [default: loopback and a free port]", default=Address())
 @click.option("--insecure", is_flag=True, help="Allow serving it beyond this machine, where anyone can read it.")
 def web(*, directory: Path, web: Address, insecure: bool) -> None:
@@ -31,27 +37,39 @@ def web(*, directory: Path, web: Address, insecure: bool) -> None:
         _print_stderr(f"live page: {address.url}")
         server.run([listening])
     except Stopped as request:
-        end("the live page has ended", 128 + request.signal)
+        end("the live page has ended", code=128 + request.signal)
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.option("--json", "as_json", is_flag=True, help="Print what the page shows as JSON, and write nothing.")
 def report(*, directory: Path, as_json: bool) -> None:
     """Write report.html, counterexamples.csv and figures of the campaign in DIRECTORY, finished or not."""
+    from rich.progress import Progress  # noqa: PLC0415
+
+    from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
+
+    with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        lines = _write_report(directory, as_json=as_json, report=stage_bars(progress))
+    for line in lines:
+        click.echo(line)
+
+
+def _write_report(directory: Path, *, as_json: bool, report: "Report") -> list[str]:
+    """Write the report and return its files; with `as_json` write nothing, and return what the page shows."""
+    report("campaign", 0, 1)
     from ..report.data import to_json  # noqa: PLC0415
     from ..report.nominal import with_nominal  # noqa: PLC0415
     from ..report.write import collected, write_figures, write_page  # noqa: PLC0415
 
     data = collected(directory)
+    report("campaign", 1, 1)
     if as_json:
-        click.echo(to_json(data))
-        return
+        return [to_json(data)]
     if data.state != "finished":
         _print_stderr(f"{directory}: the campaign is {data.state}; the report shows its present state")
-    data = with_nominal(directory, data)
-    for path in (*write_page(directory, data), *write_figures(directory, data)):
-        click.echo(path)
+    data = with_nominal(directory, data, report)
+    return [str(path) for path in (*write_page(directory, data), *write_figures(directory, data, report))]
 
 
 def draw(directory: Path) -> None:

@@ -5,11 +5,12 @@ from pathlib import Path
 import click
 
 from ..campaign.questions import DEFAULT, QUESTIONS, question_help
+from .early import check_reference
 from .group import cli
 
 
 @cli.command()
-@click.argument("system")
+@click.argument("system", callback=check_reference)
 @click.option(
     "--question",
     default=DEFAULT,

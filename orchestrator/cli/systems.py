@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .early import check_directory, check_reference
 from .group import RUN_DIRECTORY, cli
 
 if TYPE_CHECKING:
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @cli.command()
-@click.argument("system")
+@click.argument("system", callback=check_reference)
 @click.option("--x", "start", required=True, help="Starting condition, one number per parameter: 5,0")
 @click.option("--variant", type=click.Choice(["nominal", "true"]), default="nominal", show_default=True)
 @click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=0, show_default=True)
@@ -54,7 +55,7 @@ def simulate(
 
 
 @cli.command()
-@click.argument("system", required=False)
+@click.argument("system", required=False, callback=check_reference)
 def systems(system: str | None) -> None:
     """Describe SYSTEM, or list the installed ones, with parameters, columns and options."""
     from ..fleet import simulate  # noqa: PLC0415
@@ -64,7 +65,7 @@ def systems(system: str | None) -> None:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY)
+@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
 @click.argument("rollout")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="PNG file to write.")
 @click.option("--mcap", type=click.Path(path_type=Path, dir_okay=False), default=None, help="MCAP file to write.")

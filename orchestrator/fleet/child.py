@@ -10,6 +10,7 @@ from pathlib import Path
 from ...schemas.campaign import CampaignConfig
 from ...schemas.campaign_file import load_description
 from ...schemas.errors import CampaignError, PerfboundError, one_line
+from ...schemas.meant import meant
 from ...schemas.system import SystemSpec
 from .family import GRACE, STACK_WRITER, end_family, place_of_stack, without_stack
 
@@ -86,7 +87,7 @@ def ask(
 
     Raises:
         HangError: it gives no answer in time.
-        PerfboundError: the child fails; the text is its last line.
+        PerfboundError: the child fails; the text is that of its last lines.
 
     """
     # -P: a module of the current directory must not replace an installed one.
@@ -110,14 +111,16 @@ def ask(
             raise
     lines = [text for text in without_stack(errors).splitlines() if text.strip()]
     known = child.returncode == 1 and lines and lines[-1].startswith(FAULT)
-    reason = lines.pop().removeprefix(FAULT) if known else f"`workers {command}` {_ended(child.returncode)}"
+    reasons = [] if known else [f"`workers {command}` {_ended(child.returncode)}"]
+    while known and lines and lines[-1].startswith(FAULT):
+        reasons.insert(0, lines.pop().removeprefix(FAULT))
     if child.returncode and not known and (place := place_of_stack(errors)):
-        reason += f" in {place}"
+        reasons[0] += f" in {place}"
     if on_line is not None:
         for printed in lines:
             on_line(one_line(printed.removeprefix(FAULT)))
     if child.returncode:
-        raise PerfboundError(reason)
+        raise PerfboundError(*reasons)
     return output
 
 
@@ -189,11 +192,14 @@ def system_spec(reference: str, where: str) -> SystemSpec:
             return SystemSpec.model_validate_json(ask("spec", name))
         except PerfboundError as error:
             # The worker names the file, and the key that `where` may end with.
-            text = str(error).removeprefix(f"{name}: ").removeprefix(f"{where.rpartition(': ')[2]}: ")
-            raise CampaignError(f"{where}: {text}") from None
+            key = f"{where.rpartition(': ')[2]}: "
+            texts = [line.removeprefix(f"{name}: ").removeprefix(key) for line in error.lines]
+            raise CampaignError(*(f"{where}: {text}" for text in texts)) from None
     found = installed_systems()
     if name not in found:
-        raise CampaignError(f"{where}: {name!r} is not an installed system; allowed are {', '.join(sorted(found))}")
+        near = meant(name, found)
+        allowed = ", ".join(sorted(found))
+        raise CampaignError(f"{where}: {name!r} is not an installed system; {near}allowed are {allowed}")
     if isinstance(spec := found[name], str):
         raise CampaignError(f"{where}: {spec}")
     return spec

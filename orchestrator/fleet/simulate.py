@@ -9,6 +9,7 @@ from pathlib import Path
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
 from ...schemas.ids import RolloutId
+from ...schemas.meant import meant
 from ...schemas.parameters import signal_shapes
 from ...schemas.rollout import RequestTemplate, RolloutRequest
 from ...schemas.system import OptionValue, SystemSpec, Variant
@@ -173,7 +174,8 @@ def chosen_options(spec: SystemSpec, texts: Sequence[str]) -> dict[str, OptionVa
         name, _, value = text.partition("=")
         option = known.get(name)
         if option is None:
-            raise PerfboundError(f"--option {text}: {spec.name} has the options {', '.join(known) or 'none'}")
+            there = f"{meant(name, known)}{spec.name} has the options {', '.join(known) or 'none'}"
+            raise PerfboundError(f"--option {text}: {there}")
         if option.choices and value not in option.choices:
             raise PerfboundError(f"--option {text}: allowed are {', '.join(option.choices)}")
         try:

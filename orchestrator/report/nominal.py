@@ -8,18 +8,20 @@ from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory, decode
+from ..certificate.verify.stages import Report
 from ..fleet.child import system_specs
 from ..fleet.simulate import simulate_to
 from ..store.read import read_header, reading
 from . import curves
 from .data import ReportData, Rollout, RolloutsOfTest
+from .stages import unreported
 
 MOST = 8
 """Tests that get a nominal curve; a child process simulates each."""
 LABEL = "nominal, simulated for this report"
 
 
-def with_nominal(directory: Path, data: ReportData) -> ReportData:
+def with_nominal(directory: Path, data: ReportData, report: Report = unreported) -> ReportData:
     """Return the data with nominal curves; where the system cannot be simulated here, a label gives the reason.
 
     Raises:
@@ -34,7 +36,11 @@ def with_nominal(directory: Path, data: ReportData) -> ReportData:
     try:
         _check_system(header)
         starts = {each.rollouts[0].x: each.rollouts[0] for each in true_only}
-        nominal = {x: _simulated(header, rollout) for x, rollout in starts.items()}
+        nominal = {}
+        for done, (x, rollout) in enumerate(starts.items()):
+            report("nominal curves", done, len(starts))
+            nominal[x] = _simulated(header, rollout)
+        report("nominal curves", len(starts), len(starts))
         added = {id(each): _joined(header, each, nominal[each.rollouts[0].x]) for each in true_only}
     except PerfboundError as error:
         added = {id(each): _noted(each, f" (no nominal curve: {error})") for each in true_only}

@@ -5,12 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...schemas import atomic
+from ..certificate.verify.stages import Report
 from ..run.format import resume_command
 from ..store import export
 from ..store.files import inside
 from . import html
 from .collect import Collector
 from .data import ReportData, Rollout, to_json
+from .stages import unreported
 
 REPORT, COUNTEREXAMPLES, FIGURES = "report.html", "counterexamples.csv", "figures"
 
@@ -60,17 +62,20 @@ def write_page(directory: Path, data: ReportData) -> tuple[Path, ...]:
     return (directory / REPORT, directory / COUNTEREXAMPLES)
 
 
-def write_figures(directory: Path, data: ReportData) -> tuple[Path, ...]:
+def write_figures(directory: Path, data: ReportData, report: Report = unreported) -> tuple[Path, ...]:
     """Write the figures as SVG and PNG, and return the files; this takes seconds.
 
     Raises:
         OSError: the directory cannot be written.
 
     """
+    report("figures", 0, len(data.problems))
     from .figures import figures  # noqa: PLC0415  (late: matplotlib takes a second to load)
 
     written = []
-    for name, picture in figures(data):
-        written.append(inside(directory, f"{FIGURES}/{name}"))
-        atomic.write_whole(written[-1], picture)
+    for done, problem in enumerate(data.problems, 1):
+        for name, picture in figures(replace(data, problems=(problem,))):
+            written.append(inside(directory, f"{FIGURES}/{name}"))
+            atomic.write_whole(written[-1], picture)
+        report("figures", done, len(data.problems))
     return tuple(written)

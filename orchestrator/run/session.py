@@ -132,11 +132,12 @@ def start_campaign(
         Stopped: a signal arrived.
 
     """
-    check_vacant(directory, config)
     reference = options.system or config.system.reference(source)
     where = f"{source}: system.{config.system.kind}"
     spec = options.own.spec if options.own else child.system_spec(reference, where)
     check_new(config, spec, str(source))
+    # After the file: a copied one with a typo is at fault itself, and not the directory of its name.
+    check_vacant(directory, config)
     header, link = Header.new(config, spec, software(spec)), options.link
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,

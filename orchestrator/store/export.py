@@ -13,6 +13,7 @@ from sqlalchemy import Connection
 from ...schemas.atomic import make_folder, replacing
 from ...schemas.errors import PerfboundError
 from ...schemas.facts import Header
+from ...schemas.meant import meant
 from . import export_tables
 from .export_tables import TABLES, ExportColumn, ExportTable, Row, Value
 from .files import FOLDER
@@ -84,7 +85,8 @@ def _open_campaign(directory: Path, names: Sequence[str]) -> Iterator[tuple[Conn
     """Open a campaign at one moment, with the named tables."""
     unknown = [name for name in names if name not in TABLES]
     if unknown:
-        raise PerfboundError(f"there is no table {unknown[0]!r}; allowed are {', '.join(TABLES)}")
+        near, allowed = meant(unknown[0], TABLES), ", ".join(TABLES)
+        raise PerfboundError(f"there is no table {unknown[0]!r}; {near}allowed are {allowed}")
     with reading(directory) as connection:
         header = read_header(connection, directory)
         version = read_version(connection, directory)

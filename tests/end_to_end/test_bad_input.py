@@ -1,5 +1,6 @@
 """Bad input: one line of error before any file is made, and no loss."""
 
+import json
 import os
 import shutil
 import signal
@@ -51,16 +52,17 @@ class Here:
         return Ended(caught.value.code, out, err)
 
     def run_file(self, data: bytes | str, *arguments: str) -> str:
-        """Run a campaign file that cannot be run; return the line with the reason."""
+        """Run a campaign file that cannot be run; return the first line, with the first reason."""
         file = self.folder / "c.toml"
         file.write_bytes(data.encode() if isinstance(data, str) else data)
         ended = self.run("run", "c.toml", "--out", "made", *arguments)
         assert ended.code == 1
         assert ended.out == ""
         assert sorted(self.folder.iterdir()) == [file], "nothing was made"
-        fault = ended.fault
-        assert fault.startswith("perfbound: c.toml: "), "it names the file"
-        return fault.removeprefix("perfbound: c.toml: ")
+        assert ended.last_line
+        lines = ended.err.splitlines()
+        assert all(line.startswith("perfbound: c.toml: ") for line in lines), "each names the file"
+        return lines[0].removeprefix("perfbound: c.toml: ")
 
 
 @pytest.fixture
@@ -160,6 +162,33 @@ def test_a_file_that_is_no_campaign(here: Here, data: bytes, reason: str) -> Non
     assert reason in here.run_file(data)
 
 
+@pytest.mark.usefixtures("asked")
+def test_every_fault_of_a_file_is_a_line_of_its_own(here: Here) -> None:
+    file = here.folder / "c.toml"
+    text = changed("horizon = 15.0", "horizont = 15.0").replace("seed = 1", "seed = 1.5")
+    file.write_text(text.replace("nu = 10.0", "nu = 0.0"))
+    ended = here.run("run", "c.toml", "--out", "made")
+    assert ended.code == 1
+    lines = [line.removeprefix("perfbound: c.toml: ") for line in ended.err.splitlines()]
+    keys = [line.partition(":")[0] for line in lines]
+    assert keys == ["horizont", "seed", f"{NOMINAL}.kernel.nu", "problems.sim_gap.kernel.nu"]
+    text = changed("abs(phi)", "abs(phy)").replace('gains = "paper"', 'gaims = "paper"')
+    file.write_text(text.replace("horizon = 15.0", "horizon = 150.0").replace("high = 5.0", "high = 500.0"))
+    ended = here.run("run", "c.toml", "--out", "made")
+    lines = [line.removeprefix("perfbound: c.toml: ") for line in ended.err.splitlines()]
+    keys = [line.partition(":")[0] for line in lines]
+    assert keys == ["space.x", "space.y", "system.gaims", "horizon", "specification"]
+    assert "unknown column 'phy'; did you mean 'phi'?" in lines[-1]
+
+
+def test_every_fault_of_a_file_is_a_json_object_of_its_own(started: Processes) -> None:
+    (started.folder / "c.toml").write_text(changed("nu = 10.0", "nu = 0.0").replace("seed = 1", "seed = 1.5"))
+    ended = started.run("perfbound", "run", "c.toml", "--log", "json")
+    lines = [json.loads(line) for line in ended.err.splitlines()]
+    assert (ended.code, len(lines)) == (1, 2)
+    assert all(line["level"] == "error" and line["message"].startswith("perfbound: c.toml: ") for line in lines)
+
+
 def test_a_file_with_a_byte_order_mark_is_read(here: Here) -> None:
     assert here.run_file(b"\xef\xbb\xbf" + changed("seed = 1", "seed = -1").encode()).startswith("seed: ")
 
@@ -235,6 +264,28 @@ def test_a_run_directory_that_exists_or_cannot_be_made(here: Here, calm: Path) -
         assert reason in ended.fault
     assert here.run("run", "c.toml", "--out", "c.toml").code == 2
     assert sorted(path.name for path in here.folder.rglob("*")) == ["c.toml", "full", "mine"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("horizon = 20.0", "horizont = 20.0", "horizont: unknown key"),
+        ('gains = "paper"', 'gains = "papers"', "system.gains: 'papers' is not allowed"),
+        ("\nx = {", "\nz = {", "space."),
+        ("abs(phi)", "abs(roll)", "specification: character 13: unknown column 'roll'"),
+    ],
+)
+@pytest.mark.usefixtures("asked")
+def test_the_file_is_checked_before_the_directory_of_its_name(
+    here: Here, calm: Path, old: str, new: str, key: str
+) -> None:
+    text = write_campaign(here.folder / "c.toml").read_text()
+    assert old in text
+    (here.folder / "c.toml").write_text(text.replace(old, new, 1))
+    ended = here.run("run", "c.toml", "--out", str(calm))
+    assert ended.code == 1
+    assert ended.err.startswith(f"perfbound: c.toml: {key}")
+    assert str(calm) not in ended.err
 
 
 @pytest.mark.usefixtures("asked")

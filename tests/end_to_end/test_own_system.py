@@ -126,7 +126,10 @@ def test_workers_elsewhere_need_the_same_code(started: Processes, folder: Path, 
         ('python = "cars.py"', "python: 'cars.py' is not allowed: allowed is"),
         ('name = "cars"', "'cars' is not an installed system; allowed are segway, test-function"),
         ('name = "segway"\npython = "cars.py:cars"', 'give one of name = "...", an installed system, python'),
-        ('python = "cars.py:cars"\nreactoin = 0.5', "system.reactoin: unknown key; allowed for cars are"),
+        (
+            'python = "cars.py:cars"\nreactoin = 0.5',
+            "system.reactoin: unknown key; did you mean 'reaction'? allowed for cars are",
+        ),
     ],
 )
 def test_a_system_that_cannot_be_used_is_one_line(

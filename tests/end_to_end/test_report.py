@@ -1,15 +1,18 @@
 """The report of real campaigns, written at their end and asked for afterwards."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from perfbound.orchestrator.run import service
-from tests.end_to_end.processes import Processes
+from tests.end_to_end.processes import BIN, Processes
 from tests.fakes.finished import a_list, finish, play
 
 
@@ -58,3 +61,28 @@ def test_true_rollouts_are_shown_beside_a_nominal_one(
         first, *others = scene["traces"]
         assert first["label"] == "nominal, simulated for this report"
         assert {trace["variant"] for trace in others} == {"true"}
+
+
+def test_a_report_shows_its_stages_on_a_terminal(calm: Path, tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    shutil.copytree(calm, directory)
+    ours, theirs = os.openpty()
+    with subprocess.Popen(
+        [BIN / "perfbound", "report", directory],
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        env=os.environ | {"TERM": "xterm"},
+    ) as process:
+        os.close(theirs)
+        shown = bytearray()
+        with suppress(OSError):  # the end of a terminal
+            while part := os.read(ours, 65536):
+                shown += part
+        os.close(ours)
+        assert process.stdout is not None
+        files = process.stdout.read().decode().split()
+    assert process.returncode == 0
+    assert files[0] == str(directory / "report.html")
+    for stage in (b"campaign", b"figures", b"100%"):
+        assert stage in shown, shown
+    assert b"Traceback" not in shown

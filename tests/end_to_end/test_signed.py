@@ -17,7 +17,7 @@ def here(tmp_path: Path) -> Iterator[Processes]:
     """Return what starts processes, in a folder with the keys `a` and `b`."""
     with processes(tmp_path) as started:
         for name in "ab":
-            assert started.run("perfbound", "keygen", name).code == 0
+            assert started.run("perfbound", "keygen", name, "--out", ".").code == 0
         yield started
 
 

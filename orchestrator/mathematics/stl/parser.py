@@ -20,12 +20,14 @@ chain, the rest groups to the left):
 One ladder serves formulas and arithmetic, so that "(" needs no look-ahead; every operator checks its operands' kind.
 """
 
+import difflib
 import math
 from collections.abc import Callable, Collection
 from typing import cast
 
 from .cursor import Cursor
 from .errors import FormulaError
+from .shorthand import spelled_out
 from .tokens import FormulaToken
 from .tree import (
     REST,
@@ -56,6 +58,7 @@ __all__ = ["Formula", "FormulaError", "columns", "parse_formula"]
 
 _UNTIL: dict[str, Reading] = {"until": "standard", "until_from": "paper"}
 _RESERVED = {"not", "always", "eventually", *_UNTIL, "and", "or", "implies", "abs", "inf"}
+_BEGINNINGS = {"always", "eventually"}
 _COMPARATORS = {"<=", ">=", "<", ">"}
 
 
@@ -70,6 +73,27 @@ def parse_formula(text: str, known: Collection[str] | None = None) -> Formula:
     'always[0,15] abs(phi) <= 0.95'
 
     """
+    try:
+        return _parsed(text, known)
+    except FormulaError as error:
+        raise _spelled_error(error, text, known) from None
+
+
+def _spelled_error(error: FormulaError, text: str, known: Collection[str] | None) -> FormulaError:
+    """Return the error of a text: with its spelling here, if it is a formula of other tools."""
+    if (spelling := spelled_out(text, known)) is None:
+        return error
+    reason = f"write `{spelling.text}`"
+    try:
+        _parsed(spelling.text, known)
+    except FormulaError as further:
+        if error.position != spelling.position:  # the first fault is another one
+            return error
+        reason += f"; there: {further.reason}"
+    return FormulaError(reason, text, spelling.position, spelling.length)
+
+
+def _parsed(text: str, known: Collection[str] | None) -> Formula:
     cursor = Cursor(text)
     start = cursor.token
     tree = _Grammar(cursor, known).formula()
@@ -255,9 +279,10 @@ def _literal(cursor: Cursor) -> Number:
 def _column(cursor: Cursor, known: Collection[str] | None) -> Column:
     name = cursor.token.text
     if cursor.after.text == "(":
-        raise cursor.error(f"unknown function {name!r}; the only function is abs")
+        raise cursor.error(f"unknown function {name!r}; {_meant(name, _RESERVED)}the only function is abs")
     if known is not None and name not in known:
-        raise cursor.error(f"unknown column {name!r}; known are {', '.join(known)}")
+        near = _meant(name, {*known, *_BEGINNINGS} if cursor.after.text == "[" else known)
+        raise cursor.error(f"unknown column {name!r}; {near}known are {', '.join(known)}")
     cursor.advance()
     return Column(name)
 
@@ -276,4 +301,12 @@ def _unexpected(token: FormulaToken) -> str:
         return "an interval [a,b] or [a,inf) is written right after always, eventually or until"
     if token.kind == "end":
         return "the formula is not complete"
-    return f"unexpected {token.text!r}"
+    hint = _meant(token.text, _RESERVED) if token.kind == "word" and token.text not in _RESERVED else ""
+    return f"unexpected {token.text!r}{hint and '; ' + hint.strip()}"
+
+
+def _meant(word: str, allowed: Collection[str]) -> str:
+    """Return a question with the nearest of the `allowed` words; empty if none is near."""
+    small = {each.lower(): each for each in sorted(allowed)}
+    near = difflib.get_close_matches(word.lower(), small, 1)
+    return f"did you mean {small[near[0]]!r}? " if near else ""

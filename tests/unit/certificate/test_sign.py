@@ -21,6 +21,7 @@ from securesystemslib.exceptions import VerificationError
 from securesystemslib.signer import CryptoSigner, SSlibKey  # type: ignore[attr-defined]
 
 from perfbound.orchestrator.certificate import files, sign
+from perfbound.orchestrator.certificate.key_folder import key_folder
 from perfbound.orchestrator.certificate.keys import key_id, load_private, load_public, new_pair
 from perfbound.orchestrator.cli import signing
 from perfbound.orchestrator.cli.group import cli
@@ -452,6 +453,40 @@ def test_keygen_and_sign_say_what_they_made(tmp_path: Path) -> None:
     assert signed.exit_code == 0
     assert key in signed.stdout
     sign.signed_payload((directory / files.ENVELOPE).read_bytes(), load_public(tmp_path / "k.pub"))
+
+
+def test_a_key_is_made_in_the_folder_for_configurations(tmp_path: Path) -> None:
+    place = tmp_path / "new" / "perfbound" / "keys"
+    made = command("keygen", "k", XDG_CONFIG_HOME=str(tmp_path / "new"))
+    assert (made.exit_code, made.stderr) == (0, "")
+    assert f"private key  {place / 'k.key'} " in made.stdout
+    assert sorted(os.listdir(place)) == ["k.key", "k.pub"]
+    assert stat.S_IMODE(place.stat().st_mode) == 0o700
+    assert "exists already" in refused(command("keygen", "k", XDG_CONFIG_HOME=str(tmp_path / "new")))
+    assert key_folder({"XDG_CONFIG_HOME": "relative", "HOME": "/h"}) == Path.home() / ".config" / "perfbound" / "keys"
+
+
+def test_a_folder_for_configurations_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    fault = refused(command("keygen", "k", XDG_CONFIG_HOME=str(tmp_path / "file")))
+    assert (
+        fault
+        == f"{tmp_path / 'file' / 'perfbound' / 'keys'}: cannot be made (Not a directory); choose a folder with --out"
+    )
+
+
+@pytest.mark.parametrize("kind", ["folder", "file", "none"])
+def test_a_key_in_a_git_work_tree_is_warned_about(tmp_path: Path, kind: str) -> None:
+    tree = tmp_path / "project"
+    (tree / "deep").mkdir(parents=True)
+    if kind != "none":
+        (tree / ".git").mkdir() if kind == "folder" else (tree / ".git").write_text("gitdir: elsewhere\n")
+    (tmp_path / "link").symlink_to(tree / "deep")
+    for name, out in (("a", tree / "deep"), ("b", tmp_path / "link")):
+        made = command("keygen", name, "--out", out)
+        assert made.exit_code == 0
+        found = f"perfbound: {out / name}.key: is in the git work tree {tree} and may be committed; "
+        assert made.stderr == ("" if kind == "none" else f"{found}move this private key elsewhere\n")
 
 
 @pytest.mark.parametrize("name", ["", "../k", "a/b", ".k", "-", "k\n", "x" * 65])

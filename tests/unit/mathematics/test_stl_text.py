@@ -101,6 +101,37 @@ class TestParser:
         assert len(predicates(tree)) == 2
 
     @pytest.mark.parametrize(
+        ("text", "position", "spelling"),
+        [
+            ("G[0,30] (x < 1)", 0, "always[0,30] (x < 1)"),
+            ("G (x < 1)", 0, "always (x < 1)"),
+            ("G_[0,2] x < 1", 0, "always[0,2] x < 1"),
+            ("G x < 1 and y < 1", 0, "always x < 1 and y < 1"),
+            ("F_[0,2] not x < 1", 0, "eventually[0,2] not x < 1"),
+            ("x < 1 U[0,5] (y > 0)", 6, "x < 1 until[0,5] (y > 0)"),
+            ("(x < 1) U (y > 0)", 8, "(x < 1) until (y > 0)"),
+            ("always_[0,3] (alw_[0,1] x < 1)", 0, "always[0,3] (always[0,1] x < 1)"),
+            ("G (x < 1 -> F[0,2] !(y > 0))", 0, "always (x < 1 implies eventually[0,2] not (y > 0))"),
+            ("\u25a1[0,2] (x \u2264 1 \u2227 y < 1 || x > 2)", 0, "always [0,2] (x <= 1 and y < 1 or x > 2)"),
+        ],
+    )
+    def test_the_spelling_of_other_tools_is_answered_by_this_one(self, text: str, position: int, spelling: str) -> None:
+        with pytest.raises(FormulaError) as caught:
+            parse_formula(text, NAMES)
+        assert (caught.value.reason, caught.value.position) == (f"write `{spelling}`", position)
+        parse_formula(spelling, NAMES)
+
+    @pytest.mark.parametrize("text", ["always G < 1", "G - F > U", "(G) < 1 until F > 1", "abs(F) <= U and G < 1"])
+    def test_a_column_may_have_the_name_of_an_operator_elsewhere(self, text: str) -> None:
+        assert columns(parse_formula(text, ("G", "F", "U"))) <= {"G", "F", "U"}
+
+    def test_before_a_phrase_such_a_name_is_the_operator(self) -> None:
+        with pytest.raises(FormulaError, match=r"write `always\[0,1\] G < 1`"):
+            parse_formula("G[0,1] G < 1", ("G",))
+        with pytest.raises(FormulaError, match="a condition is needed here"):
+            parse_formula("x < 1 and F", ("x", "F"))
+
+    @pytest.mark.parametrize(
         ("text", "position", "reason"),
         [
             ("", 0, "not complete"),
@@ -115,7 +146,12 @@ class TestParser:
             ("0 <= x <= 1", 7, "comparisons do not chain"),
             ("x <= 1 until y <= 1 until x <= 1", 20, "`until` does not chain"),
             ("x == 1", 2, "equality"),
-            ("x <= 1 & y <= 1", 7, "write `and`"),
+            ("x <= 1 & y <= 1", 7, "write `x <= 1 and y <= 1`"),
+            ("x <= 1 & y <= 1 or zz <= 1", 7, "write `x <= 1 and y <= 1 or zz <= 1`; there: unknown column 'zz'"),
+            ("always (xx <= 1)", 8, "unknown column 'xx'; did you mean 'x'\\? known are t, x, y"),
+            ("allways (x <= 1)", 0, "unknown function 'allways'; did you mean 'always'\\? the only function is abs"),
+            ("alwyas[0,5] x <= 1", 0, "unknown column 'alwyas'; did you mean 'always'\\?"),
+            ("x <= 1 AND y <= 1", 7, "unexpected 'AND'; did you mean 'and'\\?"),
             ("x <= 1 # y", 7, "unexpected character '#'"),
             ("always[0 5] x <= 1", 9, "',' expected"),
             ("always[-1,5] x <= 1", 7, "a number of 0 or more"),

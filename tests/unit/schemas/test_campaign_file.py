@@ -18,13 +18,21 @@ from tests.campaigns import FOLDER, config, table
 PAPER = (FOLDER / "segway-paper.toml").read_text()
 
 
-def fault_of(text: str, **overrides: Any) -> str:
+def faults_of(text: str, **overrides: Any) -> list[str]:
     with pytest.raises(CampaignError) as caught:
         parse_campaign(text.encode(), "c.toml", **overrides)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert message.startswith("c.toml: ")
-    return message.removeprefix("c.toml: ")
+    lines = caught.value.lines
+    assert not any("\n" in line for line in lines)
+    assert all(line.startswith("c.toml: ") for line in lines)
+    return [line.removeprefix("c.toml: ") for line in lines]
+
+
+def fault_of(text: str, **overrides: Any) -> str:
+    return faults_of(text, **overrides)[0]
+
+
+def keys_of(lines: list[str]) -> list[str]:
+    return [line.partition(":")[0] for line in lines]
 
 
 def changed(old: str, new: str) -> str:
@@ -173,7 +181,7 @@ def test_a_key_of_the_campaign_below_a_table_is_told_where_it_stands() -> None:
 
 
 def test_keys_of_a_problem_at_the_top_are_refused_beside_problems() -> None:
-    assert fault_of("alpha = 1.0\n" + WRITTEN_OUT).startswith("alpha: unknown key")
+    assert fault_of("alpha = 1.0\n" + WRITTEN_OUT) == "alpha: belongs to a problem; move it below its [[problems]]"
 
 
 def test_the_name_is_that_of_the_file() -> None:
@@ -230,11 +238,36 @@ def test_the_fault_is_named(text: str, reason: str) -> None:
     assert fault_of(text).startswith(reason)
 
 
-def test_the_other_faults_are_counted() -> None:
-    assert fault_of(changed("seed = 1\n", "seed = 1.5\n").replace("delta = 0.05", "delta = 2.0")).endswith(
-        "(and 2 more)"
-    )
-    assert "more" not in fault_of(PAPER[: PAPER.rindex("[[problems]]")].replace("delta = 0.05", "delta = 2.0"))
+def test_every_fault_has_a_line() -> None:
+    found = faults_of(changed("seed = 1\n", "seed = 1.5\n").replace("delta = 0.05", "delta = 2.0"))
+    assert keys_of(found) == ["seed", "problems.nominal_robustness.delta", "problems.sim_gap.delta"]
+    assert len(faults_of(PAPER[: PAPER.rindex("[[problems]]")].replace("delta = 0.05", "delta = 2.0"))) == 1
+
+
+def test_a_misspelt_key_is_one_fault_beside_others() -> None:
+    text = changed("alpha = 0.05", "alhpa = 0.05").replace("seed = 1\n", "seed = -1\n").replace("low = 0.0", "lw = 0.0")
+    assert keys_of(faults_of(text)) == ["space.x.lw", "space.y.lw", "problems.nominal_robustness.alhpa", "seed"]
+
+
+def test_every_rule_of_several_keys_has_a_line() -> None:
+    text = changed("horizon = 15.0", "horizon = 0.0").replace("max_tests = ", "max_tests = 1 #")
+    text = text.replace('sense = "min"', "window = 2").replace('specification = "', 'specification = "" #')
+    assert keys_of(faults_of(text)) == [
+        "horizon",
+        "problems.nominal_robustness.window",
+        "problems.sim_gap.max_tests",
+    ]
+
+
+def test_a_key_that_two_rules_need_is_one_fault() -> None:
+    without = "\n".join(line for line in PAPER.splitlines() if not line.startswith("clip"))
+    assert faults_of(without) == ["clip: required by problem 'nominal_robustness'"]
+
+
+def test_of_many_faults_the_first_are_listed() -> None:
+    found = faults_of("".join(f"wrong{k} = 1\n" for k in range(30)) + PAPER)
+    assert len(found) == 21
+    assert found[-1] == "10 more faults; fix these first"
 
 
 @pytest.mark.parametrize("problem", ["3", "{ name = ['a'] }", "{ name = 'sim_gap' }", "{ }"])
@@ -276,6 +309,30 @@ def test_an_option_without_limits_takes_any_number_and_no_text() -> None:
         "'heavy' is not allowed: allowed is a number"
     )
     check_against(parse_campaign(changed("noise_variance = 0.05", "mass = -1e9").encode(), "c.toml"), SPEC, "c.toml")
+
+
+def test_every_fault_against_the_system_has_a_line() -> None:
+    text = (
+        changed("\nx = {", "\nz = {")
+        .replace('gains = "paper"', 'gaims = "paper"')
+        .replace("horizon = 15", "horizon = 150")
+    )
+    lines = refused(text).splitlines()
+    assert [line.split(": ")[1] for line in lines] == ["space.z", "space.x", "system.gaims", "horizon"]
+    assert "unknown key; did you mean 'gains'? allowed" in lines[2]
+
+
+def test_a_parameter_is_meant() -> None:
+    renamed = SPEC.model_copy(
+        update={"parameters": tuple(p.model_copy(update={"name": f"gap_{p.name}"}) for p in SPEC.parameters)}
+    )
+    with pytest.raises(CampaignError) as caught:
+        check_against(parse_campaign(changed("\nx = {", "\ngapx = {").encode(), "c.toml"), renamed, "c.toml")
+    assert caught.value.lines[:3] == (
+        "c.toml: space.gapx: unknown parameter; did you mean 'gap_x'? segway has gap_x, gap_y",
+        "c.toml: space.y: unknown parameter; segway has gap_x, gap_y",
+        "c.toml: space.gap_y: this parameter of segway is required",
+    )
 
 
 def test_a_column_is_named_where_it_stands() -> None:
@@ -371,7 +428,6 @@ LENGTHS = "a number > 0, or one per parameter: { name = number, ... }"
     [
         ("-2.0", f"-2.0 is not allowed: allowed is {LENGTHS}"),
         ("{}", f"a table is not allowed: allowed is {LENGTHS}"),
-        ("{ x = 0.0, y = 1.0 }", f"a table is not allowed: allowed is {LENGTHS}"),
         ("[1.0, 2.0]", f"[1.0, 2.0] is not allowed: allowed is {LENGTHS}"),
         ("{ x = 1.0 }", "has x; give one number for each parameter of segway: x, y"),
         ("{ x = 1.0, v = 2.0 }", "has x, v; give one number for each parameter of segway: x, y"),
@@ -381,6 +437,11 @@ def test_a_length_scale_that_is_none(value: str, says: str) -> None:
     text = changed("length_scale = 2.0", f"length_scale = {value}")
     wanted = f"c.toml: problems.nominal_robustness.kernel.length_scale: {says}"
     assert (f"c.toml: {fault_of(text)}" if LENGTHS in says else refused(text)) == wanted
+
+
+def test_a_wrong_length_scale_of_one_parameter_is_named() -> None:
+    (fault,) = faults_of(changed("length_scale = 2.0", "length_scale = { x = 0.0, y = 1.0 }"))
+    assert fault == "problems.nominal_robustness.kernel.length_scale.x: 0.0 is not allowed: allowed is a number > 0"
 
 
 def test_a_length_scale_per_parameter_in_any_order() -> None:
@@ -399,12 +460,31 @@ def test_a_length_scale_per_parameter_in_any_order() -> None:
 # Method sample
 
 
-@pytest.mark.parametrize("key", ["alpha", "rkhs_norm", "noise_scale"])
-def test_a_key_of_another_method_is_no_unknown_key(key: str) -> None:
+@pytest.mark.parametrize(
+    ("key", "owners", "others"),
+    [
+        ("alpha", "'paper', 'rigorous' or 'scenario'", "one of those methods"),
+        ("rkhs_norm", "'paper', 'rigorous' or 'kriging'", "one of those methods"),
+        ("sigma", "'paper'", "that method"),
+    ],
+)
+def test_a_key_of_another_method_is_no_unknown_key(key: str, owners: str, others: str) -> None:
     text = (
         f'specification = "v >= 0"\n{key} = 3\nsystem.name = "a"\nspace.x = [0, 1]\nclaims = [{{ quantity = "mean" }}]'
     )
-    assert fault_of(text).startswith(f"{key}: has no meaning in method 'sample'; remove this key")
+    assert (
+        fault_of(text) == f"{key}: belongs to method {owners}, and not to 'sample'; remove this key, or choose {others}"
+    )
+
+
+@pytest.mark.parametrize("key", ["c = 0.1", 'sigma = "std"', 'tail = "gaussian"', "refine = true"])
+def test_a_key_of_method_paper_in_method_rigorous_names_its_method(key: str) -> None:
+    text = ONE_PROBLEM.replace("alpha = 0.05", f"alpha = 0.05\n{key}")
+    name = key.partition(" ")[0]
+    wanted = "belongs to method 'paper', and not to 'rigorous'; remove this key, or choose that method"
+    assert faults_of(text) == [f"{name}: {wanted}"]
+    beside = WRITTEN_OUT.replace("alpha = 0.05", f"alpha = 0.05\n{key}")
+    assert faults_of(beside) == [f"problems.robustness.{name}: {wanted}"]
 
 
 @pytest.mark.parametrize(
@@ -444,7 +524,8 @@ def test_many_parameters_have_length_scales_of_whole_ranges() -> None:
 
 def test_a_fault_of_a_range_is_reported_and_no_missing_kernel() -> None:
     text = ONE_PROBLEM.replace("kernel = { length_scale = 1.0 }\n", "").replace("high = 5.0", "high = -5.0")
-    assert fault_of(text).startswith("space.z")
+    (fault,) = faults_of(text)
+    assert fault.startswith("space.z")
 
 
 @pytest.mark.parametrize("method", ["paper", "scenario"])

@@ -143,11 +143,11 @@ def test_a_stored_system_with_other_knots_is_refused() -> None:
 
 
 @given(keys=st.dictionaries(st.sampled_from(["signal", "knots"]), st.sampled_from(["linear", 0, 1, 2.5, True, [], {}])))
-def test_any_signal_is_a_campaign_or_one_line(keys: dict[str, Any]) -> None:
+def test_any_signal_is_a_campaign_or_a_line_for_each_fault(keys: dict[str, Any]) -> None:
     values = ", ".join(f"{key} = {str(each).lower() if each is True else repr(each)}" for key, each in keys.items())
-    refused = ""
+    refused: tuple[str, ...] = ()
     try:
         parsed(f"u = {{ low = 0, high = 1{', ' if values else ''}{values} }}", length="{ u = 1 }")
     except CampaignError as error:
-        refused = str(error)
-    assert "\n" not in refused
+        refused = error.lines
+    assert not any("\n" in line for line in refused)
