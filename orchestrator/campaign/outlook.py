@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import KrigingProblem, Problem, SampleProblem
+from ...schemas.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
 from ...schemas.values import Guess, ProblemProgress
 from .forecast import FEWEST, budget
 
@@ -76,8 +76,9 @@ def outlook_lines(config: CampaignConfig, progress: Sequence[ProblemProgress]) -
 
 def in_words(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> str | None:
     """Return the forecast of a problem in words; None where there is none, and for a question that is answered."""
-    # A number of samples is fixed, and so is what it can show.
-    if isinstance(problem, SampleProblem) or progress.stopped_by not in (None, "budget") or not progress.tests:
+    # A number of samples is fixed, and so is what it can show; method `paper` has no bound before it stops.
+    without = isinstance(problem, SampleProblem | PaperProblem)
+    if without or progress.stopped_by not in (None, "budget") or not progress.tests:
         return None
     if isinstance(problem, KrigingProblem):
         return _planned_words(config, problem, progress)

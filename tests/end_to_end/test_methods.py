@@ -17,8 +17,8 @@ SMALL = {
     | {"replicates = 64": "replicates = 5"},
     FOLDER / "segway-rigorous.toml": {
         "resolution = 41": "resolution = 9",
-        "max_tests = 400": "max_tests = 6",
-        "replicates = 16": "replicates = 4",
+        "max_tests = 100": "max_tests = 6",
+        "replicates = 64": "replicates = 4",
     },
     FOLDER / "segway-scenario.toml": {"max_tests = 750": "max_tests = 10", "replicates = 8": "replicates = 3"},
 }

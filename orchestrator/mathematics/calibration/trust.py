@@ -44,8 +44,11 @@ LARGEST = 3.6
 """Standard deviations from which a noisy value is no prediction error of the kernel."""
 CLEAR = 0.003
 """Share of the variance of the values up to which noise hides nothing, so that they count as exact."""
-DOUBTED = 4
-"""Starts that are simulated again because the others do not predict them: noise alone would not do so twice."""
+DOUBTED, MOST_DOUBTED = 4, 0.05
+"""Starts at least, and the share of them at most, that are simulated again because the others do not predict them:
+noise alone would not do so twice."""
+DOUBTFUL = 3.0
+"""Standard deviations from which all of them are: among many starts skewed noise has some that are as far by chance."""
 STRUCTURE = 7.0
 """Gain in likelihood below which noisy values show nothing but noise."""
 
@@ -101,10 +104,13 @@ def choose_kernel(
     return Choice(trials, min(trusted, key=lambda each: each.width), ())
 
 
-def least_predicted(data: SampledValues, count: int = DOUBTED) -> list[int]:
+def least_predicted(data: SampledValues) -> list[int]:
     """Return the starts whose noisy values are farthest from what the others predict, in standard deviations."""
-    found = leave_one_out(fit_kernel(SMOOTHNESS[1], data), data)
-    deviations = np.abs(found.observed - found.predicted) / found.sd
+    fit = fit_kernel(SMOOTHNESS[1], data)
+    found = leave_one_out(fit, data)
+    deviations = np.abs(found.observed - found.predicted) / (found.sd * fit.amplitude)
+    most = int(MOST_DOUBTED * len(deviations))
+    count = max(DOUBTED, min(most, int(np.count_nonzero(deviations > DOUBTFUL))))
     return [int(each) for each in np.argsort(-deviations, kind="stable")[:count]]
 
 

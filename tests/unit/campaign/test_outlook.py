@@ -20,6 +20,7 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.values import MARKED, Bound, ProblemProgress
+from tests.campaigns import config as a_config
 from tests.fakes.simulators import robustness, simulate, spec
 
 RIGOROUS: dict[str, Any] = {
@@ -93,6 +94,8 @@ def test_words_have_the_sense_of_the_problem_and_the_budget() -> None:
     assert in_words(config, config.problems[0], progress("converged")) is None
     sampled = robustness({"method": "sample"}, max_tests=400)
     assert in_words(sampled, sampled.problems[0], progress(None)) is None
+    paper = a_config("segway-paper")
+    assert in_words(paper, paper.problems[0], progress(None)) is None, "it has no bound before it stops"
 
 
 def wave(request: RolloutRequest) -> float:
