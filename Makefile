@@ -102,7 +102,7 @@ NOT_SLOW := -m "not slow"
 # their time: for processes, for the disk.
 PROCESSES := tests/end_to_end tests/faults
 WITHOUT := -n 3 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
-AT_ONCE ?= 4
+AT_ONCE ?= 3
 WITH := -n $(AT_ONCE) --dist loadgroup $(PROCESSES)
 unit: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
 	$(BIN)/python -m pytest $(WITHOUT) --durations=10 $(NOT_SLOW)
