@@ -96,6 +96,7 @@ log_option = click.option(
     default="text",
     show_default=True,
     callback=_log,
+    is_eager=True,  # before the arguments, whose faults are lines of this form
     expose_value=False,
     help="Form of progress and errors on stderr; json is one object a line.",
 )

@@ -187,6 +187,9 @@ def test_every_fault_of_a_file_is_a_json_object_of_its_own(started: Processes) -
     lines = [json.loads(line) for line in ended.err.splitlines()]
     assert (ended.code, len(lines)) == (1, 2)
     assert all(line["level"] == "error" and line["message"].startswith("perfbound: c.toml: ") for line in lines)
+    for words in (("run", "missing.toml"), ("resume", "missing")):
+        (line,) = started.run("perfbound", *words, "--log", "json").err.splitlines()
+        assert json.loads(line)["message"].startswith(f"perfbound: {words[1]}: ")
 
 
 def test_a_file_with_a_byte_order_mark_is_read(here: Here) -> None:

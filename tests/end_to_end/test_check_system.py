@@ -169,7 +169,10 @@ def test_the_table_names_every_check_and_the_verdict(started: Processes) -> None
         ((f"{PLANTED}:nothing",), "there is no 'nothing' in it"),
         ((f"{PLANTED}:sound", "--variant", "true"), "--variant true: sound has nominal"),
         (("segway", "--horizon", "500"), "--horizon 500: segway takes 0 to 120 s"),
-        (("segway", "--option", "gain=2"), "--option gain=2: segway has the options gains, noise_variance"),
+        (
+            ("segway", "--option", "gain=2"),
+            "--option gain=2: did you mean 'gains'? segway has the options gains, noise_variance",
+        ),
     ],
 )
 def test_a_wrong_argument_is_one_line(started: Processes, arguments: tuple[str, ...], words: str) -> None:

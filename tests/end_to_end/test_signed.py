@@ -38,7 +38,7 @@ def test_a_run_signs_and_others_may_sign_after_it(here: Processes) -> None:
     campaign, directory = with_few_checks(here.folder / "c.toml", "test-function"), here.folder / "run"
     ended = here.run("perfbound", "run", campaign, "--out", directory, "--sign", "a.key")
     assert ended.code == 0, ended.err
-    assert f"signed       {directory / 'certificate.dsse.json'}" in ended.out
+    assert f"signed       {directory / 'certificate.dsse.json'}" in here.run("perfbound", "show", directory).out
     assert signers(directory, here.folder) == "a"
     alone = (directory / "certificate.dsse.json").read_bytes()
     assert here.run("perfbound", "resume", directory, "--sign", "a.key").code == 0
