@@ -20,7 +20,7 @@ def test_the_file_of_the_page_on_requirements_gives_its_claims(started: Processe
     printed = re.search(r"```text\n(.*?)```", page, re.DOTALL)
     assert printed is not None
     lines = [line for line in printed[1].splitlines() if line]
-    assert len(lines) == 3
+    assert len(lines) == 5
     assert set(lines) <= set(found.out.splitlines())
     run = tmp_path / "worst"
     found = started.run("perfbound", "run", write(tmp_path, worst, lines=15), "--out", run)
