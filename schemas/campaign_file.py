@@ -124,6 +124,8 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
         one_problem = leaves_out_problems(table)
         listed = list_fault(found, one_problem)
         lines = faults(error, found, one_problem) if listed is None else [listed]
+        if any(line.endswith("rkhs_norm: this key is required: a number > 0") for line in lines):
+            lines = [*lines, f"a draft without constants of a kernel: `perfbound calibrate {source}` proposes them"]
         if not OF_PROBLEM & table.keys() and is_description(table):
             first, *others = lines
             hint = f"; this file describes a program alone: perfbound init {source} makes a campaign of it"

@@ -40,4 +40,5 @@ class CampaignVerdict(Model):
     required_probability: float
     unit: str = Field(description="of the robustness; empty where it has none")
     violations: Violations
+    clipped: bool = Field(default=False, description="whether the worst robustness is at the lower clip, or below it")
     repeat: str = Field(description="command that simulates the worst rollout again; empty where none violates")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...schemas.campaign_defaults import derived_lengths
 from ...schemas.problems import MethodName
 from ..mathematics.calibration.kernel_fit import KernelFit
-from ..mathematics.calibration.noise import MARGIN, nearest_starts, noise_scale, pooled
+from ..mathematics.calibration.noise import FALLS, MARGIN, largest_deviation, nearest_starts, noise_scale, pooled
 from ..mathematics.calibration.sampled import SampledValues
 from ..mathematics.calibration.steepness import Descent
 from ..mathematics.calibration.trust import EXACT_MARGIN, NOISY_MARGIN, Choice, KernelTrial, choose_kernel
@@ -261,12 +261,18 @@ def _noise_constant(measured: ProblemEvidence) -> Constant:
     limit = measured.plan.hoeffding
     at, each = measured.at_noisiest.shape
     sd = float(measured.at_noisiest.std(axis=1, ddof=1).max()) if at else pooled(measured.values)
+    falls = largest_deviation(measured.shares, measured.values)
+    if falls > FALLS and math.isfinite(limit):
+        reason = f"A rollout deviates by {falls:.0f} standard deviations: no multiple of one bounds such falls."
+        return Constant("noise_scale", "derived", f"{reason} R = {limit:.3g} follows from the clip.")
     if not 0 < scale < limit and math.isfinite(limit):
         reason = f"Half the range of the clipped objective, {limit:.3g}, is no more than {MARGIN:g} times what is seen."
         if scale == 0:
             reason = "No two rollouts at a start differ, and they may: R follows from the clip."
         return Constant("noise_scale", "derived", reason)
     reason = f"Largest standard deviation, {sd:.3g}, of {each} rollouts at each of the {at} noisiest starts."
+    if pooled(measured.values) > sd:
+        reason = f"Standard deviation of the rollouts at all starts together, {pooled(measured.values):.3g}."
     return Constant("noise_scale", scale or 1e-9, reason, f"factor {MARGIN:g}")
 
 
@@ -334,9 +340,14 @@ def _unpredicted(measured: ProblemEvidence, choice: Choice) -> str:
     return f"The values do not predict one another: the error is {math.sqrt(best):.1f} times their own noise."
 
 
-def _outlier(_: ProblemEvidence, choice: Choice) -> str:
-    best = min(each.predictions.largest for each in choice.trials)
-    return f"One value is {best:.1f} standard deviations from what the others predict, as in a narrow hole."
+def _outlier(measured: ProblemEvidence, choice: Choice) -> str:
+    best = min((each.predictions for each in choice.trials), key=lambda each: each.largest)
+    (start,) = measured.box.starts(measured.shares[[best.worst]])
+    place = ", ".join(f"{name} = {value:.6g}" for name, value in zip(measured.box.names, start, strict=True))
+    return (
+        f"The value at {place} is {best.largest:.1f} standard deviations from what the others predict: a narrow hole, "
+        "or noise with falls that are too rare to be seen twice."
+    )
 
 
 _DOUBTS = {

@@ -109,11 +109,16 @@ class BudgetForecast:
         return max(self.without - self.fitted, 0.0) / PARTS
 
     @property
+    def vain(self) -> bool:
+        """Whether the rollouts may be expected to prove next to nothing beyond the constants."""
+        return self.proposed.bound.middle >= self.without - self.little
+
+    @property
     def reason(self) -> str:
         """Why this budget is proposed."""
         more, little = f"Twice as many rollouts would improve the bound by about {self.doubling:.2g}", self.little
-        if self.proposed.bound.middle >= self.without - little:
-            return f"Even {MOST} rollouts prove next to nothing beyond the constants; another method may prove more."
+        if self.vain:
+            return f"Even {MOST} rollouts prove next to nothing beyond the constants; method rigorous may prove more."
         if self.doubling > little:
             return f"{more}; {MOST} rollouts are the most that is proposed."
         return f"{more}, less than a {PARTS}th of all that rollouts can bring."

@@ -1,5 +1,6 @@
 """The verdict on a finished campaign: does its first claim show what the campaign file requires?"""
 
+import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from ...schemas.requirements import parts_of
 from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
 from ..campaign.clip import SAME
 from ..mathematics.bounds.opposite import OppositeTest
+from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
 from .bases import bases
 from .refutation_text import refutation_sentence
@@ -83,9 +85,9 @@ def campaign_verdict(
     limit = config.required_margin if claim.sense == ">=" else config.required_at_most
     required = _Required(limit, _required_probability(config, claim), unit)
     found = (
-        _shown(claim, required)
+        _shown(predicate, required)
         or _violated(header, predicate, required, values)
-        or _not_shown(predicate, required, commands)
+        or _not_shown(predicate, required, violations, commands)
     )
     return CampaignVerdict(
         verdict=found.word,
@@ -101,6 +103,7 @@ def campaign_verdict(
         required_probability=required.probability,
         unit=unit,
         violations=violations,
+        clipped=violations.least is not None and config.clip is not None and violations.least <= config.clip[0],
         repeat=commands.repeat if violations.violations else "",
     )
 
@@ -113,7 +116,11 @@ def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
     'Guaranteed margin 0.5812 rad (robustness) from every start, with probability at least 0.9500'
     """
     bound, probability = outward(claim.bound, claim.sense), outward(claim.probability, ">=")
-    chance = f"with probability at least {probability}"
+    many = f"{len(claim.assumptions)} assumption{'' if len(claim.assumptions) == 1 else 's'}"
+    # Certainty is that of a system without noise, and of nothing else.
+    chance = f"if its {many} hold" if claim.probability == 1.0 else f"with probability at least {probability}"
+    if claim.probability < 1.0 and claim.assumptions:
+        chance += f", if its {many} hold"
     meaning = WORST.get(claim.quantity)
     if meaning is None:
         words = f"Refuted: {claim_words(claim)}" if claim.refuted else _capitalised(claim_words(claim))
@@ -150,11 +157,17 @@ def _required_probability(config: CampaignConfig, claim: CertificateClaim) -> fl
     return 1.0 - (max(found) if basis.rule == "every" else math.fsum(found))
 
 
-def _shown(claim: CertificateClaim, required: _Required) -> _Finding | None:
+def _shown(predicate: Predicate, required: _Required) -> _Finding | None:
+    claim = predicate.claims[0]
     if claim.refuted or claim.vacuous or _falls_short(claim, required) or _too_unlikely(claim, required):
         return None
     limit = _margin_text(f"{required.bound:g}", claim, required.unit)
-    return _Finding("SHOWN", (f"Required {'at least' if claim.sense == '>=' else 'at most'} {limit}.",))
+    reasons = [f"Required {'at least' if claim.sense == '>=' else 'at most'} {limit}."]
+    if (partner := _partner(predicate)) is not None:
+        least = claim.sense == ">="
+        other = _margin_text(outward(partner, "<=" if least else ">="), claim, required.unit)
+        reasons.append(f"With the same probability it is at {'most' if least else 'least'} {other} at the worst start.")
+    return _Finding("SHOWN", tuple(reasons))
 
 
 def _falls_short(claim: CertificateClaim, required: _Required) -> bool:
@@ -230,7 +243,7 @@ def _by_rollouts(
         if claim.requirement is not None:
             return None  # the stored robustness is that of the whole specification
         if _is_deterministic(header):
-            return _one_start_below(required, values())
+            return _one_start_below(header, required, values())
         pairs = ((each.start, each.robustness) for each in values())
         return _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
     if not is_sampled(claim.quantity) or claim.requirement is not None:
@@ -247,11 +260,16 @@ def _by_rollouts(
     return None
 
 
-def _one_start_below(required: float, values: Values) -> _Finding | None:
+def _one_start_below(header: Header, required: float, values: Values) -> _Finding | None:
     below = min((each for each in values if each.robustness < required), key=lambda each: each.robustness, default=None)
     if below is None:
         return None
-    return _Finding("VIOLATED", (f"A start has a robustness of {below.robustness:.4f}, and nothing there is random.",))
+    names = (parameter.name for parameter in header.spec.parameters)
+    start = ", ".join(f"{name} = {value:.7g}" for name, value in zip(names, json.loads(below.start), strict=True))
+    unit = robustness_unit(header.config, header.spec)
+    margin = f"{below.robustness:.4f} {'' if unit == '1' else one_line(unit)}".rstrip()
+    least = "" if required == 0 else f", less than the required {required:g}"
+    return _Finding("VIOLATED", (f"At {start} the robustness is {margin}{least}, and nothing there is random.",))
 
 
 def _mean_below(
@@ -295,7 +313,7 @@ def _drawn_samples(config: CampaignConfig, values: Values) -> Values:
 # Neither
 
 
-def _not_shown(predicate: Predicate, required: _Required, commands: Commands) -> _Finding:
+def _not_shown(predicate: Predicate, required: _Required, violations: Violations, commands: Commands) -> _Finding:
     claim, reasons, advice = predicate.claims[0], list[str](), list[str]()
     if claim.refuted:
         reasons.append(refutation_sentence(claim.refuted))
@@ -310,7 +328,7 @@ def _not_shown(predicate: Predicate, required: _Required, commands: Commands) ->
         limit, bound = _margin_text(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
         reasons.append(f"The bound {bound} does not reach the required {limit}{_budget_words(predicate)}.")
         if not claim.refuted:
-            advice.append(_for_a_better_bound(predicate, commands))
+            advice.append(_smaller_alpha(predicate, required, violations) or _for_a_better_bound(predicate, commands))
     if _too_unlikely(claim, required):
         chance = outward(claim.probability, ">=")
         reasons.append(f"It holds with probability {chance}, and {required.probability:g} is required.")
@@ -330,7 +348,27 @@ def _instead_of_refuted(claim: CertificateClaim) -> str:
     return "Find the cause of what is refuted first: more rollouts do not help."
 
 
+def _smaller_alpha(predicate: Predicate, required: _Required, violations: Violations) -> str:
+    """Return the advice where values without noise are beyond what is required by less than the tolerance; else none.
+
+    A problem ends when its bounds are `alpha` apart, so that more tests do not help.
+    """
+    claim, (problem, *others) = predicate.claims[0], predicate.problems
+    alpha = problem.parameters.get("alpha")
+    if claim.quantity != "robustness" or others or violations.least is None or not isinstance(alpha, float):
+        return ""
+    left = violations.least - (required.bound or 0.0)
+    if not 0 < left < alpha:
+        return ""
+    return (
+        f"A smaller `alpha`, such as {left / 2:.2g}, in a new campaign: the worst start so far is only {left:.4g} "
+        f"above what is required, and bounds that are alpha = {alpha:g} apart end the tests."
+    )
+
+
 def _for_a_better_bound(predicate: Predicate, commands: Commands) -> str:
+    if predicate.claims[0].vacuous and predicate.problems[0].method == "kriging":
+        return "Method `rigorous`: where means differ more than noise, more tests by `kriging` help little."
     spent = [each for each in predicate.problems if each.stopped_by == "budget"]
     if commands.resume and any(each.method in ("rigorous", "scenario") for each in spent):
         return f"More tests: `{commands.resume} --max-tests N` continues this campaign."

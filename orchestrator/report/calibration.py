@@ -113,11 +113,13 @@ def _budget_lines(guess: BudgetForecast) -> Iterator[str]:
     )
     yield f"  {'rollouts':>9}  {'max_tests':>9}  {'replicates':>10}  {f'bound, {100 * share:.0f} % range':<26}  time"
     for each in guess.budgets:
-        mark = "  <- proposed" if each == guess.proposed else ""
+        mark = "  <- proposed" if each == guess.proposed and not guess.vain else ""
         yield (
             f"  {each.enters:>9}  {each.tests:>9}  {each.replicates:>10}  {each.bound.words(sign):<26}  "
             f"{duration(each.seconds)}{mark}"
         )
+    if guess.vain:
+        yield "  No budget proves more than the constants alone: remove `method` from the draft, for one by rigorous."
     yield (
         f"  {THOUSAND} further rollouts would bring about {guess.thousand:.2g}; times are those of {guess.workers} "
         "workers, closing checks included"

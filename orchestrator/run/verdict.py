@@ -54,7 +54,8 @@ def violation_words(found: CampaignVerdict) -> str:
     seen = found.violations
     if not seen.rollouts or seen.least is None:
         return ""
-    worst = f"the worst {seen.least:.4f} {one_line(found.unit)}".rstrip()
+    margin = f"{seen.least:.4f} {one_line(found.unit)}".rstrip()
+    worst = f"the worst {margin}, or lower: the clip" if found.clipped else f"the worst {margin}"
     count = f"{seen.violations:,} of {seen.rollouts:,} rollouts violate the specification"
     if not seen.violations:
         return f"{count}; {worst}."

@@ -31,6 +31,8 @@ class LeaveOneOut:
     excess: float
     """Infinite without noise, where any error is above it."""
     largest: float
+    worst: int
+    """Where it is."""
 
 
 def leave_one_out(fit: KernelFit, data: SampledValues) -> LeaveOneOut:
@@ -50,4 +52,5 @@ def leave_one_out(fit: KernelFit, data: SampledValues) -> LeaveOneOut:
         1.0 - square / max(float(np.var(data.values)), 1e-300),
         square / data.variance if data.variance else np.inf,
         float(np.max(np.abs(errors) / sd)) / fit.amplitude,
+        int(np.argmax(np.abs(errors) / sd)),
     )

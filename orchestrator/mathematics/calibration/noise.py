@@ -19,6 +19,8 @@ NOISIEST = 4
 """Starts at which more rollouts follow."""
 POOLED = 6
 """Starts whose spread ranks a start: two rollouts at one alone rank by chance."""
+FALLS = 10.0
+"""Standard deviations of the neighbours by which a rollout deviates from its start only where rare falls do it."""
 MARGIN = 1.5
 """R over the largest standard deviation at the noisiest starts: theirs are estimates, and others may be noisier."""
 
@@ -52,6 +54,22 @@ def noisiest(shares: Floats, values: Floats, count: int = NOISIEST) -> list[int]
         if len(chosen) == count:
             break
     return chosen
+
+
+def largest_deviation(shares: Floats, values: Floats) -> float:
+    """Return the largest deviation of a rollout (n, k) from the mean of its start (n, p), in standard deviations.
+
+    The standard deviation is that of the rollouts at the nearest other starts, and at least a quarter of the pooled
+    one, so that noise which differs from start to start is no large deviation; 0 without noise.
+    """
+    spread = pooled(values)
+    if not spread > 0:
+        return 0.0
+    variances = values.var(axis=1, ddof=1)
+    near = variances[nearest_starts(shares)[:, 1:]].mean(axis=1)
+    deviations = np.abs(values - values.mean(axis=1, keepdims=True)).max(axis=1)
+    k = values.shape[1]
+    return float(np.max(deviations / np.sqrt(np.maximum(near, (spread / 4) ** 2) * (k - 1) / k)))
 
 
 def noise_scale(values: Floats, at_noisiest: Floats) -> float:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign import plan as plans
 from perfbound.orchestrator.campaign.calibrated_file import kernel_file, sample_file, without_keys
-from perfbound.orchestrator.campaign.calibration import CONSTANTS, Constant, linearised_constants
+from perfbound.orchestrator.campaign.calibration import CONSTANTS, Constant, calibrated, linearised_constants
 from perfbound.orchestrator.campaign.calibration_budget import FACTORS, BudgetForecast, division
 from perfbound.orchestrator.campaign.calibration_design import Box, RolloutBudget, calibration_seed
 from perfbound.orchestrator.campaign.calibration_tolerance import ToleranceForecast
@@ -301,3 +301,26 @@ def test_the_plan_of_a_draft_has_no_limit_for_noise(tmp_path: Path) -> None:
     plan = plans.plan(draft.config, spec(noisy=True), draft.config.problems[0])
     assert plan.hoeffding >= 1e99
     assert json.dumps(plan.clip) == json.dumps(list(CLIP))
+
+
+def test_falls_that_no_standard_deviation_bounds_take_their_scale_from_the_clip(tmp_path: Path) -> None:
+    text = f"clip = [-30, 3]\n{HEAD}"
+    measured = result(tmp_path, text, noisy=True).problems[0].measured
+    values = measured.values.copy()
+    values[7, 1] -= 20.0
+    # The start was simulated again, and its mean is that of the fresh rollouts.
+    fell = replace(measured, values=values, again={**measured.again, 7: float(measured.values[7].mean())})
+    (plain,) = (each for each in calibrated(measured, {}, ()).constants if each.key == "noise_scale")
+    (falling,) = (each for each in calibrated(fell, {}, ()).constants if each.key == "noise_scale")
+    assert isinstance(plain.value, float)
+    assert falling.value == "derived"
+    assert "no multiple of one bounds such falls. R = " in falling.reason
+
+
+def test_a_plan_that_proves_nothing_names_the_other_method(tmp_path: Path) -> None:
+    (guess,) = result(tmp_path, f'method = "kriging"\n{COARSE}', noisy=True, function=gentle).forecasts
+    assert isinstance(guess, BudgetForecast)
+    assert not guess.vain
+    vain = replace(guess, without=guess.proposed.bound.middle)
+    assert vain.vain
+    assert "method rigorous may prove more" in vain.reason

@@ -38,7 +38,10 @@ def verdict(
 def test_a_bound_beyond_what_is_required_is_shown(tmp_path: Path) -> None:
     found = verdict(tmp_path, RIGOROUS, smooth)
     assert (found.verdict, found.advice) == ("SHOWN", ())
-    assert found.reasons == ("Required at least 0.",)
+    least, at_worst = found.reasons
+    assert least == "Required at least 0."
+    assert at_worst.startswith("With the same probability it is at most 0.")
+    assert "assumptions hold" in found.claim
     assert found.claim.startswith(f"Guaranteed margin {found.bound:.1f}")
     assert found.violations.violations == 0
     assert found.repeat == ""
@@ -53,9 +56,11 @@ def test_a_larger_margin_may_not_be_shown_by_the_same_campaign(tmp_path: Path) -
     more = verdict(tmp_path / "c", RIGOROUS, smooth, required_margin=(first.bound + least) / 2)
     assert more.verdict == "NOT SHOWN"
     assert "does not reach the required" in more.reasons[0]
-    assert "smaller `alpha`" in more.advice[0]
+    assert more.advice[0].startswith("A smaller `alpha`, such as 0.0")
+    assert "only 0.0" in more.advice[0]
     beyond = verdict(tmp_path / "d", RIGOROUS, smooth, required_margin=least + 1e-6)
     assert beyond.verdict == "VIOLATED", "a start is below the margin"
+    assert f", less than the required {least + 1e-6:g}," in beyond.reasons[0]
 
 
 def test_one_start_without_noise_violates(tmp_path: Path) -> None:
@@ -63,7 +68,9 @@ def test_one_start_without_noise_violates(tmp_path: Path) -> None:
     assert found.verdict == "VIOLATED"
     least = found.violations.least
     assert least is not None
-    assert found.reasons == (f"A start has a robustness of {least:.4f}, and nothing there is random.",)
+    (reason,) = found.reasons
+    assert reason.startswith("At z1 = 1, z2 = ")
+    assert reason.endswith(f" the robustness is {least:.4f}, and nothing there is random.")
     assert 0 < found.violations.violations == found.violations.violating_starts < found.violations.starts
     text = list(verdict_lines(found))
     assert text[:2] == ["VERDICT  VIOLATED", found.reasons[0]], "the answer comes before the bound"

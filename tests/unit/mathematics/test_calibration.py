@@ -266,3 +266,29 @@ def test_a_hole_deeper_than_the_noise_is_an_outlier() -> None:
     inside = np.flatnonzero(np.hypot(*(SHARES - 0.5).T) < 0.05)
     assert set(least_predicted(data)) & set(inside.tolist())
     assert choose_kernel(noisy(smooth, 0.1), None, (), PLAIN).chosen is not None
+
+
+# Rare falls
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_only_rare_falls_are_large_deviations(seed: int) -> None:
+    """Not noise that differs from start to start, nor noise with heavy but frequent tails."""
+    rng = np.random.default_rng(seed)
+    plain = rng.standard_normal((256, 2))
+    by_start = plain * (0.05 + 2.0 * SHARES[:, :1])
+    falls = 0.3 * plain - 25.0 * (rng.random((256, 2)) < 0.01)
+    assert noise.largest_deviation(SHARES, plain) < noise.FALLS
+    assert noise.largest_deviation(SHARES, by_start) < noise.FALLS
+    assert noise.largest_deviation(SHARES, falls) > noise.FALLS
+    assert noise.largest_deviation(SHARES, np.ones((256, 2))) == 0.0
+
+
+def test_as_many_starts_are_doubted_as_noise_makes_doubtful() -> None:
+    """With rare falls four are too few; the rest would be taken for holes."""
+    rng = np.random.default_rng(3)
+    falls = 0.1 * rng.standard_normal(256) - 3.0 * (rng.random(256) < 0.04)
+    data = SampledValues(SHARES, smooth(SHARES) + falls, 0.04)
+    lowest = set(np.argsort(falls)[:6].tolist())
+    assert len(least_predicted(data)) <= 12, "at most a twentieth"
+    assert lowest <= set(least_predicted(data))
