@@ -293,6 +293,32 @@ def show(*, directory: Path, assumptions: bool) -> None:
     print_everything(directory, header, finished_certificate(directory), console, assumptions=assumptions)
 
 
+@cli.command("list")
+@click.argument("folder", type=RUN_DIRECTORY, default="runs")
+@click.option(
+    "--search", default="", metavar="TEXT", help="Those alone that have TEXT in name, folder, state or verdict."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object a line.")
+def list_campaigns(*, folder: Path, search: str, as_json: bool) -> None:
+    """List the campaigns in FOLDER (default: runs) and below, each with its verdict; the last one first."""
+    import json  # noqa: PLC0415
+    import time  # noqa: PLC0415
+    from dataclasses import asdict  # noqa: PLC0415
+
+    from ..run.listing import campaigns_below, listing  # noqa: PLC0415
+
+    found = [each for each in campaigns_below(folder) if each.has(search)]
+    if as_json:
+        for each in found:
+            click.echo(json.dumps({**asdict(each), "directory": str(each.directory)}))
+    elif found:
+        console = output_console()
+        for line in listing(found, time.time()):
+            console.print(line, soft_wrap=True)
+    else:
+        click.echo(f"no campaign{f' with {search!r}' if search else ''} in {folder}")
+
+
 @cli.group()
 def reproduce() -> None:
     """Regenerate the results of a publication."""

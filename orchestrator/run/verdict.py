@@ -15,8 +15,10 @@ from ..store.robustness import read_values, read_violations
 from .format import replay_command, resume_command
 
 
-def verdict_of(directory: Path, header: Header, certificate: Certificate) -> CampaignVerdict:
-    """Return the verdict on a finished campaign.
+def verdict_of(
+    directory: Path, header: Header, certificate: Certificate, *, repeatable: bool = True
+) -> CampaignVerdict:
+    """Return the verdict on a finished campaign; with `repeatable` also the command that repeats the worst rollout.
 
     Raises:
         JournalError: its database is damaged.
@@ -24,17 +26,17 @@ def verdict_of(directory: Path, header: Header, certificate: Certificate) -> Cam
 
     """
     variant, problems = tested_by(header), [problem.name for problem in header.config.problems]
-    violations, reference = read_violations(directory, variant), system_reference(directory)
-    system = reference if in_file(reference) else None
+    violations, repeat = read_violations(directory, variant), ""
+    if repeatable and violations.violations:
+        reference = system_reference(directory)
+        repeat = replay_command(directory, header, violations.rollout or "", reference if in_file(reference) else None)
     return campaign_verdict(
         header,
         certificate.predicate,
         violations,
         lambda: read_values(directory, variant, problems),
         unit=robustness_unit(header.config, header.spec),
-        commands=Commands(
-            resume_command(directory), replay_command(directory, header, violations.rollout or "", system)
-        ),
+        commands=Commands(resume_command(directory), repeat),
     )
 
 

@@ -103,12 +103,30 @@ def read_progress(directory: Path) -> CampaignProgress:
         return _campaign_progress(connection, directory)
 
 
-def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
+def header_alone(directory: Path) -> Header:
+    """Return the first fact of the campaign in `directory`, as `read.stored_header` does.
+
+    Raises:
+        JournalError: there is none, or it is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    path = existing(directory).resolve()
+    with naming_cause(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
+        return _header_and_version(connection, directory)[0]
+
+
+def _header_and_version(connection: sqlite3.Connection, directory: Path) -> tuple[Header, int]:
+    """Return the header and the schema version."""
     found = connection.execute(_VERSION).fetchone()
     version = checked_version(directory, found and found[0])
     columns = ", ".join(header_columns(version))
     query = f"SELECT {columns} FROM campaign LIMIT 2"  # noqa: S608  (names of a tuple of constants)
-    header = checked_header(directory, _named(connection.execute(query)))
+    return checked_header(directory, _named(connection.execute(query))), version
+
+
+def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
+    header, version = _header_and_version(connection, directory)
     rollouts = {str(row[0]): int(row[1]) for row in connection.execute(_ROLLOUTS)}
     extended = _last_extensions(connection) if has_table("extensions", version) else {}
     last = {str(row.problem): row for row in _named(connection.execute(_LAST_BOUNDS))}

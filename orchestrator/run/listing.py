@@ -1,0 +1,130 @@
+"""The campaigns below a folder, each with its state and its verdict."""
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rich.text import Text
+
+from ...schemas.errors import PerfboundError, one_line
+from ...schemas.verdict import CampaignVerdict, VerdictWord
+from ..certificate import files
+from ..certificate.text import outward
+from ..certificate.verdict import tested_by
+from ..store import lock
+from ..store.progress import header_alone
+from ..store.robustness import read_violations
+from ..store.rows import DATABASE
+from .format import duration
+from .verdict import verdict_of
+
+DEPTH = 3
+"""Folders below the given one in which campaigns are looked for."""
+HEAD = ("campaign", "verdict", "first claim", "state", "rollouts", "violations", "changed")
+NUMBERS = ("rollouts", "violations")
+COLOURS: dict[str, str] = {"SHOWN": "green", "VIOLATED": "red", "NOT SHOWN": "yellow"}
+
+ListedState = Literal["running", "stopped", "finished", "damaged"]
+
+
+@dataclass(frozen=True, slots=True)
+class ListedCampaign:
+    """One campaign of a list."""
+
+    directory: Path
+    name: str
+    state: ListedState
+    verdict: VerdictWord | None
+    """None while there is no certificate."""
+    bound: str
+    """Of the first claim with its sense and unit, rounded to the safe side; empty while there is no certificate."""
+    rollouts: int
+    violations: int
+    """Rollouts that violate the specification."""
+    changed: float
+    """Unix time of the last change of the database."""
+    fault: str = ""
+    """Why it cannot be read."""
+
+    def has(self, text: str) -> bool:
+        """Whether a text is part of what is shown of it, whatever the case."""
+        shown = f"{self.directory} {self.name} {self.state} {self.verdict or ''} {self.fault}"
+        return text.casefold() in shown.casefold()
+
+
+def campaigns_below(folder: Path) -> Iterator[ListedCampaign]:
+    """Yield the campaigns in a folder and below it, the one that changed last first; a damaged one with its fault.
+
+    Raises:
+        PerfboundError: there is no such folder.
+
+    """
+    if not folder.is_dir():
+        raise PerfboundError(f"{folder}: no such folder; name the one with the run directories, such as runs")
+    found = [(_last_change(directory), directory) for directory in _run_directories(folder)]
+    for changed, directory in sorted(found, key=lambda pair: (-pair[0], str(pair[1]))):
+        yield _read_campaign(directory, changed)
+
+
+def _run_directories(folder: Path) -> Iterator[Path]:
+    for root, folders, names in os.walk(folder):
+        if DATABASE in names:
+            folders.clear()  # its trajectories: thousands of files, and no campaign
+            yield Path(root)
+        elif len(Path(root).relative_to(folder).parts) >= DEPTH:
+            folders.clear()
+
+
+def _last_change(directory: Path) -> float:
+    try:
+        return (directory / DATABASE).stat().st_mtime
+    except OSError:  # removed meanwhile
+        return 0.0
+
+
+def _read_campaign(directory: Path, changed: float) -> ListedCampaign:
+    try:
+        header, certificate, running = header_alone(directory), files.read(directory), lock.is_held(directory)
+        state: ListedState = "running" if running else "finished" if certificate else "stopped"
+        if certificate is None or running:
+            seen = read_violations(directory, tested_by(header))
+            return ListedCampaign(
+                directory, header.config.name, state, None, "", seen.rollouts, seen.violations, changed
+            )
+        found = verdict_of(directory, header, certificate, repeatable=False)
+    except (PerfboundError, OSError) as error:
+        return ListedCampaign(directory, directory.name, "damaged", None, "", 0, 0, changed, one_line(str(error)))
+    seen = found.violations
+    bound = _first_claim_of(found)
+    return ListedCampaign(
+        directory, found.campaign, state, found.verdict, bound, seen.rollouts, seen.violations, changed
+    )
+
+
+def _first_claim_of(found: CampaignVerdict) -> str:
+    unit = "" if found.required is None or found.unit == "1" else one_line(found.unit)
+    return f"{found.sense} {outward(found.bound, found.sense)} {unit}".rstrip()
+
+
+def listing(campaigns: Sequence[ListedCampaign], now: float) -> Iterator[Text]:
+    """Yield a heading and a line for each campaign, in columns; `now` is the Unix time that ages are measured from."""
+    rows = [HEAD, *(_cells_of(each, now) for each in campaigns)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
+    for number, row in enumerate(rows):
+        cells = [
+            cell.rjust(width) if name in NUMBERS else cell.ljust(width)
+            for name, cell, width in zip(HEAD, row, widths, strict=True)
+        ]
+        line = Text("  ".join(cells).rstrip(), "bold" if number == 0 else "")
+        if number:
+            line.stylize(COLOURS.get(row[1], ""), widths[0] + 2, widths[0] + 2 + len(row[1]))
+        yield line
+
+
+def _cells_of(each: ListedCampaign, now: float) -> tuple[str, ...]:
+    age = f"{duration(max(0.0, now - each.changed))} ago"
+    shown = each.bound or each.fault or "-"
+    folder = one_line(str(each.directory))
+    return (folder, each.verdict or "-", shown, each.state, f"{each.rollouts:,}", f"{each.violations:,}", age)

@@ -1,0 +1,64 @@
+"""The list of campaigns: states, verdicts, order, search, and a damaged one among them."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from perfbound.orchestrator.run.listing import campaigns_below, listing
+from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.rollout import RolloutRequest
+from tests.fakes.simulators import robustness, simulate
+
+RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
+
+
+def slope(request: RolloutRequest) -> float:
+    return 0.5 - 0.2 * (sum(request.x) - 1.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A good campaign, a bad one a folder below, one that was stopped, one that is damaged, and other files."""
+    found = tmp_path_factory.mktemp("runs")
+    config = robustness(RIGOROUS, spot_check=0, recheck=0)
+    assert simulate(found / "good", config, slope, noisy=False)
+    assert simulate(found / "deeper" / "bad", config, lambda request: slope(request) - 0.5, noisy=False)
+    assert simulate(found / "stopped", config, slope, noisy=False, stop=lambda _: True) is None
+    (found / "damaged").mkdir()
+    (found / "damaged" / "campaign.db").write_bytes(b"no database" * 100)
+    (found / "notes").mkdir()
+    for age, name in enumerate(("good", "deeper/bad", "stopped", "damaged")):
+        os.utime(found / name / "campaign.db", (1000 - age, 1000 - age))
+    return found
+
+
+def test_each_has_its_state_and_verdict_and_the_last_one_is_first(folder: Path) -> None:
+    found = list(campaigns_below(folder))
+    assert [(each.directory.name, each.state, each.verdict) for each in found] == [
+        ("good", "finished", "SHOWN"),
+        ("bad", "finished", "VIOLATED"),
+        ("stopped", "stopped", None),
+        ("damaged", "damaged", None),
+    ]
+    assert found[0].bound.startswith(">= 0.")
+    assert found[1].violations > 0 == found[0].violations
+    assert "campaign.db: not a campaign database" in found[3].fault
+
+
+def test_columns_are_aligned_and_ages_said(folder: Path) -> None:
+    head, *rows = (line.plain for line in listing(list(campaigns_below(folder)), now=1060.0))
+    place = head.index("verdict")
+    assert [row[place:].split()[0] for row in rows[:2]] == ["SHOWN", "VIOLATED"]
+    assert rows[0].endswith("1 min 0 s ago")
+    assert all(row[place - 2 : place] == "  " for row in rows)
+
+
+@pytest.mark.parametrize(("text", "names"), [("viol", ["bad"]), ("DEEPER", ["bad"]), ("stopped", ["stopped"])])
+def test_a_search_looks_at_everything_that_is_shown(folder: Path, text: str, names: list[str]) -> None:
+    assert [each.directory.name for each in campaigns_below(folder) if each.has(text)] == names
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PerfboundError, match=r"nowhere: no such folder; name the one with the run directories"):
+        list(campaigns_below(tmp_path / "nowhere"))
