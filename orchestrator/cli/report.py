@@ -72,6 +72,27 @@ def _write_report(directory: Path, *, as_json: bool, report: "Report") -> list[s
     return [str(path) for path in (*write_page(directory, data), *write_figures(directory, data, report))]
 
 
+@cli.command("score")
+@click.argument("directory", type=RUN_DIRECTORY)
+@click.option("--specification", required=True, metavar="FORMULA", help="Formula over the columns of a trajectory.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object for each rollout.")
+def score_command(*, directory: Path, specification: str, as_json: bool) -> None:
+    """Score the stored rollouts of the campaign in DIRECTORY by another formula; to explore, with no certificate."""
+    import json  # noqa: PLC0415
+    from dataclasses import asdict  # noqa: PLC0415
+
+    from rich.progress import Progress  # noqa: PLC0415
+
+    from ..certificate.verify.stages import stage_bars  # noqa: PLC0415
+    from ..run.score import score_lines, scored  # noqa: PLC0415
+
+    with Progress(console=STDERR.console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        found = scored(directory, specification, stage_bars(progress))
+    objects = (json.dumps(asdict(each)) for each in found)
+    for line in objects if as_json else score_lines(directory, specification, found):
+        click.echo(line)
+
+
 def draw(directory: Path) -> None:
     """Write the page of a finished campaign; a failure is reported and does not fail the campaign."""
     try:

@@ -1,5 +1,6 @@
 """Read-only queries of a campaign database, also beside the orchestrator that writes it."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -218,6 +219,19 @@ def contradicted(directory: Path) -> list[str]:
         recorded = {str(RolloutId(*row[:4])): row[4] for row in connection.execute(sa.select(*columns))}
     # One that was discarded since has no row, and is no part of the evidence.
     return sorted({rollout for rollout, sha256 in reviewed if recorded.get(rollout, sha256) != sha256})
+
+
+def starts_of_tests(directory: Path) -> dict[tuple[str, int], tuple[float, ...]]:
+    """Return the start of every test, by problem or closing check and number.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    tests = tables.tests.c
+    with reading(directory) as connection:
+        rows = connection.execute(sa.select(tests.problem, tests.test, tests.x)).all()
+        return {(row.problem, row.test): tuple(json.loads(row.x)) for row in rows}
 
 
 def observed(directory: Path) -> list[tuple[RolloutId, str, str]]:
