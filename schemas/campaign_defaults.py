@@ -197,6 +197,8 @@ def file_schema() -> dict[str, Any]:
         for key, value in problem["properties"].items():
             # The problem's own model decides which of them go together.
             schema["properties"].setdefault(key, {"description": f"of the only problem: {value.get('description')}"})
+    # Left out, they follow from the ranges; method `paper` says that it has no such default.
+    schema["$defs"]["MaternKernel"]["required"].remove("length_scale")
     ends = [{"required": schema["$defs"]["Range"].pop("required")}, {"required": ["choices"]}]
     schema["$defs"]["Range"] = {"anyOf": [ENDS, schema["$defs"]["Range"] | {"anyOf": ends}]}
     for name, key in (("Scenarios", "scenarios"), ("StartTable", "table")):

@@ -1,6 +1,7 @@
 """The live page in a real browser; the test simulates its server."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import pytest
 from playwright.sync_api import Browser, Route
@@ -98,6 +99,19 @@ def test_a_live_page_reconnects_after_its_server_was_away(campaign: Campaign) ->
     campaign.wait_for_tests(9)
     assert campaign.refusing == 0
     assert page.evaluate("page.connection") in ("live", "lost")
+
+
+def test_a_finished_campaign_is_said_to_be_finished(campaign: Campaign) -> None:
+    """Also where the server ends at once: it is no lost connection, and no worker lacks a heartbeat."""
+    page = campaign.watch.page
+    campaign.report = lambda tests: replace(example_reports.running(tests), state="finished")
+    campaign.tests = 6
+    page.wait_for_selector("#live[data-connection=ended]")
+    campaign.refusing = 1000
+    page.wait_for_timeout(1500)
+    assert "the campaign has finished" in page.locator("#live").inner_text()
+    assert "never" not in page.locator("#workers").inner_text()
+    assert campaign.watch.errors == []
 
 
 def test_a_counterexample_appears_on_a_live_page_with_its_trajectory(campaign: Campaign) -> None:

@@ -210,22 +210,25 @@ function setConnection(state) {
   if (page.report !== null) morph(document.getElementById("live"), statusLine());
 }
 
+/** A finished campaign has no further events. */
+function end(source) {
+  source.close();
+  setConnection("ended");
+}
+
 /** Follow the event stream. EventSource reconnects by itself, except after an HTTP error: then with growing pauses. */
 function follow(wait = RETRY) {
   const source = new EventSource(page.live);
   source.addEventListener("story", (event) => {
+    const report = JSON.parse(event.data);
     wait = RETRY;
     page.connection = "live";
     page.updated = Date.now();
-    show(JSON.parse(event.data));
+    show(report);
+    if (report.state === "finished") end(source); // at once: the server ends before the next frame of the screen
   });
   source.onopen = () => setConnection("live");
   source.onerror = () => {
-    if (page.report?.state === "finished") {
-      source.close(); // a finished campaign has no further events
-      setConnection("ended");
-      return;
-    }
     setConnection("lost");
     if (source.readyState !== EventSource.CLOSED) return;
     source.close();

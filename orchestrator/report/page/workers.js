@@ -68,9 +68,9 @@ function comparedTable({ compared, compared_results }) {
   return el("details", el("summary", `Compared results: ${shown}`), table(["Kind", "Rollout", "#Attempt", "Worker", "sha256", "#Time"], rows));
 }
 
-/** A live page has states, heartbeats and ages; a report, which does not depend on the clock, has times. */
+/** A page of a campaign under way has states, heartbeats and ages; one that is finished, and a report, have times. */
 function workerTable(report) {
-  const live = report.updated !== null;
+  const live = report.updated !== null && report.state !== "finished";
   const heads = ["Worker", "Host", live && "State", "#Rollouts", "#Failures", "#Busy time", "#CPU time", "#Last result", live && "#Heartbeat", live && "Current rollout"];
   const row = (each) => [
     nameElement(each.name, 60),
