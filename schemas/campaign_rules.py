@@ -52,6 +52,7 @@ def _rules_of_keys(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
     """Yield the rules of single keys, on which those of several keys rely."""
     yield partial(_check_repeated, config)
     yield partial(_check_clip_order, config)
+    yield partial(_check_required, config)
     yield partial(check_signals, config.space, config.horizon)
 
 
@@ -79,6 +80,15 @@ def _check_repeated(config: "CampaignConfig") -> None:
     names = [problem.name for problem in config.problems]
     for repeated in {name for name in names if names.count(name) > 1}:
         raise ValueError(f"problems: {repeated!r} appears twice; list every problem at most once")
+
+
+def _check_required(config: "CampaignConfig") -> None:
+    """Refuse a margin that no clipped value can have: it would look violated everywhere."""
+    if config.clip is not None and config.required_margin >= config.clip[1]:
+        raise ValueError(
+            f"required_margin: {config.required_margin:g} is not below the upper clip {config.clip[1]:g}, which no "
+            "clipped robustness exceeds; choose a wider clip"
+        )
 
 
 def _check_clip_order(config: "CampaignConfig") -> None:

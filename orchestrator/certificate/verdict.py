@@ -235,19 +235,30 @@ def _is_of(result: ProblemResult, claim: CertificateClaim) -> bool:
 def _by_rollouts(
     header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
 ) -> _Finding | None:
-    """Return the finding where the robustness of rollouts shows the opposite, which needs no smoothness.
-
-    A risk is at most the expectation, so that an expectation below the margin shows it too.
-    """
+    """Return the finding where the robustness of rollouts shows the opposite, which needs no smoothness."""
+    if claim.requirement is not None:
+        return None  # the stored robustness is that of the whole specification
     if claim.quantity in WORST:
-        if claim.requirement is not None:
-            return None  # the stored robustness is that of the whole specification
-        if _is_deterministic(header):
-            return _one_start_below(header, required, values())
-        pairs = ((each.start, each.robustness) for each in values())
-        return _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
-    if not is_sampled(claim.quantity) or claim.requirement is not None:
-        return None
+        return _worst_below(header, claim, required, probability, values)
+    return _drawn_below(header, claim, required, probability, values) if is_sampled(claim.quantity) else None
+
+
+def _worst_below(
+    header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
+) -> _Finding | None:
+    """Return the finding about a worst start; a risk is at most the expectation, which therefore shows it too."""
+    if _is_deterministic(header):
+        return _one_start_below(header, required, values())
+    if claim.rule == "every":
+        return None  # the mean of the least of several requirements may be below that of each
+    pairs = ((each.start, each.robustness) for each in values())
+    return _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
+
+
+def _drawn_below(
+    header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
+) -> _Finding | None:
+    """Return the finding about rollouts at drawn starts."""
     samples = (each.robustness for each in _drawn_samples(header.config, values()))
     if claim.quantity in ("mean", "risk"):
         pairs = (("", each) for each in samples)

@@ -178,3 +178,30 @@ def test_a_smaller_probability_than_required_is_said(tmp_path: Path) -> None:
 def test_what_is_required_is_no_part_of_the_identity(key: str) -> None:
     plain = robustness(RIGOROUS)
     assert robustness(RIGOROUS, **{key: 0.5}).digest == plain.digest
+
+
+def test_a_margin_that_no_clipped_value_can_have_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"required_margin: 0\.5 is not below the upper clip 0\.5"):
+        robustness(RIGOROUS, clip=[-1.0, 0.5], required_margin=0.5)
+
+
+def test_the_mean_of_the_least_of_several_requirements_shows_nothing_of_each(tmp_path: Path) -> None:
+    """Each has a mean well above 0, and nearly every rollout violates one of them."""
+    two = {
+        "up": {"formula": "value >= -0.05"},
+        "down": {"formula": "value <= 0.25"},
+    }
+    entries = [{"name": name, **each} for name, each in two.items()]
+    function: Function = lambda request: 0.1 + 0.6 * noise(request.seed)  # noqa: E731
+    found = verdict(
+        tmp_path,
+        {**NOISY, "rkhs_norm": 0.5, "noise_scale": 0.7, "alpha": 0.3},
+        function,
+        noisy=True,
+        clip=[-2.0, 2.0],
+        max_tests=40,
+        specification=None,
+        specifications=entries,
+    )
+    assert found.violations.violations > found.violations.rollouts / 3
+    assert found.verdict != "VIOLATED"
