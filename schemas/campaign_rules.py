@@ -83,8 +83,8 @@ def _check_repeated(config: "CampaignConfig") -> None:
 
 
 def _check_required(config: "CampaignConfig") -> None:
-    """Refuse a margin that no clipped value can have: it would look violated everywhere."""
-    if config.clip is not None and config.required_margin >= config.clip[1]:
+    """Refuse a margin that no clipped value can have; the default one is that of campaigns from before it existed."""
+    if config.required_margin and config.clip is not None and config.required_margin >= config.clip[1]:
         raise ValueError(
             f"required_margin: {config.required_margin:g} is not below the upper clip {config.clip[1]:g}, which no "
             "clipped robustness exceeds; choose a wider clip"

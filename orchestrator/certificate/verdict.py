@@ -187,7 +187,9 @@ def _too_unlikely(claim: CertificateClaim, required: _Required) -> bool:
 def _violated(
     header: Header, predicate: Predicate, required: _Required, values: Callable[[], Values]
 ) -> _Finding | None:
-    claim = predicate.claims[0]
+    claim, clip = predicate.claims[0], header.config.clip
+    if required.bound is not None and clip is not None and claim.sense == ">=" and required.bound >= clip[1]:
+        return None  # every clipped value is below it, whatever the robustness is
     if required.bound is not None:
         found = _by_rollouts(header, claim, required.bound, required.probability, values)
         return found or _by_partner(predicate, required.bound)

@@ -185,6 +185,12 @@ def test_a_margin_that_no_clipped_value_can_have_is_refused() -> None:
         robustness(RIGOROUS, clip=[-1.0, 0.5], required_margin=0.5)
 
 
+def test_a_clip_below_the_margin_violates_nothing(tmp_path: Path) -> None:
+    """A file from before there was a margin: every clipped value is below 0, and no robustness is."""
+    found = verdict(tmp_path, {**RIGOROUS, "prior_mean": 1.0}, smooth, clip=[-2.0, -0.5])
+    assert found.verdict == "NOT SHOWN"
+
+
 def test_the_mean_of_the_least_of_several_requirements_shows_nothing_of_each(tmp_path: Path) -> None:
     """Each has a mean well above 0, and nearly every rollout violates one of them."""
     two = {
