@@ -124,13 +124,13 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
         one_problem = leaves_out_problems(table)
         listed = list_fault(found, one_problem)
         lines = faults(error, found, one_problem) if listed is None else [listed]
-        if any(line.endswith("rkhs_norm: this key is required: a number > 0") for line in lines):
-            lines = [*lines, f"a draft without constants of a kernel: `perfbound calibrate {source}` proposes them"]
         if not OF_PROBLEM & table.keys() and is_description(table):
             first, *others = lines
             hint = f"; this file describes a program alone: perfbound init {source} makes a campaign of it"
             # What a campaign needs in addition is what that command adds.
             lines = [first + hint, *(line for line in others if ": this key is required" not in line)]
+        elif any(line.endswith("rkhs_norm: this key is required: a number > 0") for line in lines):
+            lines = [*lines, f"a draft without constants of a kernel: `perfbound calibrate {source}` proposes them"]
         raise CampaignError(*(f"{source}: {line}" for line in lines)) from None
 
 

@@ -45,7 +45,7 @@ def test_the_certificate_names_the_code(ended: Ended, folder: Path) -> None:
     claim = next(line for line in ended.out.splitlines() if line.startswith("CLAIM"))
     assert claim.startswith("CLAIM  worst expected robustness over all starts >= ")
     assert claim.endswith(" m"), "the unit of distance, the only column of the specification"
-    command = ended.out.splitlines()[-1].split()
+    command = ended.out.splitlines()[-1].removeprefix("check it ").split()
     assert command[:2] + command[3:6] == ["perfbound", "verify", "--resimulate", "5", "--system"]
     assert command[6].endswith("cars.py:cars")
     found = Certificate.model_validate_json(certificate(folder / "run")).predicate

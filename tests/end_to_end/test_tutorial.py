@@ -72,7 +72,10 @@ def test_the_tutorial_has_these_steps() -> None:
     found = [" ".join(step.command.split()[:2]) for step in STEPS]
     assert found == [
         "make run",
-        *(f"perfbound {each}" for each in ("report", "export", "replay", "verify", "keygen", "sign", "verify", "run")),
+        *(
+            f"perfbound {each}"
+            for each in ("show", "report", "export", "replay", "verify", "keygen", "sign", "verify", "run")
+        ),
         "make run",
     ]
 
@@ -88,7 +91,7 @@ def test_every_command_runs_as_typed(folder: Processes) -> None:
             continue
         ended = typed(of_make(command) if command.startswith("make") else command, folder.folder)
         assert ended.code == 0, f"{command}: {ended.err}"
-        assert output in ended.out, command
+        assert output == "..." or output in ended.out, command
 
 
 def of_make(command: str) -> str:

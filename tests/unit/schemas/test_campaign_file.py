@@ -532,3 +532,12 @@ def test_a_fault_of_a_range_is_reported_and_no_missing_kernel() -> None:
 def test_no_other_method_derives_a_kernel(method: str) -> None:
     text = ONE_PROBLEM.replace("kernel = { length_scale = 1.0 }\n", f'method = "{method}"\n')
     assert "kernel" in fault_of(text) if method == "paper" else fault_of(text)
+
+
+def test_a_draft_is_told_where_its_constants_come_from() -> None:
+    draft = 'horizon = 1\nspecification = "value >= 0"\nsystem.name = "test-function"\nspace.z1 = [0, 1]\nspace.z2 = [0, 1]\n'
+    with pytest.raises(CampaignError) as caught:
+        parse_campaign(draft.encode(), "c.toml")
+    assert caught.value.lines[-1] == (
+        "c.toml: a draft without constants of a kernel: `perfbound calibrate c.toml` proposes them"
+    )
