@@ -42,7 +42,8 @@ def shortened(text: str) -> str:
     for key, value in SHORT.items():
         head, found = re.subn(rf"(?m)^{key} = .*$", f"{key} = {value}", head)
         head = head if found else f"{key} = {value}\n{head}"
-    return head + table + re.sub(r"(?m)^max_tests = .*$", "max_tests = 10", tail)
+    # The tutorial repeats a rollout of test 70.
+    return head + table + re.sub(r"(?m)^max_tests = .*$", "max_tests = 71", tail)
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +73,8 @@ def test_the_tutorial_has_these_steps() -> None:
     found = [" ".join(step.command.split()[:2]) for step in STEPS]
     assert found == [
         "make run",
-        *(
-            f"perfbound {each}"
-            for each in ("show", "report", "export", "replay", "verify", "keygen", "sign", "verify", "run")
-        ),
+        *(f"perfbound {each}" for each in ("show", "report", "export", "replay", "verify")),
+        *(f"perfbound {each}" for each in ("keygen", "sign", "verify", "run")),
         "make run",
     ]
 

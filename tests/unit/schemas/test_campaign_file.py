@@ -535,7 +535,8 @@ def test_no_other_method_derives_a_kernel(method: str) -> None:
 
 
 def test_a_draft_is_told_where_its_constants_come_from() -> None:
-    draft = 'horizon = 1\nspecification = "value >= 0"\nsystem.name = "test-function"\nspace.z1 = [0, 1]\nspace.z2 = [0, 1]\n'
+    space = "space.z1 = [0, 1]\nspace.z2 = [0, 1]\n"
+    draft = f'horizon = 1\nspecification = "value >= 0"\nsystem.name = "test-function"\n{space}'
     with pytest.raises(CampaignError) as caught:
         parse_campaign(draft.encode(), "c.toml")
     assert caught.value.lines[-1] == (
