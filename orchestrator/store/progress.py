@@ -8,20 +8,17 @@ import json
 import math
 import sqlite3
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.values import MARKED, ProblemProgress
-from .damage import naming_cause
-from .readonly import is_still, open_readonly
+from .readonly import snapshot
 from .rows import (
     bound_fact,
     checked_header,
     checked_version,
-    existing,
     extension_fact,
     has_column,
     has_table,
@@ -97,9 +94,7 @@ def read_progress(directory: Path) -> CampaignProgress:
         OSError: the disk is full or fails.
 
     """
-    path = existing(directory).resolve()
-    with naming_cause(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
-        connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
+    with snapshot(directory) as connection:
         return _campaign_progress(connection, directory)
 
 
@@ -111,8 +106,7 @@ def header_alone(directory: Path) -> Header:
         OSError: the disk is full or fails.
 
     """
-    path = existing(directory).resolve()
-    with naming_cause(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
+    with snapshot(directory) as connection:
         return _header_and_version(connection, directory)[0]
 
 

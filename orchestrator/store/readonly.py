@@ -1,13 +1,32 @@
 """Read-only connections of the SQLite driver to a campaign database, whose file is untrusted."""
 
 import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
+from .damage import naming_cause
 from .lock import is_held
+from .rows import existing
 
 LONGEST = 2**26
 """Bytes of one value."""
+
+
+@contextmanager
+def snapshot(directory: Path) -> Iterator[sqlite3.Connection]:
+    """Open the database of a campaign at one moment in time, by the driver alone: SQLAlchemy takes long to load.
+
+    Raises:
+        JournalError: there is none, or it is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    path = existing(directory).resolve()
+    with naming_cause(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
+        connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
+        yield connection
 
 
 def open_readonly(path: Path, *, immutable: bool) -> sqlite3.Connection:

@@ -6,15 +6,12 @@ The queries go to the SQLite driver directly, as those of `progress`: `perfbound
 import json
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 from ...schemas.ids import RECHECK, RolloutId, closing_check, series_order
 from ...schemas.verdict import Violations
-from .damage import naming_cause
-from .readonly import is_still, open_readonly
-from .rows import existing
+from .readonly import snapshot
 
 _SERIES = "SELECT DISTINCT problem FROM tests"
 # A test without an observation is under way, and which of its rollouts came first may depend on their outcome.
@@ -49,7 +46,7 @@ def read_violations(directory: Path, variant: str) -> Violations:
         OSError: the disk is full or fails.
 
     """
-    with _snapshot(directory) as connection:
+    with snapshot(directory) as connection:
         which = [variant, json.dumps(_new_series(connection))]
         rollouts, violations, starts, violating = connection.execute(_COUNTS, which).fetchone()
         worst = connection.execute(_WORST, which).fetchone()
@@ -71,7 +68,7 @@ def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Itera
         OSError: the disk is full or fails.
 
     """
-    with _snapshot(directory) as connection:
+    with snapshot(directory) as connection:
         for series in sorted(_new_series(connection), key=lambda name: series_order(problems, name)):
             for test, replicate, start, robustness in connection.execute(_VALUES, [variant, json.dumps([series])]):
                 yield RolloutValue(series, test, replicate, start, robustness)
@@ -81,11 +78,3 @@ def _new_series(connection: sqlite3.Connection) -> list[str]:
     """Return the problems and closing checks whose rollouts are new ones: those of a recheck repeat others."""
     names = [str(name) for (name,) in connection.execute(_SERIES)]
     return [name for name in names if closing_check(name) != RECHECK]
-
-
-@contextmanager
-def _snapshot(directory: Path) -> Iterator[sqlite3.Connection]:
-    path = existing(directory).resolve()
-    with naming_cause(directory), closing(open_readonly(path, immutable=is_still(directory, path))) as connection:
-        connection.execute("BEGIN")  # one snapshot for all queries, while the orchestrator commits
-        yield connection
