@@ -11,9 +11,9 @@ DIGITS = 4
 
 def counterexample_words(found: Counterexample, unit: str) -> str:
     """Return what a counterexample is; `unit` is that of the robustness, if it has one."""
-    start = _named_start(found.start)
+    start = named_start(found.start)
     others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
-    margin = _margin(found.robustness, unit)
+    margin = margin_words(found.robustness, unit)
     words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
     return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit)}"
 
@@ -23,16 +23,18 @@ def _shrunk_words(found: Counterexample, unit: str) -> str:
     near = found.shrunk
     if near is None:
         return ""
-    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {_named_start(near.nominal)}"
+    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {named_start(near.nominal)}"
     if near.rollout == found.rollout:
         return f"; after {tried} no nearer start fails"
-    where = f"{_named_start(near.start)}, robustness {_margin(near.robustness, unit)} (rollout {near.rollout})"
+    where = f"{named_start(near.start)}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
     return f"; nearest failing start, after {tried}: {where}"
 
 
-def _margin(robustness: float, unit: str) -> str:
+def margin_words(robustness: float, unit: str) -> str:
+    """Return a robustness with its unit, if it has one."""
     return f"{robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()  # a value, no bound
 
 
-def _named_start(start: Mapping[str, float]) -> str:
+def named_start(start: Mapping[str, float]) -> str:
+    """Return a start with the names of its parameters."""
     return ", ".join(f"{name} = {value:.7g}" for name, value in start.items())

@@ -18,6 +18,7 @@ from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
 from .bases import bases
+from .counterexample import margin_words, named_start
 from .refutation_text import refutation_sentence
 from .text import claim_words, nothing_shown, outward
 
@@ -278,9 +279,9 @@ def _one_start_below(header: Header, required: float, values: Values) -> _Findin
     if below is None:
         return None
     names = (parameter.name for parameter in header.spec.parameters)
-    start = ", ".join(f"{name} = {value:.7g}" for name, value in zip(names, json.loads(below.start), strict=True))
+    start = named_start(dict(zip(names, json.loads(below.start), strict=True)))
     unit = robustness_unit(header.config, header.spec)
-    margin = f"{below.robustness:.4f} {'' if unit == '1' else one_line(unit)}".rstrip()
+    margin = margin_words(below.robustness, unit)
     least = "" if required == 0 else f", less than the required {required:g}"
     return _Finding("VIOLATED", (f"At {start} the robustness is {margin}{least}, and nothing there is random.",))
 

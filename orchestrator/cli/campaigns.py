@@ -221,7 +221,6 @@ def _finish(
     directory: Path, key: "Ed25519PrivateKey | None", *, strict: bool, on_finish: str | None, report: bool
 ) -> None:
     from ..run.directory import finished_certificate  # noqa: PLC0415
-    from ..run.verdict import verdict_of  # noqa: PLC0415
     from ..store.read import stored_header  # noqa: PLC0415
     from .result import print_end  # noqa: PLC0415
 
@@ -231,9 +230,9 @@ def _finish(
     if report:
         draw(directory)
     header = stored_header(directory)
-    print_end(directory, header, found, console)
+    verdict = print_end(directory, header, found, console)
     if on_finish is not None and report:
-        _tell(on_finish, verdict_of(directory, header, found))
+        _tell(on_finish, verdict)
     if strict and found.predicate.claims[0].refuted:
         sys.exit(REFUTED)
 

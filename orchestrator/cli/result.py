@@ -9,17 +9,14 @@ from rich.text import Text
 from ...schemas.certificate import Certificate
 from ...schemas.facts import Header
 from ...schemas.places import short_path
-from ...schemas.verdict import VerdictWord
+from ...schemas.verdict import CampaignVerdict
 from ..certificate import text
 from ..certificate.console_lines import hanging, heading, plain_line
 from ..certificate.region_text import region_sentences
-from ..fleet.child import in_file
 from ..run.format import replay_command
-from ..run.verdict import verdict_lines, verdict_of
+from ..run.verdict import COLOURS, system_file, verdict_lines, verdict_of
 from ..store.export_tables import robustness_unit
-from ..store.read import system_reference
 
-COLOURS: dict[VerdictWord, str] = {"SHOWN": "bold green", "VIOLATED": "bold red", "NOT SHOWN": "bold yellow"}
 OUTPUT = {
     "certificate.json": "certificate",
     "certificate.dsse.json": "signed",
@@ -36,10 +33,10 @@ MOST_SENTENCES = 4
 """Sentences on regions and closing checks that it shows."""
 
 
-def print_end(directory: Path, header: Header, certificate: Certificate, console: Console) -> None:
-    """Print the verdict, the first claim and what comes next, on one screen of 30 lines."""
+def print_end(directory: Path, header: Header, certificate: Certificate, console: Console) -> CampaignVerdict:
+    """Print the verdict, the first claim and what comes next, on one screen of 30 lines; return the verdict."""
     unit, predicate = robustness_unit(header.config, header.spec), certificate.predicate
-    print_verdict(directory, header, certificate, console)
+    verdict = print_verdict(directory, header, certificate, console)
     text.print_counterexample(predicate, console, unit)
     text.first_claim(certificate, console, unit)
     if others := text.other_claims(predicate, unit, MOST_CLAIMS):
@@ -58,6 +55,7 @@ def print_end(directory: Path, header: Header, certificate: Certificate, console
     plain_line(console, f"certificate   {directory / 'certificate.json'}")
     plain_line(console, f"everything    perfbound show {shown}")
     plain_line(console, f"check it      {_verify_command(directory, header)}")
+    return verdict
 
 
 def print_everything(
@@ -80,22 +78,23 @@ def print_files(directory: Path, console: Console) -> None:
             plain_line(console, f"  {content:<12} {directory / name}")
 
 
-def print_verdict(directory: Path, header: Header, certificate: Certificate, console: Console) -> None:
-    """Print the verdict of a finished campaign, its reasons, and how many rollouts violate the specification."""
+def print_verdict(directory: Path, header: Header, certificate: Certificate, console: Console) -> CampaignVerdict:
+    """Print and return the verdict on a finished campaign: its reasons, and how many rollouts violate the formula."""
     found = verdict_of(directory, header, certificate)
     first, *others = verdict_lines(found)
-    plain_line(console, first, COLOURS[found.verdict])
+    plain_line(console, first, f"bold {COLOURS[found.verdict]}")
     indent = " " * 9
     for each in others:
         hanging(console, Text(indent), each)
     if found.repeat:
         plain_line(console, f"{indent}Repeat the worst: {found.repeat}")  # in one line, to be copied
+    return found
 
 
 def _repeat_command(directory: Path, header: Header, certificate: Certificate) -> str:
     """Return the command that draws the counterexample that ended a campaign; empty where there is none."""
     found = certificate.predicate.counterexample
-    again = found and replay_command(directory, header, found.rollout, _system_file(directory))
+    again = found and replay_command(directory, header, found.rollout, system_file(directory))
     return f"{again} --out counterexample.png" if again else ""
 
 
@@ -103,11 +102,5 @@ def _verify_command(directory: Path, header: Header) -> str:
     command = f"perfbound verify {shlex.quote(str(directory))}"
     if header.spec.repeated != "anywhere":
         return command
-    system = _system_file(directory)
+    system = system_file(directory)
     return f"{command} --resimulate 5" + (f" --system {shlex.quote(short_path(system))}" if system else "")
-
-
-def _system_file(directory: Path) -> str | None:
-    """Return the reference of a system that is not installed; None for one that is."""
-    reference = system_reference(directory)
-    return reference if in_file(reference) else None

@@ -18,13 +18,12 @@ from ..store.progress import header_alone
 from ..store.robustness import read_violations
 from ..store.rows import DATABASE
 from .format import duration
-from .verdict import verdict_of
+from .verdict import COLOURS, verdict_of
 
 DEPTH = 3
 """Folders below the given one in which campaigns are looked for."""
 HEAD = ("campaign", "verdict", "first claim", "state", "rollouts", "violations", "changed")
 NUMBERS = ("rollouts", "violations")
-COLOURS: dict[str, str] = {"SHOWN": "green", "VIOLATED": "red", "NOT SHOWN": "yellow"}
 
 ListedState = Literal["running", "stopped", "finished", "damaged"]
 
@@ -112,14 +111,14 @@ def listing(campaigns: Sequence[ListedCampaign], now: float) -> Iterator[Text]:
     """Yield a heading and a line for each campaign, in columns; `now` is the Unix time that ages are measured from."""
     rows = [HEAD, *(_cells_of(each, now) for each in campaigns)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
-    for number, row in enumerate(rows):
+    styles = ["", *(COLOURS[each.verdict] if each.verdict else "" for each in campaigns)]
+    for number, (row, style) in enumerate(zip(rows, styles, strict=True)):
         cells = [
             cell.rjust(width) if name in NUMBERS else cell.ljust(width)
             for name, cell, width in zip(HEAD, row, widths, strict=True)
         ]
         line = Text("  ".join(cells).rstrip(), "bold" if number == 0 else "")
-        if number:
-            line.stylize(COLOURS.get(row[1], ""), widths[0] + 2, widths[0] + 2 + len(row[1]))
+        line.stylize(style, widths[0] + 2, widths[0] + 2 + len(row[1]))
         yield line
 
 

@@ -47,7 +47,7 @@ def progress_table(
     """
     found = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("problem", "tests", "F or U-L", "alpha", "bound so far", "rollouts", "left"):
-        # Where the terminal is narrow a number goes on in the next line: one without its end would be another number.
+        # Where the terminal is narrow a number continues in the next line: one without its end would be another number.
         found.add_column(name, justify="left" if name == "problem" else "right", overflow="fold")
     for problem, (progress, left) in zip(config.problems, rows, strict=True):
         alpha = alpha_of(config, problem)

@@ -6,13 +6,21 @@ from pathlib import Path
 from ...schemas.certificate import Certificate
 from ...schemas.errors import one_line
 from ...schemas.facts import Header
-from ...schemas.verdict import CampaignVerdict
+from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..certificate.verdict import Commands, campaign_verdict, tested_by
 from ..fleet.child import in_file
 from ..store.export_tables import robustness_unit
 from ..store.read import system_reference
 from ..store.robustness import read_values, read_violations
 from .format import replay_command, resume_command
+
+COLOURS: dict[VerdictWord, str] = {"SHOWN": "green", "VIOLATED": "red", "NOT SHOWN": "yellow"}
+
+
+def system_file(directory: Path) -> str | None:
+    """Return the reference of a system that is not installed; None for one that is."""
+    reference = system_reference(directory)
+    return reference if in_file(reference) else None
 
 
 def verdict_of(
@@ -28,8 +36,7 @@ def verdict_of(
     variant, problems = tested_by(header), [problem.name for problem in header.config.problems]
     violations, repeat = read_violations(directory, variant), ""
     if repeatable and violations.violations:
-        reference = system_reference(directory)
-        repeat = replay_command(directory, header, violations.rollout or "", reference if in_file(reference) else None)
+        repeat = replay_command(directory, header, violations.rollout or "", system_file(directory))
     return campaign_verdict(
         header,
         certificate.predicate,

@@ -14,7 +14,7 @@ Law = Callable[[np.random.Generator, float, float, int], Floats]
 WIDTH = 0.1
 """Half the width of the law `uniform`; its standard deviation is .058."""
 NARROW = 0.005
-LUCK = 0.5
+LEAD = 0.5
 """Sum of the errors from which on the law `adaptive` hardly varies."""
 
 
@@ -35,7 +35,7 @@ def by_start(rng: np.random.Generator, mean: float, _errors: float, count: int) 
 
 def adaptive(rng: np.random.Generator, mean: float, errors: float, count: int) -> Floats:
     """0 or 1 until the errors have added up to a lead, and nearly exact as long as the lead lasts."""
-    return exact(rng, mean, errors, count) if errors > LUCK else two_points(rng, mean, errors, count)
+    return exact(rng, mean, errors, count) if errors > LEAD else two_points(rng, mean, errors, count)
 
 
 def uniform(rng: np.random.Generator, mean: float, _errors: float, count: int) -> Floats:

@@ -91,7 +91,7 @@ class PlannedBounds:
     def outlook(self, more: float) -> tuple[Floats, Floats] | None:
         """Return bounds of max J at the end of the plan, (r,), and what `more` rollouts in it would gain, (r,).
 
-        It is how the rollouts so far may go on, and no claim. Means follow the posterior of a Gaussian process, and
+        It is how the rollouts so far may continue, and no claim. Means follow the posterior of a Gaussian process, and
         rollouts have the variance seen so far. None before every point was tested: nothing is known there.
         """
         if np.any((self.counts > 0) & (self.means.counts == 0)):
