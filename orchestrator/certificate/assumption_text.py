@@ -6,15 +6,16 @@ from rich.console import Console
 from rich.text import Text
 
 from ...schemas.certificate import Assumption
+from .assumption_titles import title
 from .console_lines import hanging, plain_line
 
 COLOURS = {"refuted": "red", "derived": "green"}
-NAME = 25
-"""Columns of the name of an assumption; the longest are `simulator_is_the_system` and `sampled_at_sample_times`."""
+STATUS = 12
+"""Columns of a status and the blank behind it; the longest is `not refuted`."""
 
 
 def print_list(assumptions: Iterable[Assumption], console: Console) -> None:
-    """Print assumptions problem by problem, with hanging indents."""
+    """Print assumptions problem by problem: status, what is assumed, its id, and below it the finding."""
     groups: dict[str, list[tuple[str, Assumption]]] = {}
     for each in assumptions:
         name, _, problem = each.id.partition("/")
@@ -22,7 +23,6 @@ def print_list(assumptions: Iterable[Assumption], console: Console) -> None:
     for group, members in groups.items():
         plain_line(console, f"  {group}", "bold")
         for name, each in members:
-            # The blank stands apart, so that a name that fills its column keeps it.
-            head = Text(f"    {name:<{NAME - 1}} ")
-            head.append(f"{each.status:<11} ", COLOURS.get(each.status, "yellow"))
-            hanging(console, head, each.detail)
+            head = Text(f"    {each.status:<{STATUS}}", COLOURS.get(each.status, "yellow"))
+            console.print(head.append(title(each.id), "bold").append(f" ({name})", "dim"), soft_wrap=True)
+            hanging(console, Text(" " * (4 + STATUS)), each.detail)

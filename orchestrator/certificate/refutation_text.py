@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+from .assumption_titles import statement
+
 BY_DERIVATION = {"centred_noise"}
 """Assumptions that are refuted without any data; all others are refuted by data."""
 
@@ -18,6 +20,31 @@ def refutation_sentence(refuted: Sequence[str]) -> str:
     sources = {"by its own data": [each for each in refuted if each not in derived], "by derivation": derived}
     found = "; ".join(f"{source}: {_listed(those)}" for source, those in sources.items() if those)
     return f"REFUTED {found}. Do not rely on it."
+
+
+def refutation_words(refuted: Sequence[str]) -> str:
+    """Return what is refuted in plain words, with the ids behind each statement.
+
+    >>> refutation_words(("rkhs_norm/nominal_robustness", "rkhs_norm/sim_gap"))
+    'The data refute that the norm bound B is large enough (rkhs_norm of nominal_robustness and sim_gap).'
+    >>> refutation_words(("workers_honest", "centred_noise/true_risk"))
+    'The data refute that workers send what they simulated (workers_honest). By derivation it is wrong that an \
+observation is right on average (centred_noise of true_risk).'
+    """
+    derived = [each for each in refuted if each.partition("/")[0] in BY_DERIVATION]
+    sources = {
+        "The data refute": [each for each in refuted if each not in derived],
+        "By derivation it is wrong": derived,
+    }
+    return " ".join(f"{source} {_stated(those)}." for source, those in sources.items() if those)
+
+
+def _stated(refuted: Sequence[str]) -> str:
+    """Return the statements of refuted assumptions, each once, with their ids."""
+    found: dict[str, list[str]] = {}
+    for each in refuted:
+        found.setdefault(statement(each), []).append(each)
+    return ", and ".join(f"that {words} ({_listed(those)})" for words, those in found.items())
 
 
 def _listed(refuted: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
 from .bases import bases
 from .counterexample import margin_words, named_start
-from .refutation_text import refutation_sentence
+from .refutation_text import refutation_words
 from .text import claim_words, nothing_shown, outward
 
 WORST: dict[Quantity, str] = {
@@ -330,7 +330,7 @@ def _drawn_samples(config: CampaignConfig, values: Values) -> Values:
 def _not_shown(predicate: Predicate, required: _Required, violations: Violations, commands: Commands) -> _Finding:
     claim, reasons, advice = predicate.claims[0], list[str](), list[str]()
     if claim.refuted:
-        reasons.append(refutation_sentence(claim.refuted))
+        reasons.append(f"{refutation_words(claim.refuted)} Do not rely on the bound.")
         advice.append(_instead_of_refuted(claim))
     if claim.vacuous:
         reasons.append(nothing_shown(claim.quantity).replace("It shows", "The bound shows"))

@@ -20,11 +20,13 @@ from ..certificate.text import check_sentences
 from ..run.format import replay_command, resume_command
 from ..run.verdict import verdict_of
 from ..store import lock
-from ..store.changes import ChangeReader, Changes, rollouts_of
+from ..store.changes import ChangeReader, Changes, Session, rollouts_of
 from . import rollouts, wording
+from .claim_data import VerdictCard, assumption_row
 from .counterexample import ending_counterexample
-from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State, VerdictCard
+from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State
 from .problem import ProblemCollector
+from .provenance import provenance
 from .ranges import ranges
 from .trust import TrustStatistics
 from .workers import LiveState, WorkerStatistics
@@ -58,6 +60,8 @@ class Collector:
         self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
         self._divided: dict[str, RegionMap | None] = {}
         self._verdict: VerdictCard | None = None
+        self._sessions: tuple[Session, ...] = ()
+        self._closing: dict[str, int] = {}
 
     def refresh(self, live: Mapping[str, LiveState] | None = None, at: float | None = None) -> ReportData:
         """Add the new facts and return all data; `live` is the state of the workers, `at` the Unix time to show.
@@ -106,8 +110,10 @@ class Collector:
             self._verdict = wording.verdict_card(verdict_of(self.directory, header, certificate))
         if not self._problems:
             self._problems = dict(_collectors(header))
-        origin = changes.origin or (None, None)
-        self._system, self._code = origin[0], ", ".join(filter(None, origin)) or None
+        self._sessions = changes.sessions
+        last = changes.sessions[-1] if changes.sessions else None
+        self._system = last.system if last else None
+        self._code = ", ".join(filter(None, (last.system, last.revision))) if last and last.system else None
         self._add(changes)
         return header
 
@@ -122,7 +128,9 @@ class Collector:
                 elif isinstance(fact, ProposalFact):
                     self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
-                if closing_check(problem) is None:
+                if (check := closing_check(problem)) is not None:
+                    self._closing[check] = self._closing.get(check, 0) + number
+                else:
                     for collector in _collectors_of(self._problems.values(), problem):
                         collector.rollouts += number
         except (KeyError, ValueError) as error:
@@ -164,7 +172,7 @@ class Collector:
             now=wording.current_bound(problems, claims),
             claims=claims,
             composition=predicate.composition if predicate else None,
-            assumptions=predicate.assumptions if predicate else (),
+            assumptions=tuple(map(assumption_row, predicate.assumptions)) if predicate else (),
             checks=check_sentences(predicate) if predicate else (),
             problems=problems,
             scenes=tuple(self._rollouts(*test) for test in _worst_tests(self._problems.values())),
@@ -196,6 +204,8 @@ class Collector:
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
             verdict=self._verdict,
+            closing_rollouts=dict(self._closing),
+            provenance=provenance(header, self._sessions, self._workers.ended()),
         )
 
     def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:

@@ -7,55 +7,21 @@ lengths. Names and paths are untrusted text: the page never parses them as marku
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from ...schemas.certificate import Assumption, CompositionTerms
+from ...schemas.certificate import CompositionTerms
 from ...schemas.problems import Quantity
 from ...schemas.signals import SignalKind
-from ...schemas.verdict import VerdictWord
 from ..store.changes import ComparedResult
+from .claim_data import AssumptionRow, Claim, VerdictCard
+from .provenance import Provenance
 from .worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Claim:
-    """A claim of the certificate; the first one is fixed before the campaign."""
-
-    quantity: Quantity
-    sense: str
-    """">=" or "<="."""
-    bound: float
-    probability: float
-    rule: str
-    method: str
-    sentence: str
-    """The claim in words, bound and probability rounded to the safe side."""
-    assumptions: tuple[str, ...]
-    refuted: tuple[str, ...]
-    vacuous: bool | None = None
-    """Whether the clip alone proves it."""
-    notes: tuple[str, ...] = ()
-    """What it owes to its constants, in sentences."""
-
-
-@dataclass(frozen=True, slots=True)
-class VerdictCard:
-    """The verdict on a finished campaign, in sentences."""
-
-    word: VerdictWord
-    claim: str
-    reasons: tuple[str, ...]
-    advice: tuple[str, ...]
-    count: str
-    """How many rollouts violate the specification; empty where none has a robustness."""
-    command: str
-    """Simulates the worst rollout again; empty where none violates it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,7 +289,7 @@ class ReportData:
     """The current bound in words; the first claim of a finished campaign."""
     claims: tuple[Claim, ...]
     composition: CompositionTerms | None
-    assumptions: tuple[Assumption, ...]
+    assumptions: tuple[AssumptionRow, ...]
     checks: tuple[str, ...]
     """What the spot check and the recheck after the campaign showed, a sentence each."""
     problems: tuple[Problem, ...]
@@ -355,6 +321,9 @@ class ReportData:
     """For good first, then the latest, at most 50."""
     verdict: VerdictCard | None = None
     """Of a finished campaign."""
+    closing_rollouts: Mapping[str, int] = field(default_factory=dict)
+    """Rollouts of each check after the campaign, which `rollouts` does not count."""
+    provenance: Provenance | None = None
     where: str | None = None
     """The condition on the parameters, of a campaign that leaves out a part of the ranges."""
 

@@ -1,9 +1,9 @@
 """Sentences of the report: claims and current bounds, typeset with real signs and rounded to the safe side."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 from ...schemas import certificate as document
-from ...schemas.certificate import OF_DRAWN_STARTS
 from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
 from ...schemas.verdict import CampaignVerdict
@@ -13,8 +13,10 @@ from ..certificate.refutation_text import refutation_sentence
 from ..certificate.text import claim_words, notes, nothing_shown, outward, quantity_words
 from ..run.verdict import violation_words
 from ..store.export_tables import robustness_unit
-from .data import Claim, Problem, VerdictCard
+from .claim_data import Claim, VerdictCard
+from .data import Problem
 
+OF_CLAIM = {each.name for each in fields(Claim)} - {"sentence", "notes"}
 SIGNS = {">=": "≥", "<=": "≤", " -": " \u2212", "rho*": "ρ*"}
 """ASCII of certificate and terminal, and its sign on the page."""
 
@@ -34,7 +36,7 @@ def worded(predicate: document.Predicate) -> tuple[Claim, ...]:
     """Return the claims of a certificate with their sentences."""
     return tuple(
         Claim(
-            **claim.model_dump(exclude={"starts", "by_clip", "without_data", *OF_DRAWN_STARTS}),
+            **claim.model_dump(include=OF_CLAIM),
             sentence=claim_sentence(claim),
             notes=tuple(map(typeset, notes(predicate, number))),
         )

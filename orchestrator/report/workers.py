@@ -60,7 +60,7 @@ class WorkerStatistics:
     def add(self, changes: Changes) -> None:
         """Add the outcomes of new attempts."""
         self._hosts |= changes.hosts
-        self._sessions = changes.sessions
+        self._sessions = len(changes.sessions)
         for outcome in changes.outcomes:
             self._totals.setdefault(outcome.worker, _Totals()).add(outcome)
             if outcome.outcome == RECORDED:
@@ -104,6 +104,10 @@ class WorkerStatistics:
             failures=sum(each.failures for each in self._totals.values()),
             system_failures=self._system_failures,
         )
+
+    def ended(self) -> float | None:
+        """Return the Unix time of the last result; None before the first one."""
+        return max(self._ended, default=None)
 
     def failed_attempts(self) -> tuple[FailedAttempt, ...]:
         """Return the latest failed attempts, the last one first."""

@@ -38,7 +38,6 @@ _HOSTS = (
     .order_by(sa.literal_column("rowid"))
 )
 _RUN = sa.select(tables.campaign.c.run)
-_SESSIONS = sa.select(sa.func.count()).select_from(tables.sessions)
 
 
 Decision = ProposalFact | ObservationFact | BoundFact | ExtensionFact
@@ -83,6 +82,22 @@ class PauseChange:
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One run or resume; what a database of an earlier schema version does not tell is None."""
+
+    host: str
+    started: float
+    """Unix time."""
+    system: str | None
+    """Reference of a system that is not installed."""
+    revision: str | None
+    """Of its folder."""
+    platform: str | None
+    account: str | None
+    """Name of the user who ran the orchestrator."""
+
+
 _OUTCOME_FIELDS = tuple(each.name for each in fields(AttemptOutcome))
 
 
@@ -93,10 +108,10 @@ def _outcomes_query(version: int) -> sa.Select[Any]:
 
 
 @cache
-def _origin_query(version: int) -> sa.Select[Any]:
+def _sessions_query(version: int) -> sa.Select[Any]:
     named = {column.name: column for column in tables.readable(tables.sessions, version)}
-    newest = sa.select(named["system"], named["revision"]).select_from(tables.sessions)
-    return newest.order_by(tables.sessions.c.session.desc()).limit(1)
+    wanted = (named[each.name] for each in fields(Session))
+    return sa.select(*wanted).select_from(tables.sessions).order_by(tables.sessions.c.session)
 
 
 def _after_last(table: sa.Table, row: type) -> sa.Select[Any]:
@@ -110,7 +125,7 @@ _OPINIONS, _PAUSES = _after_last(tables.opinions, ComparedResult), _after_last(t
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """The rows that one call found and the call before had not; `header` and `sessions` are present values.
+    """The rows that one call found and the call before had not; `header` and `sessions` are whole.
 
     `rollouts` counts by problem, `violations` are those with robustness below 0, `hosts` the last host by worker.
     """
@@ -121,9 +136,8 @@ class Changes:
     violations: tuple[RolloutFact, ...]
     outcomes: tuple[AttemptOutcome, ...]
     hosts: dict[str, str]
-    sessions: int
-    origin: tuple[str, str | None] | None
-    """Reference and revision of a system that is not installed, as the last session had it."""
+    sessions: tuple[Session, ...]
+    """All of them, in their order."""
     opinions: tuple[ComparedResult, ...] = ()
     pauses: tuple[PauseChange, ...] = ()
 
@@ -163,8 +177,7 @@ class ChangeReader:
             violations = connection.execute(_VIOLATIONS, seq).all()
             outcomes = connection.execute(_outcomes_query(self._version), {"since": self._ended}).all()
             hosts = connection.execute(_HOSTS, {"since": self._started}).all()
-            sessions = connection.execute(_SESSIONS).scalar_one()
-            origin = connection.execute(_origin_query(self._version)).first()
+            sessions = connection.execute(_sessions_query(self._version)).all()
             opinions, pauses = list[Any](), list[Any]()
             if has_table("opinions", self._version):
                 opinions += connection.execute(_OPINIONS, {"since": self._compared}).all()
@@ -177,8 +190,7 @@ class ChangeReader:
             tuple(_rollout(row, self._directory) for row in violations),
             tuple(_ended_attempt(row) for row in outcomes),
             {row.worker: row.host for row in hosts},
-            sessions,
-            None if origin is None or origin.system is None else (origin.system, origin.revision),
+            tuple(Session(*row) for row in sessions),
             tuple(ComparedResult(*row[1:]) for row in opinions),
             tuple(PauseChange(*row[1:]) for row in pauses),
         )

@@ -1,5 +1,6 @@
 """The journal: the only writer of the campaign database."""
 
+import getpass
 import os
 import sqlite3
 import time
@@ -199,11 +200,24 @@ def _position(connection: Connection, directory: Path) -> tuple[int, int]:
 def _open_session(connection: Connection, version: int, origin: Origin) -> int:
     with connection.begin():
         row: dict[str, Any] = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
-        told = {"system": origin.system, "revision": origin.revision, "platform": platform_class()}
+        told = {
+            "system": origin.system,
+            "revision": origin.revision,
+            "platform": platform_class(),
+            "account": _account(),
+        }
         row |= {name: value for name, value in told.items() if has_column("sessions", name, version)}
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
         assert key is not None
         return int(key[0])
+
+
+def _account() -> str | None:
+    """Return the name of the user; None where the system knows none, as in some containers."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return None
 
 
 def open_engine(path: Path) -> Engine:

@@ -169,6 +169,7 @@ sessions = Table(
     Column("system", Text),  # FILE.py:NAME or campaign file, with its folder, of a system that is not installed
     Column("revision", Text),  # of this folder: the commit, and whether files are changed
     Column("platform", Text),  # schemas.platforms, of the orchestrator
+    Column("account", Text),  # name of the user who ran the orchestrator
     sqlite_strict=True,
 )
 

@@ -4,9 +4,9 @@ import itertools
 import math
 from dataclasses import replace
 
+from perfbound.orchestrator.report.claim_data import AssumptionRow, Claim, assumption_row
 from perfbound.orchestrator.report.data import (
     Axis,
-    Claim,
     Curve,
     Drawn,
     FoundCounterexample,
@@ -20,7 +20,7 @@ from perfbound.orchestrator.report.data import (
 )
 from perfbound.orchestrator.report.worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 from perfbound.orchestrator.store.changes import ComparedResult
-from perfbound.schemas.certificate import Assumption, CompositionTerms
+from perfbound.schemas.certificate import Assumption, CompositionTerms, Status
 
 AXES = (Axis("x", "m", 0.0, 4.0), Axis("y", "m", 0.0, 3.0))
 NODES = tuple((float(i), float(j)) for i in range(5) for j in range(4))
@@ -51,9 +51,9 @@ def small(tests: int = 6) -> ReportData:
             rule="product", nominal_bound=0.45, gap_bound=0.2, lipschitz=1.0, gap_term=0.2, risk_term=0.08, bound=0.17
         ),
         assumptions=(
-            Assumption(id="rkhs_norm/sim_gap", status="refuted", detail="largest |y| = 0.68 exceeds B = 0.1."),
-            Assumption(id="independence", status="derived", detail="each problem has seeds of its own."),
-            Assumption(id="accounting", status="assumed", detail="the failure probabilities are added."),
+            _assumption("rkhs_norm/sim_gap", "refuted", "largest |y| = 0.68 exceeds B = 0.1."),
+            _assumption("independence", "derived", "each problem has seeds of its own."),
+            _assumption("accounting", "assumed", "the failure probabilities are added."),
         ),
         problems=problems,
         scenes=tuple(rollouts_of_test(each.name, test) for each in problems for test in (worst(each), 0)),
@@ -66,6 +66,10 @@ def small(tests: int = 6) -> ReportData:
         software={"perfbound": "0.1.0"},
         resume="perfbound resume runs/small",
     )
+
+
+def _assumption(name: str, status: Status, detail: str) -> AssumptionRow:
+    return assumption_row(Assumption(id=name, status=status, detail=detail))
 
 
 def worst(problem: Problem) -> int:
@@ -201,8 +205,8 @@ def hostile() -> ReportData:
         axes=(Axis(script, strange, 0.0, 4.0), Axis(long, long, 0.0, 3.0)),
         claims=(replace(report.claims[0], sentence=script + long, method=long, rule=strange),),
         assumptions=(
-            Assumption(id="rkhs_norm/sim_gap", status="refuted", detail=script + long),
-            Assumption(id=long, status="assumed", detail=strange),
+            _assumption("rkhs_norm/sim_gap", "refuted", script + long),
+            _assumption(long, "assumed", strange),
         ),
         problems=(problem, replace(report.problems[1], name=long, left=script)),
         scenes=(stage,),

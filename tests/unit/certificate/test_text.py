@@ -71,7 +71,8 @@ def printed(certificate: Certificate, width: int = 100) -> list[str]:
 def test_text_in_brackets_is_printed_as_it_is() -> None:
     lines = printed(a_certificate(Assumption(id="clip/maximum", status="derived", detail="in [bold] :warning: [/]")))
     assert "    max over d of E[column] <= 0.5001, probability 0.9243" in lines
-    assert "    clip                     derived     in [bold] :warning: [/]" in lines
+    assert "    derived     The claim is about the clipped robustness (clip)" in lines
+    assert "                in [bold] :warning: [/]" in lines
 
 
 def test_paths_and_log_lines_in_brackets_are_printed_as_they_are(
@@ -119,14 +120,17 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
     )
     order = [
         "REFUTED, by the data of this campaign or by derivation: 1 assumption",
-        "    rkhs_norm                refuted     B is wrong.",
+        "    refuted     The norm bound B is large enough (rkhs_norm)",
+        "                B is wrong.",
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
         "       REFUTED by its own data: rkhs_norm of maximum. Do not rely on it.",
         "    alpha NOT reached: its budget ended at F = 0.1000, alpha is 0.05; the bound contains the difference",
         "Assumptions that are not refuted",
-        "    tail                     assumed     Gaussian.",
+        "    assumed     Large deviations are as rare as the noise model says (tail)",
+        "                Gaussian.",
         "  whole campaign",
-        "    workers_honest           assumed     believed.",
+        "    assumed     Workers send what they simulated (workers_honest)",
+        "                believed.",
     ]
     assert [line for line in lines if line in order] == order
 
@@ -143,7 +147,8 @@ def test_what_is_refuted_of_other_claims_comes_after_the_first_one() -> None:
         "also  J* (maximum of the expectation) <= 0.5001",
         "       REFUTED by its own data: rkhs_norm of sim_gap. Do not rely on it.",
         "REFUTED, of other claims than the first, by the data of this campaign or by derivation: 1 assumption",
-        "    rkhs_norm                refuted     B is wrong.",
+        "    refuted     The norm bound B is large enough (rkhs_norm)",
+        "                B is wrong.",
     ]
     assert [line for line in lines if line in order] == order
 

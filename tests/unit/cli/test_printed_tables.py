@@ -12,6 +12,7 @@ from rich.console import Console
 
 from perfbound.orchestrator.campaign.system_check.findings import SYSTEM_CHECKS, SystemFinding
 from perfbound.orchestrator.certificate.assumption_text import print_list
+from perfbound.orchestrator.certificate.assumption_titles import title
 from perfbound.orchestrator.certificate.verify.checks import CHECKS, Checks
 from perfbound.orchestrator.certificate.verify.run import Verification
 from perfbound.orchestrator.certificate.verify.table import print_verification
@@ -62,7 +63,10 @@ def console(width: int = 100) -> tuple[Console, io.StringIO]:
 def test_assumptions(name: str, status: Any) -> None:
     printer, out = console()
     print_list([Assumption(id=f"{name}/sim_gap", status=status, detail="Detail of it.")], printer)
-    assert out.getvalue().splitlines()[1].split() == [name, *status.split(), "Detail", "of", "it."]
+    problem, head, detail = out.getvalue().splitlines()
+    assert problem == "  sim_gap"
+    assert head.split() == [*status.split(), *title(name).split(), f"({name})"]
+    assert detail.split() == ["Detail", "of", "it."]
 
 
 @given(progress=PROGRESS, left=st.sampled_from(["-", "about 999 h 59 min"]), width=st.integers(60, 200))

@@ -25,7 +25,7 @@ from perfbound.orchestrator.report.workers import MOST_FAILED, LiveState, Worker
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.format import replay_command
 from perfbound.orchestrator.store import read
-from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes
+from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes, Session
 from perfbound.orchestrator.store.export_tables import unit
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.schemas.campaign import CampaignConfig
@@ -602,7 +602,8 @@ def test_a_long_campaign_has_few_points(one: Path) -> None:
     statistics, about = WorkerStatistics(), ChangeReader(one).read().header
     outcomes = tuple(AttemptOutcome("r", 1, "w", "recorded", float(t), 0.5, 1.0) for t in range(5000))
     lost = AttemptOutcome("r", 1, "w", "hung", 5000.0, 0.0, 10.0)
-    statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, 2, None))
+    session = Session("h", 0.0, None, None, None, None)
+    statistics.add(Changes(about, (), {}, (), (*outcomes, lost), {"w": "h"}, (session, session)))
     found = statistics.throughput()
     assert len(found.seconds) == len(found.recorded) == 200
     assert (found.recorded[0], found.recorded[-1], found.seconds[-1]) == (1, 5000, 4999.0)

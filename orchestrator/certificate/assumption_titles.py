@@ -1,0 +1,59 @@
+"""Every assumption in plain words: the statement that holds where it is right, by the first part of its id."""
+
+STATEMENTS = {
+    "accounting": "failure probabilities of the two problems are added",
+    "bounded_values": "no rollout has a value beyond the clip",
+    "bounds_agree": "the bounds from both sides do not contradict each other",
+    "centred_noise": "an observation is right on average",
+    "clip": "the claim is about the clipped robustness",
+    "declared_distribution": "in operation, starts are distributed as the file declares",
+    "defined_in_session": "the function uses nothing of its session that changes",
+    "design": "all tests were planned before the first outcome",
+    "deterministic": "the simulator is deterministic",
+    "deterministic_nominal": "the nominal simulator is deterministic",
+    "discarded": "a discarded rollout was simulated again with the same seed",
+    "drawn_starts": "starts were drawn at random, not chosen",
+    "extended": "the extension of the budget does not weaken the bound",
+    "finite_rollouts": "no rollout was left out",
+    "finite_space": "the claim is about the listed starts alone",
+    "fixed_beforehand": "all settings were chosen before the results were known",
+    "independence": "the two problems use rollouts of their own",
+    "independent_rollouts": "rollouts are independent of each other",
+    "kernel": "the objective is as smooth as the kernel says",
+    "lattice": "the starts between the nodes are covered",
+    "linearised": "the bound on the risk follows from one on an expectation",
+    "lipschitz": "the robustness differs by no more than L times the gap",
+    "noise_scale": "the noise of a rollout is no larger than R",
+    "one_law_per_start": "the simulator does not change during the campaign",
+    "only_campaign": "no other campaign asked the same question",
+    "regulariser": "the theorem covers this regulariser",
+    "replicate_spread": "repeated rollouts vary no more than R allows",
+    "reproducible_rollouts": "a rollout follows from its seed",
+    "rkhs_norm": "the norm bound B is large enough",
+    "sampled_at_sample_times": "nothing worse happens between two samples",
+    "sigma": "the theorem covers the width of this band",
+    "simulator_is_the_system": "the real system behaves like the simulator",
+    "tail": "large deviations are as rare as the noise model says",
+    "workers_honest": "workers send what they simulated",
+}
+
+
+def statement(name: str) -> str:
+    """Return what an assumption says, as a clause; the id itself where it is one of another version.
+
+    >>> statement("rkhs_norm/true_risk"), statement("extended_1/robustness")
+    ('the norm bound B is large enough', 'the extension of the budget does not weaken the bound')
+    """
+    first = name.partition("/")[0]
+    numbered, _, number = first.rpartition("_")
+    return STATEMENTS.get(numbered if number.isdigit() else first, first)
+
+
+def title(name: str) -> str:
+    """Return what an assumption says, as a heading.
+
+    >>> title("kernel/robustness")
+    'The objective is as smooth as the kernel says'
+    """
+    found = statement(name)
+    return found[:1].upper() + found[1:]

@@ -1,0 +1,66 @@
+"""The part of the report data about the claims: what they say, what they rest on, and the verdict."""
+
+from dataclasses import dataclass
+
+from ...schemas.certificate import Assumption, Status
+from ...schemas.problems import Quantity
+from ...schemas.verdict import VerdictWord
+from ..certificate.assumption_titles import title
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A claim of the certificate; the first one is fixed before the campaign."""
+
+    quantity: Quantity
+    sense: str
+    """">=" or "<="."""
+    bound: float
+    probability: float
+    rule: str
+    method: str
+    sentence: str
+    """The claim in words, bound and probability rounded to the safe side."""
+    assumptions: tuple[str, ...]
+    refuted: tuple[str, ...]
+    vacuous: bool | None = None
+    """Whether the clip alone proves it."""
+    notes: tuple[str, ...] = ()
+    """What it owes to its constants, in sentences."""
+    starts: int | None = None
+    """Number of listed starts; None on a box."""
+    level: float | None = None
+    factor: float | None = None
+    requirement: str | None = None
+    """The one that it is about; None for the whole specification."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictCard:
+    """The verdict on a finished campaign, in sentences."""
+
+    word: VerdictWord
+    claim: str
+    reasons: tuple[str, ...]
+    advice: tuple[str, ...]
+    count: str
+    """How many rollouts violate the specification; empty where none has a robustness."""
+    command: str
+    """Simulates the worst rollout again; empty where none violates it."""
+
+
+@dataclass(frozen=True, slots=True)
+class AssumptionRow:
+    """One assumption of the claims."""
+
+    id: str
+    title: str
+    """What it says, in plain words."""
+    status: Status
+    detail: str
+    """The finding behind the status, a sentence."""
+
+
+def assumption_row(found: Assumption) -> AssumptionRow:
+    """Return an assumption of a certificate with its title."""
+    return AssumptionRow(found.id, title(found.id), found.status, found.detail)
