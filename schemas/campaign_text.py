@@ -1,35 +1,23 @@
 """A campaign as the text of a campaign file."""
 
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 from .campaign import CampaignConfig
-from .toml_text import toml_key, toml_value
+from .toml_text import toml_file
 
 
 def campaign_text(config: CampaignConfig) -> str:
     """Return a campaign file with all keys that differ from their defaults; read again, it is the same campaign."""
-    table = config.model_dump(mode="json", exclude_defaults=True)
-    return "\n".join(_lines(table)) + "\n"
+    found: dict[str, Any] = _without_null(config.model_dump(mode="json", exclude_defaults=True))
+    return toml_file(found)
 
 
-def _lines(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the keys of the file itself, then its tables, then those that it may have several of."""
-    own = {key: each for key, each in table.items() if not isinstance(each, Mapping) and not _is_tables(each)}
-    yield from _keys(own)
-    for key, each in table.items():
-        if isinstance(each, Mapping):
-            yield from ("", f"[{toml_key(key)}]", *_keys(each))
-    for key, several in table.items():
-        if _is_tables(several):
-            for each in several:
-                yield from ("", f"[[{toml_key(key)}]]", *_keys(each))
-
-
-def _keys(table: Mapping[str, Any]) -> Iterator[str]:
-    # TOML has no null: a key without a value is left out.
-    yield from (f"{toml_key(key)} = {toml_value(each)}" for key, each in table.items() if each is not None)
-
-
-def _is_tables(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(each, Mapping) for each in value)
+def _without_null(value: Any) -> Any:
+    """Return a value without the keys that have none: TOML has no null, and none of them has another default."""
+    match value:
+        case dict():
+            return {key: _without_null(each) for key, each in value.items() if each is not None}
+        case list():
+            return [_without_null(each) for each in value]
+        case _:
+            return value

@@ -3,11 +3,42 @@
 import json
 import re
 import textwrap
+from collections.abc import Mapping
 from typing import Any
 
 from .errors import one_line
 
 BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def toml_file(table: Mapping[str, Any]) -> str:
+    """Return a file of text, numbers, bools, lists and dicts: plain values first, then each table and list of tables.
+
+    >>> print(toml_file({"space": {"x": [0, 1]}, "seed": 2, "problems": [{"delta": 1e-3}]}))
+    seed = 2
+    <BLANKLINE>
+    [space]
+    x = [0, 1]
+    <BLANKLINE>
+    [[problems]]
+    delta = 0.001
+    <BLANKLINE>
+
+    """
+    lists = {key: value for key, value in table.items() if _is_tables(value)}
+    sections = [(f"[{toml_key(key)}]", value) for key, value in table.items() if isinstance(value, dict)]
+    sections += [(f"[[{toml_key(key)}]]", each) for key, value in lists.items() for each in value]
+    flat = {key: value for key, value in table.items() if not isinstance(value, dict) and key not in lists}
+    blocks = [_key_lines(flat), *(f"{title}\n{_key_lines(section)}" for title, section in sections)]
+    return "\n".join(block for block in blocks if block)
+
+
+def _key_lines(table: Mapping[str, Any]) -> str:
+    return "".join(f"{toml_key(key)} = {toml_value(each)}\n" for key, each in table.items())
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(each, dict) for each in value)
 
 
 def toml_key(name: str) -> str:

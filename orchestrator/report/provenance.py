@@ -35,9 +35,9 @@ class Provenance:
 def provenance(header: Header, sessions: Sequence[Session], ended: float | None) -> Provenance:
     """Return the origin of a campaign; `ended` is the Unix time of its last result."""
     return Provenance(
-        accounts=_named(each.account for each in sessions),
-        hosts=_named(each.host for each in sessions),
-        platforms=_named(each.platform for each in sessions),
+        accounts=_each_once(each.account for each in sessions),
+        hosts=_each_once(each.host for each in sessions),
+        platforms=_each_once(each.platform for each in sessions),
         started=min((each.started for each in sessions), default=None),
         ended=ended,
         digest=header.config_sha256,
@@ -46,6 +46,6 @@ def provenance(header: Header, sessions: Sequence[Session], ended: float | None)
     )
 
 
-def _named(names: Iterable[str | None]) -> tuple[str, ...]:
+def _each_once(names: Iterable[str | None]) -> tuple[str, ...]:
     """Return the names that are known, each once, in their order."""
     return tuple(dict.fromkeys(each for each in names if each is not None))[:MOST_NAMED]

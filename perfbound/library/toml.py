@@ -5,7 +5,7 @@ from pathlib import PurePath
 from typing import Any
 
 from ..schemas.errors import CampaignError
-from ..schemas.toml_text import toml_key, toml_value
+from ..schemas.toml_text import toml_file
 
 
 def toml(table: Mapping[str, Any], source: str) -> str:
@@ -27,16 +27,7 @@ def toml(table: Mapping[str, Any], source: str) -> str:
     <BLANKLINE>
 
     """
-    plain = {key: _as_python(value, key, source) for key, value in table.items() if value is not None}
-    sections = [(f"[{toml_key(key)}]", value) for key, value in plain.items() if isinstance(value, dict)]
-    lists = {key: value for key, value in plain.items() if _is_tables(value)}
-    sections += [(f"[[{toml_key(key)}]]", each) for key, value in lists.items() for each in value]
-    flat = {key: value for key, value in plain.items() if not isinstance(value, dict) and key not in lists}
-    blocks = ["".join(f"{toml_key(key)} = {toml_value(each)}\n" for key, each in flat.items())]
-    for title, section in sections:
-        lines = (f"{toml_key(key)} = {toml_value(each)}\n" for key, each in section.items())
-        blocks.append(f"{title}\n{''.join(lines)}")
-    return "\n".join(block for block in blocks if block)
+    return toml_file({key: _as_python(value, key, source) for key, value in table.items() if value is not None})
 
 
 def _as_python(value: Any, key: str, source: str) -> Any:
@@ -54,7 +45,3 @@ def _as_python(value: Any, key: str, source: str) -> Any:
     if isinstance(value, str | bool | int | float):
         return value
     raise CampaignError(f"{source}: {key}: {type(value).__name__} is not allowed: give text, number, list or dict")
-
-
-def _is_tables(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(each, dict) for each in value)
