@@ -39,6 +39,9 @@ class CampaignVerdict(Model):
     probability: float
     required_probability: float
     unit: str = Field(description="of the robustness; empty where it has none")
+    by_rollouts: bool = Field(
+        default=False, description="whether the rollouts alone show it, without kernel and norm bound"
+    )
     violations: Violations
     clipped: bool = Field(default=False, description="whether the worst robustness is at the lower clip, or below it")
     repeat: str = Field(description="command that simulates the worst rollout again; empty where none violates")

@@ -35,6 +35,11 @@ def margin_words(robustness: float, unit: str) -> str:
     return f"{robustness:.{DIGITS}f} {one_line(unit)}".removesuffix(" 1").rstrip()  # a value, no bound
 
 
-def named_start(start: Mapping[str, float]) -> str:
-    """Return a start with the names of its parameters."""
-    return ", ".join(f"{name} = {value:.7g}" for name, value in start.items())
+def named_start(start: Mapping[str, float], units: Mapping[str, str] | None = None) -> str:
+    """Return a start with the names of its parameters, and with their units where they are given.
+
+    >>> named_start({"gap": 5.0, "mass": 0.25}, {"gap": "m", "mass": "1"})
+    'gap = 5 m, mass = 0.25'
+    """
+    shown = {name: "" if unit == "1" else one_line(unit) for name, unit in (units or {}).items()}
+    return ", ".join(f"{name} = {value:.7g} {shown.get(name, '')}".rstrip() for name, value in start.items())

@@ -231,7 +231,8 @@ def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
 
 def _sentence_on_most_starts(found: MostStarts, clip: object) -> str:
     """Return the sentence on all starts but a share, which the spot check proves without a kernel."""
-    margin = "robustness" if found.quantity == "robustness" else f"expected robustness, clipped to {clip},"
+    ends = ", ".join(f"{end:g}" for end in clip) if isinstance(clip, (list, tuple)) else clip
+    margin = "robustness" if found.quantity == "robustness" else f"expected robustness, clipped to [{ends}],"
     bound, probability = outward(found.bound, ">="), outward(found.probability, ">=")
     return (
         f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least {bound}, "

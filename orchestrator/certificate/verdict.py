@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
@@ -62,6 +62,7 @@ class _Finding:
     word: VerdictWord
     reasons: tuple[str, ...]
     advice: tuple[str, ...] = ()
+    by_rollouts: bool = False
 
 
 def tested_by(header: Header) -> str:
@@ -105,6 +106,7 @@ def campaign_verdict(
         unit=unit,
         violations=violations,
         clipped=violations.least is not None and config.clip is not None and violations.least <= config.clip[0],
+        by_rollouts=found.by_rollouts,
         repeat=commands.repeat if violations.violations else "",
     )
 
@@ -191,12 +193,14 @@ def _violated(
     claim, clip = predicate.claims[0], header.config.clip
     if required.bound is not None and clip is not None and claim.sense == ">=" and required.bound >= clip[1]:
         return None  # every clipped value is below it, whatever the robustness is
-    if required.bound is not None:
+    if required.bound is None:
+        asked = claim.quantity == "failure_probability" and claim.requirement is None
+        found = _any_violation(values()) if asked else None
+    else:
         found = _by_rollouts(header, claim, required.bound, required.probability, values)
-        return found or _by_partner(predicate, required.bound)
-    if claim.quantity == "failure_probability" and claim.requirement is None:
-        return _any_violation(values())
-    return None
+    if found is not None:
+        return replace(found, by_rollouts=True)
+    return None if required.bound is None else _by_partner(predicate, required.bound)
 
 
 def _any_violation(values: Values) -> _Finding | None:
@@ -251,7 +255,7 @@ def _worst_below(
 ) -> _Finding | None:
     """Return the finding about a worst start; a risk is at most the expectation, which therefore shows it too."""
     if _is_deterministic(header):
-        return _one_start_below(header, required, values())
+        return _one_start_below(header, claim, required, values())
     if claim.rule == "every":
         return None  # the mean of the least of several requirements may be below that of each
     pairs = ((each.start, each.robustness) for each in values())
@@ -274,15 +278,15 @@ def _drawn_below(
     return None
 
 
-def _one_start_below(header: Header, required: float, values: Values) -> _Finding | None:
+def _one_start_below(header: Header, claim: CertificateClaim, required: float, values: Values) -> _Finding | None:
     below = min((each for each in values if each.robustness < required), key=lambda each: each.robustness, default=None)
     if below is None:
         return None
-    names = (parameter.name for parameter in header.spec.parameters)
-    start = named_start(dict(zip(names, json.loads(below.start), strict=True)))
+    units = {parameter.name: parameter.unit for parameter in header.spec.parameters}
+    start = named_start(dict(zip(units, json.loads(below.start), strict=True)), units)
     unit = robustness_unit(header.config, header.spec)
     margin = margin_words(below.robustness, unit)
-    least = "" if required == 0 else f", less than the required {required:g}"
+    least = "" if required == 0 else f", less than the required {_margin_text(f'{required:g}', claim, unit)}"
     return _Finding("VIOLATED", (f"At {start} the robustness is {margin}{least}, and nothing there is random.",))
 
 

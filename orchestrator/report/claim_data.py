@@ -42,6 +42,10 @@ class VerdictCard:
     word: VerdictWord
     claim: str
     reasons: tuple[str, ...]
+    sure: tuple[str, ...]
+    """How sure the claim is."""
+    by_rollouts: bool
+    """Whether the rollouts alone show it, without kernel and norm bound."""
     advice: tuple[str, ...]
     count: str
     """How many rollouts violate the specification; empty where none has a robustness."""

@@ -107,7 +107,7 @@ class Collector:
         _check_same(self.directory, certificate, header)
         self._certificate = certificate
         if certificate is not None and self._verdict is None:
-            self._verdict = wording.verdict_card(verdict_of(self.directory, header, certificate))
+            self._verdict = wording.verdict_card(verdict_of(self.directory, header, certificate), certificate.predicate)
         if not self._problems:
             self._problems = dict(_collectors(header))
         self._sessions = changes.sessions

@@ -14,6 +14,7 @@ from ..certificate.text import claim_words, notes, nothing_shown, outward, quant
 from ..run.verdict import violation_words
 from ..store.export_tables import robustness_unit
 from .claim_data import Claim, VerdictCard
+from .confidence import confidence_sentences
 from .data import Problem
 
 OF_CLAIM = {each.name for each in fields(Claim)} - {"sentence", "notes"}
@@ -44,12 +45,14 @@ def worded(predicate: document.Predicate) -> tuple[Claim, ...]:
     )
 
 
-def verdict_card(found: CampaignVerdict) -> VerdictCard:
+def verdict_card(found: CampaignVerdict, predicate: document.Predicate) -> VerdictCard:
     """Return the verdict in sentences with real signs."""
     return VerdictCard(
         found.verdict,
         typeset(f"{found.claim}."),
         tuple(map(typeset, found.reasons)),
+        tuple(map(typeset, confidence_sentences(found, predicate))),
+        found.by_rollouts,
         found.advice,
         typeset(violation_words(found)),
         found.repeat,

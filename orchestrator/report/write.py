@@ -10,6 +10,7 @@ from ..run.format import resume_command
 from ..store import export
 from ..store.files import inside
 from . import html
+from .claim_data import VerdictCard
 from .collect import Collector
 from .data import ReportData, Rollout, to_json
 from .stages import unreported
@@ -33,14 +34,20 @@ def relocatable(data: ReportData) -> ReportData:
     def moved(rollout: Rollout) -> Rollout:
         return replace(rollout, command=_in_its_directory(rollout.command))
 
-    found = data.counterexample
+    found, verdict = data.counterexample, data.verdict
     return replace(
         data,
         scenes=tuple(replace(scene, rollouts=tuple(map(moved, scene.rollouts))) for scene in data.scenes),
         counterexamples=tuple(map(moved, data.counterexamples)),
+        verdict=verdict and _in_place(verdict, data.resume),
         counterexample=found and replace(found, command=_in_its_directory(found.command)),
         resume=resume_command(Path()),
     )
+
+
+def _in_place(verdict: VerdictCard, resume: str) -> VerdictCard:
+    advice = (each.replace(resume, resume_command(Path())) for each in verdict.advice)
+    return replace(verdict, command=_in_its_directory(verdict.command), advice=tuple(advice))
 
 
 def _in_its_directory(command: str) -> str:

@@ -1,5 +1,13 @@
 // Sections of the claims, their composition and their assumptions; refuted assumptions come first.
 
+/** Status of an assumption -> how the card counts it. */
+const STATUS_WORDS = {
+  refuted: "refuted",
+  "not refuted": "checked and not refuted",
+  assumed: "not checked",
+  derived: "derived from the file and the recorded data",
+};
+
 /** Status of an assumption -> its meaning, in the order of the section. */
 const MEANING = {
   refuted: "by the data of this campaign or by derivation",
@@ -9,7 +17,27 @@ const MEANING = {
   "for further claims": "the first claim does not depend on them",
 };
 
+/** Name and state, and the question that the campaign asks. */
 function titleSection(report) {
+  const asks = report.specification === null
+    ? [el("strong", "Question: "), `the worst value of ${nameText(report.system)}`]
+    : [el("strong", "Requirement: "), el("code", short(report.specification, 300))];
+  return el(
+    "header#title",
+    el("p.kind", "perfbound campaign"),
+    el("h1", nameElement(report.name, 120), el("span.state", { "data-state": report.state }, short(report.state, 20))),
+    el("p.question", asks, ` from ${report.problems.some(isListed) ? "each of " : "every start with "}${spaceText(report)}.`, report.doc ? el("span.muted", ` System ${nameText(report.system)}: ${short(report.doc, 300)}`) : el("span.muted", ` System ${nameText(report.system)}.`)),
+  );
+}
+
+function nameText(name) {
+  return short(name, 60);
+}
+
+/** The campaign in numbers, and where its evidence comes from. */
+function aboutSection(report) {
+  const from = report.provenance;
+  const took = from?.started != null && from?.ended != null ? ` (${duration(from.ended - from.started)})` : "";
   const facts = [
     ["System", nameElement(report.system, 60)],
     ["Code", report.code === null ? null : short(report.code, 300)],
@@ -19,56 +47,112 @@ function titleSection(report) {
     ["Robustness clipped to", report.clip === null ? null : `[${num(report.clip[0])}, ${num(report.clip[1])}]`],
     ["Risk weight r", report.risk_weight === null ? null : num(report.risk_weight)],
     ["Seed", report.seed],
-    ["Rollouts", count(report.rollouts)],
+    ["Rollouts", rolloutsText(report)],
+    ["Run by", from?.accounts.length ? from.accounts.map((each) => short(each, 40)).join(", ") : null],
+    ["Time", from?.started == null ? null : `${utc(from.started)}${from.ended === null ? "" : ` to ${utc(from.ended)}${took}`}`],
+    ["Sessions", report.throughput.sessions > 1 ? `${count(report.throughput.sessions)}, the first one and its continuations` : null],
+    ["Machine of the orchestrator", from?.hosts.length ? [...from.hosts, ...from.platforms].map((each) => short(each, 60)).join(", ") : null],
+    ["Software", Object.entries(report.software).map(([name, version]) => `${short(name, 40)} ${short(version, 40)}`).join(", ")],
+    ["Run", el("code", short(report.run, 120))],
   ];
   return el(
-    "header#title",
-    el("p.kind", "perfbound campaign"),
-    el("h1", nameElement(report.name, 120), el("span.state", { "data-state": report.state }, short(report.state, 20))),
-    report.doc ? el("p.muted", short(report.doc, 300)) : null,
+    "section#about",
+    el("h2", "About this campaign"),
     definitions(".facts", facts),
+    from === null ? null : el("details.group", el("summary", "Campaign file", el("span.muted", ` all keys that differ from their defaults; sha256 ${short(from.digest, 64)}`)), el("pre", visible(from.file).slice(0, 20_000))),
   );
+}
+
+/** "1,013: 480 for the bound, 513 of the spot check, 20 of the recheck". */
+function rolloutsText(report) {
+  const closing = Object.entries(report.closing_rollouts);
+  if (!closing.length) return count(report.rollouts);
+  const all = closing.reduce((sum, [, each]) => sum + each, report.rollouts);
+  return `${count(all)}: ${[`${count(report.rollouts)} for the bound`, ...closing.map(([name, each]) => `${count(each)} of the ${words(name)}`)].join(", ")}`;
 }
 
 function spaceText(report) {
   const starts = report.problems.find(isListed)?.surfaces[0].points.length;
-  const box = report.axes.map(({ name, low, high, unit }) => `${short(name, 24)} from ${num(low)} to ${quantity(high, unit)}`);
+  const box = report.axes.map(({ name, low, high, unit }) => `${short(name, 24)} ${num(low)} to ${quantity(high, unit)}`);
   const region = report.where === null ? "" : `, where ${short(report.where, 300)}`;
   return (starts ? `${plural(starts, "start")} with ` : "") + box.join(", ") + region;
 }
 
-/** The refutation, the claim in words, the other claims. */
+/** The verdict, the refutation, the claim in words and as a formula, the other claims. */
 function claimSection(report) {
   const [first, ...others] = report.claims;
+  const formula = first ? formulaOf(first) : null;
   return el(
     "section#verdict",
     { "aria-label": "Verdict and claim" },
     verdictCard(report),
     refutation(report),
     counterexample(report),
-    el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "Claim") : "Bounds so far"),
+    el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "The claim in the words of the certificate") : "Bounds so far"),
     el("p.claim#claim", sentence(first ? first.sentence : report.now)),
-    first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
+    formula && el("div.formula", formula),
     first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
+    first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,
     report.violations && !report.counterexample && !report.verdict ? el("p", el("a", { href: "#counterexamples" }, `${plural(report.violations, "rollout")} violated the specification.`)) : null,
     others.length ? otherClaims(others) : null,
   );
 }
 
-/** The answer to the question of the campaign, why, what would help, and how many rollouts violate the specification. */
-function verdictCard({ verdict: found }) {
+/** The answer to the question of the campaign: what was shown, how sure, on what it rests, and what to do next. */
+function verdictCard(report) {
+  const { verdict: found } = report;
   if (found === null) return null;
-  const answer = found.word === "SHOWN" ? [found.claim, ...found.reasons] : [...found.reasons, found.claim];
-  const violating = el("a", { href: "#counterexamples" }, sentence(found.count));
+  const [answer, ...more] = found.word === "SHOWN" ? [found.claim, ...found.reasons] : [...found.reasons, found.claim];
+  const rows = [
+    ["In detail", more.map((text) => el("p", sentence(text)))],
+    ["How sure", found.sure.map((note) => el("p", sentence(note)))],
+    ["What it rests on", restsOn(report)],
+    ["Rollouts", found.count ? el("p", found.command ? el("a", { href: "#counterexamples" }, sentence(found.count)) : sentence(found.count)) : null],
+    ["Repeat the worst", found.command ? commandLine(found.command) : null],
+    ["What to do next", nextSteps(report)],
+  ];
   return el(
     "div.card#answer",
     { "data-verdict": found.word },
     el("p.word", found.word),
-    answer.map((text, place) => el(place === 0 ? "p.answer" : "p", sentence(text))),
-    found.advice.map((text) => el("p", el("strong", "What would help: "), withCommands(text))),
-    found.count ? el("p", found.command ? violating : sentence(found.count)) : null,
-    found.command ? commandLine(found.command) : null,
+    el("p.answer", sentence(answer)),
+    el("dl.parts", rows.filter(([, value]) => value !== null && value.length !== 0).map(([name, value]) => el("div", el("dt", name), el("dd", value)))),
   );
+}
+
+/** What no data of a campaign can test of a claim, in the order of how much depends on it. */
+const FIRST_OF_ALL = ["rkhs_norm", "kernel", "noise_scale", "simulator_is_the_system"];
+
+/** The assumptions of the first claim: how many have which status, and those that nothing checked. */
+function restsOn(report) {
+  if (report.verdict.by_rollouts) return [el("p", "The rollouts alone. Nothing checked that the real system behaves like the simulator.")];
+  const mine = report.assumptions.filter((each) => report.claims[0].assumptions.includes(each.id));
+  const of = (status) => mine.filter((each) => each.status === status);
+  const counts = Object.entries(STATUS_WORDS).map(([status, text]) => [of(status).length, text]).filter(([number]) => number);
+  const rank = ({ id }) => (FIRST_OF_ALL.indexOf(id.split("/")[0]) + FIRST_OF_ALL.length + 1) % (FIRST_OF_ALL.length + 1);
+  const open = of("assumed").sort((a, b) => rank(a) - rank(b)).map((each) => each.title);
+  const titles = [...new Set(open)];
+  return [
+    el("p", el("a", { href: "#assumptions" }, plural(mine.length, "assumption")), `: ${counts.map(([number, text]) => `${number} ${text}`).join(", ")}.`),
+    titles.length ? el("p.muted", `Nothing checked that ${titles.map(asClause).join("; ")}.`) : null,
+  ];
+}
+
+/** A title inside a sentence. */
+function asClause(title) {
+  return title.charAt(0).toLowerCase() + short(title, 90).slice(1);
+}
+
+/** The advice of a verdict; after a claim that is shown, how to check it. */
+function nextSteps(report) {
+  const advice = report.verdict.advice.map((text) => el("p", withCommands(text)));
+  if (advice.length || report.verdict.word === "NOT SHOWN") return advice;
+  if (report.verdict.word === "VIOLATED") return [el("p", "Look at the ", el("a", { href: "#counterexamples" }, "counterexamples"), ", change the system or the requirement, and run a new campaign with a new seed.")];
+  return [el("p", "Judge the assumptions that nothing checked; then let somebody else verify the certificate:"), commandLine(verifyCommand())];
+}
+
+function verifyCommand() {
+  return `perfbound verify ${document.body.dataset.live ? "DIR" : "."}`; // a report may be moved with its run directory
 }
 
 /** A sentence with its commands and keys, which stand between backticks, as code. */
@@ -103,7 +187,8 @@ function refutedOf(report) {
 function refutation(report) {
   const broken = refutedOf(report);
   const missing = (report.claims[0]?.refuted ?? []).filter((id) => !broken.some((each) => each.id === id));
-  const stopped = report.problems.filter((each) => each.stopped_by === "refuted");
+  const explains = (problem) => broken.some((each) => each.id.endsWith(`/${problem.name}`));
+  const stopped = report.problems.filter((each) => each.stopped_by === "refuted" && !explains(each));
   const number = broken.length + missing.length;
   if (number + stopped.length === 0) return null;
   const [subject, depend] = report.claims.length ? ["claim", "depends"] : ["bounds", "depend"];
@@ -118,8 +203,9 @@ function refutation(report) {
   );
 }
 
+/** A title in plain words with the id in grey, and the finding. */
 function assumptionRow(each) {
-  return [nameElement(each.id), sentence(each.detail)];
+  return [[el("span.title", short(each.title, 120)), el("span.id", nameElement(each.id))], sentence(each.detail)];
 }
 
 function otherClaims(claims) {

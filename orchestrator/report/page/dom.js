@@ -99,7 +99,7 @@ function legendItem(mark, text) {
 /** A list of definitions; rows without a value are left out. */
 function definitions(kind, rows, attributes = {}) {
   const shown = rows.filter(([, value]) => value !== null && value !== "");
-  return el(`dl${kind}`, attributes, shown.map(([name, value]) => el("div", el("dt", name), el("dd", value))));
+  return el(`dl${kind}`, attributes, shown.map(([name, value]) => el("div", el("dt", typeof name === "string" ? termed(name) : name), el("dd", value))));
 }
 
 /**

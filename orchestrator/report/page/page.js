@@ -49,7 +49,9 @@ function tree(report, selected, data) {
     testSection(report, selected, data, page.live !== null),
     counterexampleSection(report),
     workerSection(report),
+    aboutSection(report),
     outputSection(report),
+    glossarySection(),
   );
 }
 
@@ -131,6 +133,8 @@ function select(text, scroll) {
 // Input of the reader ------------------------------------------------------------------------------------------------
 
 function onClick(event) {
+  const term = event.target.closest("a.term");
+  if (term !== null) document.querySelector(`${term.getAttribute("href")}`).closest("details").open = true;
   const target = event.target.closest("[data-select], [data-series], [data-copy], canvas[data-index]");
   if (target === null) return;
   if (target instanceof HTMLCanvasElement) {

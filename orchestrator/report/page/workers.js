@@ -101,17 +101,13 @@ function drawThroughput(throughput) {
 }
 
 function outputSection(report) {
-  const versions = Object.entries(report.software).map(([name, version]) => `${short(name, 40)} ${short(version, 40)}`);
   const finished = report.state === "finished";
-  const directory = document.body.dataset.live ? "DIR" : "."; // a report may be moved with its run directory
   const rows = [
     ["Certificate", finished ? el("a", { href: "certificate.json" }, "certificate.json") : null],
     ["Trajectories", "trajectories/, one MCAP file per rollout"],
     ["Tests, results and bounds", "campaign.db (SQLite)"],
-    ["Verify the certificate against these files", finished ? commandLine(`perfbound verify ${directory}`) : null],
+    ["Verify the certificate against these files", finished ? commandLine(verifyCommand()) : null],
     ["Resume the campaign", report.resume && !finished ? commandLine(report.resume) : null],
-    ["Run", el("code", short(report.run, 120))],
-    ["Software", versions.join(", ")],
   ];
   return el("section#output", el("h2", "Output files"), definitions(".files", rows));
 }
