@@ -84,7 +84,7 @@ CASES = (
         "refuted",
         f"{NOISY}{NEAR}rkhs_norm = 4\nprior_mean = -25\nmax_tests = 60\nreplicates = 8\nalpha = 3.0\n",
         "NOT SHOWN",
-        "refuted",
+        "The data refute that the norm bound B is large enough",
     ),
     _case(
         "vacuous",
