@@ -7,6 +7,7 @@ from pydantic import Field
 from .base import Model
 
 VerdictWord = Literal["SHOWN", "VIOLATED", "NOT SHOWN"]
+ByRollouts = Literal["certain", "probable"]
 
 
 class Violations(Model):
@@ -39,8 +40,9 @@ class CampaignVerdict(Model):
     probability: float
     required_probability: float
     unit: str = Field(description="of the robustness; empty where it has none")
-    by_rollouts: bool = Field(
-        default=False, description="whether the rollouts alone show it, without kernel and norm bound"
+    by_rollouts: ByRollouts | None = Field(
+        default=None,
+        description="how the rollouts alone show it, without a kernel; null where they do not",
     )
     violations: Violations
     clipped: bool = Field(default=False, description="whether the worst robustness is at the lower clip, or below it")

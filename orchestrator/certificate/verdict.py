@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
@@ -12,7 +12,7 @@ from ...schemas.errors import one_line
 from ...schemas.facts import Header
 from ...schemas.problems import Quantity, rolled_out
 from ...schemas.requirements import parts_of
-from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
+from ...schemas.verdict import ByRollouts, CampaignVerdict, VerdictWord, Violations
 from ..campaign.clip import SAME
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
@@ -62,7 +62,7 @@ class _Finding:
     word: VerdictWord
     reasons: tuple[str, ...]
     advice: tuple[str, ...] = ()
-    by_rollouts: bool = False
+    by_rollouts: ByRollouts | None = None
 
 
 def tested_by(header: Header) -> str:
@@ -193,14 +193,12 @@ def _violated(
     claim, clip = predicate.claims[0], header.config.clip
     if required.bound is not None and clip is not None and claim.sense == ">=" and required.bound >= clip[1]:
         return None  # every clipped value is below it, whatever the robustness is
-    if required.bound is None:
-        asked = claim.quantity == "failure_probability" and claim.requirement is None
-        found = _any_violation(values()) if asked else None
-    else:
+    if required.bound is not None:
         found = _by_rollouts(header, claim, required.bound, required.probability, values)
-    if found is not None:
-        return replace(found, by_rollouts=True)
-    return None if required.bound is None else _by_partner(predicate, required.bound)
+        return found or _by_partner(predicate, required.bound)
+    if claim.quantity == "failure_probability" and claim.requirement is None:
+        return _any_violation(values())
+    return None
 
 
 def _any_violation(values: Values) -> _Finding | None:
@@ -208,7 +206,7 @@ def _any_violation(values: Values) -> _Finding | None:
     if all(each.robustness >= 0.0 for each in values):
         return None
     reason = "A rollout violates the specification, and the campaign file names no acceptable probability of that."
-    return _Finding("VIOLATED", (reason,), (f"If some are acceptable, {_SAY_LIMIT}",))
+    return _Finding("VIOLATED", (reason,), (f"If some are acceptable, {_SAY_LIMIT}",), "certain")
 
 
 def _is_deterministic(header: Header) -> bool:
@@ -287,7 +285,11 @@ def _one_start_below(header: Header, claim: CertificateClaim, required: float, v
     unit = robustness_unit(header.config, header.spec)
     margin = margin_words(below.robustness, unit)
     least = "" if required == 0 else f", less than the required {_margin_text(f'{required:g}', claim, unit)}"
-    return _Finding("VIOLATED", (f"At {start} the robustness is {margin}{least}, and nothing there is random.",))
+    return _Finding(
+        "VIOLATED",
+        (f"At {start} the robustness is {margin}{least}, and nothing there is random.",),
+        by_rollouts="certain",
+    )
 
 
 def _mean_below(
@@ -318,7 +320,9 @@ def _too_many_below(share: float, margin: float, probability: float, samples: It
 def _refuting(test: OppositeTest, probability: float, words: str) -> _Finding | None:
     if not test.refutes(1.0 - probability):
         return None
-    return _Finding("VIOLATED", (f"{words}, with probability at least {outward(probability, '>=')}.",))
+    return _Finding(
+        "VIOLATED", (f"{words}, with probability at least {outward(probability, '>=')}.",), by_rollouts="probable"
+    )
 
 
 def _drawn_samples(config: CampaignConfig, values: Values) -> Values:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ...schemas.certificate import Assumption, Status
 from ...schemas.problems import Quantity
-from ...schemas.verdict import VerdictWord
+from ...schemas.verdict import ByRollouts, VerdictWord
 from ..certificate.assumption_titles import title
 
 
@@ -44,8 +44,8 @@ class VerdictCard:
     reasons: tuple[str, ...]
     sure: tuple[str, ...]
     """How sure the claim is."""
-    by_rollouts: bool
-    """Whether the rollouts alone show it, without kernel and norm bound."""
+    by_rollouts: ByRollouts | None
+    """How the rollouts alone show it, without kernel and norm bound; None where they do not."""
     advice: tuple[str, ...]
     count: str
     """How many rollouts violate the specification; empty where none has a robustness."""
@@ -67,4 +67,5 @@ class AssumptionRow:
 
 def assumption_row(found: Assumption) -> AssumptionRow:
     """Return an assumption of a certificate with its title."""
-    return AssumptionRow(found.id, title(found.id), found.status, found.detail)
+    detail = found.detail[:1].upper() + found.detail[1:]
+    return AssumptionRow(found.id, title(found.id), found.status, detail)

@@ -11,7 +11,7 @@ from pathlib import Path
 from ...schemas.certificate import Certificate, Predicate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import ExtensionFact, Header, ProposalFact, RolloutFact
-from ...schemas.ids import RECHECK, RolloutId, closing_check
+from ...schemas.ids import CLOSING, RECHECK, RolloutId, closing_check
 from ...schemas.requirements import parts_of
 from ..campaign.observation import of_requirement
 from ..campaign.plan import plans
@@ -204,7 +204,7 @@ class Collector:
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
             verdict=self._verdict,
-            closing_rollouts=dict(self._closing),
+            closing_rollouts={each: self._closing[each] for each in CLOSING if each in self._closing},
             provenance=provenance(header, self._sessions, self._workers.ended()),
         )
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from ...schemas.certificate import CertificateClaim, MostStarts, Predicate, Sensitivity
 from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
-from ...schemas.verdict import CampaignVerdict
+from ...schemas.verdict import ByRollouts, CampaignVerdict
 from ..campaign.clip import is_vacuous
 from ..certificate.text import outward
 
@@ -23,7 +23,7 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate) -> Iter
     """Yield how sure a verdict is."""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
     if verdict.by_rollouts:
-        yield _by_rollouts(predicate, verdict.required_probability)
+        yield _by_rollouts(verdict.by_rollouts, verdict.required_probability)
         return
     claim = predicate.claims[0]
     if claim.refuted:
@@ -36,13 +36,11 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate) -> Iter
         yield _most_starts(most, unit)
 
 
-def _by_rollouts(predicate: Predicate, probability: float) -> str:
-    if predicate.claims[0].probability == 1.0:
+def _by_rollouts(how: ByRollouts, probability: float) -> str:
+    if how == "certain":
         return "Certain of the simulator: the rollout shows it, and whoever repeats it sees the same."
     wrong = outward(1.0 - probability, "<=")
-    return (
-        f"Wrong with probability at most {wrong}, by the chance in the rollouts; no kernel and no norm bound is used."
-    )
+    return f"Wrong with probability at most {wrong}, by the chance in the rollouts. Kernel and norm bound are not used."
 
 
 def _with_other_constants(predicate: Predicate, unit: str) -> Iterator[str]:

@@ -44,7 +44,7 @@ function aboutSection(report) {
     ["Specification", report.specification === null ? null : el("code", short(report.specification, 300))],
     ["Starting conditions", spaceText(report)],
     ["Horizon", `${num(report.horizon)} s`],
-    ["Robustness clipped to", report.clip === null ? null : `[${num(report.clip[0])}, ${num(report.clip[1])}]`],
+    ["Robustness clipped to", report.clip === null ? null : sentence(`[${num(report.clip[0])}, ${num(report.clip[1])}]`).replace("[-", "[\u2212")],
     ["Risk weight r", report.risk_weight === null ? null : num(report.risk_weight)],
     ["Seed", report.seed],
     ["Rollouts", rolloutsText(report)],

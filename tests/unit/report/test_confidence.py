@@ -1,0 +1,78 @@
+"""How sure a verdict is, in sentences for a reader who knows no kernel."""
+
+from typing import Any
+
+from perfbound.orchestrator.report.confidence import confidence_sentences
+from perfbound.schemas.certificate import CertificateClaim, MostStarts, Rollouts, Sensitivity, SpotCheck
+from perfbound.schemas.verdict import ByRollouts, CampaignVerdict, Violations
+from tests.unit.certificate.test_text import a_certificate
+
+NONE = Violations(rollouts=3, violations=0, starts=3, violating_starts=0, least=1.0, rollout="a")
+
+
+def sentences(
+    claim: dict[str, Any] | None = None, *, by_rollouts: ByRollouts | None = None, **changes: Any
+) -> list[str]:
+    """Return the sentences on a claim `worst expected robustness >= 1.25 m`."""
+    found = CertificateClaim(
+        quantity="expected_robustness", sense=">=", bound=1.25, probability=0.9, rule="single", method="rigorous",
+        assumptions=("kernel/robustness",), refuted=(), by_clip=-1.0,
+    ).model_copy(update=claim or {})  # fmt: skip
+    predicate = a_certificate().predicate.model_copy(update={"claims": (found,)} | changes)
+    verdict = CampaignVerdict(
+        verdict="SHOWN", campaign="c", seed=1, claim="", reasons=(), advice=(), bound=1.25, sense=">=", required=0.0,
+        probability=0.9, required_probability=0.95, unit="m", violations=NONE, by_rollouts=by_rollouts,
+        repeat="",
+    )  # fmt: skip
+    return list(confidence_sentences(verdict, predicate))
+
+
+def rows(*bounds: float | None) -> tuple[Sensitivity, ...]:
+    twice, half = bounds
+    return (
+        Sensitivity(claim=0, constant="rkhs_norm", factor=2.0, bound=twice),
+        Sensitivity(claim=0, constant="length_scale", factor=0.5, bound=half),
+        Sensitivity(claim=1, constant="rkhs_norm", factor=4.0, bound=0.0),
+    )
+
+
+def test_a_bound_is_wrong_with_the_rest_of_its_probability() -> None:
+    (chance,) = sentences()
+    assert chance == "Wrong with probability at most 0.1000, by the chance in the rollouts, if its assumptions hold."
+    (certain,) = sentences({"probability": 1.0})
+    assert certain.startswith("Certain, if its assumptions hold")
+
+
+def test_other_constants_have_the_unit_and_are_those_of_the_first_claim() -> None:
+    _, changed = sentences(sensitivity=rows(0.50009, None))
+    assert changed == "If the norm bound B were twice as large: >= 0.5000 m; with half the length scale: no bound."
+    _, changed = sentences(sensitivity=rows(-1.0, 0.2))
+    assert "twice as large: nothing shown; with half the length scale: >= 0.2000 m." in changed
+
+
+def test_what_is_refuted_is_not_sure_at_all_and_needs_no_constants() -> None:
+    found = sentences({"refuted": ("kernel/robustness",)}, sensitivity=rows(0.5, 0.5))
+    assert found == ["Not at all: the campaign refutes one of its assumptions."]
+
+
+def test_fresh_starts_need_no_kernel() -> None:
+    most = MostStarts(share=0.1, quantity="expected_robustness", bound=0.75, probability=0.95)
+    spot = SpotCheck(
+        starts=9, rollouts=Rollouts(nominal=9, true=0), level=0.05, failures=0, failure_probability=0.3,
+        most_starts=most, problems=(),
+    )  # fmt: skip
+    for claim in ({}, {"vacuous": True}, {"refuted": ("kernel/robustness",)}):
+        last = sentences(claim, spot_check=spot)[-1]
+        assert last.startswith(
+            "Without B and the kernel, from fresh starts alone: expected robustness at least 0.7500 m"
+        )
+    assert len(sentences({"vacuous": True}, spot_check=spot)) == 1, "nothing is sure of what shows nothing"
+
+
+def test_a_violation_by_rollouts_uses_no_kernel() -> None:
+    (noisy,) = sentences(by_rollouts="probable", sensitivity=rows(0.5, 0.5))
+    assert noisy == (
+        "Wrong with probability at most 0.0500, by the chance in the rollouts. Kernel and norm bound are not used."
+    )
+    (exact,) = sentences(by_rollouts="certain")
+    assert exact.startswith("Certain of the simulator")
