@@ -29,20 +29,20 @@ STATEMENTS = {
     "regulariser": "the theorem covers this regulariser",
     "replicate_spread": "repeated rollouts vary no more than R allows",
     "reproducible_rollouts": "a rollout follows from its seed",
-    "rkhs_norm": "the norm bound B is large enough",
-    "sampled_at_sample_times": "nothing worse happens between two samples",
+    "rkhs_norm": "the norm bound B is large enough for this kernel and prior mean",
+    "sampled_at_sample_times": "nothing worse happens between two sample times",
     "sigma": "the theorem covers the width of this band",
     "simulator_is_the_system": "the real system behaves like the simulator",
     "tail": "large deviations are as rare as the noise model says",
-    "workers_honest": "workers send what they simulated",
+    "workers_honest": "worker processes send what they simulated",
 }
 
 
 def statement(name: str) -> str:
     """Return what an assumption says, as a clause; the id itself where it is one of another version.
 
-    >>> statement("rkhs_norm/true_risk"), statement("extended_1/robustness")
-    ('the norm bound B is large enough', 'the extension of the budget does not weaken the bound')
+    >>> statement("kernel/true_risk"), statement("extended_1/robustness")
+    ('the objective is as smooth as the kernel says', 'the extension of the budget does not weaken the bound')
     """
     first = name.partition("/")[0]
     numbered, _, number = first.rpartition("_")

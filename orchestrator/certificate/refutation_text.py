@@ -26,10 +26,11 @@ def refutation_words(refuted: Sequence[str]) -> str:
     """Return what is refuted in plain words, with the ids behind each statement.
 
     >>> refutation_words(("rkhs_norm/nominal_robustness", "rkhs_norm/sim_gap"))
-    'The data refute that the norm bound B is large enough (rkhs_norm of nominal_robustness and sim_gap).'
+    'The data refute that the norm bound B is large enough for this kernel and prior mean (rkhs_norm of \
+nominal_robustness and sim_gap).'
     >>> refutation_words(("workers_honest", "centred_noise/true_risk"))
-    'The data refute that workers send what they simulated (workers_honest). By derivation it is wrong that an \
-observation is right on average (centred_noise of true_risk).'
+    'The data refute that worker processes send what they simulated (workers_honest). By derivation it is \
+wrong that an observation is right on average (centred_noise of true_risk).'
     """
     derived = [each for each in refuted if each.partition("/")[0] in BY_DERIVATION]
     sources = {

@@ -316,11 +316,11 @@ def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
     confidence = outward(1 - spot.level, ">=")
     yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
     for each in spot.problems:
-        yield f"{each.key}: {_spot_finding(each, 1 / spot.level)}."
+        yield f"Bound of {each.key}: {_spot_finding(each, 1 / spot.level)}."
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")
-        violate = f"{spot.failures} of {spot.starts} rollouts have a robustness below 0"
-        yield f"{violate}; at a uniform start a rollout has one with probability at most {share}."
+        violate = f"{spot.failures} of {spot.starts} rollouts at fresh starts violate the specification"
+        yield f"{violate}; at a uniform start a rollout does so with probability at most {share}."
 
 
 def _spot_finding(found: SpotCheckedProblem, refuting: float) -> str:

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
@@ -17,31 +17,29 @@ from ..campaign.clip import SAME
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
+from .advice import NO_COMMANDS, Commands, Progress, ShortBound, for_a_better_bound, instead_of_refuted
 from .bases import bases
 from .counterexample import margin_words, named_start
 from .refutation_text import refutation_words
-from .text import claim_words, nothing_shown, outward
+from .text import CERTAIN, NO_SHARE, VACUOUS, claim_words, nothing_shown, outward
 
 WORST: dict[Quantity, str] = {
     "rho_star": "robustness risk: mean less {:g} standard deviations",
     "robustness": "robustness",
-    "expected_robustness": "expected robustness",
+    "expected_robustness": "expected robustness: the mean over the noise",
 }
 """Quantities of a claim about the worst start, and what their margin is."""
 
 _SAY_LIMIT = "say it with the key `required_at_most`; the bound stays the same."
 
+EMPTY = {
+    VACUOUS: "The bound shows nothing: it is an end of the clip, and holds without any rollout.",
+    CERTAIN: "The bound shows nothing: every probability is at most 1.",
+    NO_SHARE: "The bound shows nothing: no start is certified safe.",
+}
+"""The reasons, by the sentences beside such claims."""
+
 Values = Iterable[RolloutValue]
-
-
-@dataclass(frozen=True, slots=True)
-class Commands:
-    """Commands that the advice names; empty where there is none."""
-
-    resume: str = ""
-    """Continues the campaign."""
-    repeat: str = ""
-    """Simulates the worst rollout again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,19 +75,25 @@ def campaign_verdict(
     values: Callable[[], Values],
     *,
     unit: str = "",
-    commands: Commands = Commands(),
+    commands: Commands = NO_COMMANDS,
+    progress: Progress = tuple,
 ) -> CampaignVerdict:
     """Return the verdict; `values` are the rollouts of the tested variant in test order, read only where needed.
 
-    `unit` is that of the robustness.
+    `unit` is that of the robustness, and `progress` that of the problems, asked for where a forecast would help.
     """
     claim, config = predicate.claims[0], header.config
     limit = config.required_margin if claim.sense == ">=" else config.required_at_most
     required = _Required(limit, _required_probability(config, claim), unit)
+
+    def better(limit: float) -> str:
+        noisy = not _is_deterministic(header)
+        return for_a_better_bound(ShortBound(config, predicate, limit, violations, commands, noisy, progress))
+
     found = (
         _shown(predicate, required)
-        or _violated(header, predicate, required, values)
-        or _not_shown(predicate, required, violations, commands)
+        or _violated(header, predicate, required, violations, values)
+        or _not_shown(predicate, required, better)
     )
     return CampaignVerdict(
         verdict=found.word,
@@ -188,13 +192,19 @@ def _too_unlikely(claim: CertificateClaim, required: _Required) -> bool:
 
 
 def _violated(
-    header: Header, predicate: Predicate, required: _Required, values: Callable[[], Values]
+    header: Header,
+    predicate: Predicate,
+    required: _Required,
+    violations: Violations,
+    values: Callable[[], Values],
 ) -> _Finding | None:
     claim, clip = predicate.claims[0], header.config.clip
     if required.bound is not None and clip is not None and claim.sense == ">=" and required.bound >= clip[1]:
         return None  # every clipped value is below it, whatever the robustness is
     if required.bound is not None:
-        found = _by_rollouts(header, claim, required.bound, required.probability, values)
+        # Where no value is below the limit, none can show that a mean is: most campaigns need not be read for that.
+        beyond = claim.quantity in WORST and violations.least is not None and violations.least >= required.bound
+        found = None if beyond else _by_rollouts(header, claim, required.bound, required.probability, values)
         return found or _by_partner(predicate, required.bound)
     if claim.quantity == "failure_probability" and claim.requirement is None:
         return _any_violation(values())
@@ -256,8 +266,9 @@ def _worst_below(
         return _one_start_below(header, claim, required, values())
     if claim.rule == "every":
         return None  # the mean of the least of several requirements may be below that of each
-    pairs = ((each.start, each.robustness) for each in values())
-    return _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
+    pairs = [(each.start, each.robustness) for each in values()]
+    found = _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
+    return found and replace(found, reasons=(*found.reasons, _lowest_mean(header, pairs)))
 
 
 def _drawn_below(
@@ -280,8 +291,7 @@ def _one_start_below(header: Header, claim: CertificateClaim, required: float, v
     below = min((each for each in values if each.robustness < required), key=lambda each: each.robustness, default=None)
     if below is None:
         return None
-    units = {parameter.name: parameter.unit for parameter in header.spec.parameters}
-    start = named_start(dict(zip(units, json.loads(below.start), strict=True)), units)
+    start = _start_words(header, below.start)
     unit = robustness_unit(header.config, header.spec)
     margin = margin_words(below.robustness, unit)
     least = "" if required == 0 else f", less than the required {_margin_text(f'{required:g}', claim, unit)}"
@@ -290,6 +300,23 @@ def _one_start_below(header: Header, claim: CertificateClaim, required: float, v
         (f"At {start} the robustness is {margin}{least}, and nothing there is random.",),
         by_rollouts="certain",
     )
+
+
+def _lowest_mean(header: Header, pairs: Iterable[tuple[str, float]]) -> str:
+    """Return where the mean of the recorded values is least: what is shown is that some start is bad, and not which."""
+    values: dict[str, list[float]] = {}
+    for start, value in pairs:
+        values.setdefault(start, []).append(value)
+    worst = min(values, key=lambda start: (math.fsum(values[start]) / len(values[start]), start))
+    mean = margin_words(math.fsum(values[worst]) / len(values[worst]), robustness_unit(header.config, header.spec))
+    number = len(values[worst])
+    rollouts = f"{number:,} rollout{'' if number == 1 else 's'}"
+    return f"The lowest mean is {mean}, of {rollouts} at {_start_words(header, worst)}."
+
+
+def _start_words(header: Header, start: str) -> str:
+    units = {parameter.name: parameter.unit for parameter in header.spec.parameters}
+    return named_start(dict(zip(units, json.loads(start), strict=True)), units)
 
 
 def _mean_below(
@@ -335,13 +362,14 @@ def _drawn_samples(config: CampaignConfig, values: Values) -> Values:
 # Neither
 
 
-def _not_shown(predicate: Predicate, required: _Required, violations: Violations, commands: Commands) -> _Finding:
+def _not_shown(predicate: Predicate, required: _Required, better: Callable[[float], str]) -> _Finding:
+    """Return the reasons, and what would help; `better` says what would bring the bound to a limit."""
     claim, reasons, advice = predicate.claims[0], list[str](), list[str]()
     if claim.refuted:
         reasons.append(f"{refutation_words(claim.refuted)} Do not rely on the bound.")
-        advice.append(_instead_of_refuted(claim))
+        advice.append(instead_of_refuted(claim))
     if claim.vacuous:
-        reasons.append(nothing_shown(claim.quantity).replace("It shows", "The bound shows"))
+        reasons.append(EMPTY[nothing_shown(claim.quantity)])
     if required.bound is None:
         what = "probability" if claim.quantity in PROBABILITIES else "value"
         reasons.append(f"The campaign file does not say the largest acceptable {what}.")
@@ -350,7 +378,7 @@ def _not_shown(predicate: Predicate, required: _Required, violations: Violations
         limit, bound = _margin_text(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
         reasons.append(f"The bound {bound} does not reach the required {limit}{_budget_words(predicate)}.")
         if not claim.refuted:
-            advice.append(_smaller_alpha(predicate, required, violations) or _for_a_better_bound(predicate, commands))
+            advice.append(better(required.bound))
     if _too_unlikely(claim, required):
         chance = outward(claim.probability, ">=")
         reasons.append(f"It holds with probability {chance}, and {required.probability:g} is required.")
@@ -359,41 +387,9 @@ def _not_shown(predicate: Predicate, required: _Required, violations: Violations
 
 
 def _budget_words(predicate: Predicate) -> str:
-    spent = [each.key for each in predicate.problems if each.stopped_by == "budget"]
-    return f"; {' and '.join(spent)} ended by the budget" if spent else ""
-
-
-def _instead_of_refuted(claim: CertificateClaim) -> str:
-    kinds = {each.partition("/")[0] for each in claim.refuted}
-    if kinds & {"rkhs_norm", "noise_scale", "kernel", "prior_mean"}:
-        return "`perfbound calibrate` proposes constants that the rollouts do not refute; `sample` needs none."
-    return "Find the cause of what is refuted first: more rollouts do not help."
-
-
-def _smaller_alpha(predicate: Predicate, required: _Required, violations: Violations) -> str:
-    """Return the advice where values without noise are beyond what is required by less than the tolerance; else none.
-
-    A problem ends when its bounds are `alpha` apart, so that more tests do not help.
-    """
-    claim, (problem, *others) = predicate.claims[0], predicate.problems
-    alpha = problem.parameters.get("alpha")
-    if claim.quantity != "robustness" or others or violations.least is None or not isinstance(alpha, float):
-        return ""
-    left = violations.least - (required.bound or 0.0)
-    if not 0 < left < alpha:
-        return ""
-    return (
-        f"A smaller `alpha`, such as {left / 2:.2g}, in a new campaign: the worst start so far is only {left:.4g} "
-        f"above what is required, and bounds that are alpha = {alpha:g} apart end the tests."
-    )
-
-
-def _for_a_better_bound(predicate: Predicate, commands: Commands) -> str:
-    if predicate.claims[0].vacuous and predicate.problems[0].method == "kriging":
-        return "Method `rigorous`: where means differ more than noise, more tests by `kriging` help little."
     spent = [each for each in predicate.problems if each.stopped_by == "budget"]
-    if commands.resume and any(each.method in ("rigorous", "scenario") for each in spent):
-        return f"More tests: `{commands.resume} --max-tests N` continues this campaign."
-    if spent:
-        return "More tests: a larger `max_tests` in a new campaign."
-    return "A smaller `alpha` in a new campaign, which costs more tests."
+    if not spent:
+        return ""
+    whose = f" of {' and '.join(each.key for each in spent)}" if len(predicate.problems) > 1 else ""
+    tests = f"the budget of {spent[0].tests:,} tests is" if len(spent) == 1 else "the budgets are"
+    return f"; {tests.replace(' is', f'{whose} is').replace(' are', f'{whose} are')} spent"

@@ -43,7 +43,9 @@ class VerdictCard:
     claim: str
     reasons: tuple[str, ...]
     sure: tuple[str, ...]
-    """How sure the claim is."""
+    """How sure it is."""
+    anyway: str
+    """What holds whatever the verdict is; may be empty."""
     by_rollouts: ByRollouts | None
     """How the rollouts alone show it, without kernel and norm bound; None where they do not."""
     advice: tuple[str, ...]

@@ -27,6 +27,7 @@ from .counterexample import ending_counterexample
 from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State
 from .problem import ProblemCollector
 from .provenance import provenance
+from .question import required_words
 from .ranges import ranges
 from .trust import TrustStatistics
 from .workers import LiveState, WorkerStatistics
@@ -204,6 +205,7 @@ class Collector:
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
             verdict=self._verdict,
+            required=required_words(header, claims[0].quantity if claims else problems[0].quantity),
             closing_rollouts={each: self._closing[each] for each in CLOSING if each in self._closing},
             provenance=provenance(header, self._sessions, self._workers.ended()),
         )

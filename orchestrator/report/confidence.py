@@ -10,8 +10,8 @@ from ..campaign.clip import is_vacuous
 from ..certificate.text import outward
 
 CHANGES = {
-    ("rkhs_norm", 2.0): "If the norm bound B were twice as large",
-    ("rkhs_norm", 4.0): "four times",
+    ("rkhs_norm", 2.0): "With a norm bound B twice as large the same tests prove",
+    ("rkhs_norm", 4.0): "with one four times as large",
     ("length_scale", 0.5): "with half the length scale",
 }
 """Variations of the sensitivity, in the order of the sentence."""
@@ -23,54 +23,63 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate) -> Iter
     """Yield how sure a verdict is."""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
     if verdict.by_rollouts:
-        yield _by_rollouts(verdict.by_rollouts, verdict.required_probability)
+        yield _shown_by_rollouts(verdict.by_rollouts, verdict.required_probability)
         return
     claim = predicate.claims[0]
     if claim.refuted:
         yield "Not at all: the campaign refutes one of its assumptions."
     elif not claim.vacuous:
-        yield _chance(claim)
-        yield from _with_other_constants(predicate, unit)
-    most = predicate.spot_check and predicate.spot_check.most_starts
-    if most:
-        yield _most_starts(most, unit)
+        yield _wrong_at_most(claim)
+        if verdict.verdict == "SHOWN":
+            yield from _with_other_constants(predicate, unit, verdict.required)
+    else:
+        yield "Nothing is claimed that could be wrong: the bound holds without any rollout."
 
 
-def _by_rollouts(how: ByRollouts, probability: float) -> str:
+def _shown_by_rollouts(how: ByRollouts, probability: float) -> str:
     if how == "certain":
         return "Certain of the simulator: the rollout shows it, and whoever repeats it sees the same."
     wrong = outward(1.0 - probability, "<=")
     return f"Wrong with probability at most {wrong}, by the chance in the rollouts. Kernel and norm bound are not used."
 
 
-def _with_other_constants(predicate: Predicate, unit: str) -> Iterator[str]:
+def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
+    """Return what fresh starts prove without B and kernel, whatever the verdict is; empty where they prove nothing."""
+    most = predicate.spot_check and predicate.spot_check.most_starts
+    return _of_fresh_starts(most, "" if verdict.unit == "1" else one_line(verdict.unit)) if most else ""
+
+
+def _with_other_constants(predicate: Predicate, unit: str, required: float | None) -> Iterator[str]:
     claim = predicate.claims[0]
     of_claim = unit if claim.quantity in IN_UNIT else ""
     rows = [row for row in predicate.sensitivity or () if row.claim == 0]
     if rows:
-        changed = (f"{CHANGES[row.constant, row.factor]}: {_varied(claim, row, of_claim)}" for row in rows)
+        changed = (
+            f"{CHANGES[row.constant, row.factor]} {_with_constant(claim, row, of_claim, required)}" for row in rows
+        )
         yield f"{'; '.join(changed)}."
 
 
-def _chance(claim: CertificateClaim) -> str:
+def _wrong_at_most(claim: CertificateClaim) -> str:
     if claim.probability == 1.0:
         return "Certain, if its assumptions hold: nothing is random."
     wrong = outward(1.0 - claim.probability, "<=")
-    return f"Wrong with probability at most {wrong}, by the chance in the rollouts, if its assumptions hold."
+    return f"If its assumptions hold, it is wrong with probability at most {wrong}: by the chance in the rollouts."
 
 
-def _varied(claim: CertificateClaim, row: Sensitivity, unit: str) -> str:
-    if row.bound is None:
-        return "no bound"
-    if is_vacuous(row.bound, claim.sense, claim.by_clip):
-        return "nothing shown"
-    return f"{claim.sense} {outward(row.bound, claim.sense)} {unit}".rstrip()
+def _with_constant(claim: CertificateClaim, row: Sensitivity, unit: str, required: float | None) -> str:
+    if row.bound is None or is_vacuous(row.bound, claim.sense, claim.by_clip):
+        return "nothing, so NOT SHOWN"
+    bound = f"{claim.sense} {outward(row.bound, claim.sense)} {unit}".rstrip()
+    enough = required is None or (row.bound >= required if claim.sense == ">=" else row.bound <= required)
+    return f"{bound}, still SHOWN" if enough else f"{bound}, so NOT SHOWN"
 
 
-def _most_starts(found: MostStarts, unit: str) -> str:
+def _of_fresh_starts(found: MostStarts, unit: str) -> str:
     margin = "robustness" if found.quantity == "robustness" else "expected robustness"
     bound = f"{outward(found.bound, '>=')} {unit}".rstrip()
+    share, probability = f"{100 * found.share:g} %", outward(found.probability, ">=")
     return (
-        f"Without B and the kernel, from fresh starts alone: {margin} at least {bound} from all but "
-        f"{100 * found.share:g} % of the starts, with probability at least {outward(found.probability, '>=')}."
+        f"Without B and the kernel, by fresh starts alone: {margin} at least {bound} from all but {share} of the "
+        f"starts, with probability at least {probability}. Of those {share} it says nothing."
     )

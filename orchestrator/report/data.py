@@ -321,6 +321,8 @@ class ReportData:
     """For good first, then the latest, at most 50."""
     verdict: VerdictCard | None = None
     """Of a finished campaign."""
+    required: str = ""
+    """What the campaign file requires of the first claim, in words."""
     closing_rollouts: Mapping[str, int] = field(default_factory=dict)
     """Rollouts of each check after the campaign, which `rollouts` does not count."""
     provenance: Provenance | None = None

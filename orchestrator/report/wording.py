@@ -14,7 +14,7 @@ from ..certificate.text import claim_words, notes, nothing_shown, outward, quant
 from ..run.verdict import violation_words
 from ..store.export_tables import robustness_unit
 from .claim_data import Claim, VerdictCard
-from .confidence import confidence_sentences
+from .confidence import anyway, confidence_sentences
 from .data import Problem
 
 OF_CLAIM = {each.name for each in fields(Claim)} - {"sentence", "notes"}
@@ -52,6 +52,7 @@ def verdict_card(found: CampaignVerdict, predicate: document.Predicate) -> Verdi
         typeset(f"{found.claim}."),
         tuple(map(typeset, found.reasons)),
         tuple(map(typeset, confidence_sentences(found, predicate))),
+        typeset(anyway(found, predicate)),
         found.by_rollouts,
         found.advice,
         typeset(violation_words(found)),

@@ -96,7 +96,7 @@ CASES = (
         "budget",
         f"{NOISY}{NEAR}rkhs_norm = 80\nprior_mean = -25\nmax_tests = 6\nreplicates = 8\nalpha = 3.0\n",
         "NOT SHOWN",
-        "ended by the budget",
+        "tests is spent",
     ),
 )
 

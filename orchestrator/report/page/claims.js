@@ -19,15 +19,22 @@ const MEANING = {
 
 /** Name and state, and the question that the campaign asks. */
 function titleSection(report) {
-  const asks = report.specification === null
-    ? [el("strong", "Question: "), `the worst value of ${nameText(report.system)}`]
-    : [el("strong", "Requirement: "), el("code", short(report.specification, 300))];
+  const system = [`System ${nameText(report.system)}`, report.doc ? `: ${short(report.doc, 300)}` : ""];
+  const asks = report.specification === null ? null : [el("strong", "Requirement: "), el("code", short(report.specification, 300)), " "];
   return el(
     "header#title",
-    el("p.kind", "perfbound campaign"),
+    el("p.kind", ["perfbound campaign", ...whenAndWho(report)].join(" \u00b7 ")),
     el("h1", nameElement(report.name, 120), el("span.state", { "data-state": report.state }, short(report.state, 20))),
-    el("p.question", asks, ` from ${report.problems.some(isListed) ? "each of " : "every start with "}${spaceText(report)}.`, report.doc ? el("span.muted", ` System ${nameText(report.system)}: ${short(report.doc, 300)}`) : el("span.muted", ` System ${nameText(report.system)}.`)),
+    el("p.question", asks, `from ${report.problems.some(isListed) ? "each of " : "every start with "}${spaceText(report)}.`),
+    el("p.question", el("strong", system[0]), system[1]),
+    report.required ? el("p.muted", sentence(report.required)) : null,
   );
+}
+
+/** When a campaign ended, and who ran it. */
+function whenAndWho({ provenance: from, state }) {
+  const ended = state === "finished" && from?.ended != null ? [`ended ${utc(from.ended)}`] : [];
+  return from?.accounts.length ? [...ended, `run by ${from.accounts.map((each) => short(each, 40)).join(", ")}`] : ended;
 }
 
 function nameText(name) {
@@ -102,13 +109,17 @@ function claimSection(report) {
 function verdictCard(report) {
   const { verdict: found } = report;
   if (found === null) return null;
-  const [answer, ...more] = found.word === "SHOWN" ? [found.claim, ...found.reasons] : [...found.reasons, found.claim];
+  // What is refuted, and what a violation makes pointless, stands with the claim below.
+  const claim = refutedOf(report).length || found.by_rollouts !== null ? [] : [found.claim];
+  const [answer, ...more] = found.word === "SHOWN" ? [...claim, ...found.reasons] : [...found.reasons, ...claim];
   const rows = [
     ["In detail", more.map((text) => el("p", sentence(text)))],
-    ["How sure", found.sure.map((note) => el("p", sentence(note)))],
-    ["What it rests on", restsOn(report)],
-    ["Rollouts", found.count ? el("p", found.command ? el("a", { href: "#counterexamples" }, sentence(found.count)) : sentence(found.count)) : null],
+    ["What refutes it", refutedOf(report).map((each) => el("p", sentence(each.detail)))],
+    ["Rollouts", rolloutCount(report)],
     ["Repeat the worst", found.command ? commandLine(found.command) : null],
+    ["How sure", found.sure.map((text) => el("p", sentence(text)))],
+    ["What holds anyway", found.anyway ? el("p", sentence(found.anyway)) : null],
+    ["What it rests on", restsOn(report)],
     ["What to do next", nextSteps(report)],
   ];
   return el(
@@ -120,35 +131,39 @@ function verdictCard(report) {
   );
 }
 
+/** How many rollouts violate the specification, and what that number is not. */
+function rolloutCount(report) {
+  const { verdict: found } = report;
+  if (!found.count) return null;
+  if (!report.violations) return el("p", found.word === "SHOWN" ? sentence(found.count) : ["No violation was found: ", sentence(found.count)]);
+  const chosen = report.problems.some((problem) => problem.drawn === null);
+  return el("p", el("a", { href: "#counterexamples" }, sentence(found.count)), chosen ? " Most starts were chosen for being bad, so this is no failure rate." : null);
+}
+
 /** What no data of a campaign can test of a claim, in the order of how much depends on it. */
-const FIRST_OF_ALL = ["rkhs_norm", "kernel", "noise_scale", "simulator_is_the_system"];
+const FIRST_OF_ALL = ["simulator_is_the_system", "rkhs_norm", "kernel", "noise_scale"];
 
 /** The assumptions of the first claim: how many have which status, and those that nothing checked. */
 function restsOn(report) {
-  if (report.verdict.by_rollouts) return [el("p", "The rollouts alone. Nothing checked that the real system behaves like the simulator.")];
+  if (report.verdict.by_rollouts !== null) return [el("p", "On the rollouts alone, and on one thing that no rollout can check: that the real system behaves like the simulator.")];
   const mine = report.assumptions.filter((each) => report.claims[0].assumptions.includes(each.id));
   const of = (status) => mine.filter((each) => each.status === status);
   const counts = Object.entries(STATUS_WORDS).map(([status, text]) => [of(status).length, text]).filter(([number]) => number);
   const rank = ({ id }) => (FIRST_OF_ALL.indexOf(id.split("/")[0]) + FIRST_OF_ALL.length + 1) % (FIRST_OF_ALL.length + 1);
-  const open = of("assumed").sort((a, b) => rank(a) - rank(b)).map((each) => each.title);
-  const titles = [...new Set(open)];
+  const broken = of("refuted").length > 0; // then the others do not matter
+  const titles = broken ? [] : [...new Set(of("assumed").sort((a, b) => rank(a) - rank(b)).map((each) => each.title))];
   return [
-    el("p", el("a", { href: "#assumptions" }, plural(mine.length, "assumption")), `: ${counts.map(([number, text]) => `${number} ${text}`).join(", ")}.`),
-    titles.length ? el("p.muted", `Nothing checked that ${titles.map(asClause).join("; ")}.`) : null,
+    el("p", el("a", { href: "#assumptions" }, plural(mine.length, "assumption")), `: ${counts.map(([number, text]) => `${number} ${text}`).join(", ")}.${titles.length ? " Not checked, so you must judge:" : ""}`),
+    titles.length ? el("ul.judge", titles.map((each) => el("li", short(each, 90)))) : null,
   ];
-}
-
-/** A title inside a sentence. */
-function asClause(title) {
-  return title.charAt(0).toLowerCase() + short(title, 90).slice(1);
 }
 
 /** The advice of a verdict; after a claim that is shown, how to check it. */
 function nextSteps(report) {
   const advice = report.verdict.advice.map((text) => el("p", withCommands(text)));
   if (advice.length || report.verdict.word === "NOT SHOWN") return advice;
-  if (report.verdict.word === "VIOLATED") return [el("p", "Look at the ", el("a", { href: "#counterexamples" }, "counterexamples"), ", change the system or the requirement, and run a new campaign with a new seed.")];
-  return [el("p", "Judge the assumptions that nothing checked; then let somebody else verify the certificate:"), commandLine(verifyCommand())];
+  if (report.verdict.word === "VIOLATED") return [el("p", "Look at the ", el("a", { href: "#counterexamples" }, "counterexamples"), "; change the system, or the starts from which it may operate; then run a new campaign.")];
+  return [el("p", "Judge the assumptions that nothing checked. Then let somebody else verify that the claim follows from the evidence:"), commandLine(verifyCommand())];
 }
 
 function verifyCommand() {
@@ -184,7 +199,9 @@ function refutedOf(report) {
   return first ? broken.filter((each) => first.refuted.includes(each.id) || first.assumptions.includes(each.id)) : broken;
 }
 
+/** The box about what is refuted; the card of a verdict has it in its place. */
 function refutation(report) {
+  if (report.verdict !== null) return null;
   const broken = refutedOf(report);
   const missing = (report.claims[0]?.refuted ?? []).filter((id) => !broken.some((each) => each.id === id));
   const explains = (problem) => broken.some((each) => each.id.endsWith(`/${problem.name}`));

@@ -120,7 +120,7 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
     )
     order = [
         "REFUTED, by the data of this campaign or by derivation: 1 assumption",
-        "    refuted     The norm bound B is large enough (rkhs_norm)",
+        "    refuted     The norm bound B is large enough for this kernel and prior mean (rkhs_norm)",
         "                B is wrong.",
         "CLAIM  J* (maximum of the expectation) <= 0.5001",
         "       REFUTED by its own data: rkhs_norm of maximum. Do not rely on it.",
@@ -129,7 +129,7 @@ def test_what_is_refuted_comes_first_and_marks_the_claim() -> None:
         "    assumed     Large deviations are as rare as the noise model says (tail)",
         "                Gaussian.",
         "  whole campaign",
-        "    assumed     Workers send what they simulated (workers_honest)",
+        "    assumed     Worker processes send what they simulated (workers_honest)",
         "                believed.",
     ]
     assert [line for line in lines if line in order] == order
@@ -147,7 +147,7 @@ def test_what_is_refuted_of_other_claims_comes_after_the_first_one() -> None:
         "also  J* (maximum of the expectation) <= 0.5001",
         "       REFUTED by its own data: rkhs_norm of sim_gap. Do not rely on it.",
         "REFUTED, of other claims than the first, by the data of this campaign or by derivation: 1 assumption",
-        "    refuted     The norm bound B is large enough (rkhs_norm)",
+        "    refuted     The norm bound B is large enough for this kernel and prior mean (rkhs_norm)",
         "                B is wrong.",
     ]
     assert [line for line in lines if line in order] == order

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from perfbound.orchestrator.report.confidence import confidence_sentences
+from perfbound.orchestrator.report.confidence import anyway, confidence_sentences
 from perfbound.schemas.certificate import CertificateClaim, MostStarts, Rollouts, Sensitivity, SpotCheck
 from perfbound.schemas.verdict import ByRollouts, CampaignVerdict, Violations
 from tests.unit.certificate.test_text import a_certificate
@@ -24,7 +24,7 @@ def sentences(
         probability=0.9, required_probability=0.95, unit="m", violations=NONE, by_rollouts=by_rollouts,
         repeat="",
     )  # fmt: skip
-    return list(confidence_sentences(verdict, predicate))
+    return [*confidence_sentences(verdict, predicate), anyway(verdict, predicate)]
 
 
 def rows(*bounds: float | None) -> tuple[Sensitivity, ...]:
@@ -37,22 +37,28 @@ def rows(*bounds: float | None) -> tuple[Sensitivity, ...]:
 
 
 def test_a_bound_is_wrong_with_the_rest_of_its_probability() -> None:
-    (chance,) = sentences()
-    assert chance == "Wrong with probability at most 0.1000, by the chance in the rollouts, if its assumptions hold."
-    (certain,) = sentences({"probability": 1.0})
+    chance, nothing = sentences()
+    assert nothing == ""
+    assert (
+        chance == "If its assumptions hold, it is wrong with probability at most 0.1000: by the chance in the rollouts."
+    )
+    certain, _ = sentences({"probability": 1.0})
     assert certain.startswith("Certain, if its assumptions hold")
 
 
 def test_other_constants_have_the_unit_and_are_those_of_the_first_claim() -> None:
-    _, changed = sentences(sensitivity=rows(0.50009, None))
-    assert changed == "If the norm bound B were twice as large: >= 0.5000 m; with half the length scale: no bound."
-    _, changed = sentences(sensitivity=rows(-1.0, 0.2))
-    assert "twice as large: nothing shown; with half the length scale: >= 0.2000 m." in changed
+    _, changed, _ = sentences(sensitivity=rows(0.50009, None))
+    assert changed == (
+        "With a norm bound B twice as large the same tests prove >= 0.5000 m, still SHOWN; with half the length scale "
+        "nothing, so NOT SHOWN."
+    )
+    _, changed, _ = sentences(sensitivity=rows(-1.0, 0.2))
+    assert "prove nothing, so NOT SHOWN; with half the length scale >= 0.2000 m, still SHOWN." in changed
 
 
 def test_what_is_refuted_is_not_sure_at_all_and_needs_no_constants() -> None:
     found = sentences({"refuted": ("kernel/robustness",)}, sensitivity=rows(0.5, 0.5))
-    assert found == ["Not at all: the campaign refutes one of its assumptions."]
+    assert found == ["Not at all: the campaign refutes one of its assumptions.", ""]
 
 
 def test_fresh_starts_need_no_kernel() -> None:
@@ -63,16 +69,14 @@ def test_fresh_starts_need_no_kernel() -> None:
     )  # fmt: skip
     for claim in ({}, {"vacuous": True}, {"refuted": ("kernel/robustness",)}):
         last = sentences(claim, spot_check=spot)[-1]
-        assert last.startswith(
-            "Without B and the kernel, from fresh starts alone: expected robustness at least 0.7500 m"
-        )
-    assert len(sentences({"vacuous": True}, spot_check=spot)) == 1, "nothing is sure of what shows nothing"
+        assert last.startswith("Without B and the kernel, by fresh starts alone: expected robustness at least 0.7500 m")
+    assert sentences({"vacuous": True}, spot_check=spot)[0].startswith("Nothing is claimed")
 
 
 def test_a_violation_by_rollouts_uses_no_kernel() -> None:
-    (noisy,) = sentences(by_rollouts="probable", sensitivity=rows(0.5, 0.5))
+    noisy, _ = sentences(by_rollouts="probable", sensitivity=rows(0.5, 0.5))
     assert noisy == (
         "Wrong with probability at most 0.0500, by the chance in the rollouts. Kernel and norm bound are not used."
     )
-    (exact,) = sentences(by_rollouts="certain")
+    exact, _ = sentences(by_rollouts="certain")
     assert exact.startswith("Certain of the simulator")

@@ -1,0 +1,35 @@
+"""The question of a campaign in one sentence: what its file requires of the first claim."""
+
+from ...schemas.claims import is_sampled
+from ...schemas.facts import Header
+from ...schemas.problems import Quantity
+from ..store.export_tables import robustness_unit
+
+OF_MARGIN: dict[Quantity, str] = {
+    "robustness": "the margin of every rollout",
+    "expected_robustness": "the mean margin over the noise",
+    "rho_star": "the mean margin less {risk:g} standard deviations",
+    "mean": "the mean margin",
+    "risk": "the mean margin less {risk:g} standard deviations",
+}
+"""Quantities of a claim about a margin, and what is bounded."""
+
+
+def required_words(header: Header, quantity: Quantity | None) -> str:
+    """Return what the file requires of a quantity; empty where it requires nothing that one sentence says.
+
+    A term of a composition has no quantity: its sum bounds the risk.
+    """
+    config, quantity = header.config, quantity or "rho_star"
+    unit = robustness_unit(config, header.spec)
+    shown = "" if unit == "1" else f" {unit}"
+    where = "At starts that are drawn as declared" if is_sampled(quantity) else "From every start"
+    if quantity in OF_MARGIN and config.formula is not None:
+        margin = OF_MARGIN[quantity].format(risk=config.risk_weight)
+        least = f"{where}, {margin} must be at least {config.required_margin:g}{shown}"
+        return f"{least}. The margin of a rollout is its robustness: 0 is just met, and below 0 it violates."
+    if quantity == "failure_probability":
+        limit = config.required_at_most
+        at_most = "as small as possible" if limit is None else f"at most {limit:g}"
+        return f"{where}, the probability that a rollout violates it must be {at_most}."
+    return ""
