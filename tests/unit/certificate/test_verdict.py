@@ -90,7 +90,10 @@ def test_an_expectation_below_the_margin(tmp_path: Path, by: float, expected: st
     assert found.verdict == expected
     assert found.violations.violations > 0 or expected == "SHOWN"
     if expected == "VIOLATED":
-        assert found.reasons == ("At some start the expected robustness is below 0, with probability at least 0.9500.",)
+        shown, where = found.reasons
+        assert shown == "At some start the expected robustness is below 0, with probability at least 0.9500."
+        assert where.startswith("The lowest mean is -0.")
+        assert " rollouts at z1 = 1, z2 = " in where
     if expected == "NOT SHOWN":
         assert " tests is spent." in found.reasons[0]
         assert found.advice[0].startswith("Other constants rather than more tests: "), "its margin is that of the limit"
@@ -107,7 +110,7 @@ def test_the_advised_number_of_tests_is_enough(tmp_path: Path) -> None:
     assert (found.verdict, found.bound < 0.0) == ("NOT SHOWN", True)
     advised = re.fullmatch(
         rf"About \d+ more tests? \(\d+ to (\d+)\): `perfbound resume {tmp_path} --max-tests (\d+)` continues this "
-        r"campaign\.",
+        r"campaign, and its bound stays valid\.",
         found.advice[0],
     )
     assert advised is not None
