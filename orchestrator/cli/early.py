@@ -15,6 +15,15 @@ def check_directory(context: click.Context, _parameter: click.Parameter, directo
     return directory
 
 
+def check_folder(context: click.Context, _parameter: click.Parameter, directory: Path) -> Path:
+    """Refuse a folder that is not there."""
+    if not context.resilient_parsing and not os.path.isdir(directory):
+        from ...schemas.errors import PerfboundError  # noqa: PLC0415
+
+        raise PerfboundError(f"{directory}: no such folder; name a run directory, or the folder with many of them")
+    return directory
+
+
 def check_campaign(context: click.Context, _parameter: click.Parameter, campaign: Path) -> Path:
     """Refuse a campaign file that is not there."""
     if not context.resilient_parsing and not os.path.isfile(campaign):

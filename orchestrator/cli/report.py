@@ -1,5 +1,6 @@
 """The commands of the report: its files, and the live page."""
 
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ import click
 
 from ...schemas.errors import Stopped, one_line
 from ..run.address import Address
-from .early import check_directory
+from .early import check_directory, check_folder
 from .exits import end
 from .group import RUN_DIRECTORY, cli
 from .stderr import STDERR
@@ -20,21 +21,23 @@ if TYPE_CHECKING:
 
 
 @cli.command()
-@click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
+@click.argument("directory", type=RUN_DIRECTORY, default="runs", callback=check_folder)
 @web_option("Where to serve it.  [default: loopback and a free port]", default=Address())
 @click.option("--insecure", is_flag=True, help="Allow serving it beyond this machine, where anyone can read it.")
 def web(*, directory: Path, web: Address, insecure: bool) -> None:
-    """Serve the live page of the campaign in DIRECTORY, whether it runs, is stopped, or has finished."""
+    """Serve the live page of the campaign in DIRECTORY, or of all campaigns below it (default: runs)."""
     from ..run.address import bind  # noqa: PLC0415
-    from ..store.rows import existing  # noqa: PLC0415
+    from ..store.rows import DATABASE, existing  # noqa: PLC0415
 
-    existing(directory)
+    many = not os.path.lexists(directory / DATABASE)
+    if not many:
+        existing(directory)
     listening, address = bind(web, insecure=insecure)
     try:
-        from ..report.web.server import Server  # noqa: PLC0415  (late: a port in use is reported at once)
+        from ..report.web.server import IndexServer, Server  # noqa: PLC0415  (late: a port in use is reported at once)
 
-        server = Server(directory, address, _print_stderr)
-        _print_stderr(f"live page: {address.url}")
+        server = (IndexServer if many else Server)(directory, address, _print_stderr)
+        _print_stderr(f"{f'live page of the campaigns in {directory}' if many else 'live page'}: {address.url}")
         server.run([listening])
     except Stopped as request:
         end("the live page has ended", code=128 + request.signal)

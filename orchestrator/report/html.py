@@ -8,12 +8,16 @@ import base64
 import hashlib
 import html
 import re
+from collections.abc import Mapping
 from functools import cache
 from importlib import resources
 from typing import NamedTuple
 
 ASSETS = resources.files(__package__) / "page"
 PLOT = "uPlot.iife.min.js"
+INDEX = "index.js"
+OF_INDEX = ("dom.js", "format.js", INDEX)
+"""Scripts of the index of campaigns."""
 _INLINE = re.compile(r"<(script|style)>(.*?)</\1>", re.DOTALL)
 _PLACEHOLDER = re.compile(r"\{\{(STORY|TITLE|CSP)\}\}")
 _STYLES_AND_SCRIPTS = re.compile(r"/\*(UPLOT_CSS|CSS|UPLOT|PAGE)\*/")
@@ -31,9 +35,19 @@ def standalone_page(title: str, data: str) -> Page:
     return _page(_template(), title, data, "")
 
 
-def served_page(title: str, data: str) -> Page:
-    """Return a page that requests updates from the server that it came from."""
-    return _page(_template().replace("<body>", '<body data-live="events">'), title, data, "connect-src 'self'; ")
+def served_page(title: str, data: str, index: str = "") -> Page:
+    """Return a page that requests updates from the server that it came from; with a way to an index of campaigns.
+
+    `index` is the relative address of that index, made of dots and slashes alone; empty where there is none.
+    """
+    way = f'<nav class="up"><a href="{html.escape(index)}">\u2190 All campaigns</a></nav>' if index else ""
+    template = _template().replace("<body>", f'<body data-live="events">{way}')
+    return _page(template, title, data, "connect-src 'self'; ")
+
+
+def index_page(title: str, data: str) -> Page:
+    """Return the page of many campaigns; `data` is JSON from `IndexChanges.to_json`."""
+    return _page(_index_template(), title, data, "connect-src 'self'; ")
 
 
 def _page(template: str, title: str, data: str, directive: str) -> Page:
@@ -52,19 +66,33 @@ def _page(template: str, title: str, data: str, directive: str) -> Page:
 @cache
 def _template() -> str:
     """Return the template with its styles and scripts; the placeholders of data, title and policy remain."""
-    scripts = sorted(each.name for each in ASSETS.iterdir() if each.name.endswith(".js") and each.name != PLOT)
+    of_report = (each.name for each in ASSETS.iterdir() if each.name.endswith(".js"))
+    scripts = sorted(name for name in of_report if name not in (PLOT, INDEX))
     parts = {
         "UPLOT_CSS": _asset("uPlot.min.css"),
         "CSS": _asset("page.css"),
         "UPLOT": _asset(PLOT),
         "PAGE": "\n".join(map(_asset, scripts)),
     }
-    found = _STYLES_AND_SCRIPTS.sub(lambda found: parts[found[1]], _asset("page.html"))
+    return _filled("page.html", parts)
+
+
+@cache
+def _index_template() -> str:
+    """Return the template of the index as `_template` does."""
+    return _filled(
+        "index.html",
+        {"CSS": _asset("page.css") + _asset("index.css"), "PAGE": "\n".join(map(_asset, OF_INDEX))},
+    )
+
+
+def _filled(name: str, parts: Mapping[str, str]) -> str:
+    found = _STYLES_AND_SCRIPTS.sub(lambda found: parts[found[1]], _asset(name))
     assert sorted(_PLACEHOLDER.findall(found)) == ["CSP", "STORY", "TITLE"], "the template has each placeholder once"
     return found
 
 
 def _asset(name: str) -> str:
     text = (ASSETS / name).read_text("utf-8")
-    assert "</script" not in text or name == "page.html", f"{name} would end its own element"
+    assert "</script" not in text or name.endswith(".html"), f"{name} would end its own element"
     return text

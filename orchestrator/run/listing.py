@@ -62,12 +62,13 @@ def campaigns_below(folder: Path) -> Iterator[ListedCampaign]:
     """
     if not folder.is_dir():
         raise PerfboundError(f"{folder}: no such folder; name the one with the run directories, such as runs")
-    found = [(_last_change(directory), directory) for directory in _run_directories(folder)]
+    found = [(last_change(directory), directory) for directory in run_directories(folder)]
     for changed, directory in sorted(found, key=lambda pair: (-pair[0], str(pair[1]))):
-        yield _read_campaign(directory, changed)
+        yield read_campaign(directory, changed)[0]
 
 
-def _run_directories(folder: Path) -> Iterator[Path]:
+def run_directories(folder: Path) -> Iterator[Path]:
+    """Yield the run directories in a folder and at most `DEPTH` folders below it, and none inside another one."""
     for root, folders, names in os.walk(folder):
         if DATABASE in names:
             folders.clear()  # its trajectories: thousands of files, and no campaign
@@ -76,14 +77,16 @@ def _run_directories(folder: Path) -> Iterator[Path]:
             folders.clear()
 
 
-def _last_change(directory: Path) -> float:
+def last_change(directory: Path) -> float:
+    """Return the Unix time of the last change of the database in a run directory; 0 without one."""
     try:
         return (directory / DATABASE).stat().st_mtime
     except OSError:  # removed meanwhile
         return 0.0
 
 
-def _read_campaign(directory: Path, changed: float) -> ListedCampaign:
+def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, CampaignVerdict | None]:
+    """Return the campaign in a run directory, and its verdict where it has one; a damaged one with its fault."""
     try:
         header, certificate, running = header_alone(directory), files.read(directory), lock.is_held(directory)
         state: ListedState = "running" if running else "finished" if certificate else "stopped"
@@ -91,15 +94,15 @@ def _read_campaign(directory: Path, changed: float) -> ListedCampaign:
             seen = read_violations(directory, tested_by(header))
             return ListedCampaign(
                 directory, header.config.name, state, None, "", seen.rollouts, seen.violations, changed
-            )
+            ), None
         found = verdict_of(directory, header, certificate, repeatable=False)
     except (PerfboundError, OSError) as error:
-        return ListedCampaign(directory, directory.name, "damaged", None, "", 0, 0, changed, one_line(str(error)))
+        return ListedCampaign(directory, directory.name, "damaged", None, "", 0, 0, changed, one_line(str(error))), None
     seen = found.violations
     bound = _first_claim_of(found)
     return ListedCampaign(
         directory, found.campaign, state, found.verdict, bound, seen.rollouts, seen.violations, changed
-    )
+    ), found
 
 
 def _first_claim_of(found: CampaignVerdict) -> str:

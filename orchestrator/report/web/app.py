@@ -14,7 +14,9 @@
 import io
 import re
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -45,9 +47,23 @@ JSON, EVENTS = "application/json", "text/event-stream"
 _NUMBER = re.compile("[0-9]{1,9}")
 
 
+@dataclass(slots=True)
+class ServerLimits:
+    """What is open on one server, whether it has one campaign or many."""
+
+    streams: Counter[Path] = field(default_factory=Counter)
+    """Open event streams by run directory."""
+    files: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(MOST_FILES))
+
+
 def application(directory: Path, snapshots: SnapshotCache, address: Address) -> ASGIApp:
     """Return the application for the campaign in `directory`, served at `address`."""
-    web = _Endpoints(directory, snapshots)
+    return restricted(campaign_application(directory, snapshots, ServerLimits()), address)
+
+
+def campaign_application(directory: Path, snapshots: SnapshotCache, limits: ServerLimits, index: str = "") -> Starlette:
+    """Return the application without the checks of a request; `index` is the relative address of an index above it."""
+    web = _Endpoints(directory, snapshots, limits, index)
     routes = [
         Route("/", web.page),
         Route("/events", web.events),
@@ -57,23 +73,18 @@ def application(directory: Path, snapshots: SnapshotCache, address: Address) -> 
         Route(f"/{CERTIFICATE}", web.certificate),
         Route("/counterexamples.csv", web.counterexamples),
     ]
-    web_application = Starlette(
-        routes=routes, exception_handlers={PerfboundError: _unreadable, 500: web.internal_error}
-    )
-    return restricted(web_application, address)
+    return Starlette(routes=routes, exception_handlers={PerfboundError: _unreadable, 500: web.internal_error})
 
 
 class _Endpoints:
-    """The responses of the routes; counts the open streams and the files being read."""
+    """The responses of the routes."""
 
-    def __init__(self, directory: Path, snapshots: SnapshotCache) -> None:
-        self._directory, self._snapshots = directory, snapshots
-        self._files = CapacityLimiter(MOST_FILES)
-        self._streams = 0
+    def __init__(self, directory: Path, snapshots: SnapshotCache, limits: ServerLimits, index: str) -> None:
+        self._directory, self._snapshots, self._limits, self._index = directory, snapshots, limits, index
 
     async def page(self, _: Request) -> Response:
         snapshot = await self._snapshots.available()
-        html, policy = document.served_page(snapshot.title, snapshot.json)
+        html, policy = document.served_page(snapshot.title, snapshot.json, self._index)
         return HTMLResponse(html, headers={"Content-Security-Policy": f"{policy}; frame-ancestors 'none'"})
 
     async def data(self, _: Request) -> Response:
@@ -82,11 +93,11 @@ class _Endpoints:
     async def rollouts_of_test(self, request: Request) -> Response:
         problem, test = request.query_params.get("problem", ""), request.query_params.get("test", "")
         if not _NUMBER.fullmatch(test):
-            return _plain("/scene: wrong query; use /scene?problem=NAME&test=NUMBER", 400)
+            return plain("/scene: wrong query; use /scene?problem=NAME&test=NUMBER", 400)
         try:
             return Response(await self._snapshots.rollouts_of_test(problem, int(test)), media_type=JSON)
         except PerfboundError as error:
-            return _plain(str(error), 404)
+            return plain(str(error), 404)
 
     async def trajectory(self, request: Request) -> Response:
         path = f"{FOLDER}/{request.path_params['rest']}"
@@ -105,28 +116,28 @@ class _Endpoints:
 
     async def _file(self, read: Callable[[], bytes | None], media_type: str) -> Response:
         try:
-            data = await to_thread.run_sync(read, limiter=self._files)
+            data = await to_thread.run_sync(read, limiter=self._limits.files)
         except EvidenceError as error:
-            return _plain(str(error), 404)
+            return plain(str(error), 404)
         if data is None:
-            return _plain("there is no such file, or not yet", 404)
+            return plain("there is no such file, or not yet", 404)
         # An attachment: a browser must not display what a worker wrote.
         return Response(data, media_type=media_type, headers={"Content-Disposition": "attachment"})
 
     async def internal_error(self, request: Request, error: Exception) -> Response:
         self._snapshots.report(f"{request.url.path}: {error!r}")
-        return _plain("internal error; see the output of perfbound", 500)
+        return plain("internal error; see the output of perfbound", 500)
 
     async def events(self, request: Request) -> Response:
-        if self._streams >= MOST_STREAMS:
-            return _plain(f"{MOST_STREAMS} pages of this campaign are open; close one and reload this one", 503)
+        if self._limits.streams.total() >= MOST_STREAMS:
+            return plain(f"{MOST_STREAMS} pages are open; close one and reload this one", 503)
         if request.method == "HEAD":  # its stream would have no end
             return Response(media_type=EVENTS)
-        self._streams += 1
+        self._limits.streams[self._directory] += 1
         return _CountedStream(self._stream(), self._stream_ended)
 
     def _stream_ended(self) -> None:
-        self._streams -= 1
+        self._limits.streams[self._directory] -= 1
 
     async def _stream(self) -> AsyncIterator[bytes]:
         """Yield the data after every change, and at the end; a slow client skips intermediate snapshots."""
@@ -160,9 +171,10 @@ class _CountedStream(StreamingResponse):
             self._ended()
 
 
-def _plain(text: str, status: int) -> Response:
+def plain(text: str, status: int) -> Response:
+    """Return one line of text."""
     return PlainTextResponse(one_line(text) + "\n", status)
 
 
 def _unreadable(_: Request, error: Exception) -> Response:
-    return _plain(str(error), 503)
+    return plain(str(error), 503)

@@ -1,4 +1,4 @@
-"""The uvicorn server of a live page: its configuration, its limits on connections, its shutdown."""
+"""The uvicorn server of live pages: its configuration, its limits on connections, its shutdown."""
 
 import asyncio
 import socket
@@ -6,11 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import uvicorn
+from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ...run.address import Address
+from ...run.campaign_index import CampaignIndex
 from ..collect import Collector
 from .app import application
+from .index_app import index_application
+from .index_cache import IndexCache
+from .open_campaigns import OpenCampaigns
 from .snapshots import SnapshotCache
 
 MOST_CONNECTIONS = 128
@@ -20,17 +25,14 @@ SHUTDOWN = 1
 """Seconds in which clients may read the last snapshot."""
 
 
-class Server(uvicorn.Server):
-    """The server of the page of the campaign in `directory`; clients get a last snapshot at shutdown.
+class PageServer(uvicorn.Server):
+    """A server of pages; clients get a last snapshot at shutdown, when `close` is called."""
 
-    `report` takes every error as one line.
-    """
-
-    def __init__(self, directory: Path, address: Address, report: Callable[[str], None]) -> None:
-        self.snapshots = SnapshotCache(Collector(directory), report)
+    def __init__(self, web_application: ASGIApp, close: Callable[[], None]) -> None:
+        self._close = close
         super().__init__(
             uvicorn.Config(
-                application(directory, self.snapshots, address),
+                web_application,
                 http=_ImpatientProtocol,
                 loop="asyncio",
                 ws="none",
@@ -50,8 +52,30 @@ class Server(uvicorn.Server):
         """Release the port, then let the streams send the last snapshot."""
         for server in self.servers:  # first: a resumed run may bind the same port while clients still read
             server.close()
-        self.snapshots.closing.set()
+        self._close()
         await super().shutdown(sockets)
+
+
+class Server(PageServer):
+    """The server of the page of the campaign in `directory`; `report` takes every error as one line."""
+
+    def __init__(self, directory: Path, address: Address, report: Callable[[str], None]) -> None:
+        self.snapshots = SnapshotCache(Collector(directory), report)
+        super().__init__(application(directory, self.snapshots, address), self.snapshots.closing.set)
+
+
+class IndexServer(PageServer):
+    """The server of the index of the campaigns below `folder`, and of their pages; `report` as for `Server`."""
+
+    def __init__(self, folder: Path, address: Address, report: Callable[[str], None]) -> None:
+        campaigns = OpenCampaigns(report)
+        self._index = IndexCache(CampaignIndex(folder, report), report)
+        super().__init__(index_application(self._index, campaigns, address), campaigns.close)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to serve, and to read the campaigns at once: until a browser is there, many have been read."""
+        await super().startup(sockets)
+        self._index.begin()
 
 
 class _ImpatientProtocol(H11Protocol):

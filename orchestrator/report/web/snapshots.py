@@ -34,13 +34,15 @@ class SnapshotCache:
     A refresh that fails is reported once, and the last snapshot stays.
     """
 
-    def __init__(self, collector: Collector, report: Callable[[str], None]) -> None:
+    def __init__(
+        self, collector: Collector, report: Callable[[str], None], one_at_a_time: asyncio.Lock | None = None
+    ) -> None:
         self.live: Mapping[str, LiveState] | None = None
         """State of the workers, from the orchestrator if there is one; set from any thread."""
         self.closing = asyncio.Event()
         self.report = report
         self._collector = collector
-        self._one_at_a_time = asyncio.Lock()
+        self._one_at_a_time = one_at_a_time or asyncio.Lock()  # of all campaigns of one server
         self._due = 0.0
         self._final = False
         self._snapshot: Snapshot | None = None

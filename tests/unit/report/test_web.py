@@ -469,7 +469,7 @@ def test_the_number_of_streams_is_limited(stub: Stub, monkeypatch: pytest.Monkey
         streams = [client.open(first.take), client.open(second.take)]
         await until(lambda: first.stories and second.stories)
         refused = await client.ask("/events")
-        assert (refused.status, "2 pages of this campaign are open" in refused.text) == (503, True)
+        assert (refused.status, "2 pages are open" in refused.text) == (503, True)
         assert (await client.ask("/story.json")).status == 200
         await gone(streams[0])
         third = Answer()
