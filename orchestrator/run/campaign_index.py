@@ -51,6 +51,8 @@ class IndexRow:
     required: str = ""
     claim: str = ""
     """The first claim in words."""
+    refuted: bool = False
+    """Whether something that it rests on is refuted."""
     reason: str = ""
     """The first reason of a verdict other than SHOWN."""
     rollouts: int = 0
@@ -242,6 +244,7 @@ def _finished(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict) -> 
         value=found.bound,
         required=shortened(required),
         claim=shortened(found.claim),
+        refuted=found.claim.startswith("Refuted"),
         reason=shortened(found.reasons[0]) if found.verdict != "SHOWN" and found.reasons else "",
     )
 

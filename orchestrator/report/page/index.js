@@ -24,6 +24,7 @@ const index = {
   choices: { ...START },
   stamp: "",
   folder: "",
+  start: "", // command that starts a campaign in the folder
   unread: 0,
   more: false,
   skew: 0, // seconds by which the clock of the server is ahead
@@ -75,6 +76,7 @@ function drawIndex() {
     connectionLine(),
     el("p.kind", "perfbound campaigns"),
     el("h1", nameElement(index.folder, 120)),
+    el("p.printed.muted", `as of ${utc(Date.now() / 1000 + index.skew)}`),
     index.rows.size ? summary() : firstSteps(),
     index.rows.size ? choiceBar() : null,
     index.rows.size ? el("p.muted#found", { role: "status" }, foundText(rows.length)) : null,
@@ -118,11 +120,10 @@ function firstSteps() {
   return el(
     "section#empty",
     el("h2", "There is no campaign here yet"),
-    el("p", "Start one, and it appears on this page at once. With the example of the tutorial:"),
-    commandLine("perfbound run deploy/campaigns/segway-paper.toml"),
-    el("p", "With a system of your own, write its campaign file first:"),
-    commandLine("perfbound init system.py:name --specification \"always (distance >= 0)\""),
-    el("p.muted", "A run directory is runs/NAME below the folder in which the command is called; --out names another one."),
+    el("p", "Start one, and it appears on this page:"),
+    commandLine(index.start),
+    el("p", "CAMPAIGN.toml is its campaign file. To write one for a system of yours, with constants from rollouts of it:"),
+    commandLine("perfbound init SYSTEM.py:NAME"),
   );
 }
 
@@ -185,15 +186,16 @@ function elementOf(row) {
 function rowElement(row) {
   const cell = (label, attributes, ...children) => el("td", { role: "cell", "data-label": label, ...attributes }, children);
   const unread = row.state === "unread";
+  const number = (value) => (unread || row.state === "damaged" ? "\u2013" : count(value));
   return el(
     "tr", { role: "row", "data-path": visible(row.path) },
     el("td.campaign", { role: "cell" }, linkTo(row), row.path === row.name ? null : el("span.small", shortMiddle(row.path, 120)), row.fault ? el("span.small.bad", short(row.fault, 300)) : null),
-    cell("Verdict", { "data-verdict": row.verdict }, el("span.word", row.verdict ?? (row.state === "damaged" ? "" : "\u2013")), row.reason ? el("span.small", sentence(row.reason, 160)) : null),
-    cell("First claim", { class: "number nowrap", title: row.claim || null }, row.bound ? sentence(row.bound) : "\u2013"),
+    cell("Verdict", { "data-verdict": row.verdict }, el("span.word", row.verdict ?? "\u2013"), row.reason ? el("span.small", sentence(row.reason, 160)) : null),
+    cell("First claim", { class: "number nowrap", title: row.claim || null }, el(row.refuted ? "s" : "span", row.bound ? sentence(row.bound) : "\u2013"), row.refuted ? el("span.small.bad", "refuted") : null),
     cell("Required", { class: "number nowrap" }, row.required ? sentence(row.required) : "\u2013"),
     cell("State", { "data-state": row.state }, el("span.word", unread ? "being read" : row.state), progressOf(row)),
-    cell("Rollouts", { class: "number" }, unread ? "" : count(row.rollouts)),
-    cell("Violations", { class: "number" }, unread ? "" : count(row.violations)),
+    cell("Rollouts", { class: "number" }, number(row.rollouts)),
+    cell("Violations", { class: "number" }, number(row.violations)),
     cell("Last change", { class: "number nowrap" }, timeElement(row.changed)),
   );
 }
@@ -295,8 +297,8 @@ function onReset(event) {
 function takeChanges(found) {
   if (found.whole) index.rows.clear();
   for (const row of found.rows) index.rows.set(row.path, row);
-  const { stamp, folder, unread, more } = found;
-  Object.assign(index, { stamp, folder, unread, more, skew: found.now - Date.now() / 1000 });
+  const { stamp, folder, start, unread, more } = found;
+  Object.assign(index, { stamp, folder, start, unread, more, skew: found.now - Date.now() / 1000 });
 }
 
 /** Ask for changes again and again; a page that nobody sees asks for nothing. */

@@ -11,6 +11,7 @@ A path is looked up among the campaigns that were found; it is never opened.
 
 import os
 import re
+import shlex
 import time
 from pathlib import Path
 from urllib.parse import quote, unquote_to_bytes
@@ -70,9 +71,12 @@ class _IndexEndpoints:
         return Response(self._changes(seen), media_type=JSON)
 
     def _changes(self, seen: int) -> str:
-        found = self._cache.index.since(seen)
+        found, folder = self._cache.index.since(seen), self._cache.index.folder
         return found.to_json(
-            stamp=f"{self._server}-{found.number}", folder=one_line(str(self._cache.index.folder)), now=time.time()
+            stamp=f"{self._server}-{found.number}",
+            folder=one_line(str(folder)),
+            start=shlex.join(["perfbound", "run", "CAMPAIGN.toml", "--out", str(folder / "first")]),
+            now=time.time(),
         )
 
     async def internal_error(self, request: Request, error: Exception) -> Response:

@@ -1,11 +1,12 @@
 """The list of campaigns: states, verdicts, order, search, and a damaged one among them."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from perfbound.orchestrator.run.listing import campaigns_below, listing
+from perfbound.orchestrator.run.listing import DEPTH, campaigns_below, listing, run_directories
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import robustness, simulate
@@ -62,3 +63,44 @@ def test_a_search_looks_at_everything_that_is_shown(folder: Path, text: str, nam
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(PerfboundError, match=r"nowhere: no such folder; name the one with the run directories"):
         list(campaigns_below(tmp_path / "nowhere"))
+
+
+# The walk
+
+
+def campaign_at(folder: Path, *names: str) -> Path:
+    """Make what the walk takes for a run directory, with the folder of its trajectories."""
+    directory = folder.joinpath(*names)
+    (directory / "trajectories" / "robustness" / "0").mkdir(parents=True)
+    (directory / "campaign.db").touch()
+    return directory
+
+
+def test_the_walk_ends_at_its_depth(tmp_path: Path) -> None:
+    names = [f"level-{number}" for number in range(1, DEPTH + 2)]
+    reached = [campaign_at(tmp_path / f"to-{depth}", *names[: depth - 1]) for depth in range(1, DEPTH + 1)]
+    campaign_at(tmp_path / "too-deep", *names[:DEPTH])
+    assert sorted(run_directories(tmp_path)) == sorted(reached)
+
+
+def test_the_walk_does_not_enter_a_run_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its trajectories are thousands of files, and a campaign inside of it is part of its evidence, or forged."""
+    outer = campaign_at(tmp_path, "outer")
+    campaign_at(tmp_path, "outer", "inner")
+    entered: list[str] = []
+    scandir = os.scandir
+
+    def counted(path: str) -> "Iterator[os.DirEntry[str]]":
+        entered.append(str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", counted)
+    assert list(run_directories(tmp_path)) == [outer]
+    assert entered == [str(tmp_path), str(outer)]
+
+
+def test_the_walk_follows_no_link(tmp_path: Path) -> None:
+    elsewhere = campaign_at(tmp_path, "elsewhere", "run").parent
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "link").symlink_to(elsewhere)
+    assert list(run_directories(tmp_path / "runs")) == []
