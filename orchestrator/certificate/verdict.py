@@ -17,6 +17,7 @@ from ..campaign.clip import SAME
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
+from .advice import Commands, Progress, ShortBound, for_a_better_bound, instead_of_refuted
 from .bases import bases
 from .counterexample import margin_words, named_start
 from .refutation_text import refutation_words
@@ -32,16 +33,6 @@ WORST: dict[Quantity, str] = {
 _SAY_LIMIT = "say it with the key `required_at_most`; the bound stays the same."
 
 Values = Iterable[RolloutValue]
-
-
-@dataclass(frozen=True, slots=True)
-class Commands:
-    """Commands that the advice names; empty where there is none."""
-
-    resume: str = ""
-    """Continues the campaign."""
-    repeat: str = ""
-    """Simulates the worst rollout again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,18 +69,19 @@ def campaign_verdict(
     *,
     unit: str = "",
     commands: Commands = Commands(),
+    progress: Progress = tuple,
 ) -> CampaignVerdict:
     """Return the verdict; `values` are the rollouts of the tested variant in test order, read only where needed.
 
-    `unit` is that of the robustness.
+    `unit` is that of the robustness, and `progress` that of the problems, asked for where a forecast would help.
     """
     claim, config = predicate.claims[0], header.config
     limit = config.required_margin if claim.sense == ">=" else config.required_at_most
     required = _Required(limit, _required_probability(config, claim), unit)
     found = (
         _shown(predicate, required)
-        or _violated(header, predicate, required, values)
-        or _not_shown(predicate, required, violations, commands)
+        or _violated(header, predicate, required, violations, values)
+        or _not_shown(header, predicate, required, violations, commands, progress)
     )
     return CampaignVerdict(
         verdict=found.word,
@@ -188,13 +180,19 @@ def _too_unlikely(claim: CertificateClaim, required: _Required) -> bool:
 
 
 def _violated(
-    header: Header, predicate: Predicate, required: _Required, values: Callable[[], Values]
+    header: Header,
+    predicate: Predicate,
+    required: _Required,
+    violations: Violations,
+    values: Callable[[], Values],
 ) -> _Finding | None:
     claim, clip = predicate.claims[0], header.config.clip
     if required.bound is not None and clip is not None and claim.sense == ">=" and required.bound >= clip[1]:
         return None  # every clipped value is below it, whatever the robustness is
     if required.bound is not None:
-        found = _by_rollouts(header, claim, required.bound, required.probability, values)
+        # Where no value is below the limit, none can show that a mean is: most campaigns need not be read for that.
+        beyond = claim.quantity in WORST and violations.least is not None and violations.least >= required.bound
+        found = None if beyond else _by_rollouts(header, claim, required.bound, required.probability, values)
         return found or _by_partner(predicate, required.bound)
     if claim.quantity == "failure_probability" and claim.requirement is None:
         return _any_violation(values())
@@ -335,11 +333,18 @@ def _drawn_samples(config: CampaignConfig, values: Values) -> Values:
 # Neither
 
 
-def _not_shown(predicate: Predicate, required: _Required, violations: Violations, commands: Commands) -> _Finding:
+def _not_shown(
+    header: Header,
+    predicate: Predicate,
+    required: _Required,
+    violations: Violations,
+    commands: Commands,
+    progress: Progress,
+) -> _Finding:
     claim, reasons, advice = predicate.claims[0], list[str](), list[str]()
     if claim.refuted:
         reasons.append(f"{refutation_words(claim.refuted)} Do not rely on the bound.")
-        advice.append(_instead_of_refuted(claim))
+        advice.append(instead_of_refuted(claim))
     if claim.vacuous:
         reasons.append(nothing_shown(claim.quantity).replace("It shows", "The bound shows"))
     if required.bound is None:
@@ -350,7 +355,9 @@ def _not_shown(predicate: Predicate, required: _Required, violations: Violations
         limit, bound = _margin_text(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
         reasons.append(f"The bound {bound} does not reach the required {limit}{_budget_words(predicate)}.")
         if not claim.refuted:
-            advice.append(_smaller_alpha(predicate, required, violations) or _for_a_better_bound(predicate, commands))
+            noisy = not _is_deterministic(header)
+            short = ShortBound(header.config, predicate, required.bound, violations, commands, noisy, progress)
+            advice.append(for_a_better_bound(short))
     if _too_unlikely(claim, required):
         chance = outward(claim.probability, ">=")
         reasons.append(f"It holds with probability {chance}, and {required.probability:g} is required.")
@@ -361,39 +368,3 @@ def _not_shown(predicate: Predicate, required: _Required, violations: Violations
 def _budget_words(predicate: Predicate) -> str:
     spent = [each.key for each in predicate.problems if each.stopped_by == "budget"]
     return f"; {' and '.join(spent)} ended by the budget" if spent else ""
-
-
-def _instead_of_refuted(claim: CertificateClaim) -> str:
-    kinds = {each.partition("/")[0] for each in claim.refuted}
-    if kinds & {"rkhs_norm", "noise_scale", "kernel", "prior_mean"}:
-        return "`perfbound calibrate` proposes constants that the rollouts do not refute; `sample` needs none."
-    return "Find the cause of what is refuted first: more rollouts do not help."
-
-
-def _smaller_alpha(predicate: Predicate, required: _Required, violations: Violations) -> str:
-    """Return the advice where values without noise are beyond what is required by less than the tolerance; else none.
-
-    A problem ends when its bounds are `alpha` apart, so that more tests do not help.
-    """
-    claim, (problem, *others) = predicate.claims[0], predicate.problems
-    alpha = problem.parameters.get("alpha")
-    if claim.quantity != "robustness" or others or violations.least is None or not isinstance(alpha, float):
-        return ""
-    left = violations.least - (required.bound or 0.0)
-    if not 0 < left < alpha:
-        return ""
-    return (
-        f"A smaller `alpha`, such as {left / 2:.2g}, in a new campaign: the worst start so far is only {left:.4g} "
-        f"above what is required, and bounds that are alpha = {alpha:g} apart end the tests."
-    )
-
-
-def _for_a_better_bound(predicate: Predicate, commands: Commands) -> str:
-    if predicate.claims[0].vacuous and predicate.problems[0].method == "kriging":
-        return "Method `rigorous`: where means differ more than noise, more tests by `kriging` help little."
-    spent = [each for each in predicate.problems if each.stopped_by == "budget"]
-    if commands.resume and any(each.method in ("rigorous", "scenario") for each in spent):
-        return f"More tests: `{commands.resume} --max-tests N` continues this campaign."
-    if spent:
-        return "More tests: a larger `max_tests` in a new campaign."
-    return "A smaller `alpha` in a new campaign, which costs more tests."

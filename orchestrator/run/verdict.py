@@ -7,9 +7,11 @@ from ...schemas.certificate import Certificate
 from ...schemas.errors import one_line
 from ...schemas.facts import Header
 from ...schemas.verdict import CampaignVerdict, VerdictWord
-from ..certificate.verdict import Commands, campaign_verdict, tested_by
+from ..certificate.advice import Commands
+from ..certificate.verdict import campaign_verdict, tested_by
 from ..fleet.child import in_file
 from ..store.export_tables import robustness_unit
+from ..store.progress import read_progress
 from ..store.read import system_reference
 from ..store.robustness import read_values, read_violations
 from .format import replay_command, resume_command
@@ -26,7 +28,9 @@ def system_file(directory: Path) -> str | None:
 def verdict_of(
     directory: Path, header: Header, certificate: Certificate, *, repeatable: bool = True
 ) -> CampaignVerdict:
-    """Return the verdict on a finished campaign; with `repeatable` also the command that repeats the worst rollout.
+    """Return the verdict on a finished campaign.
+
+    With `repeatable` it has the command that repeats the worst rollout as well, and a forecast where one would help.
 
     Raises:
         JournalError: its database is damaged.
@@ -44,6 +48,7 @@ def verdict_of(
         lambda: read_values(directory, variant, problems),
         unit=robustness_unit(header.config, header.spec),
         commands=Commands(resume_command(directory), repeat),
+        progress=(lambda: read_progress(directory).problems) if repeatable else tuple,
     )
 
 

@@ -1,0 +1,187 @@
+"""What would help a campaign whose first claim does not show what is required, in sentences."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ...schemas.campaign import CampaignConfig
+from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
+from ...schemas.method_spaces import candidates
+from ...schemas.problem_models import KernelProblem, Problem
+from ...schemas.values import ProblemProgress
+from ...schemas.verdict import Violations
+from ..campaign.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, needed_samples, needed_tests
+
+Progress = Callable[[], Sequence[ProblemProgress]]
+MORE = "More tests: a larger `max_tests` in a new campaign."
+CALIBRATE = "`perfbound calibrate` proposes constants from rollouts, and says which budget they need."
+FEWEST_TIMES = 2
+"""Without a forecast, so many times as many tests are proposed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Commands:
+    """Commands that the advice names; empty where there is none."""
+
+    resume: str = ""
+    """Continues the campaign."""
+    repeat: str = ""
+    """Simulates the worst rollout again."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShortBound:
+    """A bound that does not reach what is required."""
+
+    config: CampaignConfig
+    predicate: Predicate
+    required: float
+    violations: Violations
+    commands: Commands
+    noisy: bool
+    """Whether the tested variant of the system is random."""
+    progress: Progress
+    """Of every problem, for a forecast; empty where there is no time for one."""
+
+    @property
+    def missing(self) -> float:
+        """By how much the bound of the only problem has to improve, in its unit."""
+        return abs(self.required - self.predicate.problems[0].bound)
+
+
+def instead_of_refuted(claim: CertificateClaim) -> str:
+    """Return what to do about refuted assumptions."""
+    kinds = {each.partition("/")[0] for each in claim.refuted}
+    if kinds & {"rkhs_norm", "noise_scale", "kernel", "prior_mean"}:
+        return "`perfbound calibrate` proposes constants that the rollouts do not refute; `sample` needs none."
+    return "Find the cause of what is refuted first: more rollouts do not help."
+
+
+def for_a_better_bound(short: ShortBound) -> str:
+    """Return what would raise a bound that does not reach what is required."""
+    claim, problems = short.predicate.claims[0], short.predicate.problems
+    if alpha := _smaller_alpha(short):
+        return alpha
+    if claim.vacuous and problems[0].method == "kriging":
+        return "Method `rigorous`: where means differ more than noise, more tests by `kriging` help little."
+    spent = [each for each in problems if each.stopped_by == "budget"]
+    if not spent:
+        return "A smaller `alpha` in a new campaign, which costs more tests."
+    if claim.quantity == "failure_probability":
+        return _more_samples(short)
+    if not any(each.method in ("rigorous", "scenario") for each in spent) or not short.commands.resume:
+        return MORE
+    if len(problems) == 1 and claim.rule == "single":
+        return _more_tests(short, spent[0], short.config.problems[0])
+    return f"More tests: `{short.commands.resume} --max-tests N` continues this campaign."
+
+
+def _smaller_alpha(short: ShortBound) -> str:
+    """Return the advice where values without noise are beyond what is required by less than the tolerance; else none.
+
+    A problem ends when its bounds are `alpha` apart, so that more tests do not help.
+    """
+    claim, (problem, *others) = short.predicate.claims[0], short.predicate.problems
+    alpha, least = problem.parameters.get("alpha"), short.violations.least
+    if claim.quantity != "robustness" or others or least is None or not isinstance(alpha, float):
+        return ""
+    left = least - short.required
+    if not 0 < left < alpha:
+        return ""
+    return (
+        f"A smaller `alpha`, such as {left / 2:.2g}, in a new campaign: the worst start so far is only {left:.4g} "
+        f"above what is required, and bounds that are alpha = {alpha:g} apart end the tests."
+    )
+
+
+def _more_tests(short: ShortBound, result: ProblemResult, problem: Problem) -> str:
+    """Return how many more tests the only problem would probably need, or what else where they will not do."""
+    if not short.noisy and result.tests >= _starts(short.config, problem):
+        return (
+            "A finer `resolution` in a new campaign, or other constants: every start of the lattice has been tested, "
+            f"and a second test there shows nothing. {CALIBRATE}"
+        )
+    if short.predicate.claims[0].vacuous:
+        return _other_constants(problem)
+    found = next(iter(short.progress()), None)
+    usable = found is not None and found.bound is not None and found.bound.upper is not None
+    # The constants are those of J, which falls; the bound of a linearised risk is another function of it.
+    if not usable or result.parameters.get("linearised"):
+        return f"More tests: `{short.commands.resume} --max-tests N` continues this campaign."
+    assert found is not None
+    assert found.bound is not None
+    assert found.bound.upper is not None
+    limit = found.bound.upper - short.missing
+    if _ends_before(found.bound.lower, limit, result):
+        return f"A smaller `alpha` in a new campaign: {_alpha_words(result)} ends the tests before the bound is there."
+    if found.tests < FOR_A_FORECAST:
+        more = max(FEWEST_TIMES * found.tests, FOR_A_FORECAST)
+        return (
+            f"More tests: `{short.commands.resume} --max-tests {more}` continues this campaign; "
+            f"{found.tests} are too few to forecast how many would do."
+        )
+    return _forecast_words(short, found, needed_tests(found, limit))
+
+
+def _starts(config: CampaignConfig, problem: Problem) -> int:
+    return candidates(config.space, config.resolution_of(problem), config.starts_of(problem))
+
+
+def _ends_before(lower: float | None, limit: float, result: ProblemResult) -> bool:
+    """Whether the bounds from both sides are alpha apart before the one from above is at the limit."""
+    alpha = result.parameters.get("alpha")
+    return lower is not None and isinstance(alpha, float) and limit - lower < alpha
+
+
+def _alpha_words(result: ProblemResult) -> str:
+    return f"alpha = {result.parameters['alpha']:g}"
+
+
+def _other_constants(problem: Problem) -> str:
+    """Return why other constants are needed where the rollouts have not even reached the clip."""
+    if not isinstance(problem, KernelProblem):
+        return CALIBRATE
+    return (
+        f"Other constants rather than more tests: `rkhs_norm` = {problem.rkhs_norm:g} allows values that differ from "
+        f"`prior_mean` by as much, and from one start to the next. {CALIBRATE}"
+    )
+
+
+def _forecast_words(short: ShortBound, found: ProblemProgress, needed: NeededTests | None) -> str:
+    if needed is None or needed.low is None:
+        return (
+            f"Other constants rather than more tests: by its course so far, {FURTHEST} times as many tests would not "
+            f"bring the bound to what is required. {CALIBRATE}"
+        )
+    if needed.probable is None or needed.high is None:
+        return (
+            f"More tests may do, {_about(needed.low)} at least: `{short.commands.resume} --max-tests {2 * found.tests}` "
+            "continues this campaign, and the course of the bound then shows whether they will."
+        )
+    high = _about(needed.high)
+    return (
+        f"About {_about(needed.probable)} more tests ({_about(needed.low)} to {high}): "
+        f"`{short.commands.resume} --max-tests {found.tests + high}` continues this campaign."
+    )
+
+
+def _about(number: int) -> int:
+    """Return a number rounded up to two digits.
+
+    >>> _about(7), _about(341), _about(1201)
+    (7, 350, 1300)
+    """
+    unit = 10 ** max(0, len(str(number)) - 2)
+    return math.ceil(number / unit) * unit
+
+
+def _more_samples(short: ShortBound) -> str:
+    """Return how many drawn starts would show that few enough of them violate the specification."""
+    claim, (problem, *_) = short.predicate.claims[0], short.predicate.problems
+    seen, samples = short.violations, claim.samples or problem.tests
+    needed = needed_samples(samples, seen.violations, short.required, 1.0 - claim.probability)
+    if needed is None:
+        share = f"{seen.violations} of {samples} rollouts violate the specification"
+        return f"More samples will hardly do: {share}, and the required share is {short.required:g}."
+    rate = "none of them violates" if not seen.violations else "as large a share of them violates"
+    return f"About {_about(needed)} samples in a new campaign with another seed, if {rate} the specification."
