@@ -39,6 +39,27 @@ def extension(accounts: Mapping[str, Account], closing: ClosingChecks, number: i
     return ExtensionFact(number, larger)
 
 
+def is_extension_to(fact: ExtensionFact, accounts: Mapping[str, Account], max_tests: int) -> bool:
+    """Whether a recorded extension is the one that this number of tests asks for."""
+    return all(tests == within_starts(accounts[name].plan, max_tests) for name, tests in fact.budgets)
+
+
+def extension_words(fact: ExtensionFact, max_tests: int) -> str:
+    """Return what an extension gives, and why a problem gets fewer tests than asked for.
+
+    >>> extension_words(ExtensionFact(1, (("robustness", 441),)), 700)
+    'extended to 441 tests, not 700: without noise one test of each of the 441 starts shows all'
+    """
+    fewer = [(name, tests) for name, tests in fact.budgets if tests < max_tests]
+    if not fewer:
+        return f"extended to {max_tests} tests"
+    if len(fact.budgets) == 1:
+        ((_, tests),) = fewer
+        return f"extended to {tests} tests, not {max_tests}: without noise one test of each of the {tests} starts shows all"
+    each = ", ".join(f"{name} to {tests}" for name, tests in fewer)
+    return f"extended to {max_tests} tests, {each}: without noise one test of each start shows all"
+
+
 def check_extension(fact: ExtensionFact, accounts: Mapping[str, Account], closing: ClosingChecks, number: int) -> None:
     """Refuse a fact that is not the extension of this campaign at this moment.
 

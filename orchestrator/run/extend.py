@@ -7,7 +7,8 @@ from rich.text import Text
 
 from ...schemas.certificate import Certificate
 from ...schemas.errors import CampaignError
-from ..campaign.extension import extension
+from ...schemas.facts import ExtensionFact
+from ..campaign.extension import extension, extension_words, is_extension_to
 from ..campaign.ledger import Ledger
 from ..certificate import files
 from ..store.journal import Journal
@@ -21,13 +22,13 @@ def give_budget(directory: Path, options: RunOptions, console: Console, max_test
     # As every resume: where its software is missing, an extended campaign could not continue.
     with reopened(directory, options, console) as (journal, _):
         extended = extend_campaign(directory, journal, max_tests)
-    if extended:
-        text = f"extended to {max_tests} tests; what the certificate so far consists of is kept beside"
+    if extended is not None:
+        text = f"{extension_words(extended, max_tests)}; what the certificate so far consists of is kept beside"
         console.print(Text(f"{directory}: {text}"), soft_wrap=True)
 
 
-def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> bool:
-    """Give a finished campaign a larger budget; return False if it has this one, and has not ended since.
+def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> ExtensionFact | None:
+    """Give a finished campaign a larger budget, and return the fact; None if it has this one, and has not ended since.
 
     What its closing checks found tested the bounds of before: the extended campaign ends with new ones, of starts that
     nothing has been computed from.
@@ -41,8 +42,8 @@ def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> bool:
     ledger.replay()
     if certificate is None:
         # The same command again, after a crash or Ctrl-C.
-        if ledger.extensions and max(tests for _, tests in ledger.extensions[-1].budgets) == max_tests:
-            return False
+        if ledger.extensions and is_extension_to(ledger.extensions[-1], ledger.accounts, max_tests):
+            return None
         raise CampaignError(
             f"{directory}: a larger budget is for a campaign that has finished; continue this one with "
             f"`{resume_command(directory)}`"
@@ -60,7 +61,7 @@ def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> bool:
     upgraded(directory)
     with ledger.transaction():
         ledger.extend(fact)
-    return True
+    return fact
 
 
 def _refuse_refuted(directory: Path, certificate: Certificate) -> None:

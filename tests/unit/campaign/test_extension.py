@@ -18,6 +18,7 @@ from perfbound.orchestrator.campaign.spot_check import LEVEL
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
+from perfbound.orchestrator.campaign.extension import extension_words
 from perfbound.orchestrator.run.extend import extend_campaign
 from perfbound.orchestrator.run.table import progress_table
 from perfbound.orchestrator.store import read
@@ -62,7 +63,7 @@ def campaign(problem: dict[str, Any] | None = None, **changes: Any) -> CampaignC
     return robustness(problem or EXACT, **{"max_tests": 6, "spot_check": 12, "recheck": 3} | changes)
 
 
-def extend(directory: Path, max_tests: int) -> bool:
+def extend(directory: Path, max_tests: int) -> ExtensionFact | None:
     with closing(Journal.open(directory)) as journal:
         return extend_campaign(directory, journal, max_tests)
 
@@ -106,6 +107,17 @@ def edit(directory: Path, statement: str) -> None:
             connection.execute(f"DROP TRIGGER {name}")
         connection.execute(statement)
         connection.commit()
+
+
+def test_a_budget_beyond_all_starts_is_cut_with_its_reason_and_may_be_repeated(before: Path) -> None:
+    fact = extend(before, 700)
+    assert fact == ExtensionFact(1, (("robustness", 81),))
+    assert extension_words(fact, 700) == (
+        "extended to 81 tests, not 700: without noise one test of each of the 81 starts shows all"
+    )
+    assert extend(before, 700) is None, "the same command again, after a crash"
+    with pytest.raises(CampaignError, match="is for a campaign that has finished"):
+        extend(before, 60)
 
 
 # What the certificate says
