@@ -55,7 +55,8 @@ def extension_words(fact: ExtensionFact, max_tests: int) -> str:
         return f"extended to {max_tests} tests"
     if len(fact.budgets) == 1:
         ((_, tests),) = fewer
-        return f"extended to {tests} tests, not {max_tests}: without noise one test of each of the {tests} starts shows all"
+        why = f"without noise one test of each of the {tests} starts shows all"
+        return f"extended to {tests} tests, not {max_tests}: {why}"
     each = ", ".join(f"{name} to {tests}" for name, tests in fewer)
     return f"extended to {max_tests} tests, {each}: without noise one test of each start shows all"
 

@@ -29,6 +29,9 @@ class Commands:
     """Simulates the worst rollout again."""
 
 
+NO_COMMANDS = Commands()
+
+
 @dataclass(frozen=True, slots=True)
 class ShortBound:
     """A bound that does not reach what is required."""
@@ -96,7 +99,7 @@ def _smaller_alpha(short: ShortBound) -> str:
 
 def _more_tests(short: ShortBound, result: ProblemResult, problem: Problem) -> str:
     """Return how many more tests the only problem would probably need, or what else where they will not do."""
-    if not short.noisy and result.tests >= _starts(short.config, problem):
+    if not short.noisy and result.tests >= _number_of_starts(short.config, problem):
         return (
             "A finer `resolution` in a new campaign, or other constants: every start of the lattice has been tested, "
             f"and a second test there shows nothing. {CALIBRATE}"
@@ -123,7 +126,7 @@ def _more_tests(short: ShortBound, result: ProblemResult, problem: Problem) -> s
     return _forecast_words(short, found, needed_tests(found, limit))
 
 
-def _starts(config: CampaignConfig, problem: Problem) -> int:
+def _number_of_starts(config: CampaignConfig, problem: Problem) -> int:
     return candidates(config.space, config.resolution_of(problem), config.starts_of(problem))
 
 
@@ -155,12 +158,13 @@ def _forecast_words(short: ShortBound, found: ProblemProgress, needed: NeededTes
         )
     if needed.probable is None or needed.high is None:
         return (
-            f"More tests may do, {_about(needed.low)} at least: `{short.commands.resume} --max-tests {2 * found.tests}` "
-            "continues this campaign, and the course of the bound then shows whether they will."
+            f"More tests may do, {_about(needed.low)} at least: `{short.commands.resume} --max-tests "
+            f"{2 * found.tests}` continues this campaign, and the course of the bound then shows whether they will."
         )
     high = _about(needed.high)
     return (
-        f"About {_about(needed.probable)} more tests ({_about(needed.low)} to {high}): "
+        f"About {_about(needed.probable)} more test{'' if needed.probable == 1 else 's'} "
+        f"({_about(needed.low)} to {high}): "
         f"`{short.commands.resume} --max-tests {found.tests + high}` continues this campaign."
     )
 
@@ -171,7 +175,7 @@ def _about(number: int) -> int:
     >>> _about(7), _about(341), _about(1201)
     (7, 350, 1300)
     """
-    unit = 10 ** max(0, len(str(number)) - 2)
+    unit = int(10 ** max(0, len(str(number)) - 2))
     return math.ceil(number / unit) * unit
 
 

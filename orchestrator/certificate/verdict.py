@@ -17,7 +17,7 @@ from ..campaign.clip import SAME
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
-from .advice import Commands, Progress, ShortBound, for_a_better_bound, instead_of_refuted
+from .advice import NO_COMMANDS, Commands, Progress, ShortBound, for_a_better_bound, instead_of_refuted
 from .bases import bases
 from .counterexample import margin_words, named_start
 from .refutation_text import refutation_words
@@ -68,7 +68,7 @@ def campaign_verdict(
     values: Callable[[], Values],
     *,
     unit: str = "",
-    commands: Commands = Commands(),
+    commands: Commands = NO_COMMANDS,
     progress: Progress = tuple,
 ) -> CampaignVerdict:
     """Return the verdict; `values` are the rollouts of the tested variant in test order, read only where needed.
@@ -78,10 +78,15 @@ def campaign_verdict(
     claim, config = predicate.claims[0], header.config
     limit = config.required_margin if claim.sense == ">=" else config.required_at_most
     required = _Required(limit, _required_probability(config, claim), unit)
+
+    def better(limit: float) -> str:
+        noisy = not _is_deterministic(header)
+        return for_a_better_bound(ShortBound(config, predicate, limit, violations, commands, noisy, progress))
+
     found = (
         _shown(predicate, required)
         or _violated(header, predicate, required, violations, values)
-        or _not_shown(header, predicate, required, violations, commands, progress)
+        or _not_shown(predicate, required, better)
     )
     return CampaignVerdict(
         verdict=found.word,
@@ -333,14 +338,8 @@ def _drawn_samples(config: CampaignConfig, values: Values) -> Values:
 # Neither
 
 
-def _not_shown(
-    header: Header,
-    predicate: Predicate,
-    required: _Required,
-    violations: Violations,
-    commands: Commands,
-    progress: Progress,
-) -> _Finding:
+def _not_shown(predicate: Predicate, required: _Required, better: Callable[[float], str]) -> _Finding:
+    """Return the reasons, and what would help; `better` says what would bring the bound to a limit."""
     claim, reasons, advice = predicate.claims[0], list[str](), list[str]()
     if claim.refuted:
         reasons.append(f"{refutation_words(claim.refuted)} Do not rely on the bound.")
@@ -355,9 +354,7 @@ def _not_shown(
         limit, bound = _margin_text(f"{required.bound:g}", claim, required.unit), outward(claim.bound, claim.sense)
         reasons.append(f"The bound {bound} does not reach the required {limit}{_budget_words(predicate)}.")
         if not claim.refuted:
-            noisy = not _is_deterministic(header)
-            short = ShortBound(header.config, predicate, required.bound, violations, commands, noisy, progress)
-            advice.append(for_a_better_bound(short))
+            advice.append(better(required.bound))
     if _too_unlikely(claim, required):
         chance = outward(claim.probability, ">=")
         reasons.append(f"It holds with probability {chance}, and {required.probability:g} is required.")

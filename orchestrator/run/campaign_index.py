@@ -158,11 +158,13 @@ class CampaignIndex:
         """Return the run directory with this path below the folder; None if there is none, or a link leads to it."""
         with self._lock:
             found = self._entries.get(os.fsdecode(path))
-        return found.directory if found and found.row.href and _is_plain(self.folder, found.directory) else None
+        return (
+            found.directory if found and found.row.href and _has_plain_database(self.folder, found.directory) else None
+        )
 
     def _find(self) -> None:
         """Add the new run directories as unread ones, and remove those that are gone."""
-        found = list(islice(_below(self.folder), MOST_CAMPAIGNS + 1))
+        found = list(islice(_with_paths(self.folder), MOST_CAMPAIGNS + 1))
         self._more = len(found) > MOST_CAMPAIGNS
         kept = dict(found[:MOST_CAMPAIGNS])
         with self._lock:
@@ -190,17 +192,17 @@ class CampaignIndex:
 
     def _row(self, path: str, directory: Path) -> IndexRow:
         unread = _unread(path, directory)
-        if not _is_plain(self.folder, directory):
+        if not _has_plain_database(self.folder, directory):
             return replace(unread, href="", state="damaged", fault=f"{DATABASE} is a link or no file")
         try:
             listed, verdict = read_campaign(directory, unread.changed)
-            return _finished(unread, listed, verdict) if verdict else _unfinished(unread, listed)
+            return _finished_row(unread, listed, verdict) if verdict else _unfinished_row(unread, listed)
         except Exception as error:  # noqa: BLE001  (any: one campaign must not disturb the others)
             self.report(f"{directory}: not in the index: {error!r}")
             return replace(unread, state="damaged", fault=shortened(f"internal error: {error!r}"))
 
 
-def _below(folder: Path) -> Iterable[tuple[str, Path]]:
+def _with_paths(folder: Path) -> Iterable[tuple[str, Path]]:
     for directory in run_directories(folder):
         yield str(directory.relative_to(folder)), directory
 
@@ -218,11 +220,11 @@ def _unread(path: str, directory: Path) -> IndexRow:
 
 def _last_change(directory: Path) -> float:
     """Return the Unix time of the last change; what a run commits is in the log first."""
-    found = (_state(directory / name) for name in (DATABASE, f"{DATABASE}-wal"))
+    found = (_file_stamp(directory / name) for name in (DATABASE, f"{DATABASE}-wal"))
     return max((each[0] / 1e9 for each in found if each is not None), default=0.0)
 
 
-def _listed(row: IndexRow, listed: ListedCampaign) -> IndexRow:
+def _listed_row(row: IndexRow, listed: ListedCampaign) -> IndexRow:
     return replace(
         row,
         name=shortened(listed.name),
@@ -236,11 +238,11 @@ def _listed(row: IndexRow, listed: ListedCampaign) -> IndexRow:
     )
 
 
-def _finished(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict) -> IndexRow:
+def _finished_row(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict) -> IndexRow:
     unit = "" if found.unit == "1" else one_line(found.unit)
     required = "" if found.required is None else f"{found.sense} {found.required:g} {unit}".rstrip()
     return replace(
-        _listed(row, listed),
+        _listed_row(row, listed),
         value=found.bound,
         required=shortened(required),
         claim=shortened(found.claim),
@@ -249,8 +251,8 @@ def _finished(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict) -> 
     )
 
 
-def _unfinished(row: IndexRow, listed: ListedCampaign) -> IndexRow:
-    row = _listed(row, listed)
+def _unfinished_row(row: IndexRow, listed: ListedCampaign) -> IndexRow:
+    row = _listed_row(row, listed)
     if listed.state == "damaged":
         return row
     try:
@@ -269,10 +271,10 @@ def _unfinished(row: IndexRow, listed: ListedCampaign) -> IndexRow:
 def _stamp(directory: Path) -> _Stamp:
     """Return what differs after every change of a campaign: of its files, and of the lock."""
     names = (DATABASE, f"{DATABASE}-wal", CERTIFICATE)
-    return (*(_state(directory / name) for name in names), _held(directory))
+    return (*(_file_stamp(directory / name) for name in names), _lock_stamp(directory))
 
 
-def _state(path: Path) -> tuple[int, int, int] | None:
+def _file_stamp(path: Path) -> tuple[int, int, int] | None:
     try:
         found = path.lstat()
     except OSError:
@@ -280,14 +282,14 @@ def _state(path: Path) -> tuple[int, int, int] | None:
     return found.st_mtime_ns, found.st_size, found.st_ino
 
 
-def _held(directory: Path) -> tuple[int, int, int] | None:
+def _lock_stamp(directory: Path) -> tuple[int, int, int] | None:
     try:
         return (1, 0, 0) if lock.is_held(directory) else None
     except OSError:
         return None
 
 
-def _is_plain(folder: Path, directory: Path) -> bool:
+def _has_plain_database(folder: Path, directory: Path) -> bool:
     """Whether the database in a directory below a folder is a regular file, reached without a link."""
     path = folder.resolve() / directory.relative_to(folder) / DATABASE
     try:

@@ -107,7 +107,7 @@ class _CampaignPages:
             directory, length = found
             opened = self._campaigns.application(directory, "../" * (length + 1))
             answer = opened or plain("too many campaigns are open; close the page of one and reload this one", 503)
-            scope = _below(scope, b"/".join(parts[length:]))
+            scope = _request_below(scope, b"/".join(parts[length:]))
         await answer(scope, receive, send)
 
     def _found(self, parts: list[bytes]) -> tuple[Path, int] | None:
@@ -118,7 +118,7 @@ class _CampaignPages:
         return None
 
 
-def _below(scope: Scope, rest: bytes) -> Scope:
+def _request_below(scope: Scope, rest: bytes) -> Scope:
     """Return a request as one for the rest of its path, without the marks of the route that it came by."""
     kept = {name: value for name, value in scope.items() if name not in _OF_OUTER_ROUTE}
     return {**kept, "path": f"/{rest.decode(errors='replace')}", "raw_path": b"/" + rest}

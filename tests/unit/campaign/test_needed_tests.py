@@ -64,7 +64,9 @@ def test_few_tests_give_no_forecast() -> None:
     assert needed_tests(ProblemProgress(0, 0, None, None, None), 1.0) is None
 
 
-@pytest.mark.parametrize(("samples", "violations", "limit"), [(50, 0, 0.01), (299, 0, 0.001), (400, 2, 0.01), (90, 9, 0.2)])
+@pytest.mark.parametrize(
+    ("samples", "violations", "limit"), [(50, 0, 0.01), (299, 0, 0.001), (400, 2, 0.01), (90, 9, 0.2)]
+)
 def test_the_drawn_starts_are_enough_and_hardly_fewer_are(samples: int, violations: int, limit: float) -> None:
     found = needed_samples(samples, violations, limit, 0.05)
     assert found is not None

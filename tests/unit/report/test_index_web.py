@@ -71,7 +71,11 @@ class Client:
 
     def open(self, path: str, answer: Answer) -> "asyncio.Task[None]":
         """Ask for events; cancelled when the client goes."""
-        return asyncio.get_running_loop().create_task(self.application(scope(path), self._silent, answer.take))
+
+        async def streamed() -> None:
+            await self.application(scope(path), self._silent, answer.take)
+
+        return asyncio.get_running_loop().create_task(streamed())
 
     async def whole(self) -> Any:
         """Return the index when every campaign has been read."""
@@ -85,7 +89,10 @@ class Client:
         await asyncio.Event().wait()
 
 
-def with_client(folder: Path, test: Callable[[Client], Coroutine[Any, Any, None]], said: list[str] | None = None) -> None:
+Test = Callable[[Client], Coroutine[Any, Any, None]]
+
+
+def with_client(folder: Path, test: Test, said: list[str] | None = None) -> None:
     async def whole() -> None:
         await test(Client(folder, said))
 
@@ -101,7 +108,7 @@ def ask(folder: Path, path: str, **asked: Any) -> Answer:
 PATHS = ("/", "/campaigns.json", "/runs/one/", "/runs/one/story.json", "/runs/one/events", "/runs/one", "/nowhere")
 
 
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "", "192.168.1.7", "localhost@evil.example"])
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "", "192.168.1.7", "localhost@evil"])
 @pytest.mark.parametrize("path", PATHS)
 def test_another_host_is_refused(folder: Path, host: str, path: str) -> None:
     """A web site whose name is changed to resolve to this machine (DNS rebinding) reads nothing."""
@@ -111,7 +118,7 @@ def test_another_host_is_refused(folder: Path, host: str, path: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE"])
-@pytest.mark.parametrize("path", [*PATHS[:-2], "/runs/one/scene", f"/runs/one/{RECORDED}", "/runs/one/certificate.json"])
+@pytest.mark.parametrize("path", [*PATHS[:-2], "/runs/one/scene", f"/runs/one/{RECORDED}"])
 def test_nothing_can_be_changed(folder: Path, method: str, path: str) -> None:
     assert ask(folder, path, method=method).status == 405
 
@@ -138,8 +145,9 @@ def test_an_address_has_an_end(folder: Path) -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        *("/runs/", "/runs/..", "/runs/../", "/runs/./one/", "/runs//one/", "/runs/more/", "/runs/more/two/", "/runs/two"),
-        *("/runs/one/../../../secret", "/runs/..%2f..%2fsecret", "/runs/%2e%2e/%2e%2e/secret", "/runs/%2e%2e%2fsecret/"),
+        *("/runs/", "/runs/..", "/runs/../", "/runs/./one/", "/runs//one/", "/runs/more/", "/runs/more/two/"),
+        *("/runs/one/../../../secret", "/runs/..%2f..%2fsecret", "/runs/%2e%2e/%2e%2e/secret"),
+        *("/runs/two", "/runs/%2e%2e%2fsecret/"),
         *("/runs/one%00/", "/runs/%ff/", "/runs/one/../one/", "/runs/linked/", "/runs/linked/certificate.json"),
         *("/runs/one/campaign.db", "/runs/one/..%2fcampaign.db", "/runs/one/trajectories/../campaign.db"),
         *("/runs/more/two %2e/", "/secret", "/campaign.db", "/one/", f"/{RECORDED}"),
