@@ -1,12 +1,16 @@
 """The verdict on whole campaigns: standing, violated, refuted, vacuous, out of budget, and without a requirement."""
 
+import re
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.run.extend import extend_campaign
 from perfbound.orchestrator.run.verdict import verdict_lines, verdict_of
+from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.verdict import CampaignVerdict
@@ -90,6 +94,59 @@ def test_an_expectation_below_the_margin(tmp_path: Path, by: float, expected: st
     if expected == "NOT SHOWN":
         assert "ended by the budget" in found.reasons[0]
         assert found.advice[0].startswith("Other constants rather than more tests: "), "its margin is that of the limit"
+
+
+OUT_OF_BUDGET = {**NOISY, "rkhs_norm": 4.0, "alpha": 0.01}
+
+
+def test_the_advised_number_of_tests_is_enough(tmp_path: Path) -> None:
+    """A campaign that ended too early is extended as its advice says, and shows what is required."""
+    changes = {**FEW, "clip": [-1.0, 2.0], "max_tests": 40}
+    function = shifted(0.4, noisy=0.2)
+    found = verdict(tmp_path, OUT_OF_BUDGET, function, noisy=True, **changes)
+    assert (found.verdict, found.bound < 0.0) == ("NOT SHOWN", True)
+    advised = re.fullmatch(
+        rf"About \d+ more tests? \(\d+ to (\d+)\): `perfbound resume {tmp_path} --max-tests (\d+)` continues this "
+        r"campaign\.",
+        found.advice[0],
+    )
+    assert advised is not None
+    assert int(advised[2]) == 40 + int(advised[1])
+    with closing(Journal.open(tmp_path)) as journal:
+        assert extend_campaign(tmp_path, journal, int(advised[2]))
+    assert verdict(tmp_path, OUT_OF_BUDGET, function, noisy=True, **changes).verdict == "SHOWN"
+
+
+def test_few_tests_allow_no_number(tmp_path: Path) -> None:
+    few = verdict(tmp_path, OUT_OF_BUDGET, shifted(0.4, noisy=0.2), noisy=True, clip=[-1.0, 2.0], max_tests=8)
+    assert few.advice == (
+        f"More tests: `perfbound resume {tmp_path} --max-tests 20` continues this campaign; 8 are too few to forecast "
+        "how many would do.",
+    )
+
+
+def test_a_norm_that_nothing_can_be_shown_with_is_named(tmp_path: Path) -> None:
+    huge = {**OUT_OF_BUDGET, "rkhs_norm": 300.0}
+    found = verdict(tmp_path, huge, shifted(0.4, noisy=0.2), noisy=True, clip=[-1.0, 2.0], max_tests=20)
+    assert found.advice[0].startswith(
+        "Other constants rather than more tests: `rkhs_norm` = 300 is 100 times the width of the clip, "
+    )
+    assert "perfbound calibrate" in found.advice[0]
+
+
+def test_without_noise_every_start_may_have_been_tested(tmp_path: Path) -> None:
+    found = verdict(tmp_path, {**RIGOROUS, "rkhs_norm": 60.0, "alpha": 1e-9}, smooth, resolution=3, max_tests=9)
+    assert found.verdict == "NOT SHOWN"
+    assert found.advice[0].startswith("A finer `resolution` in a new campaign, or other constants: every start ")
+
+
+def test_drawn_starts_are_forecast_as_a_number_of_samples(tmp_path: Path) -> None:
+    claims = [{"quantity": "failure_probability"}]
+    found = verdict(tmp_path, SAMPLE, smooth, claims=claims, max_tests=59, required_at_most=0.01)
+    assert found.verdict == "NOT SHOWN"
+    assert found.advice == (
+        "About 300 samples in a new campaign with another seed, if none of them violates the specification.",
+    )
 
 
 def test_a_false_verdict_is_as_rare_as_its_probability_says(tmp_path: Path) -> None:
