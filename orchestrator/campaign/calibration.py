@@ -23,6 +23,7 @@ from ..mathematics.calibration.steepness import Descent
 from ..mathematics.calibration.trust import EXACT_MARGIN, NOISY_MARGIN, Choice, KernelTrial, choose_kernel
 from ..mathematics.gp.kernels import Floats
 from .calibration_design import Box
+from .calibration_margin import SHARE
 from .pilot import PARTS, rounded, rounded_up
 from .plan import ProblemPlan
 
@@ -82,6 +83,8 @@ class ProblemEvidence:
     cost: float
     """Seconds of a rollout."""
     rollouts: int
+    required: float | None = None
+    """The largest J that meets what the campaign file requires; None where that is not about this problem alone."""
 
     @property
     def noisy(self) -> bool:
@@ -149,7 +152,7 @@ def _rigorous_proposal(
 ) -> tuple[Constant, ...]:
     """Return the constants of a problem by method `rigorous`, without its budget."""
     found = [*_kernel_constants(measured, choice, trial), _noise_constant(measured)]
-    return (*found, *_effort(measured, given, found))
+    return (*found, *_effort(measured, trial, given, found))
 
 
 def _kriging_proposal(
@@ -276,7 +279,9 @@ def _noise_constant(measured: ProblemEvidence) -> Constant:
     return Constant("noise_scale", scale or 1e-9, reason, f"factor {MARGIN:g}")
 
 
-def _effort(measured: ProblemEvidence, given: Mapping[str, Any], found: list[Constant]) -> Iterator[Constant]:
+def _effort(
+    measured: ProblemEvidence, trial: KernelTrial, given: Mapping[str, Any], found: list[Constant]
+) -> Iterator[Constant]:
     """Yield the tolerance and the rollouts of a test."""
     scale = next(each.value for each in found if each.key == "noise_scale")
     noise = scale if isinstance(scale, float) else measured.plan.hoeffding
@@ -284,10 +289,13 @@ def _effort(measured: ProblemEvidence, given: Mapping[str, Any], found: list[Con
     if alpha is None:
         values = measured.data.values
         furthest = float(np.abs(values - values.mean()).max()) or 1.0
+        part, why = furthest / PARTS, f"A {PARTS}th of the largest distance from the prior mean"
+        if (left := _left_for_alpha(measured, trial)) is not None and left < part:
+            part, why = left, "Half of what the worst start of the fitted function leaves to what is required"
         # With noise, no less than what the most rollouts of each test can reach.
-        alpha = rounded_up(max(furthest / PARTS, _reach(noise, MOST_REPLICATES / 2, delta)))
+        alpha = rounded_up(max(part, _reach(noise, MOST_REPLICATES / 2, delta)))
         reach = ", if noise allows it" if measured.noisy else ""
-        yield Constant("alpha", alpha, f"A {PARTS}th of the largest distance from the prior mean{reach}.")
+        yield Constant("alpha", alpha, f"{why}{reach}.")
     else:
         yield Constant("alpha", alpha, "From the file.")
     if not measured.noisy:
@@ -299,6 +307,14 @@ def _effort(measured: ProblemEvidence, given: Mapping[str, Any], found: list[Con
         "rollouts each; more rollouts of fewer tests explore less."
     )
     yield Constant("replicates", replicates, reason)
+
+
+def _left_for_alpha(measured: ProblemEvidence, trial: KernelTrial) -> float | None:
+    """Return the tolerance with which the bound may be expected to meet what is required; None if none may."""
+    if measured.required is None:
+        return None
+    left = measured.required - float(trial.fit.mean(measured.data, measured.shares).max())
+    return SHARE * left if left > 0 else None
 
 
 def _reach(scale: float, replicates: float, delta: float) -> float:

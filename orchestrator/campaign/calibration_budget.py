@@ -84,6 +84,11 @@ class BudgetForecast:
     workers: int = WORKERS
 
     @property
+    def bound(self) -> float:
+        """That of J by the proposed budget."""
+        return self.proposed.bound.middle
+
+    @property
     def rollouts(self) -> int:
         """Those of the proposed budget, with the closing checks."""
         return self.proposed.rollouts

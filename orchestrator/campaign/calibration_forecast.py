@@ -13,6 +13,16 @@ class Forecast(Protocol):
     """The forecast of one problem, if every assumption holds; it is no claim."""
 
     @property
+    def bound(self) -> float:
+        """The bound of J at the end of the budget."""
+        ...
+
+    @property
+    def fitted(self) -> float:
+        """The largest J of the fitted function."""
+        ...
+
+    @property
     def rollouts(self) -> int:
         """Rollouts of the proposed budget, with the closing checks."""
         ...

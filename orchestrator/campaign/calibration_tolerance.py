@@ -47,6 +47,8 @@ class ToleranceForecast:
     """The tolerance: that of the plan, or if it may be raised, one that is within reach."""
     bound: float
     """Of J, at the end of the budget."""
+    fitted: float
+    """The largest J of the fitted function."""
     workers: int = WORKERS
 
     def settled(self, constants: tuple[Constant, ...]) -> tuple[Constant, ...]:
@@ -101,7 +103,7 @@ def tolerance_forecast(
     # What is beyond the maximum falls as the distance of the bounds does.
     largest = float(truth.max())
     bound = largest + max(upper - largest, 0.0) * min(1.0, alpha / widths[-1]) if tests is not None else upper
-    return ToleranceForecast(tests, tuple(widths), budget, seconds + own, rollouts, alpha, bound)
+    return ToleranceForecast(tests, tuple(widths), budget, seconds + own, rollouts, alpha, bound, largest)
 
 
 def _tried(method: RigorousMethod, plan: ProblemPlan, truth: Floats) -> tuple[list[float], float]:

@@ -14,6 +14,7 @@ from ...schemas.system import SystemSpec
 from ..campaign import plan as plans
 from ..campaign.calibration import Constant, ProblemCalibration, ProblemEvidence, calibrated, linearised_constants
 from ..campaign.calibration_design import ROLLOUTS, Box, RolloutBudget
+from ..campaign.calibration_margin import required_objective
 from ..campaign.pilot import clip_around
 from ..campaign.region import Start
 from ..mathematics.calibration.noise import noisiest, pooled
@@ -118,6 +119,7 @@ class CalibrationPilot:
             clipped=clipped,
             cost=self._simulated.cost,
             rollouts=self._simulated.count,
+            required=required_objective(self._config, self._problem),
         )
         return calibrated(measured, self._draft.given(self._number), self._chosen)
 

@@ -21,9 +21,9 @@ _OF = """
 """
 _COUNTS = f"""
     SELECT count(*), count(CASE WHEN robustness < 0 THEN 1 END), count(DISTINCT x),
-    count(DISTINCT CASE WHEN robustness < 0 THEN x END) {_OF}
+    count(DISTINCT CASE WHEN robustness < 0 THEN x END), min(robustness) {_OF}
 """
-_WORST = f"SELECT robustness, problem, test, replicate {_OF} ORDER BY robustness, problem, test, replicate LIMIT 1"
+_WORST = f"SELECT problem, test, replicate {_OF} AND robustness = ? ORDER BY problem, test, replicate LIMIT 1"
 _VALUES = f"SELECT test, replicate, x, robustness {_OF} ORDER BY test, replicate"
 
 
@@ -48,15 +48,15 @@ def read_violations(directory: Path, variant: str) -> Violations:
     """
     with snapshot(directory) as connection:
         which = [variant, json.dumps(_new_series(connection))]
-        rollouts, violations, starts, violating = connection.execute(_COUNTS, which).fetchone()
-        worst = connection.execute(_WORST, which).fetchone()
+        rollouts, violations, starts, violating, least = connection.execute(_COUNTS, which).fetchone()
+        worst = connection.execute(_WORST, [*which, least]).fetchone()
     return Violations(
         rollouts=rollouts,
         violations=violations,
         starts=starts,
         violating_starts=violating,
-        least=worst and worst[0],
-        rollout=worst and str(RolloutId(worst[1], worst[2], variant, worst[3])),
+        least=least,
+        rollout=worst and str(RolloutId(worst[0], worst[1], variant, worst[2])),
     )
 
 

@@ -81,6 +81,26 @@ def test_a_smooth_function_gets_constants_that_are_not_refuted(folder: Processes
     assert 0.0 < 0.2 - claim.bound < 0.2, "the truth is .2"
 
 
+def test_the_tolerance_is_small_enough_for_what_is_required(folder: Processes) -> None:
+    """The least value is .2, which leaves a twentieth of the range no room."""
+    alphas = dict[str, float]()
+    for required in ("0.0", "0.17", "0.3"):
+        name = f"smooth-{required[-2:].strip('.')}"
+        (folder.folder / f"{name}.toml").write_text(f"required_margin = {required}\n{DRAFT.format('smooth')}")
+        ended = folder.run("perfbound", "calibrate", f"{name}.toml")
+        assert ended.code == 0, ended.err
+        (problem,) = load_campaign(folder.folder / f"{name}-calibrated.toml").problems
+        alphas[required] = problem.alpha or 0.0
+        assert f", and at least {float(required):g} is required" in ended.out
+        if required == "0.17":
+            assert "leaves to what is required" in " ".join(ended.out.split())
+            assert folder.run("perfbound", "run", f"{name}-calibrated.toml", "--out", "run").out.startswith(
+                "VERDICT  SHOWN"
+            )
+    assert "no tolerance and no budget will show it" in ended.out, "the worst start itself is below .3"
+    assert 0.0 < alphas["0.17"] < alphas["0.0"]
+
+
 def test_a_jump_gets_a_campaign_without_a_kernel(folder: Processes) -> None:
     ended = folder.run("perfbound", "calibrate", "jumping.toml", "--rollouts", "200", "--out", "evidence")
     assert (ended.code, ended.err) == (0, ""), ended.err
