@@ -21,6 +21,7 @@ from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan
 from ..mathematics.gp.lattice import Lattice
+from . import limits
 from .data import Series, Surface
 
 Floats = NDArray[np.float64]
@@ -40,6 +41,7 @@ def surfaces(plan: ProblemPlan, method: ProblemMethod, bound: Bound, worst: Sequ
     """
     space, found = plan.chosen_from, method.band(bound)
     band = _Arrays(*map(np.array, (found.mean, found.lower, found.upper, found.possible)))
+    band = band._replace(mean=limits.within(band.mean, plan))  # a model may overshoot the clip, no observation can
     meaning = _meaning(plan.problem, method)
     if plan.parts:
         meaning = f"of the worst requirement at each start; for one requirement {meaning}"

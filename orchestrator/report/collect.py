@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ...schemas.certificate import Certificate, Predicate
+from ...schemas.certificate import Certificate, Predicate, ProblemResult
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import ExtensionFact, Header, ProposalFact, RolloutFact
 from ...schemas.ids import CLOSING, RECHECK, RolloutId, closing_check
@@ -22,9 +22,10 @@ from ..run.verdict import verdict_of
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, Session, rollouts_of
 from . import rollouts, wording
+from .charts import LaterCharts
 from .claim_data import VerdictCard, assumption_row
 from .counterexample import ending_counterexample
-from .data import Axis, RegionMap, ReportData, RolloutsOfTest, State
+from .data import Axis, Problem, RegionMap, ReportData, RolloutsOfTest, State
 from .problem import ProblemCollector
 from .provenance import provenance
 from .question import required_words
@@ -60,6 +61,7 @@ class Collector:
         self._code: str | None = None
         self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
         self._divided: dict[str, RegionMap | None] = {}
+        self._charts = LaterCharts(self.directory)
         self._verdict: VerdictCard | None = None
         self._sessions: tuple[Session, ...] = ()
         self._closing: dict[str, int] = {}
@@ -99,11 +101,9 @@ class Collector:
         certificate = self._certificate or files.read(self.directory)
         changes = self._changes.read()
         if self._certificate and changes.extended:
-            certificate, self._verdict, self._divided = (
-                None,
-                None,
-                {},
-            )  # that of before; the next refresh finds the one that follows
+            # That of before; the next refresh finds the one that follows.
+            certificate, self._verdict, self._divided = None, None, {}
+            self._charts.reopen()
         header = self._header = changes.header
         _check_same(self.directory, certificate, header)
         self._certificate = certificate
@@ -126,8 +126,10 @@ class Collector:
                 elif closing_check(fact.problem) is None:
                     for collector in _collectors_of(self._problems.values(), fact.problem):
                         collector.add(fact)
-                elif isinstance(fact, ProposalFact):
-                    self._checked[fact.problem, fact.test] = fact.proposal.x
+                else:
+                    self._charts.add(fact)
+                    if isinstance(fact, ProposalFact):
+                        self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
                 if (check := closing_check(problem)) is not None:
                     self._closing[check] = self._closing.get(check, 0) + number
@@ -138,6 +140,7 @@ class Collector:
             raise JournalError(
                 f"{self.directory}: the facts contradict each other ({error}); restore the database from a copy"
             ) from None
+        self._charts.refresh()
         self._workers.add(changes)
         self._trust.add(changes)
         # A recheck repeats rollouts that have been counted.
@@ -147,10 +150,7 @@ class Collector:
     def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
         config, predicate = header.config, self._certificate.predicate if self._certificate else None
         results = {each.key: each for each in predicate.problems} if predicate else {}
-        problems = tuple(
-            replace(each.data(results.get(key)), regions=self._regions(each, predicate))
-            for key, each in self._problems.items()
-        )
+        problems = tuple(self._problem(each, results.get(key), predicate) for key, each in self._problems.items())
         claims = wording.worded(predicate) if predicate else ()
         workers, more = self._workers.rows(live, self._trust.workers)
         # Terms without a claim of their own compose to the risk.
@@ -209,6 +209,14 @@ class Collector:
             closing_rollouts={each: self._closing[each] for each in CLOSING if each in self._closing},
             provenance=provenance(header, self._sessions, self._workers.ended()),
         )
+
+    def _problem(
+        self, collector: ProblemCollector, result: ProblemResult | None, predicate: Predicate | None
+    ) -> Problem:
+        assert self._header is not None, "read before"
+        found = collector.data(result)
+        charts = self._charts.of(found.charts, collector.plan, self._header, predicate, collector.fed)
+        return replace(found, regions=self._regions(collector, predicate), charts=charts)
 
     def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
         # A certificate is final, and so is its table.

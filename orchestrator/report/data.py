@@ -16,6 +16,7 @@ from ...schemas.certificate import CompositionTerms
 from ...schemas.problems import Quantity
 from ...schemas.signals import SignalKind
 from ..store.changes import ComparedResult
+from .chart_data import ProblemCharts
 from .claim_data import AssumptionRow, Claim, VerdictCard
 from .provenance import Provenance
 from .worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
@@ -181,6 +182,7 @@ class Problem:
     """Number of observed tests; `tests` has a choice of very many."""
     requirement: str | None = None
     """The one that is bounded here on its own, from the tests of the problem; None for the whole specification."""
+    charts: ProblemCharts = field(default_factory=ProblemCharts)
 
     @property
     def key(self) -> str:

@@ -1,18 +1,12 @@
 """The rollouts at drawn starts as a histogram of their robustness, with the bounds that are numbers of its axis."""
 
-import math
 from collections.abc import Mapping, Sequence
 
 from ...schemas.claims import PROBABILITIES, SAMPLED, ClaimRequest
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.sample import SampleMethod
+from .bars import counted, edges_over
 from .data import Drawn, Mark
-
-BINS = 40
-"""At most so many bars, about."""
-
-NEAR = 0.5
-"""The axis begins at 0 where the least value is at most this share of the spread above it."""
 
 REACH = 0.5
 """The axis reaches a bound that is at most this share of the spread beyond the values."""
@@ -41,19 +35,11 @@ def _histogram(
     ]
     marks = tuple(_bound_mark(asked, bound) for asked, bound in bounds if _is_value(asked) and bound is not None)
     least, most = _axis_ends(low, high, [mark.value for mark in marks])
-    # The requirement is at 0: worth showing where it is near.
-    edges = _edges(min(least, 0.0) if low <= NEAR * (high - low) else least, most)
-    counts = [0] * (len(edges) - 1)
-    width = edges[1] - edges[0]
-    for value in values:
-        place = min(max(math.floor((value - edges[0]) / width), 0), len(counts) - 1)
-        # Rounding may put a value that is an end on the wrong side of it; 0 separates violations.
-        place += (value >= edges[place + 1] and place + 1 < len(counts)) - (value < edges[place] and place > 0)
-        counts[place] += 1
+    edges = edges_over(least, most, (low, high))
     return Drawn(
         requirement=which[1],
         edges=tuple(edges),
-        counts=tuple(counts),
+        counts=tuple(counted(values, edges)),
         violations=sum(value < 0 for value in values),
         zeros=sum(value == 0 for value in values),
         unit=unit,
@@ -83,16 +69,3 @@ def _axis_ends(low: float, high: float, bounds: Sequence[float]) -> tuple[float,
     reach = REACH * (high - low)
     near = [bound for bound in bounds if low - reach <= bound <= high + reach]
     return min([low, *near]), max([high, *near])
-
-
-def _edges(low: float, high: float) -> list[float]:
-    """Return the ends of the bars: multiples of 1, 2 or 5 times a power of ten, so that 0 is one of them.
-
-    >>> _edges(-0.3, 1.2)[:3], len(_edges(-0.3, 1.2))
-    ([-0.3, -0.25, -0.2], 32)
-    """
-    least = (high - low) / BINS or abs(low) / BINS or 1.0
-    power = 10.0 ** math.floor(math.log10(least))
-    width = next(digit * power for digit in (1, 2, 5, 10) if digit * power >= least)
-    first, last = math.floor(low / width + 1e-9), math.floor(high / width + 1e-9) + 1
-    return [float(f"{k * width:.12g}") for k in range(first, last + 1)]

@@ -13,7 +13,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from ..certificate.text import outward
 from ..mathematics.gp.kernels import Floats
@@ -23,6 +22,8 @@ from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
 MAP_HEIGHT, DECAY_HEIGHT, HISTOGRAM_HEIGHT, INPUT_HEIGHT = 2.8, 1.8, 2.4, 1.0
 """Inches."""
+MOST_MARKS = 20
+"""Marks along each side of a map, about, where the worst start is ruled out."""
 MANY = 200
 """More listed starts are drawn smaller."""
 MAP_CHARACTERS = 60
@@ -120,15 +121,19 @@ def _profile(axes: Axes, parameter: Axis, problem: Problem, surface: Surface) ->
 
 
 def _plane(axes: Axes, problem: Problem, surface: Surface, first: Floats, second: Floats) -> tuple[Any, list[Artist]]:
-    """Draw the mean over the first two parameters, hatched where the worst start is ruled out, and the tests."""
+    """Draw the mean over the first two parameters, a line around the possible worst starts, and the tests."""
     mean, worst = (_array(values).reshape(surface.shape or ()).T for values in (surface.mean, surface.worst))
     drawn = style.draw_map(axes, first, second, mean, levels=20)
     style.draw_tests(axes, problem.tests.x)
     if worst.all():
         return drawn, []
-    axes.contourf(first, second, worst, levels=[-0.5, 0.5], colors="none", hatches=["/////"])
-    axes.contour(first, second, worst, levels=[0.5], colors=RED, linewidths=THIN)
-    key = Patch(facecolor="none", edgecolor=RED, linewidth=THIN, hatch="/////", label="worst start ruled out")
+    # Dots on the other side: a hatching would change the greys that one reads, a line alone has no side.
+    axes.contour(first, second, worst, levels=[0.5], colors=RED, linewidths=THICK)
+    step = max(1, len(first) // MOST_MARKS)
+    x, y = np.meshgrid(first[::step], second[::step])
+    out = worst[::step, ::step] == 0
+    axes.plot(x[out], y[out], "o", color=RED, markersize=1.0, markeredgewidth=0)
+    key = Line2D([], [], color=RED, linewidth=THICK, marker="o", markersize=1.5, label="worst start ruled out (dotted)")
     return drawn, [key]
 
 

@@ -50,7 +50,7 @@ def posterior(directory: Path, problem: str | None, x: Floats) -> tuple[Floats, 
     else:
         fed.recall(pairs)
     if isinstance(fed, RigorousMethod) and isinstance(plan.candidates, Lattice):
-        mean, lower, upper = _anywhere(fed, bound, plan, x)
+        mean, lower, upper = anywhere(fed, bound, plan, x)
     else:
         mean, lower, upper = _at_candidates(fed.band(bound), plan, x)
     # The facts are about J = -objective for a minimum.
@@ -83,7 +83,8 @@ def _at_candidates(band: Band, plan: ProblemPlan, x: Floats) -> tuple[Floats, Fl
     return mean, lower, upper
 
 
-def _anywhere(fed: RigorousMethod, bound: Bound, plan: ProblemPlan, x: Floats) -> tuple[Floats, Floats, Floats]:
+def anywhere(fed: RigorousMethod, bound: Bound, plan: ProblemPlan, x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return (mean, lower, upper), (N,) each, of J at any starts `x` (N, p) of the box."""
     envelope = fed.envelope
     upper, lower = envelope.at(x)
     # The mean at one a for all starts: that of the band over the candidates.

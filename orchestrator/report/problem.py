@@ -17,7 +17,7 @@ from ...schemas.requirements import alpha_of
 from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
-from ..campaign.methods import PartMethod, method
+from ..campaign.methods import PartMethod, ProblemMethod, method
 from ..campaign.outlook import in_words
 from ..campaign.plan import ProblemPlan
 from ..campaign.planned_outlook import PlannedOutlooks
@@ -27,6 +27,7 @@ from ..store.changes import Decision
 from ..store.export_tables import robustness_unit, unit
 from ..store.read import ObservedTest
 from . import band
+from .charts import charts_after, empty_charts
 from .data import Drawn, Problem, RegionMap, Surface
 from .drawn import histograms
 from .observed import observed_series, signed, worst_first
@@ -59,6 +60,9 @@ class ProblemCollector:
         self._pending: list[tuple[Proposal, Observation]] = []
         """Observations not yet passed to the method."""
         self._surfaces: tuple[Surface, ...] = ()
+        self._charts = empty_charts(header.config, plan)
+        self.fed: tuple[ProblemMethod, Bound] | None = None
+        """The method with all observations that `data` has described, and the bound after the last; None before."""
         self._drawn: list[Drawn] = []
         self._tests = observed_series(self.plan, self.observed)
         self._extended: int | None = None
@@ -111,6 +115,8 @@ class ProblemCollector:
                 self._drawn = self._histograms(self._method)
             else:
                 self._surfaces = band.surfaces(self.plan, self._method, self._bound, self._worst_start)
+            self._charts = charts_after(self._charts, self.plan, self._method, self._bound, self.observed)
+            self.fed = self._method, self._bound
             self._tests = observed_series(self.plan, self.observed)
             self._warnings = self._contradictions()
         now = self._bound if last else None
@@ -155,6 +161,7 @@ class ProblemCollector:
             requirements=tuple(self._drawn[1:]),
             requirement=self.plan.requirement,
             observed=len(self.observed),
+            charts=self._charts,
         )
 
     def regions(self, directory: Path, predicate: Predicate | None) -> RegionMap | None:

@@ -36,8 +36,6 @@ STYLE: dict[Any, Any] = {
     "axes.titlesize": 8,
     "legend.fontsize": 7,
     "legend.frameon": False,
-    "hatch.color": RED,
-    "hatch.linewidth": THIN,
     # Equal figures give equal bytes: ids in an SVG are random without a salt.
     "svg.hashsalt": "perfbound",
     "svg.fonttype": "path",

@@ -95,7 +95,8 @@ def test_bounds_in_legends_are_rounded_to_the_safe_side(browser: Browser, tmp_pa
     tests = replace(report.problems[0].tests, upper=(0.70861,) * 6)
     bounded = replace(report, problems=(replace(report.problems[0], tests=tests),))
     with opened(browser, tmp_path, bounded) as watch:
-        assert "0.7087 rad" in watch.page.locator("#bound-0 .u-legend").inner_text()
+        watch.page.locator("#bound-0").hover()
+        assert "upper bound 0.7087 rad" in watch.page.locator("#read-bound-0").inner_text()
 
 
 def test_a_gap_term_below_zero_raises_the_bound(browser: Browser, tmp_path: Path) -> None:
@@ -144,7 +145,7 @@ def test_a_dot_of_the_map_shows_its_test(browser: Browser, tmp_path: Path) -> No
         watch.page.locator("#map-0").hover(position=spot)
         text = watch.page.locator("#read-0").inner_text()
         assert "test 0 observed 0.7 rad at x = 0 m, y = 0 m" in text
-        assert "x = 0 m, y = 0 m: mean 0.3 rad, lower 0.2000 rad, upper 0.4000 rad" in text
+        assert "x = 0 m, y = 0 m: mean 0.3 rad, lower bound 0.2000 rad, upper bound 0.4000 rad" in text
         watch.page.locator("#map-0").click(position=spot)
         assert watch.page.locator("#test").get_attribute("data-test") == "0"
 
@@ -195,7 +196,7 @@ def test_the_map_shows_mean_lower_or_upper(browser: Browser, tmp_path: Path) -> 
         watch.page.click("#problem-0 [data-series=upper]")
         assert watch.page.locator("#map-0").get_attribute("data-series") == "upper"
         assert watch.page.locator("#map-1").get_attribute("data-series") == "mean"
-        assert watch.page.locator("#problem-0 [aria-pressed=true]").inner_text() == "upper"
+        assert watch.page.locator("#problem-0 [aria-pressed=true]").inner_text() == "upper bound"
 
 
 def test_starts_are_sorted_by_their_bound(browser: Browser, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ function theme() {
   return dark.matches && !onPaper.matches && !printing ? DARK : LIGHT;
 }
 
-const charts = new Map(); // element -> {plot, key}
+const charts = new Map(); // element -> {plot, key, overlay}
 
 /**
  * Draw a chart in its element. A present chart of the same spec and colours gets the new data only.
@@ -30,21 +30,30 @@ const charts = new Map(); // element -> {plot, key}
  *   names of the theme; `range` is that of x, `lines` are drawn upright at values of x
  * @param {Array<Array<number|null>>} data x first
  * @param {(plot: object) => void} [onPointer] called when the pointer moves
+ * @param {{range?: [number, number], levels: object[], stop?: object}|null} [overlay] see `drawOverlay`; `range` is that of y
  */
-function chart(host, spec, data, onPointer) {
+function chart(host, spec, data, onPointer, overlay = null) {
   const colours = theme();
   const key = JSON.stringify([spec, colours.paper]);
   const present = charts.get(host);
   if (present?.key === key) {
+    present.overlay = overlay;
+    present.onPointer = onPointer;
     present.plot.setData(data);
     return;
   }
   present?.plot.destroy();
-  const plot = new uPlot({ ...chartOptions(host, spec, colours), hooks: { setCursor: onPointer ? [onPointer] : [], draw: [(drawn) => drawLines(drawn, spec.lines ?? [], colours)] } }, data, host);
-  charts.set(host, { plot, key });
+  const entry = { key, overlay, onPointer };
+  const hooks = {
+    setCursor: [(plot) => entry.onPointer?.(plot)],
+    draw: [(plot) => drawLines(plot, spec.lines ?? [], colours), (plot) => entry.overlay && drawOverlay(plot, entry.overlay, colours)],
+  };
+  entry.plot = new uPlot({ ...chartOptions(host, spec, colours, entry), hooks }, data, host);
+  charts.set(host, entry);
 }
 
-function chartOptions(host, spec, colours) {
+function chartOptions(host, spec, colours, entry) {
+  const ownRange = spec.y.range ?? (spec.y.fromZero ? (plot, low, high) => [0, 1.05 * high] : undefined);
   const axis = (extra) => ({
     stroke: colours.ink, font: FONT, labelFont: FONT, labelSize: 18, labelGap: 0,
     grid: { stroke: colours.line, width: 1 }, ticks: { stroke: colours.line, width: 1, size: 4 }, ...extra,
@@ -55,7 +64,8 @@ function chartOptions(host, spec, colours) {
     height: spec.height,
     cursor: { drag: { x: false, y: false }, points: { size: 7 } },
     legend: { show: spec.legend !== false },
-    scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1, range: spec.y.range ?? (spec.y.fromZero ? (plot, low, high) => [0, 1.05 * high] : undefined) } },
+    scales: { x: { time: false, range: spec.range }, y: { distr: spec.y.log ? 3 : 1, range: entry.overlay?.range ? () => entry.overlay.range : ownRange } },
+    padding: entry.overlay ? [18, GUTTER, null, null] : undefined,
     axes: [axis({ label: spec.x, size: 30, values: names }), axis({ label: spec.y.label, size: 52, values: names })],
     series: [{ label: spec.x, colour: "ink" }, ...spec.series].map((each) => chartSeries(each, colours)),
   };
@@ -118,6 +128,11 @@ function tidyCharts() {
       plot.setSize({ width: host.clientWidth, height: plot.height });
     }
   }
+}
+
+/** The sentence below a picture: what one sees, and how to read it. */
+function caption(text) {
+  return el("p.caption", sentence(text));
 }
 
 /** A figure with an element for a chart; `chart` draws into it. */

@@ -1,4 +1,4 @@
-// Histogram of the robustness at drawn starts: violations in red, and the bounds as lines across it.
+// Histograms of the robustness, violations in red: at drawn starts with the bounds as lines across it, and of all rollouts.
 
 const SIGN = { ">=": "\u2265", "<=": "\u2264" };
 
@@ -11,7 +11,45 @@ function histogramFigure(drawn, id) {
     chartFigure(id, "Robustness of the rollouts at drawn starts"),
     el("ul.legend", legendItem("key.violations", "violates the specification"), legendItem("key.kept", "meets it")),
     marks.length ? el("ul.marks", marks) : null,
+    caption(drawnCaption(drawn)),
   );
+}
+
+function drawnCaption(drawn) {
+  const lines = drawn.marks.length ? " The lines with letters are the claimed bounds of the list." : "";
+  const number = samplesOf({ drawn });
+  return `How often each robustness occurred in the first rollouts at ${count(number)} drawn starts: ${count(drawn.violations)} of them, red, violate the specification; the worst is ${quantity(drawn.least, drawn.unit)}, of test ${drawn.worst}.${lines}`;
+}
+
+/** Histograms of the robustness of all rollouts of a problem, one for each variant, over one axis. */
+function rolloutFigure(problem, index) {
+  const { rollouts } = problem.charts;
+  if (rollouts === null) return null;
+  const one = rollouts.variants.length === 1;
+  return el(
+    "figure.histogram",
+    el("figcaption", "Robustness of all rollouts"),
+    rollouts.variants.map((each) => el("div", one ? null : el("h3", `${words(each.variant)} system`), el(`div.chart#rollouts-${index}-${each.variant === "true" ? "true" : "nominal"}`, { "data-keep": true, role: "img", "aria-label": variantCaption(each, rollouts, problem) }))),
+    el("ul.legend", legendItem("key.violations", "violates the specification"), legendItem("key.kept", "meets it")),
+    rollouts.variants.map((each) => caption(variantCaption(each, rollouts, problem))),
+  );
+}
+
+function variantCaption({ variant, rollouts, violations, least, test, at_clip: [low, high] }, { unit }, problem) {
+  const worst = `the worst is ${quantity(least, unit)}${low ? " or lower, which the clip hides" : ""}, of test ${test}`;
+  const clipped = high ? ` ${count(high)} are at the upper end of the clip, or beyond it.` : "";
+  const tested = problem.sense === "max" ? "" : " The method chose the starts, so this is no sample of all of them.";
+  return `${words(variant)[0].toUpperCase()}${words(variant).slice(1)} system: how often each robustness occurred in ${plural(rollouts, "rollout")}; ${violations ? count(violations) : "none"} of them violate${violations > 1 ? "" : "s"} the specification, and ${worst}.${clipped}${tested}`;
+}
+
+function drawRolloutHistograms(problem, index) {
+  const { rollouts, required } = problem.charts;
+  for (const { variant, counts, least } of rollouts?.variants ?? []) {
+    const host = document.getElementById(`rollouts-${index}-${variant === "true" ? "true" : "nominal"}`);
+    const lines = [{ value: least, colour: "ink", label: "worst" }];
+    if (required) lines.push({ value: required, colour: "ink", label: "required" });
+    drawBars(host, { ...rollouts, counts }, lines, rollouts.variants.length > 1 ? 150 : 190);
+  }
 }
 
 /** Name of a line in its histogram. */
@@ -20,15 +58,19 @@ function letter(k) {
 }
 
 function drawHistogram(drawn, id) {
-  const { edges, counts, unit, marks } = drawn;
+  drawBars(document.getElementById(id), drawn, drawn.marks.map(({ value }, k) => ({ value, colour: "ink", label: letter(k) })), 230);
+}
+
+/** Draw counts between edges as bars, those below 0 red, with upright lines. */
+function drawBars(host, { edges, counts, unit }, lines, height) {
   const centres = counts.map((_, k) => (edges[k] + edges[k + 1]) / 2);
   const bars = (violates) => counts.map((each, k) => (each > 0 && violates === edges[k + 1] <= 0 ? each : null));
   chart(
-    document.getElementById(id),
+    host,
     {
-      height: 230, x: withUnit("robustness", unit), y: { label: "rollouts", fromZero: true }, legend: false,
+      height, x: withUnit("robustness", unit), y: { label: "rollouts", fromZero: true }, legend: false,
       range: [edges[0], edges.at(-1)],
-      lines: [...marks.map(({ value }, k) => ({ value, colour: "ink", label: letter(k) })), { value: 0, colour: "red" }],
+      lines: [...lines, { value: 0, colour: "red" }],
       series: [
         { label: "violations", colour: "red", bars: true },
         { label: "others", colour: "blue", bars: true },

@@ -1,6 +1,7 @@
 // Drawing of a map of D on a canvas, from its model in map-model.js.
 
 const mapModels = new WeakMap(); // canvas -> model
+const TICK = 6; // pixels: on the line around the possible worst starts, to their side
 const [WHITE, BLACK, WORST] = ["#ffffff", "#000000", "#d55e00"]; // on viridis, in both colour schemes
 
 /** Draw a map over the width of its canvas; `view` as in `mapModel`. */
@@ -53,27 +54,22 @@ function drawLattice(context, model) {
   drawColourBar(context, model);
 }
 
-/** Hatch the cells that may contain the worst start, and draw the edges around them. */
-function drawRegion(context, box, { cells, edges }, columns, rows) {
+/** Draw a line around the cells that may contain the worst start, with ticks to their side: colours stay what they are. */
+function drawRegion(context, box, edges, columns, rows) {
   const { toX, toY } = frame(box, [0, columns], [0, rows]);
-  const [inside, border] = [new Path2D(), new Path2D()];
-  for (const [i, j] of cells) inside.rect(toX(i), toY(j + 1), box.width / columns, box.height / rows);
-  for (const [i, j, nextI, nextJ] of edges) {
+  const border = new Path2D();
+  for (const [i, j, nextI, nextJ, inI, inJ] of edges) {
     border.moveTo(toX(i), toY(j));
     border.lineTo(toX(nextI), toY(nextJ));
+    const [x, y] = [(toX(i) + toX(nextI)) / 2, (toY(j) + toY(nextJ)) / 2];
+    border.moveTo(x, y);
+    border.lineTo(x + TICK * inI, y - TICK * inJ);
   }
-  hatch(context, inside, box);
-  strokeOutlined(context, 2, () => context.stroke(border));
-}
-
-function hatch(context, inside, { left, top, width, height }) {
   context.save();
-  context.clip(inside);
-  context.lineWidth = 1;
-  for (const [colour, shift] of [["rgba(255, 255, 255, 0.6)", 0], ["rgba(0, 0, 0, 0.35)", 1.2]]) {
-    context.strokeStyle = colour;
-    for (let x = left + shift - height; x < left + width; x += 9) line(context, x, top + height, x + height, top);
-  }
+  context.beginPath();
+  context.rect(box.left, box.top, box.width, box.height);
+  context.clip();
+  strokeOutlined(context, 1.8, () => context.stroke(border));
   context.restore();
 }
 
@@ -96,8 +92,38 @@ function drawStarts(context, model) {
   drawColourBar(context, model);
 }
 
-function drawProfile(context, { band, nodes, box, toX, toY }) {
-  if (band === null) return;
+function drawProfile(context, model) {
+  const { box } = model;
+  context.save();
+  context.beginPath();
+  context.rect(box.left, box.top, box.width, box.height); // the band may go beyond
+  context.clip();
+  if (model.band !== null) drawBand(context, model);
+  drawProfileLevels(context, model);
+  context.restore();
+}
+
+/** The requirement, the clip and the last bound as lines with their names. */
+function drawProfileLevels(context, { problem, box, rangeY, toY }) {
+  const colours = theme();
+  const shown = boundLevels(problem).filter(({ value }) => value >= rangeY[0] && value <= rangeY[1]);
+  const rows = spread(shown.map(({ value }) => toY(value) - 8), LABEL_HEIGHT, box.top + 8, box.top + box.height - 12);
+  shown.forEach(({ value, label, colour, dash }, k) => {
+    context.strokeStyle = colours[colour];
+    context.lineWidth = 1.2;
+    context.setLineDash(dash ?? []);
+    line(context, box.left, toY(value), box.left + box.width, toY(value));
+    context.setLineDash([]);
+    align(context, "right", "middle");
+    context.strokeStyle = colours.paper;
+    context.lineWidth = 4;
+    context.strokeText(label, box.left + box.width - 6, rows[k]);
+    context.fillStyle = colours.ink;
+    context.fillText(label, box.left + box.width - 6, rows[k]);
+  });
+}
+
+function drawBand(context, { band, nodes, box, toX, toY }) {
   const { lower, upper, mean, worst } = band;
   const colours = theme();
   const bounded = nodes.map((x, n) => n).filter((n) => lower[n] !== null && upper[n] !== null);
@@ -114,12 +140,7 @@ function drawProfile(context, { band, nodes, box, toX, toY }) {
   if (worst.every(Boolean)) return; // no start is ruled out: the strip would carry no information
   context.fillStyle = colours.red;
   const cell = box.width / Math.max(1, nodes.length - 1);
-  context.save();
-  context.beginPath();
-  context.rect(box.left, box.top, box.width, box.height); // half of the first and the last cell is outside
-  context.clip();
   nodes.forEach((x, n) => worst[n] && context.fillRect(toX(x[0]) - cell / 2, box.top + box.height - 5, cell, 5));
-  context.restore();
 }
 
 /** Border, ticks and names of both axes. */
@@ -144,7 +165,7 @@ function drawAxes(context, { kind, axes, problem, box, rangeX, rangeY, toX, toY 
     context.fillText(text, left - 6, toY(value));
   }
   align(context, "left", "bottom");
-  context.fillText(kind === "profile" ? withUnit("objective", problem.unit) : nameY, 2, top - 6, left + width);
+  context.fillText(kind === "profile" ? withUnit(valueName(problem), problem.unit) : nameY, 2, top - 6, left + width);
 }
 
 /** The colour bar at the right, with the numbers of its colours. */
@@ -167,15 +188,24 @@ function drawColourBar(context, { box: { left, top, width, height }, scale, prob
     context.fillText(text, right + 6, toY(value));
   }
   align(context, "right", "bottom");
-  context.fillText(withUnit(series, problem.unit), bar.left + 60, top - 6, MARGIN.bar);
+  context.fillText(withUnit(SERIES_WORDS[series], problem.unit), bar.left + 60, top - 6, MARGIN.bar + 40);
+  const limit = comparedWith(problem)?.[0] ?? null;
+  if (limit !== null && limit >= scale.low && limit <= scale.high) {
+    strokeOutlined(context, 2, () => line(context, bar.left - 5, toY(limit), right + 5, toY(limit)));
+  }
   context.textBaseline = "top";
   context.fillStyle = colours.muted;
   context.fillText("dark = worse", bar.left + 60, top + height + 22, MARGIN.bar);
 }
 
-function drawDots(context, { kind, band, dots, nodes }) {
+/** Whether every listed start is its own dot on a map. */
+function ownDots(kind, band) {
+  return kind === "starts" && band.points.length <= MANY_DOTS;
+}
+
+function drawDots(context, { kind, band, dots, box, problem }) {
   // A listed start is its own dot, unless there are too many. Violations and the worst are drawn on top.
-  const own = kind === "starts" && nodes.length <= MANY_DOTS;
+  const own = ownDots(kind, band);
   const edge = dots.length > MANY_DOTS ? 0.6 : 1.2;
   for (const dot of own ? [] : dots.filter((each) => !each.violates)) {
     context.globalAlpha = dot.off ? 0.4 : 1;
@@ -187,14 +217,16 @@ function drawDots(context, { kind, band, dots, nodes }) {
   }
   context.globalAlpha = 1;
   for (const dot of dots) {
-    const around = dot.radius + (own ? 9 : 4);
     if (dot.worst) disc(context, dot.at, Math.min(dot.radius + 2, 7), WORST, WHITE);
-    if (dot.first) square(context, dot.at, around, 0);
-    if (dot.last) square(context, dot.at, around, Math.PI / 4);
   }
   for (const [mark, more] of [["selected", 9], ["pointed", 6]]) {
     const dot = dots.find((each) => each[mark]);
     if (dot) strokeOutlined(context, 1.8, () => context.stroke(circle(dot.at, dot.radius + more + (own ? 4 : 0))));
+  }
+  // Where starts are drawn their order means nothing.
+  for (const dot of problem.drawn ? [] : dots) {
+    const name = [dot.first && "first", dot.last && "last"].filter(Boolean).join(", ");
+    if (name) drawName(context, name, dot.at, dot.radius + (own ? 9 : 4) + (dot.selected ? 8 : 0), box);
   }
 }
 
@@ -212,12 +244,19 @@ function disc(context, at, radius, fill, edge, width = 1.2) {
   context.stroke(circle(at, radius));
 }
 
-function square(context, [x, y], half, angle) {
-  context.save();
-  context.translate(x, y);
-  context.rotate(angle);
-  strokeOutlined(context, 1.8, () => context.strokeRect(-half, -half, 2 * half, 2 * half));
-  context.restore();
+/** Write the name of a dot beside it, inside of the map: black with a white edge. */
+function drawName(context, name, [x, y], away, { left, top, width, height }) {
+  const toLeft = x + away + 60 > left + width;
+  align(context, toLeft ? "right" : "left", "middle");
+  const at = [name, x + (toLeft ? -away - 2 : away + 2), Math.min(Math.max(y, top + 8), top + height - 8)];
+  context.font = FONT.replace("12px", "600 12px");
+  context.lineJoin = "round";
+  context.strokeStyle = WHITE;
+  context.lineWidth = 4;
+  context.strokeText(...at);
+  context.fillStyle = BLACK;
+  context.fillText(...at);
+  context.font = FONT;
 }
 
 /** Stroke in black with a white edge: visible on every colour. */

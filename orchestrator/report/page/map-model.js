@@ -139,7 +139,7 @@ function mapFrame({ axes: [first, second], band, problem, kind }, width) {
   const box = { left: MARGIN.left, top: MARGIN.top, width: Math.max(80, width - MARGIN.left - (band && !profile ? MARGIN.bar : MARGIN.right)) };
   const range = (axis, k) => parameterRange(axis, profile ? 0 : band?.shape?.[k] ?? null);
   const rangeX = range(first, 0);
-  const rangeY = profile ? profileRange(band, problem.tests) : range(second, 1);
+  const rangeY = profile ? profileRange(band, problem) : range(second, 1);
   // Parameters of one unit have one scale, unless the map became a strip.
   const ratio = !profile && first.unit === second.unit ? (rangeY[1] - rangeY[0]) / (rangeX[1] - rangeX[0]) : 0;
   box.height = box.width * (ratio > 0.4 && ratio < 1.3 ? ratio : 0.7);
@@ -162,8 +162,12 @@ function parameterRange({ low, high }, nodes) {
   return [low - margin, high + margin];
 }
 
-function profileRange(band, tests) {
-  const [low, high] = extent(tests.y, ...(band ? [band.lower, band.upper, band.mean] : [])) ?? [0, 1];
+/** The values of a profile: of all tests and of the mean, and of the band as far as it does not flatten them. */
+function profileRange(band, { tests, charts, bound }) {
+  const core = extent(tests.y, band?.mean ?? [], [bound, charts.required, charts.of_robustness ? 0 : null]) ?? [0, 1];
+  const all = extent(core, ...(band ? [band.lower, band.upper] : []));
+  const reach = core[1] - core[0] || 1;
+  const [low, high] = [Math.max(all[0], core[0] - reach), Math.min(all[1], core[1] + reach)];
   const margin = (high - low) * 0.06 || 0.5;
   return [low - margin, high + margin];
 }
@@ -187,40 +191,45 @@ function viridis(share) {
   return VIRIDIS[k].map((value, c) => Math.round(value + (position - k) * (VIRIDIS[k + 1][c] - value)));
 }
 
-/** Cells that may contain the worst start and the edges around them; null where these are none or all of D. */
+/** The edges [i, j, to i, to j, inwards i, inwards j] around the cells that may contain the worst start; null where these are none or all of D. */
 function worstRegion({ shape: [columns, rows], worst }) {
   if (worst.every(Boolean) || !worst.some(Boolean)) return null;
   const inside = (i, j) => i >= 0 && j >= 0 && i < columns && j < rows && worst[i * rows + j];
-  const [cells, edges] = [[], []];
+  const edges = [];
   for (let i = 0; i < columns; i += 1) {
     for (let j = 0; j < rows; j += 1) {
       if (!inside(i, j)) continue;
-      cells.push([i, j]);
-      if (!inside(i - 1, j)) edges.push([i, j, i, j + 1]);
-      if (!inside(i + 1, j)) edges.push([i + 1, j, i + 1, j + 1]);
-      if (!inside(i, j + 1)) edges.push([i, j + 1, i + 1, j + 1]);
-      if (!inside(i, j - 1)) edges.push([i, j, i + 1, j]);
+      if (!inside(i - 1, j)) edges.push([i, j, i, j + 1, 1, 0]);
+      if (!inside(i + 1, j)) edges.push([i + 1, j, i + 1, j + 1, -1, 0]);
+      if (!inside(i, j + 1)) edges.push([i, j + 1, i + 1, j + 1, 0, -1]);
+      if (!inside(i, j - 1)) edges.push([i, j, i + 1, j, 0, 1]);
     }
   }
-  return { cells, edges };
+  return edges;
 }
 
 const MANY_DOTS = 400;
+const LARGEST_DOT = 9; // pixels: radius
 
 /** The dots with their pixels, radii and marks. */
 function markedDots(view, { toX, toY, rangeY }) {
   const { y } = view.problem.tests;
   const dots = marked(view, dotsOf(view.report, view.problem, view.chosen));
-  // Many starts would cover one another.
-  const least = dots.length > MANY_DOTS ? 2 : 3;
+  const most = Math.max(...dots.map(({ rows }) => rows.length));
   const inPlane = planeTest(view);
   return dots.map((dot) => ({
     ...dot,
     // On a profile a test without a value is drawn at the lower edge.
     at: [toX(dot.x[0]), toY((view.kind === "profile" ? y[dot.rows[0]] : dot.x[1]) ?? rangeY[0])],
-    radius: Math.min(least + 1.1 * Math.sqrt(dot.rows.length - 1), 8),
+    radius: dotRadius(dot.rows.length, most, dots.length),
     off: !dot.rows.some(inPlane),
   }));
+}
+
+/** The radius of a dot of so many tests, where `most` have been made at one of `dots` starts. */
+function dotRadius(tests, most, dots) {
+  const least = dots > MANY_DOTS ? 2 : 3; // many starts would cover one another
+  return least + Math.min(1.1, (LARGEST_DOT - least) / Math.sqrt(Math.max(1, most - 1))) * Math.sqrt(tests - 1);
 }
 
 /** Dots with the marks that maps and lines share, and with the colour of their worst value. */
@@ -299,7 +308,7 @@ function readout(model) {
   if (n >= 0) {
     const values = SERIES.map((name) => [name, band[name][n]]).filter(([, value]) => value !== null);
     const sense = { lower: ">=", upper: "<=" };
-    const text = values.map(([name, value]) => `${name} ${legendText(value, { sense: sense[name], unit: problem.unit })}`).join(", ");
+    const text = values.map(([name, value]) => `${SERIES_WORDS[name]} ${legendText(value, { sense: sense[name], unit: problem.unit })}`).join(", ");
     lines.push(`${place(chosen.map((k) => nodes[n][k]), axes)}: ${text || "no value yet"}`);
   }
   return lines.join("\n");

@@ -26,6 +26,7 @@ function parallelFigure(report, index) {
       legendItem("key.worst", "worst observed"),
       legendItem("key.selected", "selected test"),
     ),
+    caption("Each line is a tested start, which crosses every axis at the value of its parameter; the stronger its colour the worse its observed value."),
   );
 }
 

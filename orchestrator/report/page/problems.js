@@ -1,6 +1,7 @@
 // Section of one problem: key numbers, map and bars of the starts, convergence, worst tests.
 
 const SERIES = ["mean", "lower", "upper"];
+const SERIES_WORDS = { mean: "mean", lower: "lower bound", upper: "upper bound" };
 const STOPPED = {
   converged: "stop threshold alpha reached",
   budget: "budget used up, alpha NOT reached",
@@ -14,6 +15,7 @@ const MOST_WORST = 8;
 function problemSection(report, index, shown, selected) {
   const problem = report.problems[index];
   const kind = mapKind(report, problem);
+  const wide = report.axes.length > 2 || problem.charts.prediction === null; // room to the right, none to the left
   const bars = isListed(problem) ? startBars(report, index, kind === null) : null;
   return el(
     `section.problem#problem-${index}`,
@@ -24,20 +26,17 @@ function problemSection(report, index, shown, selected) {
     problem.warnings.length ? el("ul.warnings", problem.warnings.map((line) => el("li", sentence(line)))) : null,
     el(
       "div.columns",
-      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), boundedRequirements(report, problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars),
+      el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), boundedRequirements(report, problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars, predictionFigure(problem, index), wide ? null : importanceFigure(report, problem)),
       el(
         "div",
-        converges(problem) ? chartFigure(`decay-${index}`, `Convergence: ${sentence(problem.distance, 20)} and stop threshold alpha`) : null,
-        chartFigure(`bound-${index}`, boundTitle(problem)),
+        boundFigure(problem, index),
+        decayFigure(problem, index),
+        wide ? importanceFigure(report, problem) : null,
+        rolloutFigure(problem, index),
         worstTests(report, problem, selected),
       ),
     ),
   );
-}
-
-/** Whether there is a convergence to draw: the bounds of a requirement are not recorded after each test. */
-function converges(problem) {
-  return problem.alpha !== null && problem.requirement === null;
 }
 
 /** One row for each requirement that is bounded on its own: what is bounded, and its worst test as a button. */
@@ -62,13 +61,6 @@ function boundedRequirements(report, problem) {
     el("figcaption", "Requirements, each with its own claim"),
     el("table", el("thead", el("tr", heads.map((head) => el("th", { scope: "col" }, head)))), el("tbody", parts.map(row))),
   );
-}
-
-function boundTitle(problem) {
-  if (problem.requirement !== null) return "Observed values of the tests"; // its bounds were not recorded
-  if (problem.drawn) return "The bound of the first claim after each sample";
-  if (problem.requirement !== null) return "Observed in each test";
-  return `Bounds on the ${problem.sense === "max" ? "maximum" : "minimum"} after each test`;
 }
 
 /** The key numbers of a problem. */
@@ -107,14 +99,52 @@ function mapFigure(report, index, kind, { series, chosen }) {
     el("figcaption", title, report.axes.length > 2 ? axisSwitch(report, problem, chosen) : null, kind === "profile" || band === null ? null : seriesSwitch(problem, band, series)),
     el(`canvas#${id}`, { "data-keep": true, "data-index": index, tabindex: 0, role: "img", "aria-describedby": `read-${index}`, "aria-label": `${title} of ${words(problem.name)}. Arrow keys move between tests, Enter selects one.` }),
     el(`p.readout#read-${index}`, { "data-keep": true }, "Point at the map to read values; select a test to plot its rollouts."),
-    mapLegend(report, problem, kind, band),
-    band?.shape && report.axes.length > 2 ? el("p.muted", planeText(report, band, chosen)) : null,
-    bandText(band),
+    mapLegend(report, problem, kind, band, chosen),
+    caption(mapCaption(report, problem, kind, band, { series, chosen })),
   );
 }
 
+/** What a map shows, and how to read it. */
+function mapCaption(report, problem, kind, band, { series, chosen }) {
+  if (band === null) return "Each dot is a tested start; the stronger its colour the worse its observed value, with half of the tests on either side of the middle.";
+  const name = valueName(problem);
+  const worse = problem.sense === "max" ? "greater" : "smaller";
+  const of = { mean: `the mean of the model of the ${name}`, lower: `the lower bound on the ${name}`, upper: `the upper bound on the ${name}` }[series];
+  const shown = {
+    lattice: `Each cell is a start, and its colour ${of}: dark is ${worse}, so worse. White dots are tested starts.`,
+    starts: `Each disc is a start, and its colour ${of}: dark is ${worse}, so worse.`,
+    profile: `The curve is the mean of the model of the ${name}, the band what the method allows; dots are tests.`,
+  }[kind];
+  const plane = band.shape && report.axes.length > 2 ? ` ${planeText(report, band, chosen)}` : "";
+  return [shown + plane, requirementText(problem, kind === "profile" ? null : extent(band[series])), overshootText(problem, series, kind), bandText(band)].filter(Boolean).join(" ");
+}
+
+/** The value that a problem is compared with: what is required, or for a robustness the border of the specification. */
+function comparedWith({ charts: { required, of_robustness: ofRobustness } }) {
+  if (required !== null) return [required, "the required"];
+  return ofRobustness ? [0, "the border of the specification,"] : null;
+}
+
+/** Where the colours of a map are relative to the requirement. */
+function requirementText(problem, range) {
+  const limit = comparedWith(problem);
+  if (limit === null || range === null) return "";
+  const [value, name] = limit;
+  const text = `${name} ${quantity(value, problem.unit)}`;
+  if (value < range[0]) return `All colours are above ${text}.`;
+  if (value > range[1]) return `All colours are below ${text}.`;
+  return `The line across the colour bar is ${text}.`;
+}
+
+/** Where the model goes beyond what a rollout can be. */
+function overshootText({ charts: { overshoots, clip }, unit }, series, kind) {
+  if (!(overshoots > 0) || (series !== "mean" && kind !== "profile")) return "";
+  const ends = clip.filter((value) => value !== null).map((value) => quantity(value, unit)).join(" to ");
+  return `At ${percent(overshoots)} of the candidates the model goes beyond the clip (${ends}), as no rollout can; its mean is cut there.`;
+}
+
 function bandText(band) {
-  return band?.band ? el("p.muted", `Lower and upper bounds: ${sentence(band.band, 400)}.`) : null;
+  return band?.band ? `Lower and upper bounds are ${sentence(band.band, 400)}.` : "";
 }
 
 /** Where a plane is in the other parameters. */
@@ -133,26 +163,39 @@ function axisSwitch(report, problem, chosen) {
 
 function seriesSwitch(problem, band, series) {
   const hasValues = (name) => band[name].some((value) => value !== null);
-  const button = (name) => el("button", { "data-series": name, "data-problem": problem.name, disabled: !hasValues(name), "aria-pressed": String(name === series) }, name);
+  const button = (name) => el("button", { "data-series": name, "data-problem": problem.name, disabled: !hasValues(name), "aria-pressed": String(name === series) }, SERIES_WORDS[name]);
   return el("span.switch", { role: "group", "aria-label": "Values on the map" }, SERIES.map(button));
 }
 
-function mapLegend(report, problem, kind, band) {
+function mapLegend(report, problem, kind, band, chosen) {
   const worst = band?.worst ?? [];
   const excludesNone = worst.length > 0 && worst.every(Boolean) && kind !== "starts";
+  const outline = { lattice: "key.region-outline", starts: "mark.region-starts", profile: "mark.region-profile" }[kind];
   return el(
     "ul.legend",
-    legendItem("mark.dot", "test, larger where repeated"),
-    legendItem("mark.first", "first test"),
-    legendItem("mark.last", "last test"),
+    ownDots(kind, band) ? legendItem("mark.dot", "listed start, larger where tested more often") : sizeLegend(dotsOf(report, problem, chosen)),
     band ? null : observedLegend(report, problem),
     violating(report, problem).size ? legendItem("mark.violates", "violates the specification") : null,
     legendItem("mark.worst", "worst observed"),
     legendItem("mark.ring", "selected test"),
-    worst.some(Boolean) && !excludesNone ? legendItem(`mark.region-${kind}`, "possible worst start") : null,
+    worst.some(Boolean) && !excludesNone ? legendItem(outline, { lattice: "the worst start may be on the side of the ticks", starts: "thick edge: possible worst start", profile: "possible worst start" }[kind]) : null,
     kind === "profile" ? legendItem("mark.band", "mean and band") : null,
     excludesNone ? el("li", `every start ${report.axes.length > 2 ? "of this plane " : ""}is a possible worst start so far`) : null,
   );
+}
+
+/** The dots of a start with few and with many tests, as large as on the map. */
+function sizeLegend(dots) {
+  const most = Math.max(1, ...dots.map(({ rows }) => rows.length));
+  const sizes = [1, 5, 20, 100, 1000].filter((tests) => tests < most * 0.8);
+  const shown = most === 1 ? [1] : [...sizes, most].slice(-3);
+  if (shown[0] !== 1) shown[0] = 1;
+  const disc = (tests) => {
+    const radius = dotRadius(tests, most, dots.length);
+    const side = 2 * radius + 3;
+    return svg("svg", { width: side, height: side, "aria-hidden": "true" }, svg("circle", { cx: side / 2, cy: side / 2, r: radius }));
+  };
+  return shown.map((tests) => el("li", el("span.mark.size", disc(tests)), `${plural(tests, "test")}${tests === 1 ? " at a start" : ""}`));
 }
 
 /** The colours of the observed values. */
@@ -182,7 +225,7 @@ function startBars(report, index, alone) {
     order.length > MOST_BARS ? el("p.muted", `${order.length - MOST_BARS} starts with better bounds are not shown.`) : null,
     barScale(range, marks),
     el("ul.legend", legendItem("key.open", "possible worst start"), legendItem("key.interval", "excluded"), legendItem("key.mean", "mean; a bar with one bound only ends here")),
-    alone ? bandText(band) : null,
+    caption([`Each bar is a start, from its lower to its upper bound; starts of pale bars cannot be the worst any more.`, overshootText(problem, "mean", "profile"), alone ? bandText(band) : ""].filter(Boolean).join(" ")),
   );
 }
 
@@ -235,37 +278,6 @@ function drawProblemCharts(problem, index) {
   if (problem.drawn) drawHistogram(problem.drawn, `histogram-${index}`);
   if (converges(problem)) drawDecay(problem, index);
   drawBounds(problem, index);
-}
-
-function drawDecay(problem, index) {
-  const { test, distance } = problem.tests;
-  const { unit } = problem;
-  const positive = extent(distance.filter((value) => value > 0), [problem.alpha]);
-  const log = problem.alpha > 0 && positive[1] > 20 * positive[0];
-  const distanceLabel = sentence(problem.distance, 20);
-  chart(
-    document.getElementById(`decay-${index}`),
-    {
-      height: 190, x: "test", y: { label: withUnit(distanceLabel, unit), log },
-      series: [{ label: distanceLabel, colour: "blue", unit }, { label: "alpha", colour: "red", dash: [6, 4], unit }],
-    },
-    [test, distance.map((value) => (log && value <= 0 ? null : value)), test.map(() => problem.alpha)],
-  );
-}
-
-function drawBounds(problem, index) {
-  const { test, lower, upper, y } = problem.tests;
-  const { unit } = problem;
-  // A probability has another axis than the robustness that is observed.
-  const observed = observesRobustness(problem) && problem.sense === "max" ? y.map(() => null) : y;
-  const bounds = [
-    [{ label: "observed", colour: "muted", points: true, unit }, observed],
-    [{ label: "lower bound", colour: "blue", unit, sense: ">=" }, lower],
-    [{ label: problem.method === "scenario" ? "limit of the bound" : "upper bound", colour: "red", unit, sense: "<=" }, upper],
-  ].filter(([, values]) => values.some((value) => value !== null));
-  chart(
-    document.getElementById(`bound-${index}`),
-    { height: 190, x: "test", y: { label: withUnit(problem.requirement === null ? "bound" : "observed", unit) }, series: bounds.map(([series]) => series) },
-    [test, ...bounds.map(([, values]) => values)],
-  );
+  drawPrediction(problem, index);
+  drawRolloutHistograms(problem, index);
 }

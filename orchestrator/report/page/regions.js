@@ -14,9 +14,14 @@ function regionSection(report, problem, index) {
     el("h2", "Where it is safe"),
     el("ul", regions.sentences.map((line) => el("li", line.includes("REFUTED") ? { class: "bad" } : {}, sentence(line, 300)))),
     el("div.slices", regions.slices.map((slice, k) => sliceFigure(axes, regions, slice, `${index}-${k}`))),
-    regions.slices.length ? regionLegend(regions, axes.length > 2) : el("p.bad", "regions.csv is missing, or not the one that the certificate names."),
+    regions.slices.length ? [regionLegend(regions, axes.length > 2), caption(regionCaption(axes))] : el("p.bad", "regions.csv is missing, or not the one that the certificate names."),
     axes.length > 2 ? largestBoxes(axes, regions) : null,
   );
+}
+
+function regionCaption(axes) {
+  const plane = axes.length > 2 ? " Each picture is a plane through the worst observed start." : "";
+  return `Every start of a certified box has the sign of its colour, all at once with the probability of the claim; of a hatched one nothing is shown.${plane}`;
 }
 
 function sliceFigure(axes, regions, slice, id) {

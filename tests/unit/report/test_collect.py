@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.campaign.methods import methods
-from perfbound.orchestrator.campaign.plan import plans
+from perfbound.orchestrator.campaign.plan import UNBOUNDED, plans
 from perfbound.orchestrator.mathematics.gp.lattice import MAX_NODES, Lattice
 from perfbound.orchestrator.report import band as surfaces
 from perfbound.orchestrator.report import curves, rollouts
@@ -320,7 +320,9 @@ def test_every_two_parameters_have_a_plane_through_the_worst_start(dimension: in
     method = SimpleNamespace(band=lambda _: found, probability=0.95)
     (plan,) = (each for each in plans(CONFIGS["rigorous"], TEST_FUNCTION).values() if each.sense == "max")
     worst = (2.1, 0.8, 0.0, 1.4)[:dimension]
-    planes = surfaces.surfaces(replace(plan, candidates=lattice), cast(Any, method), cast(Any, None), worst)
+    planes = surfaces.surfaces(
+        replace(plan, candidates=lattice, clip=UNBOUNDED), cast(Any, method), cast(Any, None), worst
+    )
     assert [each.axes for each in planes] == ([(0,)] if dimension == 1 else [*combinations(range(dimension), 2)])
     for plane in planes:
         assert plane.through == (2.0, 1.0, 0.0, 1.0)[:dimension]
