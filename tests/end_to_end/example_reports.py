@@ -7,16 +7,18 @@ from dataclasses import replace
 from perfbound.orchestrator.report.claim_data import AssumptionRow, Claim, assumption_row
 from perfbound.orchestrator.report.data import (
     Axis,
-    Curve,
     Drawn,
-    FoundCounterexample,
-    InputCurve,
     Problem,
     ReportData,
-    Rollout,
-    RolloutsOfTest,
     Surface,
     TestSeries,
+)
+from perfbound.orchestrator.report.rollout_data import (
+    Curve,
+    FoundCounterexample,
+    InputCurve,
+    Rollout,
+    RolloutsOfTest,
 )
 from perfbound.orchestrator.report.worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 from perfbound.orchestrator.store.changes import ComparedResult

@@ -93,7 +93,8 @@ class Grid:
         """Return at which samples an interval ends before the trajectory does, shape (T,); one to its end does."""
         if not interval.bounded:
             return np.ones(len(self), dtype=np.bool_)
-        return self._times + (interval.high - TOLERANCE) <= self._times[-1]
+        found: Flags = self._times + (interval.high - TOLERANCE) <= self._times[-1]
+        return found
 
     def check(self, tree: Formula) -> None:
         """Raise if a formula cannot be read at the first sample.

@@ -1,11 +1,10 @@
 """Robustness over time: the signal that the robustness of a trajectory comes from, and the moment that decides it.
 
-| symbol      | name        | meaning                                                                   | shape | unit        |
-|-------------|-------------|---------------------------------------------------------------------------|-------|-------------|
-| t_k         |             | sample times                                                              | (T,)  | s           |
-| phi         | `formula`   | formula that is evaluated at each sample: what `always` or `eventually` is about, or the whole | | |
-| rho(phi, k) | `values`    | its robustness at sample k; not a number where it reaches beyond the end, or where nothing reads it | (T,) | predicate's |
-| C_phi       | `deciding`  | samples at which a part has the value that it passes on to the robustness | (T,)  |             |
+| symbol      | name       | meaning                                                          | shape | unit         |
+|-------------|------------|------------------------------------------------------------------|-------|--------------|
+| phi         | `formula`  | what `always` or `eventually` is about, or the whole formula     |       |              |
+| rho(phi, k) | `values`   | its robustness at sample k; not a number where nothing reads it  | (T,)  | of predicate |
+| C           | `deciding` | samples where a part has the value that it passes on             | (T,)  |              |
 
 The robustness is made of predicate margins by min, max and sign alone, so it equals the margin, or its negative, of
 some predicate at some sample. From the whole formula at the first sample down to the predicates, C keeps the samples
@@ -25,7 +24,7 @@ from .predicates import Floats, Signals
 from .robustness import margins_at_samples
 from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Temporal, Until, columns, operands
 
-__all__ = ["RobustnessSignal", "WorstMoment", "robustness_signal", "worst_moment"]
+__all__ = ["RobustnessSignal", "WorstMoment", "outermost", "robustness_signal", "worst_moment"]
 
 Flags = NDArray[np.bool_]
 Attained = Literal["least", "greatest", "first"]
@@ -71,10 +70,11 @@ def robustness_signal(tree: Formula, names: Sequence[str], samples: Floats) -> R
     >>> found = robustness_signal(parse_formula("always[0,1] x >= 2"), ("t", "x"), x)
     >>> found.values.tolist(), found.attained
     ([1.0, -1.0, nan], 'least')
+
     """
     signals, grid = Signals(names, samples), Grid(samples[:, 0])
     grid.check(tree)
-    match _outermost(tree):
+    match outermost(tree):
         case Always(operand, interval) | Eventually(operand, interval) as outer:
             attained: Attained = "least" if isinstance(outer, Always) else "greatest"
             shown, read = operand, grid.windows(interval).cover(_first(len(grid)))
@@ -135,7 +135,7 @@ class _Deciding:
         if isinstance(tree, Temporal):
             deciding = self._grid.windows(tree.interval).cover(deciding)
         parts = zip(operands(tree), _signs(tree), strict=True)
-        return all([self.follow(part, deciding & (sign * self._margins(part) == value)) for part, sign in parts])
+        return all(self.follow(part, deciding & (sign * self._margins(part) == value)) for part, sign in parts)
 
     def _follow_until(self, tree: Until, deciding: Flags, value: float) -> bool:
         left, right = self._margins(tree.left), self._margins(tree.right)
@@ -154,7 +154,7 @@ class _Deciding:
             if last.size:
                 run = np.arange(begin, int(last[-1]) + 1)
                 of_left[run[left[run] == value]] = True
-        return all([self.follow(tree.left, of_left), self.follow(tree.right, of_right)])
+        return self.follow(tree.left, of_left) and self.follow(tree.right, of_right)
 
     def _margins(self, tree: Formula) -> Floats:
         return margins_at_samples(tree, self._signals, self._grid)
@@ -171,21 +171,21 @@ def _signs(tree: Formula) -> tuple[int, ...]:
             return (1,) * len(operands(tree))
 
 
-def _outermost(tree: Formula) -> Formula:
+def outermost(tree: Formula) -> Formula:
     """Return the formula with `always` or `eventually` outermost where an equal one has it."""
     match tree:
         case Not(operand):
-            match _outermost(operand):
+            match outermost(operand):
                 case Always(inner, interval):
                     return Eventually(_negated(inner), interval)
                 case Eventually(inner, interval):
                     return Always(_negated(inner), interval)
         case And(left, right):
-            match _outermost(left), _outermost(right):
+            match outermost(left), outermost(right):
                 case Always(one, interval), Always(other, also) if interval == also:
                     return Always(And(one, other), interval)
         case Or(left, right):
-            match _outermost(left), _outermost(right):
+            match outermost(left), outermost(right):
                 case Eventually(one, interval), Eventually(other, also) if interval == also:
                     return Eventually(Or(one, other), interval)
     return tree
@@ -197,7 +197,7 @@ def _negated(tree: Formula) -> Formula:
 
 def _complete(tree: Formula, grid: Grid) -> Flags:
     """Return where `tree` can be read: its intervals contain a sample, and end before the trajectory does."""
-    found = np.ones(len(grid), dtype=np.bool_)
+    found: Flags = np.ones(len(grid), dtype=np.bool_)
     if isinstance(tree, Temporal):
         windows = grid.windows(tree.interval)
         found = (windows.first < windows.stop) & grid.reaches(tree.interval)
@@ -213,8 +213,10 @@ def _complete(tree: Formula, grid: Grid) -> Flags:
 
 def _throughout(flags: Flags, windows: Windows) -> Flags:
     """Return whether `flags` hold in the whole window of each sample."""
-    return sliding.minimum(flags.astype(np.float64), windows) == 1.0
+    found: Flags = sliding.minimum(flags.astype(np.float64), windows) == 1.0
+    return found
 
 
 def _first(samples: int) -> Flags:
-    return np.arange(samples) == 0
+    found: Flags = np.arange(samples) == 0
+    return found

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from perfbound.orchestrator.mathematics.stl import over_time
-from perfbound.orchestrator.mathematics.stl.over_time import robustness_signal, worst_moment
+from perfbound.orchestrator.mathematics.stl.over_time import WorstMoment, robustness_signal, worst_moment
 from perfbound.orchestrator.mathematics.stl.parser import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 from perfbound.orchestrator.mathematics.stl.text import text
@@ -48,8 +48,8 @@ def traces(samples: int = 9) -> st.SearchStrategy[NDArray[np.float64]]:
 def test_the_robustness_is_one_of_the_values_of_the_signal(formula: str, samples: NDArray[np.float64]) -> None:
     tree = parse_formula(formula, NAMES)
     found, expected = robustness_signal(tree, NAMES, samples), robustness(tree, NAMES, samples)
-    picked = {"least": np.nanmin, "greatest": np.nanmax, "first": lambda values: values[0]}[found.attained]
-    assert picked(found.values) == expected
+    picked = {"least": np.nanmin(found.values), "greatest": np.nanmax(found.values), "first": found.values[0]}
+    assert picked[found.attained] == expected
 
 
 @pytest.mark.parametrize("formula", FORMULAS)
@@ -117,16 +117,14 @@ def test_the_outermost_operator_is_taken_off(formula: str, shown: str, attained:
 def test_a_stretch_with_one_margin_is_a_moment_and_two_are_none() -> None:
     tree, t = parse_formula("always x >= 2"), np.arange(5.0)
     stopped = worst_moment(tree, ("t", "x"), np.column_stack([t, [5, 3, 1, 1, 1]]))
-    assert stopped is not None
-    assert (stopped.first, stopped.last, stopped.columns) == (2, 4, {"x"})
+    assert stopped == WorstMoment(2, 4, frozenset({"x"}))
     assert worst_moment(tree, ("t", "x"), np.column_stack([t, [5, 1, 3, 1, 3]])) is None
 
 
 def test_two_predicates_at_one_time_are_one_moment() -> None:
     samples = np.array([[0.0, 3.0, 3.0], [1.0, 1.0, 1.0], [2.0, 3.0, 3.0]])
     found = worst_moment(parse_formula("always (x >= 2 and y >= 2)"), NAMES, samples)
-    assert found is not None
-    assert (found.first, found.last, found.columns) == (1, 1, {"x", "y"})
+    assert found == WorstMoment(1, 1, frozenset({"x", "y"}))
 
 
 def test_an_until_over_very_many_samples_has_no_moment(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -140,7 +140,9 @@ def test_a_specification_of_another_form_has_no_margins(text: str) -> None:
     assert margins(parse_formula(text), swinging()) is None
 
 
-@pytest.mark.parametrize("text", ["always abs(x) <= 1", "always (x <= 1 or x >= 2) and always x >= -0.9", "not eventually x > 0.5"])
+@pytest.mark.parametrize(
+    "text", ["always abs(x) <= 1", "always (x <= 1 or x >= 2) and always x >= -0.9", "not eventually x > 0.5"]
+)
 def test_the_least_margin_is_the_robustness(text: str) -> None:
     tree, trajectory = parse_formula(text), swinging()
     found = margins(tree, trajectory)
