@@ -1,6 +1,6 @@
 """The rollouts of one test as curves, from their files."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -28,17 +28,18 @@ def of_test(
     x: tuple[float, ...],
     *,
     system: str | None = None,
+    also: Collection[str] = (),
 ) -> RolloutsOfTest:
     """Return the rollouts of one test, whose start is `x`; `error` names the files that cannot be read.
 
-    `system` is the reference of a system that is not installed.
+    `system` is the reference of a system that is not installed. Rollouts `also` have curves, whatever their robustness.
     """
     columns = curves.relevant_columns(header, problem)
     others = curves.further_columns(header, columns)
     further = others[: curves.MOST_FURTHER]
     limits, tree = curves.limits(header, (*columns, *further)), curves.formula(header)
     traces, more, drawn, errors = list[Curve](), list[Curve](), list[DrawnRollout](), list[str]()
-    for fact in _with_curves(facts):
+    for fact in _with_curves(facts, also):
         try:
             trajectory = read_recorded(directory, fact).trajectory
         except PerfboundError as error:
@@ -117,12 +118,14 @@ def _is_inside(path: str) -> bool:
     return bool(parts) and parts[0] == files.FOLDER and ".." not in parts
 
 
-def _with_curves(facts: Sequence[RolloutFact]) -> Iterator[RolloutFact]:
-    """Yield the worst replicates, each true one after the nominal one that it is compared with."""
+def _with_curves(facts: Sequence[RolloutFact], also: Collection[str]) -> Iterator[RolloutFact]:
+    """Yield the worst replicates and `also` some others, each true one after the nominal one that it is compared with."""
     true = [fact for fact in facts if fact.rollout.variant == "true"]
     nominal = {fact.rollout.replicate: fact for fact in facts if fact.rollout.variant == "nominal"}
     yielded = set()
-    for fact in _worst_first(true or facts)[:MOST_REPLICATES]:
+    for place, fact in enumerate(_worst_first(true or facts)):
+        if place >= MOST_REPLICATES and str(fact.rollout) not in also:
+            continue
         # A nominal system without noise has one rollout for all replicates.
         partner = nominal.get(fact.rollout.replicate) or nominal.get(0)
         if true and partner and partner.rollout not in yielded:

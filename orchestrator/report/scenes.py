@@ -24,7 +24,7 @@ class SceneCache:
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
-        self._found: dict[tuple[str, int], RolloutsOfTest] = {}
+        self._found: dict[tuple[tuple[str, int], frozenset[str]], RolloutsOfTest] = {}
 
     def of_test(
         self,
@@ -34,25 +34,26 @@ class SceneCache:
         *,
         final: bool,
         system: str | None,
+        also: frozenset[str],
     ) -> RolloutsOfTest:
         """Return the rollouts of a test; `of` is the problem whose columns are drawn, and the start of the test.
 
-        Those of a `final` test do not change.
+        Those of a `final` test do not change. Beside the worst rollouts, those `also` named have curves.
 
         Raises:
             PerfboundError: it has none yet, or the database cannot be read.
 
         """
-        if test in self._found:
-            return self._found[test]
+        if (test, also) in self._found:
+            return self._found[test, also]
         facts = rollouts_of(self._directory, *test)
         if not facts:
             raise PerfboundError(f"{self._directory}: test {test[1]} of {test[0]} has no rollout yet; retry later")
         problem, x = of
-        found = rollouts.of_test(self._directory, header, problem, facts, x, system=system)
+        found = rollouts.of_test(self._directory, header, problem, facts, x, system=system, also=also)
         # An observed test gets no more rollouts; a file that could not be read may be restored, so it is read again.
         if found.error is None and final:
-            self._found[test] = found
+            self._found[test, also] = found
             if len(self._found) > MOST_CACHED:
                 del self._found[next(iter(self._found))]
         return found
