@@ -13,7 +13,7 @@ function counterexampleSection(report) {
     const text = report.specification === null ? "Not applicable: the campaign has no specification." : none;
     return el("section#counterexamples", { "data-violations": 0 }, head, el("p", text));
   }
-  const after = later ? `, and ${count(later)} in checks after the campaign` : "";
+  const after = later ? `, and ${count(later)} after the campaign` : "";
   return el(
     "section#counterexamples",
     { "data-violations": violations },
@@ -61,13 +61,11 @@ function groupStarts(report, { starts }, { rollouts, unit, open }) {
       startRollouts(report, start, { rollouts, unit }),
     );
   const elements = starts.map(entry);
+  const left = starts.length - PAPER_STARTS;
+  // On paper the last one and the number of those that follow stay together.
+  if (left > 0) elements[PAPER_STARTS - 1] = el("div.together", elements[PAPER_STARTS - 1], el("p.on-paper", `and ${plural(left, "start")} more, in counterexamples.csv`));
   const rest = elements.slice(FIRST_STARTS);
-  return el(
-    "div.starts",
-    elements.slice(0, FIRST_STARTS),
-    rest.length ? el("details.more", el("summary", plural(rest.length, "further start")), rest) : null,
-    starts.length > PAPER_STARTS ? el("p.paper", `and ${plural(starts.length - PAPER_STARTS, "start")} more, in counterexamples.csv`) : null,
-  );
+  return el("div.starts", elements.slice(0, FIRST_STARTS), rest.length ? el("details.more", el("summary", plural(rest.length, "further start")), rest) : null);
 }
 
 /** The listed rollouts of a start, each with the command that repeats it. */
@@ -88,7 +86,7 @@ function rolloutList(report, rollouts, { unit = robustnessUnit(report), at = fal
   const cells = (each) => (at ? [name(each), words(each.variant)] : [test(each), words(each.variant), place(each.x, report.axes)]);
   const list = (some) => rolloutTable(["Test", "Variant", ...(at ? [] : ["Start"])], some, cells, { unit, onPaper: PAPER_ROWS, where: "in counterexamples.csv" });
   const rest = rollouts.slice(FIRST_ROWS);
-  return [list(rollouts.slice(0, FIRST_ROWS)), rest.length ? el("details.more", { "data-paper": "folded" }, el("summary", `${rest.length} more`), list(rest)) : null, rest.length ? el("p.paper", `and ${count(rest.length)} more, in counterexamples.csv`) : null];
+  return [list(rollouts.slice(0, FIRST_ROWS)), rest.length ? el("details.more", { "data-paper": "folded" }, el("summary", `${rest.length} more`), list(rest)) : null, rest.length ? el("p.on-paper", `and ${count(rest.length)} more, in counterexamples.csv`) : null];
 }
 
 function rolloutsByStart(rollouts) {

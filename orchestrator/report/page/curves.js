@@ -83,7 +83,7 @@ function curveFigures(report, data) {
 function curveControls(data, rollouts) {
   return el(
     "div.curve-controls",
-    el("p.muted.drawn", drawnText(data, rollouts)),
+    el("p.muted.drawn", drawnText(data, rollouts), el("span.hint", " Press a rollout to switch its curves off.")),
     el("div.rollout-keys", { role: "group", "aria-label": "Rollouts with curves" }, rollouts.map(rolloutKey)),
     el("p.readout#read-rollout", { "data-keep": true, "aria-live": "polite" }),
     el(
@@ -104,7 +104,7 @@ function drawnText(data, rollouts) {
     if (drawn === 0) return "";
     return drawn < all ? `${drawn} of ${plural(all, `${variant} rollout`)}` : plural(drawn, `${variant} rollout`);
   });
-  return `Curves: ${parts.filter(Boolean).join(", ") || plural(rollouts.length, "rollout")}, the worst in a thick line. Press a rollout to switch its curves off.`;
+  return `Curves: ${parts.filter(Boolean).join(", ") || plural(rollouts.length, "rollout")}, the worst in a thick line.`;
 }
 
 function rolloutKey(rollout) {

@@ -6,7 +6,7 @@ const PAPER_ROWS = 12; // of a table of rollouts
 function shortenedOnPaper(tableElement, most, where) {
   const rows = [...tableElement.querySelectorAll("tbody tr")].slice(most);
   for (const row of rows) row.classList.add("screen");
-  return rows.length ? el("p.paper", `and ${count(rows.length)} more, ${where}`) : null;
+  return rows.length ? el("p.on-paper", `and ${count(rows.length)} more, ${where}`) : null;
 }
 
 /** A string of CSS; every other character is escaped, so that no name can end it. */
