@@ -246,7 +246,9 @@ class Collector:
         x, checks = self._start(series, test), closing_check(series) is not None
         assert x is not None, "proposed before it was rolled out"
         final = self._certificate is not None if checks else test < len(collector.observed)
-        also = frozenset(each.rollout for each in self._violations.ranked if (each.problem, each.test) == (series, test))
+        also = frozenset(
+            each.rollout for each in self._violations.ranked if (each.problem, each.test) == (series, test)
+        )
         return self._scenes.of_test(
             self._header, (series, test), (collector.problem, x), final=final, system=self._system, also=also
         )

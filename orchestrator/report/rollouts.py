@@ -56,7 +56,7 @@ def of_test(
             )
             traces += of_rollout(columns)
             more += of_rollout(further, most=curves.FURTHER_POINTS)
-            drawn.append(over_time.described(fact, trajectory, tree))
+            drawn.append(over_time.drawn_rollout(fact, trajectory, tree))
     shown = over_time.shown_formula(tree)
     return RolloutsOfTest(
         problem=facts[0].rollout.problem,
@@ -119,7 +119,7 @@ def _is_inside(path: str) -> bool:
 
 
 def _with_curves(facts: Sequence[RolloutFact], also: Collection[str]) -> Iterator[RolloutFact]:
-    """Yield the worst replicates and `also` some others, each true one after the nominal one that it is compared with."""
+    """Yield the worst replicates and those `also` named, each true one after its nominal one."""
     true = [fact for fact in facts if fact.rollout.variant == "true"]
     nominal = {fact.rollout.replicate: fact for fact in facts if fact.rollout.variant == "nominal"}
     yielded = set()

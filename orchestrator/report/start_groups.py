@@ -43,7 +43,8 @@ def _scaled(starts: Sequence[ViolatingStart], ranges: Sequence[tuple[float, floa
     """Return the starts (n, p) in the unit cube; a parameter of one value is 0."""
     low, high = np.array(ranges, dtype=np.float64).reshape(-1, 2).T
     width = np.where(high > low, high - low, np.inf)
-    scaled: NDArray[np.float64] = (np.array([start.x for start in starts]).reshape(-1, len(low)) - low) / width
+    points = np.array([start.x for start in starts], dtype=np.float64).reshape(len(starts), len(low))
+    scaled: NDArray[np.float64] = (points - low) / width
     return scaled
 
 

@@ -77,11 +77,11 @@ def robustness_signal(tree: Formula, names: Sequence[str], samples: Floats) -> R
     match outermost(tree):
         case Always(operand, interval) | Eventually(operand, interval) as outer:
             attained: Attained = "least" if isinstance(outer, Always) else "greatest"
-            shown, read = operand, grid.windows(interval).cover(_first(len(grid)))
+            shown, read = operand, grid.windows(interval).cover(_first_sample(len(grid)))
         case _:
             shown, attained, read = tree, "first", np.ones(len(grid), dtype=np.bool_)
     values = margins_at_samples(shown, signals, grid)
-    return RobustnessSignal(shown, np.where(read & _complete(shown, grid), values, np.nan), attained)
+    return RobustnessSignal(shown, np.where(read & _readable(shown, grid), values, np.nan), attained)
 
 
 def worst_moment(tree: Formula, names: Sequence[str], samples: Floats) -> WorstMoment | None:
@@ -105,7 +105,7 @@ def worst_moment(tree: Formula, names: Sequence[str], samples: Floats) -> WorstM
     signals, grid = Signals(names, samples), Grid(samples[:, 0])
     grid.check(tree)
     found = _Deciding(signals, grid)
-    if not found.follow(tree, _first(len(grid))):
+    if not found.follow(tree, _first_sample(len(grid))):
         return None
     rows = np.flatnonzero(found.samples)
     if rows[-1] - rows[0] + 1 != len(rows):
@@ -195,7 +195,7 @@ def _negated(tree: Formula) -> Formula:
     return tree.operand if isinstance(tree, Not) else Not(tree)
 
 
-def _complete(tree: Formula, grid: Grid) -> Flags:
+def _readable(tree: Formula, grid: Grid) -> Flags:
     """Return where `tree` can be read: its intervals contain a sample, and end before the trajectory does."""
     found: Flags = np.ones(len(grid), dtype=np.bool_)
     if isinstance(tree, Temporal):
@@ -204,10 +204,10 @@ def _complete(tree: Formula, grid: Grid) -> Flags:
         since = windows.since_now() if isinstance(tree, Until) and tree.reading == "standard" else windows
         spans = (since, windows) if isinstance(tree, Until) else (windows,)
         for part, span in zip(operands(tree), spans, strict=True):
-            found = found & _throughout(_complete(part, grid), span)
+            found = found & _throughout(_readable(part, grid), span)
         return found
     for part in operands(tree):
-        found = found & _complete(part, grid)
+        found = found & _readable(part, grid)
     return found
 
 
@@ -217,6 +217,6 @@ def _throughout(flags: Flags, windows: Windows) -> Flags:
     return found
 
 
-def _first(samples: int) -> Flags:
+def _first_sample(samples: int) -> Flags:
     found: Flags = np.arange(samples) == 0
     return found

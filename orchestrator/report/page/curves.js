@@ -373,10 +373,11 @@ function focusRollout(key) {
 
 function showFocus() {
   let text = "";
-  for (const { plot, of } of curvePlots.values()) {
+  for (const [id, { plot, of }] of curvePlots) {
     const k = of.rollouts.findIndex((each) => each.key === curveView.focused);
     if (k >= 0) text = identityText(of.rollouts[k]);
     plot.setSeries(k < 0 ? null : k + 1, { focus: k >= 0 }, false);
+    readCurves(plot, id, of);
   }
   const output = document.getElementById("read-rollout");
   if (output) output.textContent = text;

@@ -393,6 +393,14 @@ def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
 # Rollouts of a test
 
 
+def test_every_recorded_column_is_of_the_specification_or_a_further_one() -> None:
+    about = header("always (abs(phi) <= 0.95)")
+    shown = curves.relevant_columns(about, about.config.problems[0])
+    others = curves.further_columns(about, shown)
+    assert shown == ("phi",)
+    assert ("t", *sorted((*shown, *others))) == ("t", *sorted(each.name for each in about.spec.columns[1:]))
+
+
 def test_a_scene_shows_the_worst_tests_nominal_against_true(finished: Path) -> None:
     report_data = collected(finished)
     for problem in report_data.problems:
