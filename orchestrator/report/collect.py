@@ -6,12 +6,13 @@ It reads the run directory of a running, stopped or finished campaign and change
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 
 from ...schemas.certificate import Certificate, Predicate, ProblemResult
 from ...schemas.errors import JournalError, PerfboundError
-from ...schemas.facts import ExtensionFact, Header, ProposalFact, RolloutFact
-from ...schemas.ids import CLOSING, RECHECK, RolloutId, closing_check
+from ...schemas.facts import ExtensionFact, Header, ProposalFact
+from ...schemas.ids import CLOSING, closing_check
 from ...schemas.requirements import parts_of
 from ..campaign.observation import of_requirement
 from ..campaign.plan import plans
@@ -20,23 +21,24 @@ from ..certificate.text import check_sentences
 from ..run.format import replay_command, resume_command
 from ..run.verdict import verdict_of
 from ..store import lock
-from ..store.changes import ChangeReader, Changes, Session, rollouts_of
+from ..store.changes import ChangeReader, Changes, Session
 from . import rollouts, wording
 from .charts import LaterCharts
 from .claim_data import VerdictCard, assumption_row
 from .counterexample import ending_counterexample
-from .data import Axis, Problem, RegionMap, ReportData, RolloutsOfTest, State
+from .data import Axis, Problem, RegionMap, ReportData, State
 from .problem import ProblemCollector
 from .provenance import provenance
 from .question import required_words
 from .ranges import ranges
+from .rollout_data import RolloutsOfTest
+from .scenes import SceneCache, bounded_scenes
 from .trust import TrustStatistics
+from .violations import ViolationStatistics
 from .workers import LiveState, WorkerStatistics
 
 WORST_STARTS = 8
 """Starts of each problem whose rollouts are part of the data."""
-MOST_CACHED = 200
-"""Tests whose rollouts are kept."""
 MOST_COUNTEREXAMPLES = 1000
 """Counterexamples in the data; counterexamples.csv lists all of them."""
 
@@ -56,10 +58,10 @@ class Collector:
         self._checked: dict[tuple[str, int], tuple[float, ...]] = {}
         """The start of each test of a closing check."""
         self._workers, self._trust = WorkerStatistics(), TrustStatistics()
-        self._violations: list[RolloutFact] = []
+        self._violations = ViolationStatistics(self.directory)
         self._system: str | None = None
         self._code: str | None = None
-        self._cache: dict[tuple[str, int], RolloutsOfTest] = {}
+        self._scenes = SceneCache(self.directory)
         self._divided: dict[str, RegionMap | None] = {}
         self._charts = LaterCharts(self.directory)
         self._verdict: VerdictCard | None = None
@@ -88,6 +90,8 @@ class Collector:
         """
         if self._header is None:
             self.refresh()
+        if (problem, test) in self._checked:
+            return self._rollouts(problem, test)
         if problem not in self._problems:
             known = ", ".join(self._problems)
             raise PerfboundError(f"{self.directory}: no problem {problem[:80]!r}; choose one of {known}")
@@ -143,12 +147,12 @@ class Collector:
         self._charts.refresh()
         self._workers.add(changes)
         self._trust.add(changes)
-        # A recheck repeats rollouts that have been counted.
-        self._violations += (fact for fact in changes.violations if closing_check(fact.rollout.problem) != RECHECK)
-        self._violations.sort(key=lambda fact: (fact.robustness, fact.rollout))
+        self._violations.add(changes.violations, changed=bool(changes.decisions or changes.rollouts))
 
     def _data(self, header: Header, live: Mapping[str, LiveState], at: float | None) -> ReportData:
-        config, predicate = header.config, self._certificate.predicate if self._certificate else None
+        config, violations = header.config, self._violations
+        predicate = self._certificate.predicate if self._certificate else None
+        violations.refresh(header, self._start)
         results = {each.key: each for each in predicate.problems} if predicate else {}
         problems = tuple(self._problem(each, results.get(key), predicate) for key, each in self._problems.items())
         claims = wording.worded(predicate) if predicate else ()
@@ -176,17 +180,19 @@ class Collector:
             assumptions=tuple(map(assumption_row, predicate.assumptions)) if predicate else (),
             checks=check_sentences(predicate) if predicate else (),
             problems=problems,
-            scenes=tuple(self._rollouts(*test) for test in _worst_tests(self._problems.values())),
+            scenes=tuple(bounded_scenes(self._rollouts(*test) for test in self._shown_tests())),
             counterexamples=tuple(
                 rollouts.described(
                     fact,
-                    self._start(fact.rollout),
+                    self._start(*fact.rollout[:2]) or (),
                     replay_command(self.directory, header, str(fact.rollout), self._system),
                 )
-                for fact in self._violations[:MOST_COUNTEREXAMPLES]
+                for fact in violations.facts[:MOST_COUNTEREXAMPLES]
             ),
-            violations=len(self._violations),
-            later_violations=sum(closing_check(fact.rollout.problem) is not None for fact in self._violations),
+            violations=len(violations.facts),
+            later_violations=violations.later,
+            ranked=violations.ranked,
+            violating=violations.violating,
             rollouts=sum(each.rollouts for each in problems if each.requirement is None),
             workers=workers,
             throughput=self._workers.throughput(),
@@ -196,7 +202,7 @@ class Collector:
             more_workers=more,
             counterexample=ending_counterexample(
                 self._problems.values(),
-                self._violations,
+                violations.facts,
                 predicate.counterexample if predicate else None,
                 header,
                 lambda rollout: replay_command(self.directory, header, rollout, self._system),
@@ -224,39 +230,41 @@ class Collector:
             self._divided[collector.problem.name] = collector.regions(self.directory, predicate)
         return self._divided.get(collector.problem.name)
 
-    def _start(self, rollout: RolloutId) -> tuple[float, ...]:
-        if closing_check(rollout.problem):
-            return self._checked[rollout.problem, rollout.test]
-        return self._problems[rollout.problem].starts[rollout.test]
+    def _start(self, series: str, test: int) -> tuple[float, ...] | None:
+        if closing_check(series):
+            return self._checked.get((series, test))
+        starts = self._problems[series].starts
+        return starts[test] if test < len(starts) else None
 
     def _state(self) -> State:
         if self._certificate is not None:
             return "finished"
         return "running" if lock.is_held(self.directory) else "stopped"
 
-    def _rollouts(self, problem: str, test: int) -> RolloutsOfTest:
-        key, collector = (problem, test), self._problems[problem]
-        if key in self._cache:
-            return self._cache[key]
-        facts = rollouts_of(self.directory, problem, test)
-        if not facts:
-            raise PerfboundError(f"{self.directory}: test {test} of {problem} has no rollout yet; retry later")
+    def _shown_tests(self) -> list[tuple[str, int]]:
+        """Return the tests whose rollouts are part of the data, those that a report needs most first."""
+        ranked = [(each.problem, each.test) for each in self._violations.ranked]
+        return list(dict.fromkeys([*ranked, *_worst_tests(self._problems.values())]))
+
+    def _rollouts(self, series: str, test: int) -> RolloutsOfTest:
         assert self._header is not None, "read before"
-        found = rollouts.of_test(
-            self.directory, self._header, collector.problem, facts, collector.starts[test], system=self._system
+        # A closing check has no columns of its own: those of the first problem.
+        collector = self._problems.get(series) or next(iter(self._problems.values()))
+        x, checks = self._start(series, test), closing_check(series) is not None
+        assert x is not None, "proposed before it was rolled out"
+        final = self._certificate is not None if checks else test < len(collector.observed)
+        also = frozenset(
+            each.rollout for each in self._violations.ranked if (each.problem, each.test) == (series, test)
         )
-        # An observed test gets no more rollouts; a file that could not be read may be restored, so it is read again.
-        if found.error is None and test < len(collector.observed):
-            self._cache[key] = found
-            if len(self._cache) > MOST_CACHED:
-                del self._cache[next(iter(self._cache))]
-        return found
+        return self._scenes.of_test(
+            self._header, (series, test), (collector.problem, x), final=final, system=self._system, also=also
+        )
 
 
 def _worst_tests(collectors: Iterable[ProblemCollector]) -> list[tuple[str, int]]:
-    """Return the worst tests of every problem and requirement, each once."""
-    tests = ((each.problem.name, test) for each in collectors for test in each.worst_tests(WORST_STARTS))
-    return list(dict.fromkeys(tests))
+    """Return the worst tests of every problem and requirement: the worst of each, then the second of each."""
+    tests = ([(each.problem.name, test) for test in each.worst_tests(WORST_STARTS)] for each in collectors)
+    return [test for place in zip_longest(*tests) for test in place if test is not None]
 
 
 def _collectors_of(collectors: Iterable[ProblemCollector], problem: str) -> list[ProblemCollector]:

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Sequence
 from ...schemas.certificate import Counterexample
 from ...schemas.facts import Header, RolloutFact
 from . import wording
-from .data import FoundCounterexample
 from .problem import ProblemCollector
+from .rollout_data import FoundCounterexample
 
 
 def ending_counterexample(

@@ -21,8 +21,8 @@ from ..mathematics.stl.tree import (
     columns,
     predicates,
 )
-from .data import Curve, InputCurve
 from .ranges import ranges
+from .rollout_data import Curve, InputCurve
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +32,10 @@ INPUT_POINTS = 101
 """Of an input signal, beside its knots."""
 MOST_COLUMNS = 3
 """Columns drawn for one test."""
+MOST_FURTHER = 40
+"""Further columns of a test, which a reader may ask for."""
+FURTHER_POINTS = 120
+"""Points of a curve of theirs."""
 
 
 def formula(header: Header) -> Formula | None:
@@ -55,6 +59,11 @@ def relevant_columns(header: Header, problem: Problem) -> tuple[str, ...]:
     return tuple(column.name for column in header.spec.columns if column.name in wanted)[:MOST_COLUMNS]
 
 
+def further_columns(header: Header, shown: Sequence[str]) -> tuple[str, ...]:
+    """Return the recorded columns beside those shown, in the order of the system; the first one is the time."""
+    return tuple(column.name for column in header.spec.columns[1:] if column.name not in shown)
+
+
 def limits(header: Header, names: Sequence[str]) -> tuple[tuple[str, float], ...]:
     """Return (column, limit) of every predicate that compares one column, or its absolute value, with a number."""
     tree = formula(header)
@@ -68,14 +77,21 @@ def column_unit(header: Header, name: str) -> str:
 
 
 def of_trajectory(
-    header: Header, names: Sequence[str], trajectory: Trajectory, label: str, variant: str
+    header: Header,
+    names: Sequence[str],
+    trajectory: Trajectory,
+    label: str,
+    variant: str,
+    *,
+    rollout: str = "",
+    most: int = MOST_POINTS,
 ) -> Iterator[Curve]:
-    """Yield the curves of one rollout; none for a single sample, which is a number."""
+    """Yield the curves of one rollout, of at most `most` points; none for a single sample, which is a number."""
     if len(trajectory.samples) < 2:
         return
     for name in names:
-        t, values = thinned(trajectory.samples[:, 0], trajectory.column(name))
-        yield Curve(label, variant, name, column_unit(header, name), t, values)
+        t, values = thinned(trajectory.samples[:, 0], trajectory.column(name), most)
+        yield Curve(label, variant, name, column_unit(header, name), t, values, rollout)
 
 
 def of_signals(header: Header, x: Sequence[float]) -> Iterator[InputCurve]:
@@ -106,12 +122,12 @@ def _before(signal: InputSignal) -> list[float]:
     return [t * (1 - 1e-6) for t in signal.times] if signal.kind == "constant" else []
 
 
-def thinned(t: Floats, values: Floats) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return a curve (T,) with at most `MOST_POINTS` points: its ends, and least and greatest value of equal parts."""
+def thinned(t: Floats, values: Floats, most: int = MOST_POINTS) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return a curve (T,) with at most `most` points: its ends, and least and greatest value of equal parts."""
     rows = np.arange(len(t))
-    if len(t) > MOST_POINTS:
+    if len(t) > most:
         # The extremes and not every n-th sample: a short peak may be the one that violates the specification.
-        parts = np.array_split(rows[1:-1], (MOST_POINTS - 2) // 2)
+        parts = np.array_split(rows[1:-1], (most - 2) // 2)
         extremes = [part[pick] for part in parts for pick in (np.argmin(values[part]), np.argmax(values[part]))]
         rows = np.unique([0, *extremes, len(t) - 1])
     return tuple(t[rows].tolist()), tuple(values[rows].tolist())

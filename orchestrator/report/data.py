@@ -14,11 +14,11 @@ from pydantic import BaseModel
 
 from ...schemas.certificate import CompositionTerms
 from ...schemas.problems import Quantity
-from ...schemas.signals import SignalKind
 from ..store.changes import ComparedResult
 from .chart_data import ProblemCharts
 from .claim_data import AssumptionRow, Claim, VerdictCard
 from .provenance import Provenance
+from .rollout_data import FoundCounterexample, RankedTest, Rollout, RolloutsOfTest, ViolatingStarts
 from .worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 
 State = Literal["running", "stopped", "finished"]
@@ -191,83 +191,6 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """A column of one rollout over time, thinned; its extremes are kept."""
-
-    label: str
-    variant: str
-    """"nominal" or "true"."""
-    column: str
-    unit: str
-    t: tuple[float, ...]
-    values: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class InputCurve:
-    """An input signal of a start over time, as the system gets it."""
-
-    name: str
-    unit: str
-    kind: SignalKind
-    t: tuple[float, ...]
-    values: tuple[float, ...]
-    knots: tuple[float, ...]
-    """The times of its knots."""
-    low: float
-    high: float
-    """The range of its knots."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rollout:
-    """One recorded rollout."""
-
-    id: str
-    problem: str
-    test: int
-    variant: str
-    replicate: int
-    seed: int
-    x: tuple[float, ...]
-    robustness: float | None
-    path: str
-    """Path of its file relative to the run directory; empty if the recorded one leaves it."""
-    command: str
-    """Command that simulates it again."""
-
-
-@dataclass(frozen=True, slots=True)
-class RolloutsOfTest:
-    """The rollouts of one test as curves, with the limits that the specification sets for their columns."""
-
-    problem: str
-    test: int
-    traces: tuple[Curve, ...]
-    limits: tuple[float, ...]
-    rollouts: tuple[Rollout, ...]
-    """The worst first, at most 24; only the first few have curves."""
-    limit_columns: tuple[str, ...] = ()
-    """The column of each limit."""
-    error: str | None = None
-    """Files that could not be read, in words; their curves are missing."""
-    inputs: tuple[InputCurve, ...] = ()
-    """The input signals of the test's start."""
-
-
-@dataclass(frozen=True, slots=True)
-class FoundCounterexample:
-    """The rollout that ended a campaign because it violates the specification."""
-
-    problem: str
-    test: int
-    sentence: str
-    """Its start, seed and robustness in words; also the nearest failing start, if it was sought."""
-    command: str
-    """Command that simulates it again."""
-
-
-@dataclass(frozen=True, slots=True)
 class ReportData:
     """All data of a campaign's report, at one moment."""
 
@@ -296,7 +219,8 @@ class ReportData:
     """What the spot check and the recheck after the campaign showed, a sentence each."""
     problems: tuple[Problem, ...]
     scenes: tuple[RolloutsOfTest, ...]
-    """The worst test of each of the worst starts of every problem, the worst first; a live page requests the others."""
+    """Of every problem the worst test of each of the worst starts, the worst first, and the tests of `ranked`; as many
+    as a report has room for. A live page requests the others."""
     counterexamples: tuple[Rollout, ...]
     """Rollouts with robustness below 0, the worst first, at most 1000."""
     violations: int
@@ -328,6 +252,10 @@ class ReportData:
     closing_rollouts: Mapping[str, int] = field(default_factory=dict)
     """Rollouts of each check after the campaign, which `rollouts` does not count."""
     provenance: Provenance | None = None
+    ranked: tuple[RankedTest, ...] = ()
+    """The tests that a reader wants first; the first of them is shown. Empty where no rollout has a robustness."""
+    violating: ViolatingStarts | None = None
+    """The starts of all violations; None where there is none."""
     where: str | None = None
     """The condition on the parameters, of a campaign that leaves out a part of the ranges."""
 

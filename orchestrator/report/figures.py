@@ -17,7 +17,8 @@ from matplotlib.lines import Line2D
 from ..certificate.text import outward
 from ..mathematics.gp.kernels import Floats
 from . import style
-from .data import Axis, Drawn, InputCurve, Problem, ReportData, Series, Surface
+from .data import Axis, Drawn, Problem, ReportData, Series, Surface
+from .rollout_data import InputCurve
 from .style import BLUE, GREEN, GREYS, RED, THICK, THIN
 
 MAP_HEIGHT, DECAY_HEIGHT, HISTOGRAM_HEIGHT, INPUT_HEIGHT = 2.8, 1.8, 2.4, 1.0

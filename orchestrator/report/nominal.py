@@ -13,7 +13,8 @@ from ..fleet.child import system_specs
 from ..fleet.simulate import simulate_to
 from ..store.read import read_header, reading
 from . import curves
-from .data import ReportData, Rollout, RolloutsOfTest
+from .data import ReportData
+from .rollout_data import Rollout, RolloutsOfTest
 from .stages import unreported
 
 MOST = 8

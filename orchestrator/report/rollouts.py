@@ -1,6 +1,7 @@
 """The rollouts of one test as curves, from their files."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from ...schemas.errors import EvidenceError, PerfboundError, TrajectoryError
@@ -9,8 +10,9 @@ from ...schemas.problem_models import Problem
 from ...schemas.trajectory import File, read_mcap
 from ..run.format import replay_command
 from ..store import files
-from . import curves
-from .data import Curve, Rollout, RolloutsOfTest
+from ..store.export_tables import robustness_unit
+from . import curves, over_time
+from .rollout_data import Curve, DrawnRollout, Rollout, RolloutsOfTest
 
 MOST_REPLICATES = 3
 """Replicates with curves, the worst ones."""
@@ -26,24 +28,38 @@ def of_test(
     x: tuple[float, ...],
     *,
     system: str | None = None,
+    also: Collection[str] = (),
 ) -> RolloutsOfTest:
     """Return the rollouts of one test, whose start is `x`; `error` names the files that cannot be read.
 
-    `system` is the reference of a system that is not installed.
+    `system` is the reference of a system that is not installed. Rollouts `also` have curves, whatever their robustness.
     """
     columns = curves.relevant_columns(header, problem)
-    limits = curves.limits(header, columns)
-    traces, errors = list[Curve](), list[str]()
-    for fact in _with_curves(facts):
+    others = curves.further_columns(header, columns)
+    further = others[: curves.MOST_FURTHER]
+    limits, tree = curves.limits(header, (*columns, *further)), curves.formula(header)
+    traces, more, drawn, errors = list[Curve](), list[Curve](), list[DrawnRollout](), list[str]()
+    for fact in _with_curves(facts, also):
         try:
             trajectory = read_recorded(directory, fact).trajectory
         except PerfboundError as error:
             errors.append(str(error))
         else:
             label = f"{fact.rollout.variant}, replicate {fact.rollout.replicate}"
-            traces += curves.of_trajectory(header, columns, trajectory, label, fact.rollout.variant)
+            of_rollout = partial(
+                curves.of_trajectory,
+                header,
+                trajectory=trajectory,
+                label=label,
+                variant=fact.rollout.variant,
+                rollout=str(fact.rollout),
+            )
+            traces += of_rollout(columns)
+            more += of_rollout(further, most=curves.FURTHER_POINTS)
+            drawn.append(over_time.drawn_rollout(fact, trajectory, tree))
+    shown = over_time.shown_formula(tree)
     return RolloutsOfTest(
-        problem=problem.name,
+        problem=facts[0].rollout.problem,
         test=facts[0].rollout.test,
         traces=tuple(traces),
         limits=tuple(limit for _, limit in limits),
@@ -54,6 +70,14 @@ def of_test(
         limit_columns=tuple(column for column, _ in limits),
         error="; ".join(errors) or None,
         inputs=tuple(curves.of_signals(header, x)),
+        drawn=tuple(drawn),
+        margin_of=shown[0] if any(each.t for each in drawn) else "",
+        attained=shown[1],
+        margin_unit=robustness_unit(header.config, header.spec),
+        further=tuple(more),
+        further_columns=further,
+        more_columns=len(others) - len(further),
+        x=x,
     )
 
 
@@ -94,12 +118,14 @@ def _is_inside(path: str) -> bool:
     return bool(parts) and parts[0] == files.FOLDER and ".." not in parts
 
 
-def _with_curves(facts: Sequence[RolloutFact]) -> Iterator[RolloutFact]:
-    """Yield the worst replicates, each true one after the nominal one that it is compared with."""
+def _with_curves(facts: Sequence[RolloutFact], also: Collection[str]) -> Iterator[RolloutFact]:
+    """Yield the worst replicates and those `also` named, each true one after its nominal one."""
     true = [fact for fact in facts if fact.rollout.variant == "true"]
     nominal = {fact.rollout.replicate: fact for fact in facts if fact.rollout.variant == "nominal"}
     yielded = set()
-    for fact in _worst_first(true or facts)[:MOST_REPLICATES]:
+    for place, fact in enumerate(_worst_first(true or facts)):
+        if place >= MOST_REPLICATES and str(fact.rollout) not in also:
+            continue
         # A nominal system without noise has one rollout for all replicates.
         partner = nominal.get(fact.rollout.replicate) or nominal.get(0)
         if true and partner and partner.rollout not in yielded:

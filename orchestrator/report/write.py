@@ -12,7 +12,8 @@ from ..store.files import inside
 from . import html
 from .claim_data import VerdictCard
 from .collect import Collector
-from .data import ReportData, Rollout, to_json
+from .data import ReportData, to_json
+from .rollout_data import Rollout
 from .stages import unreported
 
 REPORT, COUNTEREXAMPLES, FIGURES = "report.html", "counterexamples.csv", "figures"

@@ -24,6 +24,16 @@ _COUNTS = f"""
     count(DISTINCT CASE WHEN robustness < 0 THEN x END), min(robustness) {_OF}
 """
 _WORST = f"SELECT problem, test, replicate {_OF} AND robustness = ? ORDER BY problem, test, replicate LIMIT 1"
+_ORDER = "ORDER BY robustness, problem, test, replicate LIMIT 1"
+_NTH = f"SELECT problem, test, replicate, robustness {_OF} {_ORDER} OFFSET ?"
+_FIRST = f"SELECT problem, test, replicate, robustness {_OF} AND robustness < 0 ORDER BY test, replicate LIMIT 1"
+# Beside the only min(), SQLite takes the columns that are no aggregates from a row that has it.
+_STARTS = """
+    SELECT problem, test, count(CASE WHEN robustness < 0 THEN 1 END) AS violations, count(*), min(robustness)
+    FROM rollouts JOIN tests USING (problem, test)
+    WHERE problem IN (SELECT value FROM json_each(?)) AND robustness IS NOT NULL
+    GROUP BY x HAVING violations > 0
+"""
 _VALUES = f"SELECT test, replicate, x, robustness {_OF} ORDER BY test, replicate"
 
 
@@ -36,6 +46,33 @@ class RolloutValue(NamedTuple):
     start: str
     """As the database has it: equal for equal starts."""
     robustness: float
+
+
+class RankedRollout(NamedTuple):
+    """One rollout of those behind the bounds and in the closing checks."""
+
+    rollout: RolloutId
+    robustness: float
+
+
+class RankedRollouts(NamedTuple):
+    """The rollouts of a variant at the ends and in the middle of their order by robustness; `first` violates."""
+
+    number: int
+    worst: RankedRollout
+    median: RankedRollout
+    best: RankedRollout
+    first: RankedRollout | None
+
+
+class StartViolations(NamedTuple):
+    """The violations at one start, that of a test whose rollout has the least robustness."""
+
+    series: str
+    test: int
+    violations: int
+    rollouts: int
+    least: float
 
 
 def read_violations(directory: Path, variant: str) -> Violations:
@@ -58,6 +95,49 @@ def read_violations(directory: Path, variant: str) -> Violations:
         least=least,
         rollout=worst and str(RolloutId(worst[0], worst[1], variant, worst[2])),
     )
+
+
+def read_ranked(directory: Path, variant: str, problems: Sequence[str]) -> RankedRollouts | None:
+    """Return the worst, the median and the best rollout of a variant; None if none of it has a robustness.
+
+    The first violation is that of the first series in the order of `read_values`.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    with snapshot(directory) as connection:
+        series = sorted(_new_series(connection), key=lambda name: series_order(problems, name))
+        number = connection.execute(_COUNTS, [variant, json.dumps(series)]).fetchone()[0]
+        if not number:
+            return None
+        nth = [
+            connection.execute(_NTH, [variant, json.dumps(series), place]).fetchone()
+            for place in (0, (number - 1) // 2, number - 1)
+        ]
+        firsts = (connection.execute(_FIRST, [variant, json.dumps([name])]).fetchone() for name in series)
+        first = next(filter(None, firsts), None)
+    worst, median, best = (_ranked(variant, row) for row in nth)
+    return RankedRollouts(number, worst, median, best, first and _ranked(variant, first))
+
+
+def _ranked(variant: str, row: tuple[str, int, int, float]) -> RankedRollout:
+    problem, test, replicate, robustness = row
+    return RankedRollout(RolloutId(problem, test, variant, replicate), robustness)
+
+
+def read_violating_starts(directory: Path) -> list[StartViolations]:
+    """Return the starts with rollouts of any variant that violate the specification.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    with snapshot(directory) as connection:
+        rows = connection.execute(_STARTS, [json.dumps(_new_series(connection))]).fetchall()
+    return [StartViolations(*row) for row in rows]
 
 
 def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Iterator[RolloutValue]:

@@ -7,16 +7,23 @@ from dataclasses import replace
 from perfbound.orchestrator.report.claim_data import AssumptionRow, Claim, assumption_row
 from perfbound.orchestrator.report.data import (
     Axis,
-    Curve,
     Drawn,
-    FoundCounterexample,
-    InputCurve,
     Problem,
     ReportData,
-    Rollout,
-    RolloutsOfTest,
     Surface,
     TestSeries,
+)
+from perfbound.orchestrator.report.rollout_data import (
+    Curve,
+    DrawnRollout,
+    FoundCounterexample,
+    InputCurve,
+    RankedTest,
+    Rollout,
+    RolloutsOfTest,
+    StartGroup,
+    ViolatingStart,
+    ViolatingStarts,
 )
 from perfbound.orchestrator.report.worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
 from perfbound.orchestrator.store.changes import ComparedResult
@@ -229,17 +236,95 @@ def hostile() -> ReportData:
 
 
 def rollouts_of_test(problem: str, test: int) -> RolloutsOfTest:
-    """The rollouts of a test: one nominal, two true."""
-    t = tuple(0.1 * k for k in range(21))
+    """The rollouts of a test: one nominal, two true, the second true one the worst; its moment is 1.4 s."""
+    t = tuple(round(0.1 * k, 1) for k in range(21))
     variants = (("nominal", 0), ("true", 0), ("true", 1))
-    rollouts = tuple(rollout(problem, test, variant, replicate) for variant, replicate in variants)
+    robustness = {("nominal", 0): 0.65, ("true", 0): 0.6, ("true", 1): 0.55}
+    rollouts = tuple(rollout(problem, test, *which, robustness[which]) for which in variants)
+
+    def phi(variant: str, k: int) -> tuple[float, ...]:
+        size = 0.95 - robustness[variant, k]
+        return tuple(size * math.sin(math.pi / 2 * each / 1.4) for each in t)
+
     traces = tuple(
-        Curve(f"{variant} {k}", variant, "phi", "rad", t, tuple(0.3 * math.sin(each + 0.2 * k) for each in t))
-        for variant, k in variants
+        Curve(
+            f"{each.variant} {each.replicate}",
+            each.variant,
+            "phi",
+            "rad",
+            t,
+            phi(each.variant, each.replicate),
+            each.id,
+        )
+        for each in rollouts
     )
+    drawn = tuple(
+        DrawnRollout(
+            each.id,
+            each.variant,
+            each.replicate,
+            each.seed,
+            each.robustness,
+            t,
+            tuple(0.95 - abs(value) for value in curve.values),
+            (1.4, 1.4) if each.replicate else (1.4, 1.5),
+            ("phi",),
+        )
+        for each, curve in zip(rollouts, traces, strict=True)
+    )
+    further = tuple(replace(curve, column=column) for column in ("vx", "vy") for curve in traces)
     signal = InputCurve("push", "N", "constant", (0.0, 0.9999, 1.0, 2.0), (0.5, 0.5, -1.0, -1.0), (0.0, 1.0), -2.0, 2.0)
     return RolloutsOfTest(
-        problem, test, traces, (-0.95, 0.95), rollouts, limit_columns=("phi", "phi"), inputs=(signal,)
+        problem,
+        test,
+        traces,
+        (-0.95, 0.95),
+        rollouts,
+        limit_columns=("phi", "phi"),
+        inputs=(signal,),
+        drawn=drawn,
+        margin_of="abs(phi) <= 0.95",
+        attained="least",
+        margin_unit="rad",
+        further=further,
+        further_columns=("vx", "vy"),
+        x=(1.0, 2.0),
+    )
+
+
+def violating(groups: int = 3, starts: int = 4, rollouts: int = 15) -> ReportData:
+    """Groups of starts with counterexamples, fewer of them listed than there are."""
+    report, found, listed = calm(), list[StartGroup](), list[Rollout]()
+    for group in range(groups):
+        members = []
+        for k in range(starts if group != 1 else 1):
+            x, worst = (1.0 * group, 0.1 * k), -3.0 + group + 0.1 * k
+            members.append(ViolatingStart(x, rollouts + 5, 2 * rollouts + 10, worst, "sim_gap", 10 * group + k))
+            for n in range(rollouts):
+                one = rollout("sim_gap", 10 * group + k, "true", n, worst + 0.001 * n)
+                listed.append(replace(one, x=x))
+        found.append(
+            StartGroup(
+                members[0].x,
+                members[-1].x,
+                tuple(members),
+                sum(each.violations for each in members),
+                sum(each.rollouts for each in members),
+                members[0].worst,
+            )
+        )
+    number = sum(len(group.starts) for group in found)
+    return replace(
+        report,
+        violations=number * (rollouts + 5) + 7,
+        rollouts=2 * number * (rollouts + 5) + 99,
+        counterexamples=tuple(sorted(listed, key=lambda each: each.robustness or 0.0)),
+        violating=ViolatingStarts(tuple(found), number + 2, 0.1, 2, 7, 19),
+        ranked=(
+            RankedTest("worst", "nominal_robustness", 0, "nominal_robustness.0.true.1", -3.0, "true", 845),
+            RankedTest("first violation", "spot_check", 5, "spot_check.5.true.0", -0.1, "true", 845),
+            RankedTest("best", "sim_gap", 0, "sim_gap.0.true.0", 0.7, "true", 845),
+        ),
     )
 
 

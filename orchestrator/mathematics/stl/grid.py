@@ -89,6 +89,13 @@ class Grid:
         stop = self._times.searchsorted(self._times + (interval.high + TOLERANCE), "right")
         return Windows(first, stop)
 
+    def reaches(self, interval: Interval) -> Flags:
+        """Return at which samples an interval ends before the trajectory does, shape (T,); one to its end does."""
+        if not interval.bounded:
+            return np.ones(len(self), dtype=np.bool_)
+        found: Flags = self._times + (interval.high - TOLERANCE) <= self._times[-1]
+        return found
+
     def check(self, tree: Formula) -> None:
         """Raise if a formula cannot be read at the first sample.
 

@@ -21,7 +21,7 @@ from .grid import Grid
 from .predicates import Floats, Signals
 from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Until
 
-__all__ = ["robustness"]
+__all__ = ["margins_at_samples", "robustness"]
 
 
 def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
@@ -49,32 +49,32 @@ def robustness(tree: Formula, columns: Sequence[str], samples: Floats) -> float:
     """
     signals, grid = Signals(columns, samples), Grid(samples[:, 0])
     grid.check(tree)
-    return float(_margins(tree, signals, grid)[0])
+    return float(margins_at_samples(tree, signals, grid)[0])
 
 
-def _margins(tree: Formula, signals: Signals, grid: Grid) -> Floats:
+def margins_at_samples(tree: Formula, signals: Signals, grid: Grid) -> Floats:
     """Return the robustness of `tree` at every sample, shape (T,); where `tree` is not read it has no meaning."""
     match tree:
         case Comparison():
             return signals.margins(tree)
         case Not(operand):
-            return -_margins(operand, signals, grid)
+            return -margins_at_samples(operand, signals, grid)
         case And(left, right):
-            return np.minimum(_margins(left, signals, grid), _margins(right, signals, grid))
+            return np.minimum(margins_at_samples(left, signals, grid), margins_at_samples(right, signals, grid))
         case Or(left, right):
-            return np.maximum(_margins(left, signals, grid), _margins(right, signals, grid))
+            return np.maximum(margins_at_samples(left, signals, grid), margins_at_samples(right, signals, grid))
         case Implies(left, right):
-            return np.maximum(-_margins(left, signals, grid), _margins(right, signals, grid))
+            return np.maximum(-margins_at_samples(left, signals, grid), margins_at_samples(right, signals, grid))
         case Always(operand, interval):
-            return sliding.minimum(_margins(operand, signals, grid), grid.windows(interval))
+            return sliding.minimum(margins_at_samples(operand, signals, grid), grid.windows(interval))
         case Eventually(operand, interval):
-            return sliding.maximum(_margins(operand, signals, grid), grid.windows(interval))
+            return sliding.maximum(margins_at_samples(operand, signals, grid), grid.windows(interval))
         case Until():
             return _until(tree, signals, grid)
 
 
 def _until(tree: Until, signals: Signals, grid: Grid) -> Floats:
-    left, right = _margins(tree.left, signals, grid), _margins(tree.right, signals, grid)
+    left, right = margins_at_samples(tree.left, signals, grid), margins_at_samples(tree.right, signals, grid)
     windows = grid.windows(tree.interval)
     from_start = sliding.until(left, right, windows)
     if tree.reading == "paper":

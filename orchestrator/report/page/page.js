@@ -29,6 +29,7 @@ function draw() {
     drawRegions(report, problem, index);
   });
   drawCurves(data);
+  writeMargins(report);
   drawThroughput(report.throughput);
   tidyCharts();
   page.drawn += 1;
@@ -65,24 +66,19 @@ function shownOn(problem) {
   return { series: page.series.get(problem.name) ?? (isListed(problem) ? bound : "mean"), chosen: page.axes.get(problem.name) ?? first };
 }
 
-/** The selected test: the choice of the reader, else the counterexample, else the worst of the first problem that has one. */
+/** The selected test: the choice of the reader, else the counterexample, else that of the worst rollout. */
 function selection() {
   if (page.chosen !== null) return page.chosen;
-  if (page.report.counterexample !== null) return page.report.counterexample;
-  for (const problem of page.report.problems) {
-    const [worst] = worstFirst(page.report, problem);
-    if (worst !== undefined) return { problem: problem.name, test: problem.tests.test[worst] };
-  }
-  return null;
+  return page.report.counterexample ?? rankedOf(page.report)[0] ?? null;
 }
 
 /** The rollouts of a test: from the report data, or fetched once. */
 function rolloutsOf(selected) {
   const found = page.report.scenes.find((each) => each.problem === selected.problem && each.test === selected.test);
-  if (found || page.live === null) return found ?? null;
+  if (page.live === null || (found && !lacksColumns(found))) return found ?? null;
   const key = `${selected.problem}:${selected.test}`;
   if (!page.fetched.has(key)) fetchRollouts(key, selected);
-  return page.fetched.get(key);
+  return page.fetched.get(key) ?? found;
 }
 
 async function fetchRollouts(key, selected) {
@@ -256,11 +252,12 @@ function onResize([{ contentRect }]) {
 
 let unfolded = [];
 
-/** Draw in the colours and width of paper with every <details> open, and afterwards as before. */
+/** Draw in the colours and width of paper with every <details> open that paper does not leave out, and afterwards as before. */
 function setPrinting(begins) {
   printing = begins;
   document.body.classList.toggle("paper", begins);
-  if (begins) unfolded = [...document.querySelectorAll("details:not([open])")];
+  if (begins) unfolded = [...document.querySelectorAll("details:not([open], [data-paper=folded])")];
+  if (page.report !== null) printTitle(page.report, begins);
   for (const each of unfolded) each.open = begins;
   draw();
 }

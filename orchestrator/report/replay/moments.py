@@ -12,42 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.trajectory import Floats, Trajectory
-from ...mathematics.stl.robustness import robustness
-from ...mathematics.stl.tree import REST, Always, And, Formula, Node, walk
-
-
-def at_each_moment(tree: Formula) -> Formula | None:
-    """Return f of a specification `always f`, or of a conjunction of such; None if it is of another form.
-
-    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
-    >>> from perfbound.orchestrator.mathematics.stl.text import text
-    >>> text(at_each_moment(parse_formula("always x <= 1 and always y <= 2")))
-    'x <= 1 and y <= 2'
-    >>> at_each_moment(parse_formula("eventually x <= 1")) is None
-    True
-
-    """
-    match tree:
-        case And(left, right):
-            one, other = at_each_moment(left), at_each_moment(right)
-            return And(one, other) if one is not None and other is not None else None
-        case Always(operand, interval) if interval == REST and not any(map(_is_temporal, walk(operand))):
-            return operand
-        case _:
-            return None
-
-
-def _is_temporal(node: Node) -> bool:
-    return hasattr(node, "interval")
+from ...mathematics.stl.over_time import robustness_signal
+from ...mathematics.stl.tree import Formula
 
 
 def margins(tree: Formula | None, trajectory: Trajectory) -> Floats | None:
-    """Return the margin at every sample, shape (T,), whose least value is the robustness; None if there is none."""
-    momentary = None if tree is None else at_each_moment(tree)
-    if momentary is None:
+    """Return the margin at every sample, shape (T,), whose least value is the robustness; None if there is none.
+
+    Only `always f` over the whole trajectory, or a conjunction of such, has one.
+    """
+    if tree is None:
         return None
-    rows = trajectory.samples[:, None, :]  # (T, 1, n): each sample alone
-    return np.array([robustness(momentary, trajectory.columns, row) for row in rows])
+    found = robustness_signal(tree, trajectory.columns, trajectory.samples)
+    return found.values if found.attained == "least" and not np.isnan(found.values).any() else None
 
 
 @dataclass(frozen=True, slots=True)

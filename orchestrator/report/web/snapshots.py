@@ -10,6 +10,7 @@ from anyio import to_thread
 from ....schemas.errors import PerfboundError
 from ..collect import Collector
 from ..data import ReportData, to_json
+from ..scenes import without_further
 from ..workers import LiveState
 
 SHORTEST_PAUSE = 1.0
@@ -100,6 +101,7 @@ class SnapshotCache:
         self._due = now + min(LONGEST_PAUSE, max(SHORTEST_PAUSE, now - began))
 
     def _store(self, data: ReportData) -> None:
+        data = replace(data, scenes=without_further(data.scenes))
         timeless = replace(data, updated=None)
         if timeless != self._data:
             number = self._snapshot.number + 1 if self._snapshot else 0

@@ -395,14 +395,25 @@ def test_the_unit_of_the_objective_is_that_of_its_column() -> None:
 # Rollouts of a test
 
 
+def test_every_recorded_column_is_of_the_specification_or_a_further_one() -> None:
+    about = header("always (abs(phi) <= 0.95)")
+    shown = curves.relevant_columns(about, about.config.problems[0])
+    others = curves.further_columns(about, shown)
+    assert shown == ("phi",)
+    assert ("t", *sorted((*shown, *others))) == ("t", *sorted(each.name for each in about.spec.columns[1:]))
+
+
 def test_a_scene_shows_the_worst_tests_nominal_against_true(finished: Path) -> None:
     report_data = collected(finished)
     for problem in report_data.problems:
+        ranked = {(each.problem, each.test) for each in report_data.ranked}
         shown = [scene for scene in report_data.scenes if scene.problem == problem.name]
         y, x = numbers(problem.tests.y), problem.tests.x
         order = sorted(problem.tests.test, key=lambda test: (y[test] if problem.sense == "min" else -y[test], test))
         worst = [test for place, test in enumerate(order) if x[test] not in [x[each] for each in order[:place]]]
-        assert [scene.test for scene in shown] == worst[:8]
+        others = [scene.test for scene in shown if (problem.name, scene.test) not in ranked]
+        assert others == [test for test in worst[:8] if (problem.name, test) not in ranked]
+        assert {test for name, test in ranked if name == problem.name} <= {scene.test for scene in shown}
         assert len(worst) < len(order) or problem.method != "scenario"
         for scene in shown:
             assert scene.error is None

@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from perfbound.orchestrator.report.collect import Collector
-from perfbound.orchestrator.report.data import ReportData, RolloutsOfTest
+from perfbound.orchestrator.report.data import ReportData
+from perfbound.orchestrator.report.rollout_data import RolloutsOfTest
 from perfbound.orchestrator.report.web import app
 from perfbound.orchestrator.report.web import snapshots as snapshots_module
 from perfbound.orchestrator.report.web.snapshots import SnapshotCache

@@ -20,8 +20,9 @@ from perfbound.orchestrator.cli import report
 from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.report import html as document
 from perfbound.orchestrator.report import nominal, write
-from perfbound.orchestrator.report.data import Axis, ReportData, Rollout, Surface, to_json
+from perfbound.orchestrator.report.data import Axis, ReportData, Surface, to_json
 from perfbound.orchestrator.report.figures import figures
+from perfbound.orchestrator.report.rollout_data import Rollout
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.facts import Header

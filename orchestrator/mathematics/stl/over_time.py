@@ -1,0 +1,222 @@
+"""Robustness over time: the signal that the robustness of a trajectory comes from, and the moment that decides it.
+
+| symbol      | name       | meaning                                                          | shape | unit         |
+|-------------|------------|------------------------------------------------------------------|-------|--------------|
+| phi         | `formula`  | what `always` or `eventually` is about, or the whole formula     |       |              |
+| rho(phi, k) | `values`   | its robustness at sample k; not a number where nothing reads it  | (T,)  | of predicate |
+| C           | `deciding` | samples where a part has the value that it passes on             | (T,)  |              |
+
+The robustness is made of predicate margins by min, max and sign alone, so it equals the margin, or its negative, of
+some predicate at some sample. From the whole formula at the first sample down to the predicates, C keeps the samples
+(of a minimum or maximum, those where it is attained) at which that number arises.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import sliding
+from .grid import Grid, Windows
+from .predicates import Floats, Signals
+from .robustness import margins_at_samples
+from .tree import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Temporal, Until, columns, operands
+
+__all__ = ["RobustnessSignal", "WorstMoment", "outermost", "robustness_signal", "worst_moment"]
+
+Flags = NDArray[np.bool_]
+Attained = Literal["least", "greatest", "first"]
+
+MOST_PAIRS = 4_000_000
+"""Pairs of samples that are compared for one `until`; of more its moment is not derived."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobustnessSignal:
+    """The robustness of `formula` at each sample; `attained` tells which of the values is the robustness of the whole.
+
+    The least one for `always`, the greatest one for `eventually`, else the first one: the whole formula, evaluated at
+    each sample on the rest of the trajectory.
+    """
+
+    formula: Formula
+    values: Floats
+    attained: Attained
+
+
+@dataclass(frozen=True, slots=True)
+class WorstMoment:
+    """The samples `first` to `last`, without a gap, at which the robustness is attained; `columns` are read there."""
+
+    first: int
+    last: int
+    columns: frozenset[str]
+
+
+def robustness_signal(tree: Formula, names: Sequence[str], samples: Floats) -> RobustnessSignal:
+    """Return the robustness of `tree`, or of what its outermost operator is about, at every sample of (T, n).
+
+    Formula: for `always[a,b] phi` and `eventually[a,b] phi` rho(phi, k) for the samples k in [a, b]; for a conjunction
+    of `always` with one interval that of the conjunction of their operands; for any other formula rho(tree, k).
+
+    Raises:
+        FormulaError: as in `robustness`.
+        ValueError: as in `robustness`.
+
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
+    >>> x = np.array([[0.0, 3.0], [1.0, 1.0], [2.0, 2.0]])
+    >>> found = robustness_signal(parse_formula("always[0,1] x >= 2"), ("t", "x"), x)
+    >>> found.values.tolist(), found.attained
+    ([1.0, -1.0, nan], 'least')
+
+    """
+    signals, grid = Signals(names, samples), Grid(samples[:, 0])
+    grid.check(tree)
+    match outermost(tree):
+        case Always(operand, interval) | Eventually(operand, interval) as outer:
+            attained: Attained = "least" if isinstance(outer, Always) else "greatest"
+            shown, read = operand, grid.windows(interval).cover(_first_sample(len(grid)))
+        case _:
+            shown, attained, read = tree, "first", np.ones(len(grid), dtype=np.bool_)
+    values = margins_at_samples(shown, signals, grid)
+    return RobustnessSignal(shown, np.where(read & _readable(shown, grid), values, np.nan), attained)
+
+
+def worst_moment(tree: Formula, names: Sequence[str], samples: Floats) -> WorstMoment | None:
+    """Return when the robustness of a trajectory (T, n) is attained; None if that is not one run of samples.
+
+    A run of several samples is a stretch with one and the same margin, as of a vehicle that has stopped. Two
+    stretches, or predicates that attain it at different times, are no moment.
+
+    Raises:
+        FormulaError: as in `robustness`.
+        ValueError: as in `robustness`.
+
+    >>> from perfbound.orchestrator.mathematics.stl.parser import parse_formula
+    >>> x = np.array([[0.0, 3.0], [1.0, 1.0], [2.0, 2.0], [3.0, 1.0]])
+    >>> worst_moment(parse_formula("always x >= 2 and eventually x >= 3"), ("t", "x"), x[:3])
+    WorstMoment(first=1, last=1, columns=frozenset({'x'}))
+    >>> worst_moment(parse_formula("always x >= 2"), ("t", "x"), x) is None
+    True
+
+    """
+    signals, grid = Signals(names, samples), Grid(samples[:, 0])
+    grid.check(tree)
+    found = _Deciding(signals, grid)
+    if not found.follow(tree, _first_sample(len(grid))):
+        return None
+    rows = np.flatnonzero(found.samples)
+    if rows[-1] - rows[0] + 1 != len(rows):
+        return None
+    return WorstMoment(int(rows[0]), int(rows[-1]), frozenset(found.columns))
+
+
+class _Deciding:
+    """The samples at which some predicate decides the robustness, and the columns of these predicates."""
+
+    def __init__(self, signals: Signals, grid: Grid) -> None:
+        self._signals, self._grid = signals, grid
+        self.samples: Flags = np.zeros(len(grid), dtype=np.bool_)
+        self.columns: set[str] = set()
+
+    def follow(self, tree: Formula, deciding: Flags) -> bool:
+        """Add what decides `tree` at the samples `deciding`, where it has one value; return whether it was derived."""
+        if not deciding.any():
+            return True
+        if isinstance(tree, Comparison):
+            self.samples |= deciding
+            self.columns |= columns(tree)
+            return True
+        value = self._margins(tree)[deciding][0]
+        if isinstance(tree, Until):
+            return self._follow_until(tree, deciding, value)
+        if isinstance(tree, Temporal):
+            deciding = self._grid.windows(tree.interval).cover(deciding)
+        parts = zip(operands(tree), _signs(tree), strict=True)
+        return all(self.follow(part, deciding & (sign * self._margins(part) == value)) for part, sign in parts)
+
+    def _follow_until(self, tree: Until, deciding: Flags, value: float) -> bool:
+        left, right = self._margins(tree.left), self._margins(tree.right)
+        windows = self._grid.windows(tree.interval)
+        if int(deciding.sum()) * len(left) > MOST_PAIRS:
+            return False
+        of_left, of_right = np.zeros_like(deciding), np.zeros_like(deciding)
+        for k in np.flatnonzero(deciding).tolist():
+            begin = k if tree.reading == "standard" else int(windows.first[k])
+            ends = slice(int(windows.first[k]), int(windows.stop[k]))
+            least = np.minimum.accumulate(left[begin : ends.stop])[ends.start - begin :]
+            best = np.flatnonzero(np.minimum(least, right[ends]) == value) + ends.start
+            of_right[best[right[best] == value]] = True
+            # Left decides up to the last of the ends that attain the value, where its minimum is that value.
+            last = best[least[best - ends.start] == value]
+            if last.size:
+                run = np.arange(begin, int(last[-1]) + 1)
+                of_left[run[left[run] == value]] = True
+        return self.follow(tree.left, of_left) and self.follow(tree.right, of_right)
+
+    def _margins(self, tree: Formula) -> Floats:
+        return margins_at_samples(tree, self._signals, self._grid)
+
+
+def _signs(tree: Formula) -> tuple[int, ...]:
+    """Return for each operand whether its margin enters as it is, or negated."""
+    match tree:
+        case Not():
+            return (-1,)
+        case Implies():
+            return (-1, 1)
+        case _:
+            return (1,) * len(operands(tree))
+
+
+def outermost(tree: Formula) -> Formula:
+    """Return the formula with `always` or `eventually` outermost where an equal one has it."""
+    match tree:
+        case Not(operand):
+            match outermost(operand):
+                case Always(inner, interval):
+                    return Eventually(_negated(inner), interval)
+                case Eventually(inner, interval):
+                    return Always(_negated(inner), interval)
+        case And(left, right):
+            match outermost(left), outermost(right):
+                case Always(one, interval), Always(other, also) if interval == also:
+                    return Always(And(one, other), interval)
+        case Or(left, right):
+            match outermost(left), outermost(right):
+                case Eventually(one, interval), Eventually(other, also) if interval == also:
+                    return Eventually(Or(one, other), interval)
+    return tree
+
+
+def _negated(tree: Formula) -> Formula:
+    return tree.operand if isinstance(tree, Not) else Not(tree)
+
+
+def _readable(tree: Formula, grid: Grid) -> Flags:
+    """Return where `tree` can be read: its intervals contain a sample, and end before the trajectory does."""
+    found: Flags = np.ones(len(grid), dtype=np.bool_)
+    if isinstance(tree, Temporal):
+        windows = grid.windows(tree.interval)
+        found = (windows.first < windows.stop) & grid.reaches(tree.interval)
+        since = windows.since_now() if isinstance(tree, Until) and tree.reading == "standard" else windows
+        spans = (since, windows) if isinstance(tree, Until) else (windows,)
+        for part, span in zip(operands(tree), spans, strict=True):
+            found = found & _throughout(_readable(part, grid), span)
+        return found
+    for part in operands(tree):
+        found = found & _readable(part, grid)
+    return found
+
+
+def _throughout(flags: Flags, windows: Windows) -> Flags:
+    """Return whether `flags` hold in the whole window of each sample."""
+    found: Flags = sliding.minimum(flags.astype(np.float64), windows) == 1.0
+    return found
+
+
+def _first_sample(samples: int) -> Flags:
+    found: Flags = np.arange(samples) == 0
+    return found
