@@ -52,7 +52,7 @@ function chart(host, spec, data, onPointer, overlay = null) {
   charts.set(host, entry);
 }
 
-function chartOptions(host, spec, colours, entry) {
+function chartOptions(host, spec, colours, entry = { overlay: null }) {
   const ownRange = spec.y.range ?? (spec.y.fromZero ? (plot, low, high) => [0, 1.05 * high] : undefined);
   const axis = (extra) => ({
     stroke: colours.ink, font: FONT, labelFont: FONT, labelSize: 18, labelGap: 0,
