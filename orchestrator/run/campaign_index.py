@@ -1,11 +1,12 @@
 """The campaigns below a folder, kept in memory and read again where their files changed: for the index page."""
 
 import json
+import math
 import os
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -13,13 +14,18 @@ from typing import Literal
 from urllib.parse import quote
 
 from ...schemas.errors import PerfboundError, one_line, shortened
+from ...schemas.facts import Header
+from ...schemas.values import ProblemProgress
 from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..campaign.forecast import budget
 from ..certificate.files import CERTIFICATE
+from ..certificate.text import outward
 from ..store import lock
+from ..store.export_tables import robustness_unit
 from ..store.progress import read_progress
 from ..store.rows import DATABASE
 from .listing import ListedCampaign, ListedState, read_campaign, run_directories
+from .table import bound_in_sense
 
 MOST_CAMPAIGNS = 5000
 """Run directories that an index has; of more it has the first that it finds, and says so."""
@@ -27,6 +33,8 @@ MOST_OF_A_READ = 0.05
 """Share of the time that a campaign which changes all the time is read: a large one takes seconds."""
 LONGEST_LINK = 700
 """Bytes; a longer address would leave no room for what follows it."""
+AT_EVERY_TEST = ("rigorous", "scenario")
+"""Methods whose bounds hold after every test, with one probability for all of them."""
 PREFIX = "runs/"
 """Of the addresses of campaigns."""
 
@@ -48,6 +56,8 @@ class IndexRow:
     """Of the first claim with its sense and unit, rounded to the safe side."""
     value: float | None = None
     """The bound as a number, to sort by."""
+    so_far: str = ""
+    """The bound that holds now, of an unfinished campaign about one problem."""
     required: str = ""
     claim: str = ""
     """The first claim in words."""
@@ -265,7 +275,23 @@ def _unfinished_row(row: IndexRow, listed: ListedCampaign) -> IndexRow:
         row,
         tests=sum(each.tests for _, each in pairs),
         most_tests=sum(budget(config, problem, each.extended) for problem, each in pairs),
+        so_far=shortened(_bound_so_far(progress.header, progress.problems)),
     )
+
+
+def _bound_so_far(header: Header, progress: Sequence[ProblemProgress]) -> str:
+    """Return the bound that holds now; empty where no claim is that of one problem, or none holds before the end."""
+    (problem, *others), config = header.config.problems, header.config
+    # The risk that a linearised bound proves is another function of it.
+    if others or problem.method not in AT_EVERY_TEST or getattr(problem, "linearised", None) is not None:
+        return ""
+    bound = bound_in_sense(config, problem, progress[0])
+    if bound is None or not math.isfinite(bound):
+        return ""
+    if config.sense_of(problem) == "max":
+        return f"<= {outward(bound, '<=')}"
+    unit = robustness_unit(config, header.spec)
+    return f">= {outward(bound, '>=')} {'' if unit == '1' else one_line(unit)}".rstrip()
 
 
 def _stamp(directory: Path) -> _Stamp:

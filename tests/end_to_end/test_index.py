@@ -1,5 +1,6 @@
 """The index of many campaigns on the real parts: the command, a browser, a run that appears in it."""
 
+import re
 import shutil
 import signal
 import sqlite3
@@ -82,8 +83,9 @@ def test_each_row_has_the_verdict_the_margin_and_the_state(watch: Watched) -> No
     assert int(rollouts.replace(",", "")) > 100
     assert changed.endswith(" ago")
     assert words(watch, "cars/violated")[1].startswith("VIOLATED\nAt gap = ")
-    assert "ended by the budget" in words(watch, "cars/budget")[1]
+    assert "the budget of 6 tests is spent" in words(watch, "cars/budget")[1]
     assert words(watch, "stopped")[4] == "stopped\n6 of at most 6 tests"
+    assert re.fullmatch("so far \u2265\u00a0\u2212[0-9.]+ m", words(watch, "stopped")[2])
     damaged = words(watch, "damaged")
     fault = "campaign.db: not a campaign database (file is not a database); restore it from a copy"
     assert damaged[0] == f"damaged\n{fault}"

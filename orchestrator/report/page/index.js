@@ -191,13 +191,19 @@ function rowElement(row) {
     "tr", { role: "row", "data-path": visible(row.path) },
     el("td.campaign", { role: "cell" }, linkTo(row), row.path === row.name ? null : el("span.small", shortMiddle(row.path, 120)), row.fault ? el("span.small.bad", short(row.fault, 300)) : null),
     cell("Verdict", { "data-verdict": row.verdict }, el("span.word", row.verdict ?? "\u2013"), row.reason ? el("span.small", sentence(row.reason, 160)) : null),
-    cell("First claim", { class: "number nowrap", title: row.claim || null }, el(row.refuted ? "s" : "span", row.bound ? sentence(row.bound) : "\u2013"), row.refuted ? el("span.small.bad", "refuted") : null),
+    cell("First claim", { class: "number nowrap", title: row.claim || null }, claimOf(row), row.refuted ? el("span.small.bad", "refuted") : null),
     cell("Required", { class: "number nowrap" }, row.required ? sentence(row.required) : "\u2013"),
     cell("State", { "data-state": row.state }, el("span.word", unread ? "being read" : row.state), progressOf(row)),
     cell("Rollouts", { class: "number" }, number(row.rollouts)),
     cell("Violations", { class: "number" }, number(row.violations)),
     cell("Last change", { class: "number nowrap" }, timeElement(row.changed)),
   );
+}
+
+/** The bound of the first claim; before the end the one that holds now. */
+function claimOf(row) {
+  if (row.bound) return el(row.refuted ? "s" : "span", sentence(row.bound));
+  return row.so_far ? el("span.muted", `so far ${sentence(row.so_far)}`) : "\u2013";
 }
 
 /** The name of a campaign, and the way to its page; the server has made the address of bytes that need no escape. */

@@ -84,6 +84,7 @@ def test_it_has_what_the_list_has_and_what_is_required(folder: Path, made: Path)
     assert "the robustness is" in bad.reason
     stopped = found["stopped"]
     assert (stopped.tests, stopped.most_tests) == (1, 40)
+    assert (stopped.so_far.split()[0], good.so_far) == (">=", "")
 
 
 def test_only_what_changed_is_read_again(folder: Path, reads: Reads) -> None:
