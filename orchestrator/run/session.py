@@ -339,6 +339,7 @@ def _conduct(
         from .contradictions import Contradictions  # noqa: PLC0415
         from .progress import SystemdStatus, listener  # noqa: PLC0415
         from .service import Interrupted, Service  # noqa: PLC0415
+        from .stop_requests import StopRequests  # noqa: PLC0415
 
         ledger = Ledger(directory, journal)
         ledger.replay()
@@ -356,8 +357,10 @@ def _conduct(
             ):
                 terminal.print_line(sentence)
             contradictions = Contradictions(ledger.accounts, ledger.methods, terminal.print_line)
-            listeners = (terminal, SystemdStatus(systemd), page, contradictions)
+            requests = StopRequests(directory, terminal.print_line)
+            listeners = (terminal, SystemdStatus(systemd), page, contradictions, requests)
             service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)
+            requests.put = service.inbox.put
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))
             transport.start(run, service.inbox.put)
             systemd.ready(f"workers connect to {transport.endpoint}")

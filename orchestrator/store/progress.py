@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
+from ...schemas.errors import one_line
 from ...schemas.facts import RECORDED, RESTORED, Header
 from ...schemas.values import MARKED, ProblemProgress
 from .readonly import snapshot
@@ -52,6 +53,7 @@ _SET_ASIDE = """
 _REASON = "SELECT reason FROM set_aside WHERE kind = ? AND name = ? AND seconds > 0 ORDER BY entry DESC LIMIT 1"
 _OPINIONS = "SELECT kind, count(*) FROM opinions GROUP BY kind ORDER BY kind"
 _SESSIONS = "SELECT count(*) FROM sessions"
+_LAST_SESSION = "SELECT host, pid FROM sessions ORDER BY session DESC LIMIT 1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,18 @@ def header_alone(directory: Path) -> Header:
     """
     with snapshot(directory) as connection:
         return _header_and_version(connection, directory)[0]
+
+
+def last_session(directory: Path) -> tuple[str | None, int | None]:
+    """Return host and process id of the last orchestrator of the campaign in `directory`; both None if there is none.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+
+    """
+    with snapshot(directory) as connection:
+        found = connection.execute(_LAST_SESSION).fetchone()
+    return (None, None) if found is None else (one_line(str(found[0])), int(found[1]))
 
 
 def _header_and_version(connection: sqlite3.Connection, directory: Path) -> tuple[Header, int]:
