@@ -35,19 +35,19 @@ def stop(*, directory: Path, drain: bool, wait: float | None) -> None:
     if not lock.is_held(directory):
         raise PerfboundError(f"{directory}: {_why_not_running(directory)}")
     try:
-        stop_request.make(directory, "drain" if drain else "now")
+        stop_request.ask_to_stop(directory, "drain" if drain else "now")
     except PermissionError as error:
         raise PerfboundError(
             f"{directory}: {error.strerror or error}; its orchestrator belongs to another user, who can stop it"
         ) from None
-    if not _ends(directory, limit):
+    if not _has_ended(directory, limit):
         raise PerfboundError(f"{directory}: {_why_not_ended(directory, limit)}")
     # An orchestrator that ended before it took the request has left it.
-    stop_request.withdraw(directory)
-    click.echo(_outcome(directory))
+    stop_request.withdraw_request(directory)
+    click.echo(_end_in_words(directory))
 
 
-def _ends(directory: Path, limit: float) -> bool:
+def _has_ended(directory: Path, limit: float) -> bool:
     """Whether the orchestrator ends within `limit` s."""
     deadline = time.monotonic() + limit
     while lock.is_held(directory):
@@ -57,7 +57,7 @@ def _ends(directory: Path, limit: float) -> bool:
     return True
 
 
-def _outcome(directory: Path) -> str:
+def _end_in_words(directory: Path) -> str:
     from ..run.format import resume_command  # noqa: PLC0415
 
     if _has_certificate(directory):
@@ -87,7 +87,7 @@ def _why_not_ended(directory: Path, limit: float) -> str:
     host, pid = last_session(directory)
     who = "its orchestrator" if host is None else f"its orchestrator, process {pid} on {host},"
     if stop_request.is_waiting(directory):
-        stop_request.withdraw(directory)
+        stop_request.withdraw_request(directory)
         return (
             f"{who} has not taken the request within {limit:g} s: it is still being started, writes its certificate, "
             "or is a program that hands in rollouts itself; the request is withdrawn, call this again or end that "

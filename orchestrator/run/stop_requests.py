@@ -20,7 +20,7 @@ class StopRequests:
 
     def show(self, status: RunStatus) -> None:  # noqa: ARG002
         """Take a request, if there is one."""
-        manner = stop_request.take(self._directory)
+        manner = stop_request.take_request(self._directory)
         if manner is None or self.put is None:
             return
         self._print_line("`perfbound stop` has asked for the end of this run")

@@ -29,11 +29,11 @@ def campaign_lock(directory: Path) -> Iterator[None]:
                 f"{directory}: another orchestrator is running this campaign; "
                 f"watch it with `perfbound status {directory}`, or stop it with `perfbound stop {directory}`"
             )
-        stop_request.withdraw(directory)  # of before: it was meant for an orchestrator that has ended
+        stop_request.withdraw_request(directory)  # of before: it was meant for an orchestrator that has ended
         try:
             yield
         finally:
-            stop_request.withdraw(directory)
+            stop_request.withdraw_request(directory)
     finally:
         os.close(descriptor)
 

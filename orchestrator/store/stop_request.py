@@ -17,7 +17,7 @@ LONGEST = 16
 """Bytes that are read of a request, whoever has written it."""
 
 
-def make(directory: Path, manner: Manner) -> None:
+def ask_to_stop(directory: Path, manner: Manner) -> None:
     """Ask the orchestrator that holds the lock of `directory` to stop.
 
     Raises:
@@ -27,7 +27,7 @@ def make(directory: Path, manner: Manner) -> None:
     atomic.write_whole(directory / NAME, manner.encode())
 
 
-def take(directory: Path) -> Manner | None:
+def take_request(directory: Path) -> Manner | None:
     """Return the request and remove it; None where there is none."""
     path = directory / NAME
     try:
@@ -35,7 +35,7 @@ def take(directory: Path) -> Manner | None:
             text = file.read(LONGEST).decode(errors="replace")
     except OSError:  # there is none; or the run directory has a fault, which the next write names
         return None
-    withdraw(directory)
+    withdraw_request(directory)
     # Whatever is written there asks for a stop: at once, unless it says otherwise.
     return cast("Manner", text) if text in get_args(Manner) else "now"
 
@@ -45,7 +45,7 @@ def is_waiting(directory: Path) -> bool:
     return (directory / NAME).exists()
 
 
-def withdraw(directory: Path) -> None:
+def withdraw_request(directory: Path) -> None:
     """Remove a request, if there is one."""
     with contextlib.suppress(OSError):
         (directory / NAME).unlink(missing_ok=True)
