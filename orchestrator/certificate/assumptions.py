@@ -1,6 +1,5 @@
 """The audit of a finished campaign: every assumption of its claims, with its status by the data."""
 
-import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Literal
@@ -19,17 +18,16 @@ from ..campaign.account import Account
 from ..campaign.copies import copies
 from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel
-from ..campaign.plan import UNBOUNDED
+from ..campaign.plan import UNBOUNDED, ProblemPlan
+from ..campaign.tested import OneLaw, is_dominated, same_values, spread
 from ..mathematics.bounds import audit
 from ..mathematics.bounds.kriging_method import KrigingMethod
 from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
-from ..mathematics.bounds.stationarity import AdaptiveOrderTest
 from ..mathematics.gp.lattice import Lattice
 from .kriging_assumptions import kriging_assumptions
 from .sentences import assumption
 
-ROUNDING = 1e-9
 DISCARDED = "discarded_"
 """Of the ids of discarded rollouts, before their number."""
 EXTENDED = "extended_"
@@ -66,16 +64,12 @@ def assumptions(
     measured = repeated == "nowhere"
     found: list[Assumption] = []
     for name, account in accounts.items():
-        of_problem = list(_of_problem(account, ledger.methods, ledger.header.rules))
+        found_here = list(of_problem(account, ledger.methods, ledger.header.rules))
         # Rules 1 know no assumption of these: a certificate keeps the list that it was issued with.
         if ledger.header.rules > 1:
-            of_problem = [*_spot_checked(of_problem, name, spot_check), *_sampled(ledger, account)]
-            of_problem = list(_of_regions(of_problem, name, regions))
-        found += of_problem
-        if name == "sim_gap":
-            found.append(_dominates(account))
-            if "nominal" in account.plan.shared:
-                found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
+            found_here = [*spot_checked(found_here, name, spot_check), *_sampled(ledger, account)]
+            found_here = list(_of_regions(found_here, name, regions))
+        found += [*found_here, *of_gap(account, accounts)]
         # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
         if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account))
@@ -123,7 +117,7 @@ def _extended(ledger: Ledger) -> Iterator[Assumption]:
             budgets[name] = tests
 
 
-def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:
+def spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:
     """Yield the assumptions of a problem; the one on its norm is refuted where the spot check refutes the bound."""
     result = next((each for each in check.problems if each.key == name), None) if check else None
     for each in found:
@@ -154,17 +148,13 @@ def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     compared, copied = copies(account, noisy, ledger.recorded.trajectory)
     values = {"rollouts": sum(account.counts[variant] for variant in noisy), "compared": compared, "copies": copied}
     yield assumption(f"independent_rollouts/{name}", "refuted" if copied else "assumed", values)
-    # A list of starts is fixed beforehand; on a box nobody knows how many candidates are tested twice. Drawn starts are
-    # one column: where start and rollout have one law, so have the values.
-    drawn = plan.candidates is None
-    order = AdaptiveOrderTest(starts=1 if drawn else plan.listed)
-    for test, (node, each) in enumerate(zip(account.nodes, account.each, strict=True)):
-        if drawn and not plan.is_drawn(test):
-            continue  # a search chose it by the outcomes before
-        for value in each[:1] if drawn else each:
-            order.observe(0 if drawn else node, test, value)
-    form = "one_law" if drawn else None
-    yield assumption(f"one_law_per_start/{name}", *order.finding(), form=form)
+    yield one_law(plan, OneLaw(plan).finding(account.nodes, account.each))
+
+
+def one_law(plan: ProblemPlan, finding: audit.Finding) -> Assumption:
+    """Return the assumption that the rollouts of a start have one law during the campaign."""
+    form = "one_law" if plan.candidates is None else None
+    return assumption(f"one_law_per_start/{plan.key}", *finding, form=form)
 
 
 def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bool) -> Assumption:
@@ -180,7 +170,8 @@ def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bo
     return assumption(name, "not refuted" if recheck and recheck.agreed == recheck.rollouts else "refuted", values)
 
 
-def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assumption]:
+def of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assumption]:
+    """Return what the bound of one problem rests on by its method, with the status by its closed tests."""
     problem, method = account.plan.problem, methods.get(account.plan.key)
     match problem:
         case PaperProblem():
@@ -267,10 +258,7 @@ def _weighted(account: Account, problem: KrigingProblem, method: KrigingMethod) 
 def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:
     name, plan = account.plan.key, account.plan
     if plan.noise == 0:
-        places = sorted(zip(account.nodes, account.each, strict=True))
-        by_place = itertools.groupby(places, key=lambda place: place[0])
-        repeated = [[value for _, each in group for value in each] for _, group in by_place]
-        yield assumption(f"deterministic/{name}", *audit.deterministic_variant(repeated))
+        yield assumption(f"deterministic/{name}", *same_values(account))
         return
     per_rollout = plan.noise_per_rollout
     # A column has no clip, so Hoeffding's lemma gives no scale to compare with.
@@ -279,13 +267,11 @@ def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[A
     else:
         noise = audit.noise_range(noise_scale=per_rollout, hoeffding=plan.hoeffding)
         yield assumption(f"noise_scale/{name}", *noise, form="noise_range")
-    # The budget, not the number of tests made: the test is valid at every N only with a constant fixed beforehand.
-    planned = plan.budget * plan.replicates
-    spread = audit.replicate_spread(account.each, noise_scale=per_rollout, delta=problem.delta, planned=planned)
-    if spread is None:
+    found = spread(account, problem.delta)
+    if found is None:
         yield assumption(f"replicate_spread/{name}", "assumed", form="no_replicates")
     else:
-        yield assumption(f"replicate_spread/{name}", *spread)
+        yield assumption(f"replicate_spread/{name}", *found)
 
 
 def _scenario(account: Account, problem: ScenarioProblem, rules: int) -> Iterator[Assumption]:
@@ -347,6 +333,15 @@ def _clip(account: Account) -> Assumption:
     return assumption(f"clip/{account.plan.key}", "derived", values)
 
 
+def of_gap(account: Account, accounts: Mapping[str, Account]) -> Iterator[Assumption]:
+    """Yield what a composition needs of a gap; nothing for a problem that compares no trajectories."""
+    if account.plan.key != "sim_gap":
+        return
+    yield _dominates(account)
+    if "nominal" in account.plan.shared:
+        yield _deterministic_nominal(accounts.get("nominal_robustness"))
+
+
 def _dominates(account: Account) -> Assumption:
     """Return the assumption that the gap dominates the robustness difference, tested on every pair of rollouts."""
     gap, name = account.plan.gap, "lipschitz/sim_gap"
@@ -356,7 +351,7 @@ def _dominates(account: Account) -> Assumption:
     if gap.column is not None:
         values["column"] = gap.column
     # Two kinds of gap dominate by proof; an excess then shows a fault of the software, and refutes as well.
-    if account.excess > ROUNDING:
+    if not is_dominated(account):
         return assumption(name, "refuted", values | {"excess": account.excess}, form=form)
     return assumption(name, "assumed" if gap.kind == "signal_sup" else "derived", values, form=form)
 

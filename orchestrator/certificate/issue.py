@@ -153,4 +153,6 @@ def question(header: Header) -> dict[str, object]:
     # Left out while it is not set, so that certificates of before keep their bytes.
     optional = ("until_counterexample", "falsify", "specifications", "regions", "where")
     sought = {key for key in optional if getattr(header.config, key)}
+    if header.config.on_refuted != "continue":
+        sought.add("on_refuted")
     return header.config.model_dump(mode="json", exclude_none=True, include=keys | sought)
