@@ -1,7 +1,8 @@
 """The audit of a finished campaign: every assumption of its claims, with its status by the data."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from typing import Literal
 
 from ...schemas.certificate import Assumption, CertifiedRegions, Recheck, SpotCheck, Status
@@ -14,6 +15,7 @@ from ...schemas.problem_models import (
     SampleProblem,
     ScenarioProblem,
 )
+from ...schemas.system import Variant
 from ..campaign.account import Account
 from ..campaign.copies import copies
 from ..campaign.ledger import Ledger, observed_discards
@@ -53,23 +55,26 @@ def assumptions(
     irreproducible: bool,
     honest: Assumption | None = None,
     regions: CertifiedRegions | None = None,
+    sampled: Callable[[Account], Iterable[Assumption]] | None = None,
 ) -> list[Assumption]:
     """Return every assumption of the campaign, bound by bound, then those of the whole.
 
     `accounts` has everything with a bound of its own, see `campaign.bounded`.
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later. `honest` takes the place
-    of what is assumed of the workers. `regions` that a fresh start contradicts refute the norm.
+    of what is assumed of the workers. `regions` that a fresh start contradicts refute the norm. `sampled` takes the
+    place of the tests of independence and of one law, which read trajectories.
     """
+    tested = sampled or partial(_sampled, ledger)
     repeated = ledger.header.spec.repeated
     measured = repeated == "nowhere"
     found: list[Assumption] = []
     for name, account in accounts.items():
-        found_here = list(of_problem(account, ledger.methods, ledger.header.rules))
+        found_here = list(_of_problem(account, ledger.methods, ledger.header.rules))
         # Rules 1 know no assumption of these: a certificate keeps the list that it was issued with.
         if ledger.header.rules > 1:
-            found_here = [*spot_checked(found_here, name, spot_check), *_sampled(ledger, account)]
+            found_here = [*_spot_checked(found_here, name, spot_check), *tested(account)]
             found_here = list(_of_regions(found_here, name, regions))
-        found += [*found_here, *of_gap(account, accounts)]
+        found += [*found_here, *_of_gap(account, accounts)]
         # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
         if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account))
@@ -117,7 +122,7 @@ def _extended(ledger: Ledger) -> Iterator[Assumption]:
             budgets[name] = tests
 
 
-def spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:
+def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | None) -> Iterator[Assumption]:
     """Yield the assumptions of a problem; the one on its norm is refuted where the spot check refutes the bound."""
     result = next((each for each in check.problems if each.key == name), None) if check else None
     for each in found:
@@ -139,10 +144,15 @@ def _of_regions(found: Iterable[Assumption], name: str, regions: CertifiedRegion
             yield each
 
 
+def noisy_variants(ledger: Ledger, account: Account) -> set[Variant]:
+    """Return the variants of a problem whose rollouts depend on their seeds."""
+    return set(account.plan.variants) & set(ledger.header.spec.noisy)
+
+
 def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     """Yield what the bound of a noisy problem needs of its samples: independence, and one law per start."""
     name, plan = account.plan.key, account.plan
-    noisy = set(plan.variants) & set(ledger.header.spec.noisy)
+    noisy = noisy_variants(ledger, account)
     if not noisy:
         return
     compared, copied = copies(account, noisy, ledger.recorded.trajectory)
@@ -170,8 +180,7 @@ def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bo
     return assumption(name, "not refuted" if recheck and recheck.agreed == recheck.rollouts else "refuted", values)
 
 
-def of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assumption]:
-    """Return what the bound of one problem rests on by its method, with the status by its closed tests."""
+def _of_problem(account: Account, methods: Methods, rules: int) -> Iterator[Assumption]:
     problem, method = account.plan.problem, methods.get(account.plan.key)
     match problem:
         case PaperProblem():
@@ -333,7 +342,7 @@ def _clip(account: Account) -> Assumption:
     return assumption(f"clip/{account.plan.key}", "derived", values)
 
 
-def of_gap(account: Account, accounts: Mapping[str, Account]) -> Iterator[Assumption]:
+def _of_gap(account: Account, accounts: Mapping[str, Account]) -> Iterator[Assumption]:
     """Yield what a composition needs of a gap; nothing for a problem that compares no trajectories."""
     if account.plan.key != "sim_gap":
         return

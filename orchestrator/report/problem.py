@@ -14,7 +14,7 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Predicate, ProblemResult
 from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
 from ...schemas.requirements import alpha_of
-from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy
+from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy, distance_after
 from ..campaign import consistency, forecast
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import PartMethod, ProblemMethod, method
@@ -243,8 +243,9 @@ def _outlook(
     extended: int | None,
     planned: Callable[[ProblemProgress], tuple[Guess, Guess] | None],
 ) -> str | None:
-    points = ((each.test + 1, each.bound.upper) for each in observed if each.test + 1 in MARKED)
-    course = tuple((tests, upper) for tests, upper in points if upper is not None)
+    marked = (each for each in observed if each.test + 1 in MARKED)
+    points = ((each.test + 1, each.bound.upper, distance_after(each.bound, each.proposal.F)) for each in marked)
+    course = tuple((tests, upper, away) for tests, upper, away in points if upper is not None)
     last = observed[-1]
-    progress = ProblemProgress(len(observed), rollouts, None, last.bound, last.stopped_by, extended, course)
+    progress = ProblemProgress(len(observed), rollouts, last.proposal.F, last.bound, last.stopped_by, extended, course)
     return in_words(config, plan.problem, replace(progress, planned=planned(progress)))
