@@ -75,6 +75,32 @@ def ending(course: Sequence[CoursePoint], *, most: int, alpha: float) -> Guess |
     return None if distances is None else distances.crossing(alpha, most)
 
 
+def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> Guess | None:
+    """Return how many tests a problem still needs, to its tolerance or the end of its budget; None while unknown."""
+    most = budget(config, problem, progress.extended)
+    if problem.alpha is None:  # their number is fixed
+        return Guess(most - progress.tests, most - progress.tests, most - progress.tests)
+    end = ending(with_last(progress), most=max(most, progress.tests), alpha=problem.alpha)
+    if end is None:
+        return None
+    return Guess(end.middle - progress.tests, end.low - progress.tests, end.high - progress.tests)
+
+
+def left_in_words(config: CampaignConfig, problem: Problem, left: Guess) -> str:
+    """Return the remaining tests in words; a number of samples is no guess.
+
+    >>> from types import SimpleNamespace
+    >>> left_in_words(SimpleNamespace(until_counterexample=False), SampleProblem.model_construct(), Guess(9, 9, 9))
+    '9 samples'
+    """
+    words = count_words(left)
+    if not isinstance(problem, SampleProblem):
+        about = "" if problem.alpha is None else "about "
+        return f"{about}{words} test{'' if words == '1' else 's'}"
+    most = "at most " if config.until_counterexample else ""
+    return f"{most}{words} sample{'' if words == '1' else 's'}"
+
+
 def outlook_lines(config: CampaignConfig, progress: Sequence[ProblemProgress]) -> list[str]:
     """Return a line for each problem that has a forecast, in the unit and sense of the problem."""
     pairs = zip(config.problems, progress, strict=True)

@@ -1,0 +1,110 @@
+"""What a run has shown so far, in words: two rows, one for now and one for the end, for terminal, status and page."""
+
+import math
+from typing import NamedTuple
+
+from ...schemas.certificate import Assumption
+from ...schemas.errors import one_line
+from ...schemas.so_far import Expected, SoFar, Span
+from ..certificate.text import outward
+from .format import duration
+
+HEAD = ("", "bound", "probability", "tests", "verdict")
+AHEAD = {"SHOWN": "SHOWN", "NOT SHOWN": "NOT SHOWN", "VIOLATED": "VIOLATED", None: "open"}
+
+
+class Row(NamedTuple):
+    """A row of the table of what holds; its cells have the names of `HEAD`."""
+
+    name: str
+    bound: str
+    probability: str
+    tests: str
+    verdict: str
+
+
+def rows(found: SoFar) -> tuple[Row, Row]:
+    """Return the row of what is proven so far, and that of what is expected at the end."""
+    ahead = found.expected
+    chance = "-" if found.probability is None else f"at least {outward(found.probability, '>=')}"
+    proven = (
+        "nothing yet" if found.bound is None else f"{found.sense} {_number(outward(found.bound, found.sense), found)}"
+    )
+    count = "-" if ahead.tests is None else f"about {_span_words(ahead.tests)}"
+    end = f"{AHEAD[ahead.verdict]}, {left_words(ahead)}"
+    return (
+        Row("proven so far", proven, chance, f"{found.tests:,}", f"if it ended now: {found.verdict}"),
+        Row("expected at the end", _expected_bound(found), "-" if ahead.bound is None else chance, count, end),
+    )
+
+
+def left_words(ahead: Expected) -> str:
+    """Return when a run is expected to end."""
+    if ahead.seconds is None:
+        return "its time is not known yet"
+    low, middle, high = (duration(each) for each in (ahead.seconds.low, ahead.seconds.middle, ahead.seconds.high))
+    if ahead.by_budget:
+        return f"in {high} at most, when the budget ends"
+    return f"in about {middle}" + ("" if low == high else f" ({low} to {high})")
+
+
+def bar_words(ahead: Expected) -> str:
+    """Return the label of the progress bar."""
+    of = (
+        f"of the budget of {ahead.most_tests:,} tests; no forecast yet"
+        if ahead.by_budget
+        else "of the work, by forecast"
+    )
+    return f"{math.floor(100 * ahead.share)} % {of}"
+
+
+def assumption_words(tested: tuple[Assumption, ...]) -> str:
+    """Return how many assumptions were tested so far, and which of them are refuted; empty before the first test."""
+    refuted = [each.id for each in tested if each.status == "refuted"]
+    if not tested:
+        return ""
+    passed = f"{len(tested) - len(refuted)} not refuted so far"
+    named = f"REFUTED: {', '.join(refuted)}; " if refuted else ""
+    return f"assumptions tested: {named}{passed}"
+
+
+def refutation_line(found: Assumption, then: str) -> str:
+    """Return the line that reports a refutation the moment it is found."""
+    return one_line(f"REFUTED: {found.id}: {found.detail.rstrip('.')}; {then}")
+
+
+def violations_so_far(found: SoFar) -> str:
+    """Return how many rollouts violate the specification so far; empty where none has a robustness."""
+    seen = found.violations
+    if not seen.rollouts or seen.least is None:
+        return ""
+    margin = _number(f"{seen.least:.4f}", found)
+    return f"{seen.violations:,} of {seen.rollouts:,} rollouts violate the specification so far; the worst {margin}"
+
+
+def so_far_line(found: SoFar) -> str:
+    """Return both rows in one line."""
+    now, end = rows(found)
+    return (
+        f"if it ended now: {found.verdict} ({now.bound}, {found.tests} tests); expected at the end: {end.bound}, "
+        f"{end.verdict}; {bar_words(found.expected)}"
+    )
+
+
+def _expected_bound(found: SoFar) -> str:
+    span = found.expected.bound
+    if span is None:
+        return "no forecast yet" if found.expected.by_budget else "-"
+    low, high = f"{span.low:.4g}", f"{span.high:.4g}"
+    if low == high:
+        return f"{found.sense} {_number(low, found)}"
+    return f"about {span.middle:.4g} ({low} to {_number(high, found)})"
+
+
+def _span_words(span: Span) -> str:
+    low, high = math.floor(span.low), math.ceil(span.high)
+    return f"{low:,}" if low == high else f"{round(span.middle):,} ({low:,} to {high:,})"
+
+
+def _number(text: str, found: SoFar) -> str:
+    return text if found.unit in ("", "1") else f"{text} {one_line(found.unit)}"
