@@ -36,14 +36,14 @@ def print_status(directory: Path, console: Console) -> None:
     certificate = files.read(directory)
     running = lock.is_held(directory)
     config = found.header.config
-    state = _state(finished=certificate is not None, running=running)
+    state = _state_word(finished=certificate is not None, running=running)
     title = Text(config.name, "bold").append(f"  {state}, seed {config.seed}, run {found.header.run}", "not bold")
     console.print(title, soft_wrap=True)
     rows = []
     for problem, each in zip(config.problems, found.problems, strict=True):
         left = remaining_tests(config, problem, each) if each.tests else None
         rows.append((each, "-" if left is None else left_in_words(config, problem, left)))
-    so_far = None if certificate is not None else read_so_far(directory, found.header.run)
+    so_far = None if certificate is not None else _so_far_of(directory, found.header.run)
     if so_far is not None:
         _print_so_far(so_far, console, running=running)
     console.print(progress_table(config, rows))
@@ -67,13 +67,13 @@ def status_object(directory: Path) -> dict[str, Any]:
     """
     found, certificate, running = read_progress(directory), files.read(directory), lock.is_held(directory)
     config = found.header.config
-    so_far = None if certificate is not None else read_so_far(directory, found.header.run)
+    so_far = None if certificate is not None else _so_far_of(directory, found.header.run)
     verdict = None if certificate is None else verdict_of(directory, found.header, certificate)
     return {
         "campaign": config.name,
         "seed": config.seed,
         "run": found.header.run,
-        "state": _state(finished=certificate is not None, running=running),
+        "state": _state_word(finished=certificate is not None, running=running),
         "verdict": verdict.model_dump(mode="json") if verdict else None,
         "so_far": so_far.model_dump(mode="json") if so_far else None,
         "problems": [
@@ -94,12 +94,17 @@ def status_object(directory: Path) -> dict[str, Any]:
     }
 
 
-def _state(*, finished: bool, running: bool) -> str:
+def _so_far_of(directory: Path, run: str) -> SoFar | None:
+    found = read_so_far(directory)
+    return found if found is not None and found.run == run else None
+
+
+def _state_word(*, finished: bool, running: bool) -> str:
     return "running" if running else "finished" if finished else "stopped"
 
 
 def _print_so_far(found: SoFar, console: Console, *, running: bool) -> None:
-    console.print(so_far_view(found))
+    console.print(so_far_view(found, running=running))
     for each in found.assumptions:
         if each.status == "refuted":
             console.print(Text(f"REFUTED: {each.id}: {each.detail}", "bold red"), soft_wrap=True)

@@ -229,11 +229,11 @@ class ProblemCollector:
     def _left(self) -> str | None:
         if self._own is not None or not self.observed:
             return None  # its tests are those of the whole
-        left = remaining_tests(self._config, self.problem, _progress(self.observed, self.rollouts, self._extended))
+        left = remaining_tests(self._config, self.problem, _progress_of(self.observed, self.rollouts, self._extended))
         return None if left is None else left_in_words(self._config, self.problem, left)
 
 
-def _progress(observed: Sequence[ObservedTest], rollouts: int, extended: int | None) -> ProblemProgress:
+def _progress_of(observed: Sequence[ObservedTest], rollouts: int, extended: int | None) -> ProblemProgress:
     marked = (each for each in observed if each.test + 1 in MARKED)
     points = ((each.test + 1, each.bound.upper, distance_after(each.bound, each.proposal.F)) for each in marked)
     course = tuple((tests, upper, away) for tests, upper, away in points if upper is not None)
@@ -250,5 +250,5 @@ def _outlook(
     extended: int | None,
     planned: Callable[[ProblemProgress], tuple[Guess, Guess] | None],
 ) -> str | None:
-    progress = _progress(observed, rollouts, extended)
+    progress = _progress_of(observed, rollouts, extended)
     return in_words(config, plan.problem, replace(progress, planned=planned(progress)))

@@ -18,8 +18,8 @@ NEARLY_DONE = 0.99
 
 
 @dataclass(frozen=True, slots=True)
-class Work:
-    """The rollouts of a campaign."""
+class RolloutCounts:
+    """The rollouts that a campaign needs beside those it has."""
 
     per_test: Mapping[str, int]
     """Of each problem, by its name."""
@@ -31,12 +31,12 @@ def expected(
     config: CampaignConfig,
     progress: Mapping[str, ProblemProgress],
     closing: Mapping[str, ProblemProgress],
-    work: Work,
+    work: RolloutCounts,
     rate: float,
 ) -> Expected:
     """Return the forecast of a run; `rate` are its rollouts per second, 0 while it is unknown."""
     pairs = [(problem, progress[problem.name]) for problem in config.problems]
-    ends = [_end(config, problem, each) for problem, each in pairs]
+    ends = [_end_of(config, problem, each) for problem, each in pairs]
     most = [max(each.tests, budget(config, problem, each.extended)) for problem, each in pairs]
     checked = sum(each.rollouts for each in closing.values())
     done = sum(each.rollouts for _, each in pairs) + checked
@@ -52,7 +52,7 @@ def expected(
         tests=_span(_sum(known)) if len(known) == len(ends) else None,
         most_tests=sum(most),
         seconds=Span(low=left.low / rate, middle=left.middle / rate, high=left.high / rate) if rate > 0 else None,
-        bound=_bound(config, progress),
+        bound=_bound_ahead(config, progress),
         verdict=None,
     )
 
@@ -71,7 +71,7 @@ def expected_verdict(found: Expected, now: VerdictWord, required: float | None, 
     return "NOT SHOWN" if found.bound.high < required else None
 
 
-def _end(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> Guess | None:
+def _end_of(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> Guess | None:
     """Return the tests of a problem at its end; None while there is no forecast."""
     if progress.stopped_by is not None:
         return _exactly(progress.tests)
@@ -88,7 +88,7 @@ def _scaled(end: Guess | None, tests: int, most: int, per_test: int) -> Guess:
     return Guess((end.middle - tests) * per_test, (end.low - tests) * per_test, (end.high - tests) * per_test)
 
 
-def _bound(config: CampaignConfig, progress: Mapping[str, ProblemProgress]) -> Span | None:
+def _bound_ahead(config: CampaignConfig, progress: Mapping[str, ProblemProgress]) -> Span | None:
     """Return the forecast of the first claim, where it is the bound of one problem; None for every other one."""
     first = bases(config)[0]
     if first.rule != "single" or first.drawn is not None or first.problems[0] not in progress:

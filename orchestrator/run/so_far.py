@@ -17,7 +17,7 @@ from ..store import read
 from ..store.export_tables import robustness_unit
 from ..store.robustness import read_values, read_violations
 from ..store.so_far import write_so_far
-from .expected import Work, expected, expected_verdict
+from .expected import RolloutCounts, expected, expected_verdict
 from .service import RunStatus
 
 PERIOD = 2.0
@@ -54,7 +54,7 @@ class SoFarListener:
         self._directory, self._ledger, self._output = directory, ledger, output
         self._audit = AuditSoFar(ledger)
         self._unit = robustness_unit(ledger.config, ledger.header.spec)
-        self._work = _work(ledger)
+        self._work = _rollout_counts(ledger)
         self._holding: tuple[Holding, Violations] | None = None
         self._known: set[str] = set()
         """Ids of the refuted assumptions that were reported."""
@@ -154,13 +154,13 @@ class SoFarListener:
         return found.model_copy(update={"share": self._share})
 
 
-def _work(ledger: Ledger) -> Work:
+def _rollout_counts(ledger: Ledger) -> RolloutCounts:
     header, plans = ledger.header, ledger.plans
     spot = spot_check_plan(header, plans.values())
     checks = spot.count(header.config.spot_check) if spot else 0
     if Recheck.wanted(header):
         checks += header.config.recheck
-    return Work({name: len(plan.rollouts) for name, plan in plans.items()}, checks)
+    return RolloutCounts({name: len(plan.rollouts) for name, plan in plans.items()}, checks)
 
 
 class Pace:

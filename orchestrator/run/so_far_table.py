@@ -8,24 +8,24 @@ from rich.table import Table
 from rich.text import Text
 
 from ...schemas.so_far import SoFar
-from .so_far_text import HEAD, assumption_words, bar_words, rows, violations_so_far
+from .so_far_text import HEAD, assumption_words, bar_words, holding_rows, violations_so_far
 from .verdict import COLOURS
 
 BAR = 40
 """Columns of the progress bar."""
 
 
-def so_far_view(found: SoFar) -> Group:
+def so_far_view(found: SoFar, *, running: bool = True) -> Group:
     """Return everything that holds now, as lines for a console."""
-    return Group(*_parts(found))
+    return Group(*_lines_of(found, running=running))
 
 
-def _parts(found: SoFar) -> Iterator[RenderableType]:
+def _lines_of(found: SoFar, *, running: bool) -> Iterator[RenderableType]:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in HEAD:
         table.add_column(name, overflow="fold")
     colours = (COLOURS[found.verdict], COLOURS[found.expected.verdict] if found.expected.verdict else "")
-    for row, colour in zip(rows(found), colours, strict=True):
+    for row, colour in zip(holding_rows(found, running=running), colours, strict=True):
         table.add_row(*(Text(cell) for cell in row[:-1]), Text(row.verdict, colour))
     yield table
     bar = Table.grid(padding=(0, 1))

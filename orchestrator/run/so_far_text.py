@@ -13,7 +13,7 @@ HEAD = ("", "bound", "probability", "tests", "verdict")
 AHEAD = {"SHOWN": "SHOWN", "NOT SHOWN": "NOT SHOWN", "VIOLATED": "VIOLATED", None: "open"}
 
 
-class Row(NamedTuple):
+class HoldingRow(NamedTuple):
     """A row of the table of what holds; its cells have the names of `HEAD`."""
 
     name: str
@@ -23,18 +23,18 @@ class Row(NamedTuple):
     verdict: str
 
 
-def rows(found: SoFar) -> tuple[Row, Row]:
-    """Return the row of what is proven so far, and that of what is expected at the end."""
+def holding_rows(found: SoFar, *, running: bool = True) -> tuple[HoldingRow, HoldingRow]:
+    """Return the row of what is proven so far, and that of what is expected at the end, in the time that it runs."""
     ahead = found.expected
     chance = "-" if found.probability is None else f"at least {outward(found.probability, '>=')}"
     proven = (
-        "nothing yet" if found.bound is None else f"{found.sense} {_number(outward(found.bound, found.sense), found)}"
+        "nothing yet" if found.bound is None else f"{found.sense} {_in_unit(outward(found.bound, found.sense), found)}"
     )
     count = "-" if ahead.tests is None else f"about {_span_words(ahead.tests)}"
-    end = f"{AHEAD[ahead.verdict]}, {left_words(ahead)}"
+    end = f"{AHEAD[ahead.verdict]}, {left_words(ahead)}{'' if running else ' of work, once it is resumed'}"
     return (
-        Row("proven so far", proven, chance, f"{found.tests:,}", f"if it ended now: {found.verdict}"),
-        Row("expected at the end", _expected_bound(found), "-" if ahead.bound is None else chance, count, end),
+        HoldingRow("proven so far", proven, chance, f"{found.tests:,}", f"if it ended now: {found.verdict}"),
+        HoldingRow("expected at the end", _expected_bound(found), "-" if ahead.bound is None else chance, count, end),
     )
 
 
@@ -68,6 +68,16 @@ def assumption_words(tested: tuple[Assumption, ...]) -> str:
     return f"assumptions tested: {named}{passed}"
 
 
+def consequence_of_key(on_refuted: str) -> str:
+    """Return what a refutation leads to, by the key of the campaign file."""
+    if on_refuted == "stop":
+        return 'A problem ends with the first refutation by its tests (on_refuted = "stop").'
+    return (
+        'The campaign continues after a refutation by its tests (on_refuted = "continue"); a problem whose own bounds '
+        "contradict its constants ends."
+    )
+
+
 def refutation_line(found: Assumption, then: str) -> str:
     """Return the line that reports a refutation the moment it is found."""
     return one_line(f"REFUTED: {found.id}: {found.detail.rstrip('.')}; {then}")
@@ -78,13 +88,13 @@ def violations_so_far(found: SoFar) -> str:
     seen = found.violations
     if not seen.rollouts or seen.least is None:
         return ""
-    margin = _number(f"{seen.least:.4f}", found)
+    margin = _in_unit(f"{seen.least:.4f}", found)
     return f"{seen.violations:,} of {seen.rollouts:,} rollouts violate the specification so far; the worst {margin}"
 
 
 def so_far_line(found: SoFar) -> str:
     """Return both rows in one line."""
-    now, end = rows(found)
+    now, end = holding_rows(found)
     return (
         f"if it ended now: {found.verdict} ({now.bound}, {found.tests} tests); expected at the end: {end.bound}, "
         f"{end.verdict}; {bar_words(found.expected)}"
@@ -97,8 +107,8 @@ def _expected_bound(found: SoFar) -> str:
         return "no forecast yet" if found.expected.by_budget else "-"
     low, high = f"{span.low:.4g}", f"{span.high:.4g}"
     if low == high:
-        return f"{found.sense} {_number(low, found)}"
-    return f"about {span.middle:.4g} ({low} to {_number(high, found)})"
+        return f"{found.sense} {_in_unit(low, found)}"
+    return f"about {span.middle:.4g} ({low} to {_in_unit(high, found)})"
 
 
 def _span_words(span: Span) -> str:
@@ -106,5 +116,5 @@ def _span_words(span: Span) -> str:
     return f"{low:,}" if low == high else f"{round(span.middle):,} ({low:,} to {high:,})"
 
 
-def _number(text: str, found: SoFar) -> str:
+def _in_unit(text: str, found: SoFar) -> str:
     return text if found.unit in ("", "1") else f"{text} {one_line(found.unit)}"

@@ -26,14 +26,13 @@ def write_so_far(directory: Path, found: SoFar) -> None:
         partial.replace(path)
 
 
-def read_so_far(directory: Path, run: str) -> SoFar | None:
-    """Return what the orchestrator of a run has last written; None where there is nothing, or nothing of this run."""
+def read_so_far(directory: Path) -> SoFar | None:
+    """Return what an orchestrator has last written, maybe that of another run; None where there is nothing to read."""
     try:
         with (directory / NAME).open("rb") as file:
-            found = SoFar.model_validate_json(file.read(LONGEST))
+            return SoFar.model_validate_json(file.read(LONGEST))
     except (OSError, ValidationError):
         return None
-    return found if found.run == run else None
 
 
 def remove_so_far(directory: Path) -> None:
