@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ...schemas.campaign import CampaignConfig
+from ...schemas.ids import RECHECK, SPOT_CHECK, closing_check
 from ...schemas.problem_models import KrigingProblem, PaperProblem, Problem, SampleProblem
 from ...schemas.so_far import Expected, Span
 from ...schemas.values import Guess, ProblemProgress
@@ -23,8 +24,9 @@ class RolloutCounts:
 
     per_test: Mapping[str, int]
     """Of each problem, by its name."""
-    closing: int
-    """Of the checks that follow the problems, without follow-ups."""
+    spot_check: tuple[int, int]
+    """Of the spot check that follows the problems: without follow-ups, and with all of them."""
+    recheck: int
 
 
 def expected(
@@ -44,7 +46,7 @@ def expected(
         _scaled(end, each.tests, top, work.per_test[problem.name])
         for (problem, each), end, top in zip(pairs, ends, most, strict=True)
     ]
-    left = _sum([*missing, _exactly(max(0, work.closing - checked))])
+    left = _sum([*missing, *_left_of_checks(closing, work)])
     known = [end for end in ends if end is not None]
     return Expected(
         share=min(NEARLY_DONE, done / (done + left.middle)) if done else 0.0,
@@ -69,6 +71,18 @@ def expected_verdict(found: Expected, now: VerdictWord, required: float | None, 
     if found.bound.low >= required:
         return "SHOWN"
     return "NOT SHOWN" if found.bound.high < required else None
+
+
+def _left_of_checks(closing: Mapping[str, ProblemProgress], work: RolloutCounts) -> list[Guess]:
+    """Return the rollouts that the closing checks still need; how many follow up depends on their outcomes."""
+    found = []
+    for check, (least, most) in ((SPOT_CHECK, work.spot_check), (RECHECK, (work.recheck, work.recheck))):
+        begun = next((each for name, each in closing.items() if closing_check(name) == check), None)
+        done = begun.rollouts if begun else 0
+        low, high = max(0, least - done), max(0, most - done)
+        ended = begun is not None and begun.stopped_by is not None
+        found.append(_exactly(0) if ended else Guess((low + high) / 2, low, high))
+    return found
 
 
 def _end_of(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> Guess | None:

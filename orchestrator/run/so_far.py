@@ -157,10 +157,9 @@ class SoFarListener:
 def _rollout_counts(ledger: Ledger) -> RolloutCounts:
     header, plans = ledger.header, ledger.plans
     spot = spot_check_plan(header, plans.values())
-    checks = spot.count(header.config.spot_check) if spot else 0
-    if Recheck.wanted(header):
-        checks += header.config.recheck
-    return RolloutCounts({name: len(plan.rollouts) for name, plan in plans.items()}, checks)
+    checked = (spot.count(header.config.spot_check), spot.count(spot.max_tests)) if spot else (0, 0)
+    repeated = header.config.recheck if Recheck.wanted(header) else 0
+    return RolloutCounts({name: len(plan.rollouts) for name, plan in plans.items()}, checked, repeated)
 
 
 class Pace:

@@ -30,7 +30,7 @@ def holding_rows(found: SoFar, *, running: bool = True) -> tuple[HoldingRow, Hol
     proven = (
         "nothing yet" if found.bound is None else f"{found.sense} {_in_unit(outward(found.bound, found.sense), found)}"
     )
-    count = "-" if ahead.tests is None else f"about {_span_words(ahead.tests)}"
+    count = "-" if ahead.tests is None else _span_words(ahead.tests)
     end = f"{AHEAD[ahead.verdict]}, {left_words(ahead)}{'' if running else ' of work, once it is resumed'}"
     return (
         HoldingRow("proven so far", proven, chance, f"{found.tests:,}", f"if it ended now: {found.verdict}"),
@@ -105,15 +105,15 @@ def _expected_bound(found: SoFar) -> str:
     span = found.expected.bound
     if span is None:
         return "no forecast yet" if found.expected.by_budget else "-"
+    if span.low == span.high:  # its problem has ended
+        return f"{found.sense} {_in_unit(outward(span.low, found.sense), found)}"
     low, high = f"{span.low:.4g}", f"{span.high:.4g}"
-    if low == high:
-        return f"{found.sense} {_in_unit(low, found)}"
     return f"about {span.middle:.4g} ({low} to {_in_unit(high, found)})"
 
 
 def _span_words(span: Span) -> str:
     low, high = math.floor(span.low), math.ceil(span.high)
-    return f"{low:,}" if low == high else f"{round(span.middle):,} ({low:,} to {high:,})"
+    return f"{low:,}" if low == high else f"about {round(span.middle):,} ({low:,} to {high:,})"
 
 
 def _in_unit(text: str, found: SoFar) -> str:

@@ -55,7 +55,7 @@ function testedRow(each) {
 function statusText(connection, state) {
   if (connection === "ended" || state === "finished") return "the campaign has finished";
   if (connection === "connecting") return "connecting";
-  const stopped = state === "stopped" && "stopped: no process runs this campaign";
+  const stopped = state === "stopped" && `stopped: no process runs this campaign${page.report.resume && `; continue with: ${page.report.resume}`}`;
   if (connection === "live") return stopped || "live";
   return stopped || "connection lost, retrying";
 }
@@ -65,7 +65,7 @@ function statusLine() {
   const time = page.updated === null ? null : new Date(page.updated).toTimeString().slice(0, 8);
   const text = statusText(page.connection, state);
   const shown = state === "running" ? page.connection : state === "stopped" ? "stopped" : "ended";
-  return el("p#live", { role: "status", "data-connection": page.connection === "connecting" ? "connecting" : shown }, time ? `${text}; updated at ${time}` : text);
+  return el("p#live", { role: "status", "data-connection": page.connection === "connecting" ? "connecting" : shown }, time && shown !== "ended" ? `${text}; updated at ${time}` : text);
 }
 
 function setConnection(state) {
