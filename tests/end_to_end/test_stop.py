@@ -1,5 +1,6 @@
 """`perfbound stop`, from another process: what it stops, how, and what it refuses."""
 
+import json
 import os
 import signal
 import subprocess
@@ -195,3 +196,48 @@ def test_another_host_is_named(slow: Processes, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(os, "uname", lambda: os.uname_result(("Linux", "elsewhere", *uname[2:])))
     words = stop._why_not_running(slow.folder / "run")
     assert f"the last one that did was on {uname.nodename}: stop it there" in words
+
+
+def test_a_run_says_what_holds_and_what_is_refuted_in_lines_for_programs(slow: Processes) -> None:
+    """The noise scale is far too small: it is refuted while the campaign runs, and with "stop" that ends it."""
+    noisy = FUNCTION.replace("def slow(x):", "def slow(x, *, seed):").replace(
+        "return 1 + (x - 0.3) ** 2", "return 1 + (x - 0.3) ** 2 + 0.5 * (seed % 997) / 997"
+    )
+    (slow.folder / "slow.py").write_text(noisy)
+    file = FILE.replace(
+        "noise_scale = 0\n", 'noise_scale = 0.02\nclip = [-5, 5]\nreplicates = 4\non_refuted = "stop"\n'
+    )
+    (slow.folder / "slow.toml").write_text(file.replace("max_tests = 60", "max_tests = 1000"))
+    process = slow.start("perfbound", "run", "slow.toml", "--out", "run", "--log", "json")
+    wait_for(lambda: (slow.folder / "run" / "so-far.json").exists() or not process.running)
+    state = slow.run("perfbound", "status", "run", "--json")
+    found = json.loads(state.out)
+    assert found["state"] in ("running", "finished")
+    ended = process.wait()
+    assert ended.code == 0, ended.err
+    lines = [json.loads(line) for line in ended.err.splitlines()]
+    (line,) = [each for each in lines if each["message"] == "refuted" and each["assumption"].startswith("replicate")]
+    assert line["level"] == "warning"
+    assert line["assumption"] == "replicate_spread/robustness"
+    assert line["then"] == "robustness ends here"
+    assert not (slow.folder / "run" / "so-far.json").exists(), "the certificate has everything"
+    last = json.loads(slow.run("perfbound", "status", "run", "--json").out)
+    assert last["state"] == "finished"
+    assert last["verdict"]["verdict"] == "NOT SHOWN"
+    assert last["so_far"] is None
+    assert last["problems"][0]["stopped_by"] == "refuted"
+    assert slow.run("perfbound", "verify", "run").code == 0
+
+
+def test_a_run_writes_its_verdict_so_far_periodically(slow: Processes) -> None:
+    (slow.folder / "slow.toml").write_text(FILE.replace("max_tests = 60", "max_tests = 1000"))
+    process = slow.start("perfbound", "run", "slow.toml", "--out", "run", "--log", "json")
+    wait_for(lambda: '"so far"' in process.err or not process.running)
+    assert slow.run("perfbound", "stop", "run").code == 0
+    (line, *_) = [each for each in map(json.loads, process.wait().err.splitlines()) if each["message"] == "so far"]
+    assert line["verdict"] in ("SHOWN", "NOT SHOWN")
+    assert 0 < line["expected"]["share"] < 1
+    stopped = json.loads(slow.run("perfbound", "status", "run", "--json").out)
+    assert stopped["state"] == "stopped"
+    assert stopped["so_far"]["verdict"] in ("SHOWN", "NOT SHOWN")
+    assert stopped["resume"] == "perfbound resume run"
