@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -46,22 +47,29 @@ MEASURED = {"simulator_is_the_system": "measured_system", "workers_honest": "tol
 """The sentences of those of a system whose rollouts no simulator makes."""
 
 
+@dataclass(frozen=True, slots=True)
+class ClosingResults:
+    """What came after the problems, as far as there is any."""
+
+    spot_check: SpotCheck | None
+    recheck: Recheck | None
+    regions: CertifiedRegions | None = None
+
+
 def assumptions(
     ledger: Ledger,
     accounts: Mapping[str, Account],
-    spot_check: SpotCheck | None,
-    recheck: Recheck | None,
+    checks: ClosingResults,
     *,
     irreproducible: bool,
     honest: Assumption | None = None,
-    regions: CertifiedRegions | None = None,
     sampled: Callable[[Account], Iterable[Assumption]] | None = None,
 ) -> list[Assumption]:
     """Return every assumption of the campaign, bound by bound, then those of the whole.
 
     `accounts` has everything with a bound of its own, see `campaign.bounded`.
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later. `honest` takes the place
-    of what is assumed of the workers. `regions` that a fresh start contradicts refute the norm. `sampled` takes the
+    of what is assumed of the workers. Regions that a fresh start contradicts refute the norm. `sampled` takes the
     place of the tests of independence and of one law, which read trajectories.
     """
     tested = sampled or partial(_sampled, ledger)
@@ -72,8 +80,8 @@ def assumptions(
         found_here = list(_of_problem(account, ledger.methods, ledger.header.rules))
         # Rules 1 know no assumption of these: a certificate keeps the list that it was issued with.
         if ledger.header.rules > 1:
-            found_here = [*_spot_checked(found_here, name, spot_check), *tested(account)]
-            found_here = list(_of_regions(found_here, name, regions))
+            found_here = [*_spot_checked(found_here, name, checks.spot_check), *tested(account)]
+            found_here = list(_of_regions(found_here, name, checks.regions))
         found += [*found_here, *_of_gap(account, accounts)]
         # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
         if account.robustness and account.plan.clip != UNBOUNDED:
@@ -85,7 +93,7 @@ def assumptions(
         found.append(assumption("finite_rollouts", "derived", rollouts, form="finite_rollouts_1"))
     else:
         found.append(assumption("finite_rollouts", "derived", rollouts))
-        found.append(_reproducible(recheck, measured=measured, irreproducible=irreproducible))
+        found.append(_reproducible(checks.recheck, measured=measured, irreproducible=irreproducible))
     found += [*_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.

@@ -17,7 +17,7 @@ from ..campaign.bounded import bounded_accounts
 from ..campaign.ledger import Ledger
 from ..campaign.tested import OneLaw
 from ..mathematics.bounds.sample import SampleMethod
-from .assumptions import assumptions, noisy_variants, one_law
+from .assumptions import ClosingResults, assumptions, noisy_variants, one_law
 from .bases import bases
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
@@ -72,9 +72,8 @@ class AuditSoFar:
         # A check that is under way has shown nothing yet, unless it has refuted something.
         checked = spot_check(self.ledger) if closing.spot_check and closing.spot_check.refuted else None
         repeated = recheck(self.ledger) if closing.recheck and not closing.recheck.all_agree else None
-        return assumptions(
-            self.ledger, accounts, checked, repeated, irreproducible=irreproducible, sampled=self._sampled
-        )
+        results = ClosingResults(checked, repeated)
+        return assumptions(self.ledger, accounts, results, irreproducible=irreproducible, sampled=self._sampled)
 
     def _sampled(self, account: Account) -> Iterator[Assumption]:
         """Yield what the bound of a noisy problem needs of its samples, without comparing trajectories."""

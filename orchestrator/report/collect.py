@@ -51,8 +51,7 @@ class Collector:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        self.abandoned = False
-        """Whether the orchestrator has ended, although its lock may still be held for a moment."""
+        self.abandoned = False  # by its orchestrator, although its lock may be held for a moment more
         self._reset()
 
     def _reset(self) -> None:

@@ -108,8 +108,7 @@ class Service:
         self._journal = journal
         self._fleet = fleet
         self._listeners = listeners
-        self._lines = Lines(self._print_line)
-        self._roster = Roster(ledger.header.spec, journal.platform)
+        self._lines, self._roster = Lines(self._print_line), Roster(ledger.header.spec, journal.platform)
         self._outlooks = PlannedOutlooks()
         self._review = Review(ledger, journal)
         self._results = Results(ledger, journal, self._review, self.inbox.put)
