@@ -40,6 +40,7 @@ class SoFar(Model):
     claim: str = Field(description="what is proven so far, in words; empty while nothing is")
     reasons: tuple[str, ...] = Field(description="why it is this verdict, in sentences")
     bound: float | None
+    refuted: bool = Field(description="whether the bound rests on a refuted assumption: do not rely on it")
     sense: Literal[">=", "<="]
     required: float | None
     probability: float | None

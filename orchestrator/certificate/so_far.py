@@ -38,6 +38,8 @@ class Holding:
     """Those that were tested, refuted ones first."""
     verdict: CampaignVerdict | None
     """None while nothing is proven."""
+    refuted: bool
+    """Whether the first claim rests on a refuted assumption."""
 
 
 @dataclass(slots=True)
@@ -60,7 +62,8 @@ class AuditSoFar:
         predicate = self._predicate(accounts, found)
         header = self.ledger.header
         verdict = campaign_verdict(header, predicate, violations, values, unit=unit) if predicate is not None else None
-        return Holding(tuple(tested), verdict)
+        refuted = predicate is not None and bool(predicate.claims[0].refuted)
+        return Holding(tuple(tested), verdict, refuted)
 
     def _accounts(self) -> dict[str, Account]:
         return bounded_accounts(self.ledger.accounts, self.ledger.methods)

@@ -132,6 +132,7 @@ class SoFarListener:
             claim=verdict.claim if verdict else "",
             reasons=verdict.reasons if verdict else (claims_nothing_yet(self._ledger.header),),
             bound=verdict.bound if verdict else None,
+            refuted=holding.refuted,
             sense=sense,
             required=required,
             probability=verdict.probability if verdict else None,

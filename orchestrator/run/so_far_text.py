@@ -27,25 +27,25 @@ def holding_rows(found: SoFar, *, running: bool = True) -> tuple[HoldingRow, Hol
     """Return the row of what is proven so far, and that of what is expected at the end, in the time that it runs."""
     ahead = found.expected
     chance = "-" if found.probability is None else f"at least {outward(found.probability, '>=')}"
-    proven = (
-        "nothing yet" if found.bound is None else f"{found.sense} {_in_unit(outward(found.bound, found.sense), found)}"
-    )
+    bound = None if found.bound is None else _in_unit(outward(found.bound, found.sense), found)
+    proven = "nothing yet" if bound is None else f"{found.sense} {bound}{', refuted' if found.refuted else ''}"
     count = "-" if ahead.tests is None else _span_words(ahead.tests)
-    end = f"{AHEAD[ahead.verdict]}, {left_words(ahead)}{'' if running else ' of work, once it is resumed'}"
+    end = f"{AHEAD[ahead.verdict]}, {left_words(ahead, running=running)}"
     return (
         HoldingRow("proven so far", proven, chance, f"{found.tests:,}", f"if it ended now: {found.verdict}"),
         HoldingRow("expected at the end", _expected_bound(found), "-" if ahead.bound is None else chance, count, end),
     )
 
 
-def left_words(ahead: Expected) -> str:
-    """Return when a run is expected to end."""
+def left_words(ahead: Expected, *, running: bool = True) -> str:
+    """Return when a run is expected to end, or how much work a stopped one still has."""
     if ahead.seconds is None:
         return "its time is not known yet"
     low, middle, high = (duration(each) for each in (ahead.seconds.low, ahead.seconds.middle, ahead.seconds.high))
+    when = "in" if running else "after a resume,"
     if ahead.by_budget:
-        return f"in {high} at most, when the budget ends"
-    return f"in about {middle}" + ("" if low == high else f" ({low} to {high})")
+        return f"{when} {high} at most, when the budget ends"
+    return f"{when} about {middle}" + ("" if low == high else f" ({low} to {high})")
 
 
 def bar_words(ahead: Expected) -> str:

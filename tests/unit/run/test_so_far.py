@@ -182,7 +182,7 @@ def test_before_the_end_it_says_what_would_hold_and_what_is_expected(tmp_path: P
     report = Collector(tmp_path).refresh()
     assert report.live is not None
     assert report.live.rows[0][-1] == f"if it ended now: {found.verdict}"
-    assert "once it is resumed" in report.live.rows[1][-1]
+    assert "after a resume, about " in report.live.rows[1][-1]
     assert status_object(tmp_path)["so_far"]["verdict"] == found.verdict
     console = Console(width=120, force_terminal=False)
     with console.capture() as captured:
@@ -214,6 +214,8 @@ def test_a_refutation_is_reported_once_with_what_follows(tmp_path: Path, key: st
     assert one[1].startswith(then)
     assert found.expected.verdict == found.verdict == "NOT SHOWN"
     assert found.on_refuted == key
+    assert found.refuted
+    assert holding_rows(found)[0].bound.endswith(", refuted")
     line = refutation_line(found.assumptions[0], one[1])
     assert line.startswith("REFUTED: replicate_spread/robustness: the replicates of ")
     assert "\n" not in line
