@@ -49,6 +49,8 @@ class Outlook:
     bound: Guess
     gain: Guess
     """By which `MORE` rollouts beyond the budget would lower it."""
+    at_budget: Guess
+    """The bound at the end of the budget by the fits alone."""
 
 
 def outlook(
@@ -65,8 +67,9 @@ def outlook(
     tests = ending(course, most=most, alpha=alpha) if alpha is not None else None
     tests = tests or Guess(most, most, most)
     floor = -math.inf if least is None else min(least, bounds.now)
-    further = [max(0.0, first - second) for first, second in bounds.pairs(most, most + MORE / per_test, floor)]
-    return Outlook(tests, bounds.at(tests, floor), _over_fits(further))
+    pairs = bounds.pairs(most, most + MORE / per_test, floor)
+    further = [max(0.0, first - second) for first, second in pairs]
+    return Outlook(tests, bounds.at(tests, floor), _over_fits(further), _over_fits([first for first, _ in pairs]))
 
 
 def ending(course: Sequence[CoursePoint], *, most: int, alpha: float) -> Guess | None:

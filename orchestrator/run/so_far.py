@@ -1,11 +1,13 @@
 """A listener that computes what a run has shown so far, writes it beside the database, and reports refutations."""
 
+import math
 import time
 from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from ...schemas.certificate import Assumption
+from ...schemas.errors import one_line
 from ...schemas.so_far import Expected, SoFar
 from ...schemas.verdict import Violations
 from ..campaign.ledger import Ledger
@@ -73,9 +75,17 @@ class SoFarListener:
         state = [(each.tests, each.stopped_by) for each in (*status.problems.values(), *status.closing.values())]
         ended = [each[1] for each in state]
         # At the end of a problem at once: it may be a refutation.
-        if state != self._state and (now >= self._due or ended != self._ends()):
+        if self._due < math.inf and state != self._state and (now >= self._due or ended != self._ends()):
             self._state = state
-            self._holding = self._examined()
+            try:
+                self._holding = self._examined()
+            except Exception as error:  # noqa: BLE001  (any: a view of a campaign must not stop it)
+                self._output.print_line(
+                    f"what holds so far cannot be computed, and is not shown: {one_line(repr(error))}"
+                )
+                self._due = math.inf
+                self._holding = None
+                return
             self._due = time.monotonic() + SHARE * (time.monotonic() - now)
             self._report_refutations(self._holding[0])
             self._next = 0.0

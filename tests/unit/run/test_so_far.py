@@ -191,6 +191,56 @@ def test_before_the_end_it_says_what_would_hold_and_what_is_expected(tmp_path: P
     assert f"as of {found.tests} tests" in captured.get()
 
 
+REQUIREMENTS = {
+    "specification": None,
+    "specifications": [
+        {"name": "low", "formula": "value >= 0"},
+        {"name": "high", "formula": "value <= 2"},
+    ],
+}
+
+
+@pytest.mark.parametrize("after", [3, 17, 60])
+@pytest.mark.parametrize(
+    ("problem", "changes"),
+    [
+        (RIGOROUS, REQUIREMENTS | {"replicates": 2}),
+        (SAMPLE, REQUIREMENTS),
+        (SAMPLE, {"falsify": {}}),
+        (RIGOROUS, {"until_counterexample": True}),
+        (SCENARIO, LIST),
+        (SAMPLE, {"claims": [{"quantity": "quantile", "level": 0.1}, {"quantity": "mean"}]}),
+    ],
+)
+def test_every_kind_of_campaign_has_it_at_any_moment(
+    tmp_path: Path, problem: dict[str, Any], changes: dict[str, Any], after: int
+) -> None:
+    config = robustness(problem, **({"clip": [-10, 10], "max_tests": 80, "recheck": 0, "spot_check": 0} | changes))
+    cut(tmp_path, config, quiet, after=after)
+    with replayed(tmp_path) as ledger:
+        tests = sum(len(account.observations) for account in ledger.accounts.values())
+    if tests == 0:
+        return
+    found, output = shown(tmp_path)
+    assert output.lines == []
+    assert found.tests == tests
+    assert found.verdict in ("SHOWN", "NOT SHOWN")
+    assert holding_rows(found)[1].verdict
+
+
+def test_a_fault_in_it_does_not_stop_the_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cut(tmp_path, a_rigorous_one(), quiet, after=60)
+    output = Output()
+    with replayed(tmp_path) as ledger:
+        listener = SoFarListener(tmp_path, ledger, output)
+        monkeypatch.setattr(listener, "_examined", lambda: 1 / 0)
+        for second in range(3):
+            listener.show(status_of(ledger, seconds=second, recorded=0))
+    (line,) = output.lines
+    assert "what holds so far cannot be computed, and is not shown: ZeroDivisionError" in line
+    assert output.found == []
+
+
 @pytest.mark.parametrize(
     ("config", "function", "words"),
     [
