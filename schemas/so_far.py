@@ -47,5 +47,6 @@ class SoFar(Model):
     unit: str
     violations: Violations
     assumptions: tuple[Assumption, ...] = Field(description="those that were tested so far, refuted ones first")
+    others: tuple[str, ...] = Field(description="ids of those assumptions that only further claims rest on")
     on_refuted: Literal["continue", "stop"]
     expected: Expected

@@ -38,8 +38,13 @@ class Holding:
     """Those that were tested, refuted ones first."""
     verdict: CampaignVerdict | None
     """None while nothing is proven."""
-    refuted: bool
-    """Whether the first claim rests on a refuted assumption."""
+    others: tuple[str, ...]
+    """The ids of those that only further claims rest on."""
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the first claim rests on a refuted assumption."""
+        return any(each.status == "refuted" and each.id not in self.others for each in self.assumptions)
 
 
 @dataclass(slots=True)
@@ -58,12 +63,18 @@ class AuditSoFar:
         """
         accounts = {name: each for name, each in self._accounts().items() if each.observations}
         found = self._assumptions(accounts, irreproducible=irreproducible)
-        tested = sorted((each for each in found if each.status in TESTED), key=lambda each: TESTED.index(each.status))
+        tested = [each for each in found if each.status in TESTED]
+        tested.sort(key=lambda each: (TESTED.index(each.status), not self._concerns_first_claim(each)))
         predicate = self._predicate(accounts, found)
         header = self.ledger.header
         verdict = campaign_verdict(header, predicate, violations, values, unit=unit) if predicate is not None else None
-        refuted = predicate is not None and bool(predicate.claims[0].refuted)
-        return Holding(tuple(tested), verdict, refuted)
+        others = tuple(each.id for each in tested if not self._concerns_first_claim(each))
+        return Holding(tuple(tested), verdict, others)
+
+    def _concerns_first_claim(self, found: Assumption) -> bool:
+        """Whether the first claim rests on an assumption: of its problems, or of the whole campaign."""
+        _, _, problem = found.id.partition("/")
+        return not problem or problem in bases(self.ledger.config)[0].problems
 
     def _accounts(self) -> dict[str, Account]:
         return bounded_accounts(self.ledger.accounts, self.ledger.methods)

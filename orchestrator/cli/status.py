@@ -106,7 +106,7 @@ def _state_word(*, finished: bool, running: bool) -> str:
 def _print_so_far(found: SoFar, console: Console, *, running: bool) -> None:
     console.print(so_far_view(found, running=running))
     for each in found.assumptions:
-        if each.status == "refuted":
+        if each.status == "refuted" and each.id not in found.others:
             console.print(Text(f"REFUTED: {each.id}: {each.detail}", "bold red"), soft_wrap=True)
     if not running:
         ago = duration(max(0.0, time.time() - found.at))

@@ -32,6 +32,8 @@ class LiveCard:
     violated: bool
     tested: tuple[AssumptionRow, ...]
     """Refuted ones first."""
+    others: tuple[str, ...]
+    """Ids of those that only further claims rest on."""
     then: str
     """What a refutation leads to in this campaign."""
 
@@ -52,5 +54,6 @@ def live_card(found: SoFar | None, run: str, *, running: bool) -> LiveCard | Non
         violations=violations_so_far(found),
         violated=found.violations.violations > 0,
         tested=tuple(map(assumption_row, found.assumptions)),
+        others=found.others,
         then=consequence_of_key(found.on_refuted),
     )

@@ -115,7 +115,8 @@ class SoFarListener:
         for each in holding.assumptions:
             if each.status == "refuted" and each.id not in self._known:
                 self._known.add(each.id)
-                self._output.refuted(each, self._consequence(each))
+                then = "the first claim does not rest on it" if each.id in holding.others else self._consequence(each)
+                self._output.refuted(each, then)
 
     def _consequence(self, found: Assumption) -> str:
         """Return what follows from a refutation in this run."""
@@ -128,11 +129,10 @@ class SoFarListener:
     def _found(self, status: RunStatus, rate: float, holding: Holding, violations: Violations) -> SoFar:
         verdict, config = holding.verdict, status.config
         forecast = self._never_falling(expected(config, status.problems, status.closing, self._work, rate))
-        refuted = any(each.status == "refuted" for each in holding.assumptions)
         sense = verdict.sense if verdict else ">=" if config.sense_of(config.problems[0]) == "min" else "<="
         required = config.required_margin if sense == ">=" else config.required_at_most
         word = verdict.verdict if verdict else "NOT SHOWN"
-        then = expected_verdict(forecast, word, required, refuted=refuted)
+        then = expected_verdict(forecast, word, required, refuted=holding.refuted)
         return SoFar(
             run=self._ledger.header.run,
             at=time.time(),
@@ -149,6 +149,7 @@ class SoFarListener:
             unit=self._unit,
             violations=violations,
             assumptions=holding.assumptions,
+            others=holding.others,
             on_refuted=config.on_refuted,
             expected=forecast.model_copy(update={"verdict": then}),
         )

@@ -33,5 +33,5 @@ def _lines_of(found: SoFar, *, running: bool) -> Iterator[RenderableType]:
     yield bar
     if words := violations_so_far(found):
         yield Text(words, "red" if found.violations.violations else "")
-    if words := assumption_words(found.assumptions):
+    if words := assumption_words(found):
         yield Text(words, "bold red" if "REFUTED" in words else "")

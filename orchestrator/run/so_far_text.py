@@ -58,14 +58,16 @@ def bar_words(ahead: Expected) -> str:
     return f"{math.floor(100 * ahead.share)} % {of}"
 
 
-def assumption_words(tested: tuple[Assumption, ...]) -> str:
+def assumption_words(found: SoFar) -> str:
     """Return how many assumptions were tested so far, and which of them are refuted; empty before the first test."""
-    refuted = [each.id for each in tested if each.status == "refuted"]
-    if not tested:
+    if not found.assumptions:
         return ""
-    passed = f"{len(tested) - len(refuted)} not refuted so far"
-    named = f"REFUTED: {', '.join(refuted)}; " if refuted else ""
-    return f"assumptions tested: {named}{passed}"
+    refuted = [each.id for each in found.assumptions if each.status == "refuted"]
+    of_first = ", ".join(each for each in refuted if each not in found.others)
+    further = ", ".join(each for each in refuted if each in found.others)
+    parts = [f"REFUTED: {of_first}"] if of_first else []
+    parts += [f"refuted, of further claims alone: {further}"] if further else []
+    return f"assumptions tested: {'; '.join([*parts, f'{len(found.assumptions) - len(refuted)} not refuted so far'])}"
 
 
 def consequence_of_key(on_refuted: str) -> str:
@@ -104,7 +106,7 @@ def so_far_line(found: SoFar) -> str:
 def _expected_bound(found: SoFar) -> str:
     span = found.expected.bound
     if span is None:
-        return "no forecast yet" if found.expected.by_budget else "-"
+        return "no forecast yet" if found.expected.by_budget else "no forecast"
     if span.low == span.high:  # its problem has ended
         return f"{found.sense} {_in_unit(outward(span.low, found.sense), found)}"
     low, high = f"{span.low:.4g}", f"{span.high:.4g}"

@@ -138,8 +138,10 @@ CARD = LiveCard(
     violated=True,
     tested=(
         AssumptionRow("replicate_spread/robustness", "Repeated rollouts vary no more", "refuted", "they vary more <b>"),
+        AssumptionRow("rkhs_norm/sim_gap", "The norm of the gap", "refuted", "it is too small"),
         AssumptionRow("rkhs_norm/robustness", "The norm is large enough", "not refuted", "a norm of 2 is enough"),
     ),
+    others=("rkhs_norm/sim_gap",),
     then="The campaign continues.",
 )
 
@@ -162,7 +164,10 @@ def test_what_holds_now_is_on_the_first_screen_and_a_refutation_is_red(campaign:
     refuted = page.locator("#tested .refuted")
     assert "they vary more <b>" in refuted.inner_text(), "a text is no markup"
     assert "rkhs_norm" not in refuted.inner_text()
-    assert page.locator("#tested summary").inner_text().startswith("1 not refuted so far")
+    assert "sim_gap" not in refuted.inner_text(), "the first claim does not rest on it"
+    further, passed = page.locator("#tested summary").all_inner_texts()
+    assert further.startswith("1 refuted, on which the first claim does not rest: The norm of the gap")
+    assert passed.startswith("1 not refuted so far")
     line = page.evaluate("getComputedStyle(document.querySelector('#tested .refuted')).borderTopColor")
     assert line == "rgb(198, 43, 32)"
     assert campaign.watch.overflow() <= 0

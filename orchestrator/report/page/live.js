@@ -28,21 +28,24 @@ function holdingSection({ live: found, state }) {
 /** The assumptions that data were compared with so far, the refuted ones first. */
 function testedSection({ live: found }) {
   if (found === null || found.tested.length === 0) return null;
-  const [refuted, others] = [true, false].map((wanted) => found.tested.filter((each) => (each.status === "refuted") === wanted));
+  const groupOf = (each) => (each.status !== "refuted" ? "passed" : found.others.includes(each.id) ? "further" : "refuted");
+  const [refuted, further, passed] = ["refuted", "further", "passed"].map((group) => found.tested.filter((each) => groupOf(each) === group));
   return el(
     "section#tested",
     el("h2", "Assumptions tested so far"),
     refuted.length ? el("div.refuted", { role: "alert" }, el("p.shout", `REFUTED: ${plural(refuted.length, "assumption")}`), el("p", found.then), definitions("", refuted.map(testedRow))) : null,
-    others.length ? testedGroup(others) : null,
+    testedGroup("refuted", further, " refuted", ", on which the first claim does not rest"),
+    testedGroup("not refuted", passed, " not refuted so far", ", which is not evidence for them"),
   );
 }
 
-function testedGroup(list) {
+function testedGroup(status, list, label, meaning) {
+  if (list.length === 0) return null;
   const names = list.map((each) => each.title || each.id).join("; ");
   return el(
     "details.group",
-    { "data-status": "not refuted" },
-    el("summary", el("span.status", `${list.length} not refuted so far`), el("span.muted", `, which is not evidence for them: ${sentence(names)}`)),
+    { "data-status": status },
+    el("summary", el("span.status", `${list.length}${label}`), el("span.muted", `${meaning}: ${sentence(names)}`)),
     definitions("", list.map(testedRow)),
   );
 }

@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from rich.console import Console
 
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.so_far import AuditSoFar, Holding
 from perfbound.orchestrator.cli.status import print_status, status_object
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
@@ -29,6 +31,7 @@ from perfbound.schemas.ids import closing_check
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.so_far import Expected, SoFar, Span
 from perfbound.schemas.values import MARKED, Bound, ProblemProgress
+from tests.campaigns import config as a_config
 from tests.fakes.simulators import noise, robustness, simulate
 
 RIGOROUS: dict[str, Any] = {
@@ -226,6 +229,21 @@ def test_every_kind_of_campaign_has_it_at_any_moment(
     assert found.tests == tests
     assert found.verdict in ("SHOWN", "NOT SHOWN")
     assert holding_rows(found)[1].verdict
+
+
+def test_what_further_claims_alone_rest_on_is_no_refutation_of_the_first() -> None:
+    """The shipped example: a claim by method `kriging`, and for comparison the paper's, whose norms are refuted."""
+    ledger: Any = SimpleNamespace(config=a_config("segway"))
+    assert AuditSoFar(ledger)._concerns_first_claim(an_assumption("rkhs_norm/true_risk"))
+    assert AuditSoFar(ledger)._concerns_first_claim(an_assumption("reproducible_rollouts"))
+    assert not AuditSoFar(ledger)._concerns_first_claim(an_assumption("rkhs_norm/sim_gap"))
+    of_gap = an_assumption("rkhs_norm/sim_gap")
+    assert not Holding((of_gap,), None, ("rkhs_norm/sim_gap",)).refuted
+    assert Holding((of_gap,), None, ()).refuted
+
+
+def an_assumption(name: str) -> Assumption:
+    return Assumption(id=name, status="refuted", detail="it is too small")
 
 
 def test_a_fault_in_it_does_not_stop_the_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
