@@ -43,7 +43,7 @@ def expected(
     checked = sum(each.rollouts for each in closing.values())
     done = sum(each.rollouts for _, each in pairs) + checked
     missing = [
-        _scaled(end, each.tests, top, work.per_test[problem.name])
+        _rollouts_left(end, each.tests, top, work.per_test[problem.name])
         for (problem, each), end, top in zip(pairs, ends, most, strict=True)
     ]
     left = _sum([*missing, *_left_of_checks(closing, work)])
@@ -95,7 +95,7 @@ def _end_of(config: CampaignConfig, problem: Problem, progress: ProblemProgress)
     return Guess(left.middle + progress.tests, left.low + progress.tests, left.high + progress.tests)
 
 
-def _scaled(end: Guess | None, tests: int, most: int, per_test: int) -> Guess:
+def _rollouts_left(end: Guess | None, tests: int, most: int, per_test: int) -> Guess:
     """Return the rollouts that a problem still needs, up to its budget where nothing else is known."""
     if end is None:
         return Guess((most - tests) * per_test, 0.0, (most - tests) * per_test)
