@@ -26,12 +26,13 @@ from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.so_far import NAME, read_so_far, remove_so_far, write_so_far
 from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.certificate import Assumption
 from perfbound.schemas.ids import closing_check
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.so_far import Expected, SoFar, Span
 from perfbound.schemas.values import MARKED, Bound, ProblemProgress
-from tests.campaigns import config as a_config
+from tests.campaigns import FOLDER
 from tests.fakes.simulators import noise, robustness, simulate
 
 RIGOROUS: dict[str, Any] = {
@@ -233,7 +234,7 @@ def test_every_kind_of_campaign_has_it_at_any_moment(
 
 def test_what_further_claims_alone_rest_on_is_no_refutation_of_the_first() -> None:
     """The shipped example: a claim by method `kriging`, and for comparison the paper's, whose norms are refuted."""
-    ledger: Any = SimpleNamespace(config=a_config("segway"))
+    ledger: Any = SimpleNamespace(config=parse_campaign((FOLDER / "segway.toml").read_bytes(), "segway"))
     assert AuditSoFar(ledger)._concerns_first_claim(an_assumption("rkhs_norm/true_risk"))
     assert AuditSoFar(ledger)._concerns_first_claim(an_assumption("reproducible_rollouts"))
     assert not AuditSoFar(ledger)._concerns_first_claim(an_assumption("rkhs_norm/sim_gap"))
