@@ -108,7 +108,8 @@ def _expected_bound(found: SoFar) -> str:
     if span is None:
         return "no forecast yet" if found.expected.by_budget else "no forecast"
     if span.low == span.high:  # its problem has ended
-        return f"{found.sense} {_in_unit(outward(span.low, found.sense), found)}"
+        end = _in_unit(outward(span.low, found.sense), found)
+        return f"{found.sense} {end}{', refuted' if found.refuted else ''}"
     low, high = f"{span.low:.4g}", f"{span.high:.4g}"
     return f"about {span.middle:.4g} ({low} to {_in_unit(high, found)})"
 
