@@ -97,6 +97,13 @@ class CampaignConfig(CampaignSize):
         description="end the campaign with the first test, in test order, of which a rollout violates the "
         "specification; for one problem of the robustness, not with method `paper`",
     )
+    on_refuted: Literal["continue", "stop"] = Field(
+        default="continue",
+        exclude_if=lambda choice: choice == "continue",
+        description="what a problem does when its tests refute an assumption of it: `continue`, or `stop`, for methods "
+        "`rigorous` and `scenario`, with no spot check after it; a problem whose own bounds contradict its constants "
+        "ends in both cases. The certificate says what is refuted",
+    )
     regions: bool = Field(
         default=False,
         exclude_if=lambda regions: not regions,

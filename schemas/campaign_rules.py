@@ -68,6 +68,8 @@ def _rules_of_claims(config: "CampaignConfig") -> Iterator[Callable[[], None]]:
     yield partial(_check_starts_agree, config)
     if config.until_counterexample:
         yield partial(_check_until_counterexample, config, config.problems[0])
+    if config.on_refuted == "stop":
+        yield partial(_check_on_refuted, config)
     if config.regions:
         yield partial(check_regions, config)
     yield partial(check_composition, config)
@@ -129,6 +131,16 @@ def _check_until_counterexample(config: "CampaignConfig", problem: Problem) -> N
     if config.clip is not None and config.clip[0] >= 0:
         raise ValueError(
             f"clip: {list(config.clip)} must begin below 0 with until_counterexample, or it hides every violation"
+        )
+
+
+def _check_on_refuted(config: "CampaignConfig") -> None:
+    """Refuse a stop that depends on outcomes where a bound holds after a number of tests that is fixed beforehand."""
+    fixed = [each for each in config.problems if each.method not in ("rigorous", "scenario")]
+    if fixed:
+        raise ValueError(
+            f"on_refuted: 'stop' is not for method {fixed[0].method!r}, whose bound holds at a number of tests that no "
+            "outcome decides; remove this key, or choose 'rigorous' or 'scenario'"
         )
 
 

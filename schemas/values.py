@@ -73,6 +73,17 @@ class Band:
     """Whether the maximum may still be at this candidate."""
 
 
+def distance_after(bound: Bound, last_f: float | None) -> float | None:
+    """Return the number that has to fall to alpha: F_i in method paper, which alone has one, else upper - lower.
+
+    >>> distance_after(Bound(0.5, 0.2, None), None), distance_after(Bound(0.5, None, None), 0.1)
+    (0.3, 0.1)
+    """
+    if last_f is not None:
+        return last_f
+    return None if bound.upper is None or bound.lower is None else bound.upper - bound.lower
+
+
 MARKED = frozenset(math.ceil(1.1**power) for power in range(150))
 """Numbers of tests after which the course of a bound is kept: about 24 for each factor of ten, up to a million."""
 
@@ -108,8 +119,8 @@ class ProblemProgress:
     bound: Bound | None
     stopped_by: StoppedBy | None
     extended: int | None = None
-    course: tuple[tuple[int, float], ...] = ()
-    """(tests, bound on J after them) at the tests that are `MARKED`."""
+    course: tuple[tuple[int, float, float | None], ...] = ()
+    """(tests, bound on J after them, distance to the tolerance then) at the tests that are `MARKED`."""
     planned: tuple[Guess, Guess] | None = None
     """Of a method that plans its tests: the bound at the end of the budget, and what a longer plan would gain."""
 

@@ -14,6 +14,7 @@ from . import counterexample
 from .account import Account
 from .methods import Methods
 from .observation import Observer, Others, Trajectories
+from .refutation import Refutation
 from .seeds import rollout_seed
 from .series import Series
 from .sources import proposal_source
@@ -65,6 +66,7 @@ class ProblemDecisions:
         self._account = account
         self._plan, self._source = account.plan, proposal_source(account.plan, methods[account.plan.name], header)
         self._header, self._observer, self._follow = header, observer, follow
+        self._refutation = Refutation(header, account, methods)
 
     def proposal(self, series: Series, test: int) -> ProposalFact:
         """Choose the next test of the problem."""
@@ -90,7 +92,7 @@ class ProblemDecisions:
         """Give an observation to the method, once, and return the bound after it."""
         with naming(f"problem {fact.problem}, test {fact.test}"):
             bound = self._source.observe(series, fact)
-        bound = counterexample.ended(self._header.config, bound, series.last_rollouts)
+        bound = self._refutation.ended(counterexample.ended(self._header.config, bound, series.last_rollouts))
         # A method has no budget: its own verdict comes first, also at the last test.
         spent = bound.verdict is None and fact.test + 1 >= self._account.budget
         return BoundFact(fact.problem, fact.test, bound, budget=spent)

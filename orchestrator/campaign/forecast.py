@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem, SampleProblem
+from ...schemas.problem_models import KernelProblem, PaperProblem, Problem, RigorousProblem
 from ...schemas.values import Bound
 
 if TYPE_CHECKING:
@@ -45,20 +45,6 @@ def tests_left(
     exponent = math.log(max(1.0, now / problem.alpha)) / power
     needed = math.inf if exponent > 50 else tests * math.exp(exponent)
     return max(0, min(math.ceil(min(needed, 1e12)) - tests, left))
-
-
-def left_in_words(config: CampaignConfig, problem: Problem, left: int) -> str:
-    """Return the remaining tests in words; a number of samples is no guess.
-
-    >>> from types import SimpleNamespace
-    >>> left_in_words(SimpleNamespace(until_counterexample=False), SampleProblem.model_construct(), 299)
-    '299 samples'
-    """
-    if not isinstance(problem, SampleProblem):
-        about = "" if problem.alpha is None else "about "
-        return f"{about}{left} test{'' if left == 1 else 's'}"
-    most = "at most " if config.until_counterexample else ""
-    return f"{most}{left} sample{'' if left == 1 else 's'}"
 
 
 def warnings(plans: "Plans") -> list[str]:

@@ -8,7 +8,7 @@ from functools import partial
 
 from ...schemas.values import Guess, ProblemProgress
 from .forecast import FEWEST
-from .outlook import FEWEST_POINTS, outlook
+from .outlook import FEWEST_POINTS, outlook, with_last
 
 FURTHEST = 30
 """Times as many tests as there were: a course says nothing about what is further away."""
@@ -39,14 +39,8 @@ def needed_tests(progress: ProblemProgress, limit: float) -> NeededTests | None:
     if progress.bound is None or progress.bound.upper is None or not progress.tests:
         return None
     numbers = [math.ceil(progress.tests * STEP**power) for power in range(1, _POWERS)]
-    earlier = (point for point in progress.course if point[0] < progress.tests)
-    course = (*earlier, (progress.tests, progress.bound.upper))
     ahead = partial(
-        outlook,
-        course,
-        tests=progress.tests,
-        least=progress.bound.lower,
-        per_test=progress.rollouts / progress.tests,
+        outlook, with_last(progress), least=progress.bound.lower, per_test=progress.rollouts / progress.tests
     )
     if ahead(most=numbers[0]) is None:
         return None
@@ -54,7 +48,7 @@ def needed_tests(progress: ProblemProgress, limit: float) -> NeededTests | None:
     def after(number: int) -> Guess:
         found = ahead(most=number)
         assert found is not None, "whether there is a forecast does not depend on its number"
-        return found.bound
+        return found.at_budget
 
     def first(end: Callable[[Guess], float]) -> int | None:
         # The forecast falls with the number of tests.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from ...schemas.base import canonical_json
 from ...schemas.errors import IllegalEvent
 from ...schemas.facts import BoundFact, DiscardFact, ObservationFact, ProposalFact, RolloutFact, next_link
-from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal
+from ...schemas.values import MARKED, Bound, Observation, ProblemProgress, Proposal, distance_after
 
 ROUND_OFF = 1e-9
 """A bound recomputed on another CPU may differ by less."""
@@ -40,8 +40,8 @@ class Series:
     due: BoundFact | None = None
     """The bound that follows from the last observation, until its fact is there."""
     last_bound: BoundFact | None = None
-    course: list[tuple[int, float]] = field(default_factory=list)
-    """(tests, bound on J after them) at the tests that are `MARKED`."""
+    course: list[tuple[int, float, float | None]] = field(default_factory=list)
+    """As in `ProblemProgress`."""
     budgets: list[int] = field(default_factory=list)
     """Tests at most after each extension of the campaign that this series has part in."""
 
@@ -91,7 +91,8 @@ class Series:
             )
         self.last_bound = fact
         if fact.bound.upper is not None and fact.test + 1 in MARKED:
-            self.course.append((fact.test + 1, fact.bound.upper))
+            last_f = self.last_proposal.F if self.last_proposal else None
+            self.course.append((fact.test + 1, fact.bound.upper, distance_after(fact.bound, last_f)))
 
 
 def _files_link(link: str, rollouts: list[RolloutFact]) -> str:

@@ -90,9 +90,12 @@ class SpotCheck:
     def wanted(cls, header: Header, accounts: Mapping[str, Account]) -> bool:
         """Whether the campaign has a spot check: since rules 2, on a box, where some problem has a bound.
 
-        A counterexample has answered the question: no further start is simulated.
+        A counterexample has answered the question: no further start is simulated. Neither is one where the campaign
+        is to end with a refutation.
         """
         if any(map(counterexample, accounts.values())):
+            return False
+        if header.config.on_refuted == "stop" and any(map(_is_refuted, accounts.values())):
             return False
         bounded = any(math.isfinite(_limit(account)) for account in accounts.values())
         return bounded and spot_check_plan(header, [account.plan for account in accounts.values()]) is not None
@@ -202,6 +205,10 @@ def tested_variant(variants: Iterable[str]) -> str | None:
     'true'
     """
     return max(variants, default=None)
+
+
+def _is_refuted(account: Account) -> bool:
+    return account.last_bound is not None and account.last_bound.stopped_by == "refuted"
 
 
 def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:

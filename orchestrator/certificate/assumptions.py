@@ -1,8 +1,9 @@
 """The audit of a finished campaign: every assumption of its claims, with its status by the data."""
 
-import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from ...schemas.certificate import Assumption, CertifiedRegions, Recheck, SpotCheck, Status
@@ -15,21 +16,21 @@ from ...schemas.problem_models import (
     SampleProblem,
     ScenarioProblem,
 )
+from ...schemas.system import Variant
 from ..campaign.account import Account
 from ..campaign.copies import copies
 from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel
-from ..campaign.plan import UNBOUNDED
+from ..campaign.plan import UNBOUNDED, ProblemPlan
+from ..campaign.tested import OneLaw, is_dominated, same_values, spread
 from ..mathematics.bounds import audit
 from ..mathematics.bounds.kriging_method import KrigingMethod
 from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
-from ..mathematics.bounds.stationarity import AdaptiveOrderTest
 from ..mathematics.gp.lattice import Lattice
 from .kriging_assumptions import kriging_assumptions
 from .sentences import assumption
 
-ROUNDING = 1e-9
 DISCARDED = "discarded_"
 """Of the ids of discarded rollouts, before their number."""
 EXTENDED = "extended_"
@@ -46,36 +47,42 @@ MEASURED = {"simulator_is_the_system": "measured_system", "workers_honest": "tol
 """The sentences of those of a system whose rollouts no simulator makes."""
 
 
+@dataclass(frozen=True, slots=True)
+class ClosingResults:
+    """What came after the problems, as far as there is any."""
+
+    spot_check: SpotCheck | None
+    recheck: Recheck | None
+    regions: CertifiedRegions | None = None
+
+
 def assumptions(
     ledger: Ledger,
     accounts: Mapping[str, Account],
-    spot_check: SpotCheck | None,
-    recheck: Recheck | None,
+    checks: ClosingResults,
     *,
     irreproducible: bool,
     honest: Assumption | None = None,
-    regions: CertifiedRegions | None = None,
+    sampled: Callable[[Account], Iterable[Assumption]] | None = None,
 ) -> list[Assumption]:
     """Return every assumption of the campaign, bound by bound, then those of the whole.
 
     `accounts` has everything with a bound of its own, see `campaign.bounded`.
     With `irreproducible` the system failed in an attempt at a rollout that was recorded later. `honest` takes the place
-    of what is assumed of the workers. `regions` that a fresh start contradicts refute the norm.
+    of what is assumed of the workers. Regions that a fresh start contradicts refute the norm. `sampled` takes the
+    place of the tests of independence and of one law, which read trajectories.
     """
+    tested = sampled or partial(_sampled, ledger)
     repeated = ledger.header.spec.repeated
     measured = repeated == "nowhere"
     found: list[Assumption] = []
     for name, account in accounts.items():
-        of_problem = list(_of_problem(account, ledger.methods, ledger.header.rules))
+        found_here = list(_of_problem(account, ledger.methods, ledger.header.rules))
         # Rules 1 know no assumption of these: a certificate keeps the list that it was issued with.
         if ledger.header.rules > 1:
-            of_problem = [*_spot_checked(of_problem, name, spot_check), *_sampled(ledger, account)]
-            of_problem = list(_of_regions(of_problem, name, regions))
-        found += of_problem
-        if name == "sim_gap":
-            found.append(_dominates(account))
-            if "nominal" in account.plan.shared:
-                found.append(_deterministic_nominal(accounts.get("nominal_robustness")))
+            found_here = [*_spot_checked(found_here, name, checks.spot_check), *tested(account)]
+            found_here = list(_of_regions(found_here, name, checks.regions))
+        found += [*found_here, *_of_gap(account, accounts)]
         # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
         if account.robustness and account.plan.clip != UNBOUNDED:
             found.append(_clip(account))
@@ -86,7 +93,7 @@ def assumptions(
         found.append(assumption("finite_rollouts", "derived", rollouts, form="finite_rollouts_1"))
     else:
         found.append(assumption("finite_rollouts", "derived", rollouts))
-        found.append(_reproducible(recheck, measured=measured, irreproducible=irreproducible))
+        found.append(_reproducible(checks.recheck, measured=measured, irreproducible=irreproducible))
     found += [*_discarded(ledger), *_extended(ledger)]
     if set(PAIR) <= set(accounts):
         # The product needs that neither problem uses the other's data; only method `paper` claims it.
@@ -145,26 +152,27 @@ def _of_regions(found: Iterable[Assumption], name: str, regions: CertifiedRegion
             yield each
 
 
+def noisy_variants(ledger: Ledger, account: Account) -> set[Variant]:
+    """Return the variants of a problem whose rollouts depend on their seeds."""
+    return set(account.plan.variants) & set(ledger.header.spec.noisy)
+
+
 def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
     """Yield what the bound of a noisy problem needs of its samples: independence, and one law per start."""
     name, plan = account.plan.key, account.plan
-    noisy = set(plan.variants) & set(ledger.header.spec.noisy)
+    noisy = noisy_variants(ledger, account)
     if not noisy:
         return
     compared, copied = copies(account, noisy, ledger.recorded.trajectory)
     values = {"rollouts": sum(account.counts[variant] for variant in noisy), "compared": compared, "copies": copied}
     yield assumption(f"independent_rollouts/{name}", "refuted" if copied else "assumed", values)
-    # A list of starts is fixed beforehand; on a box nobody knows how many candidates are tested twice. Drawn starts are
-    # one column: where start and rollout have one law, so have the values.
-    drawn = plan.candidates is None
-    order = AdaptiveOrderTest(starts=1 if drawn else plan.listed)
-    for test, (node, each) in enumerate(zip(account.nodes, account.each, strict=True)):
-        if drawn and not plan.is_drawn(test):
-            continue  # a search chose it by the outcomes before
-        for value in each[:1] if drawn else each:
-            order.observe(0 if drawn else node, test, value)
-    form = "one_law" if drawn else None
-    yield assumption(f"one_law_per_start/{name}", *order.finding(), form=form)
+    yield one_law(plan, OneLaw(plan).finding(account.nodes, account.each))
+
+
+def one_law(plan: ProblemPlan, finding: audit.Finding) -> Assumption:
+    """Return the assumption that the rollouts of a start have one law during the campaign."""
+    form = "one_law" if plan.candidates is None else None
+    return assumption(f"one_law_per_start/{plan.key}", *finding, form=form)
 
 
 def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bool) -> Assumption:
@@ -267,10 +275,7 @@ def _weighted(account: Account, problem: KrigingProblem, method: KrigingMethod) 
 def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[Assumption]:
     name, plan = account.plan.key, account.plan
     if plan.noise == 0:
-        places = sorted(zip(account.nodes, account.each, strict=True))
-        by_place = itertools.groupby(places, key=lambda place: place[0])
-        repeated = [[value for _, each in group for value in each] for _, group in by_place]
-        yield assumption(f"deterministic/{name}", *audit.deterministic_variant(repeated))
+        yield assumption(f"deterministic/{name}", *same_values(account))
         return
     per_rollout = plan.noise_per_rollout
     # A column has no clip, so Hoeffding's lemma gives no scale to compare with.
@@ -279,13 +284,11 @@ def _noise_assumptions(account: Account, problem: RigorousProblem) -> Iterator[A
     else:
         noise = audit.noise_range(noise_scale=per_rollout, hoeffding=plan.hoeffding)
         yield assumption(f"noise_scale/{name}", *noise, form="noise_range")
-    # The budget, not the number of tests made: the test is valid at every N only with a constant fixed beforehand.
-    planned = plan.budget * plan.replicates
-    spread = audit.replicate_spread(account.each, noise_scale=per_rollout, delta=problem.delta, planned=planned)
-    if spread is None:
+    found = spread(account, problem.delta)
+    if found is None:
         yield assumption(f"replicate_spread/{name}", "assumed", form="no_replicates")
     else:
-        yield assumption(f"replicate_spread/{name}", *spread)
+        yield assumption(f"replicate_spread/{name}", *found)
 
 
 def _scenario(account: Account, problem: ScenarioProblem, rules: int) -> Iterator[Assumption]:
@@ -347,6 +350,15 @@ def _clip(account: Account) -> Assumption:
     return assumption(f"clip/{account.plan.key}", "derived", values)
 
 
+def _of_gap(account: Account, accounts: Mapping[str, Account]) -> Iterator[Assumption]:
+    """Yield what a composition needs of a gap; nothing for a problem that compares no trajectories."""
+    if account.plan.key != "sim_gap":
+        return
+    yield _dominates(account)
+    if "nominal" in account.plan.shared:
+        yield _deterministic_nominal(accounts.get("nominal_robustness"))
+
+
 def _dominates(account: Account) -> Assumption:
     """Return the assumption that the gap dominates the robustness difference, tested on every pair of rollouts."""
     gap, name = account.plan.gap, "lipschitz/sim_gap"
@@ -356,7 +368,7 @@ def _dominates(account: Account) -> Assumption:
     if gap.column is not None:
         values["column"] = gap.column
     # Two kinds of gap dominate by proof; an excess then shows a fault of the software, and refutes as well.
-    if account.excess > ROUNDING:
+    if not is_dominated(account):
         return assumption(name, "refuted", values | {"excess": account.excess}, form=form)
     return assumption(name, "assumed" if gap.kind == "signal_sup" else "derived", values, form=form)
 

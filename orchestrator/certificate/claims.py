@@ -38,18 +38,26 @@ class Claimed:
 
 
 def claims(
-    config: CampaignConfig, plans: Plans, results: Results, methods: Methods, assumptions: Sequence[document.Assumption]
+    config: CampaignConfig,
+    plans: Plans,
+    results: Results,
+    methods: Methods,
+    assumptions: Sequence[document.Assumption],
+    *,
+    at_each_start: bool = True,
 ) -> Claimed:
     """Return the claim of every basis, in their order.
 
-    Each has its own probability; the failure probability of several together is at most their sum.
+    Each has its own probability; the failure probability of several together is at most their sum. Without
+    `at_each_start` the bands of a pair are not combined at each start, which takes seconds: the bound is a weaker one.
     """
     found: list[tuple[document.CertificateClaim, document.CompositionTerms | None]] = []
     for basis in bases(config):
         if basis.drawn is not None:
             found.append((_of_drawn_starts(basis, plans, results, methods, assumptions), None))
             continue
-        composed = terms(plans, results, methods, basis.rule) if composes(basis.rule) else None
+        bands = methods if at_each_start else None
+        composed = terms(plans, results, bands, basis.rule) if composes(basis.rule) else None
         found.append((_claim(basis, plans, results, composed, assumptions), composed))
     return Claimed(tuple(claim for claim, _ in found), found[0][1])
 

@@ -12,7 +12,7 @@ from ...schemas.ids import RolloutId
 from ..campaign.bounded import bounded_accounts
 from ..campaign.counterexample import counterexample
 from ..campaign.ledger import Ledger, observed_discards
-from .assumptions import assumptions
+from .assumptions import ClosingResults, assumptions
 from .bases import bases
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
@@ -62,11 +62,9 @@ def issue(
     found = assumptions(
         ledger,
         accounts,
-        checked,
-        repeated,
+        ClosingResults(checked, repeated, None if regions is None else regions.document),
         irreproducible=irreproducible,
         honest=honest,
-        regions=None if regions is None else regions.document,
     )
     claimed = claims(config, plans, results, ledger.methods, found)
     varied = None
@@ -153,4 +151,6 @@ def question(header: Header) -> dict[str, object]:
     # Left out while it is not set, so that certificates of before keep their bytes.
     optional = ("until_counterexample", "falsify", "specifications", "regions", "where")
     sought = {key for key in optional if getattr(header.config, key)}
+    if header.config.on_refuted != "continue":
+        sought.add("on_refuted")
     return header.config.model_dump(mode="json", exclude_none=True, include=keys | sought)

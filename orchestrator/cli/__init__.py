@@ -8,8 +8,9 @@ from . import (  # each adds its commands
     completion,
     report,
     start,
+    stop,
     systems,
 )
 from .entry import main
 
-__all__ = ["calibrate", "campaigns", "certificate", "check", "completion", "main", "report", "start", "systems"]
+__all__ = ["calibrate", "campaigns", "certificate", "check", "completion", "main", "report", "start", "stop", "systems"]

@@ -272,11 +272,17 @@ def discard(directory: Path, rollout: str, reason: str) -> None:
 
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY, callback=check_directory)
-def status(directory: Path) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object, with the verdict so far.")
+def status(*, directory: Path, as_json: bool) -> None:
     """Show the progress of the campaign in DIRECTORY, while it runs and afterwards."""
+    import json  # noqa: PLC0415
+
     from . import status as view  # noqa: PLC0415
 
-    view.print_status(directory, output_console())
+    if as_json:
+        click.echo(json.dumps(view.status_object(directory)))
+    else:
+        view.print_status(directory, output_console())
 
 
 @cli.command()

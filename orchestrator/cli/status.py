@@ -3,19 +3,25 @@
 import math
 import time
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.text import Text
 
 from ...schemas.errors import one_line
 from ...schemas.problem_models import KrigingProblem
-from ..campaign.forecast import left_in_words
-from ..campaign.outlook import outlook_lines
+from ...schemas.requirements import alpha_of
+from ...schemas.so_far import SoFar
+from ..campaign.forecast import budget
+from ..campaign.outlook import left_in_words, outlook_lines, remaining_tests
 from ..certificate import files
 from ..run.format import duration, resume_command
-from ..run.table import progress_table, remaining_tests
+from ..run.so_far_table import so_far_view
+from ..run.table import bound_in_sense, progress_table, remaining_distance
+from ..run.verdict import verdict_of
 from ..store import lock
 from ..store.progress import CampaignProgress, read_progress
+from ..store.so_far import read_so_far
 from .result import print_end
 
 
@@ -30,13 +36,16 @@ def print_status(directory: Path, console: Console) -> None:
     certificate = files.read(directory)
     running = lock.is_held(directory)
     config = found.header.config
-    state = "running" if running else "finished" if certificate else "stopped"
+    state = _state_word(finished=certificate is not None, running=running)
     title = Text(config.name, "bold").append(f"  {state}, seed {config.seed}, run {found.header.run}", "not bold")
     console.print(title, soft_wrap=True)
     rows = []
     for problem, each in zip(config.problems, found.problems, strict=True):
-        left = remaining_tests(config, problem, each)
+        left = remaining_tests(config, problem, each) if each.tests else None
         rows.append((each, "-" if left is None else left_in_words(config, problem, left)))
+    so_far = None if certificate is not None else _so_far_of(directory, found.header.run)
+    if so_far is not None:
+        _print_so_far(so_far, console, running=running)
     console.print(progress_table(config, rows))
     outlooks = outlook_lines(config, found.problems)
     if certificate is None and any(isinstance(each, KrigingProblem) for each in config.problems):
@@ -47,6 +56,62 @@ def print_status(directory: Path, console: Console) -> None:
         print_end(directory, found.header, certificate, console)
     elif not running:
         console.print(Text(f"continue with: {resume_command(directory)}"), soft_wrap=True)
+
+
+def status_object(directory: Path) -> dict[str, Any]:
+    """Return the progress of a campaign as an object for JSON: verdict and forecast of one that runs, or the verdict.
+
+    Raises:
+        PerfboundError: there is no campaign here, or its database cannot be read.
+
+    """
+    found, certificate, running = read_progress(directory), files.read(directory), lock.is_held(directory)
+    config = found.header.config
+    so_far = None if certificate is not None else _so_far_of(directory, found.header.run)
+    verdict = None if certificate is None else verdict_of(directory, found.header, certificate)
+    return {
+        "campaign": config.name,
+        "seed": config.seed,
+        "run": found.header.run,
+        "state": _state_word(finished=certificate is not None, running=running),
+        "verdict": verdict.model_dump(mode="json") if verdict else None,
+        "so_far": so_far.model_dump(mode="json") if so_far else None,
+        "problems": [
+            {
+                "name": problem.name,
+                "tests": each.tests,
+                "most_tests": budget(config, problem, each.extended),
+                "rollouts": each.rollouts,
+                "bound": bound_in_sense(config, problem, each),
+                "distance": remaining_distance(config, problem, each),
+                "alpha": alpha_of(config, problem),
+                "stopped_by": each.stopped_by,
+            }
+            for problem, each in zip(config.problems, found.problems, strict=True)
+        ],
+        "rollouts_per_second": found.rate,
+        "resume": None if certificate is not None or running else resume_command(directory),
+    }
+
+
+def _so_far_of(directory: Path, run: str) -> SoFar | None:
+    found = read_so_far(directory)
+    return found if found is not None and found.run == run else None
+
+
+def _state_word(*, finished: bool, running: bool) -> str:
+    return "running" if running else "finished" if finished else "stopped"
+
+
+def _print_so_far(found: SoFar, console: Console, *, running: bool) -> None:
+    console.print(so_far_view(found, running=running))
+    for each in found.assumptions:
+        if each.status == "refuted" and each.id not in found.others:
+            console.print(Text(f"REFUTED: {each.id}: {each.detail}", "bold red"), soft_wrap=True)
+    if not running:
+        ago = duration(max(0.0, time.time() - found.at))
+        console.print(Text(f"as of {found.tests} tests, {ago} ago: no process runs this campaign now"), soft_wrap=True)
+    console.print()
 
 
 def _planned_outlooks(directory: Path) -> list[str]:

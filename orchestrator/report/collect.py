@@ -14,6 +14,7 @@ from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import ExtensionFact, Header, ProposalFact
 from ...schemas.ids import CLOSING, closing_check
 from ...schemas.requirements import parts_of
+from ...schemas.so_far import SoFar
 from ..campaign.observation import of_requirement
 from ..campaign.plan import plans
 from ..certificate import files
@@ -22,11 +23,13 @@ from ..run.format import replay_command, resume_command
 from ..run.verdict import verdict_of
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, Session
+from ..store.so_far import read_so_far
 from . import rollouts, wording
 from .charts import LaterCharts
 from .claim_data import VerdictCard, assumption_row
 from .counterexample import ending_counterexample
-from .data import Axis, Problem, RegionMap, ReportData, State
+from .data import Axis, Problem, RegionMap, ReportData
+from .live import live_card
 from .problem import ProblemCollector
 from .provenance import provenance
 from .question import required_words
@@ -48,6 +51,7 @@ class Collector:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
+        self.abandoned = False  # by its orchestrator, although its lock may be held for a moment more
         self._reset()
 
     def _reset(self) -> None:
@@ -65,6 +69,7 @@ class Collector:
         self._divided: dict[str, RegionMap | None] = {}
         self._charts = LaterCharts(self.directory)
         self._verdict: VerdictCard | None = None
+        self._so_far: SoFar | None = None
         self._sessions: tuple[Session, ...] = ()
         self._closing: dict[str, int] = {}
 
@@ -103,6 +108,8 @@ class Collector:
     def _read(self) -> Header:
         # The certificate before the facts: it is written after the last of them, so they are complete with it.
         certificate = self._certificate or files.read(self.directory)
+        # Also before the facts: it must not be about tests that the rest of the data has not.
+        self._so_far = None if certificate else read_so_far(self.directory)
         changes = self._changes.read()
         if self._certificate and changes.extended:
             # That of before; the next refresh finds the one that follows.
@@ -156,6 +163,7 @@ class Collector:
         results = {each.key: each for each in predicate.problems} if predicate else {}
         problems = tuple(self._problem(each, results.get(key), predicate) for key, each in self._problems.items())
         claims = wording.worded(predicate) if predicate else ()
+        running = lock.is_held(self.directory) and not self.abandoned
         workers, more = self._workers.rows(live, self._trust.workers)
         # Terms without a claim of their own compose to the risk.
         of_risk = any(each.quantity in (None, "rho_star") for each in problems)
@@ -163,7 +171,7 @@ class Collector:
             name=config.name,
             seed=config.seed,
             run=header.run,
-            state=self._state(),
+            state="finished" if self._certificate else "running" if running else "stopped",
             updated=at,
             system=header.spec.name,
             doc=header.spec.doc,
@@ -213,6 +221,7 @@ class Collector:
             verdict=self._verdict,
             required=required_words(header, claims[0].quantity if claims else problems[0].quantity),
             closing_rollouts={each: self._closing[each] for each in CLOSING if each in self._closing},
+            live=None if self._certificate else live_card(self._so_far, header.run, running=running),
             provenance=provenance(header, self._sessions, self._workers.ended()),
         )
 
@@ -235,11 +244,6 @@ class Collector:
             return self._checked.get((series, test))
         starts = self._problems[series].starts
         return starts[test] if test < len(starts) else None
-
-    def _state(self) -> State:
-        if self._certificate is not None:
-            return "finished"
-        return "running" if lock.is_held(self.directory) else "stopped"
 
     def _shown_tests(self) -> list[tuple[str, int]]:
         """Return the tests whose rollouts are part of the data, those that a report needs most first."""

@@ -17,6 +17,7 @@ from ...schemas.problems import Quantity
 from ..store.changes import ComparedResult
 from .chart_data import ProblemCharts
 from .claim_data import AssumptionRow, Claim, VerdictCard
+from .live import LiveCard
 from .provenance import Provenance
 from .rollout_data import FoundCounterexample, RankedTest, Rollout, RolloutsOfTest, ViolatingStarts
 from .worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
@@ -256,6 +257,8 @@ class ReportData:
     """The tests that a reader wants first; the first of them is shown. Empty where no rollout has a robustness."""
     violating: ViolatingStarts | None = None
     """The starts of all violations; None where there is none."""
+    live: LiveCard | None = None
+    """Of a campaign that has not ended."""
     where: str | None = None
     """The condition on the parameters, of a campaign that leaves out a part of the ranges."""
 

@@ -14,11 +14,11 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import Predicate, ProblemResult
 from ...schemas.facts import BoundFact, ExtensionFact, Header, ObservationFact, ProposalFact
 from ...schemas.requirements import alpha_of
-from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy
-from ..campaign import consistency, forecast
+from ...schemas.values import MARKED, Bound, Guess, Observation, ProblemProgress, Proposal, StoppedBy, distance_after
+from ..campaign import consistency
 from ..campaign.clip import by_clip, floored
 from ..campaign.methods import PartMethod, ProblemMethod, method
-from ..campaign.outlook import in_words
+from ..campaign.outlook import in_words, left_in_words, remaining_tests
 from ..campaign.plan import ProblemPlan
 from ..campaign.planned_outlook import PlannedOutlooks
 from ..certificate.problem_results import objective
@@ -227,11 +227,18 @@ class ProblemCollector:
         return tuple(map(typeset, (*consistency.of_plan(self.plan, self._header.spec), *found.values())))
 
     def _left(self) -> str | None:
-        if self._own is not None:
+        if self._own is not None or not self.observed:
             return None  # its tests are those of the whole
-        now = self._tests.distance[-1] if self._tests.distance else None
-        left = forecast.tests_left(self._config, self.problem, now, len(self.observed), self._extended)
-        return None if left is None else forecast.left_in_words(self._config, self.problem, left)
+        left = remaining_tests(self._config, self.problem, _progress_of(self.observed, self.rollouts, self._extended))
+        return None if left is None else left_in_words(self._config, self.problem, left)
+
+
+def _progress_of(observed: Sequence[ObservedTest], rollouts: int, extended: int | None) -> ProblemProgress:
+    marked = (each for each in observed if each.test + 1 in MARKED)
+    points = ((each.test + 1, each.bound.upper, distance_after(each.bound, each.proposal.F)) for each in marked)
+    course = tuple((tests, upper, away) for tests, upper, away in points if upper is not None)
+    last = observed[-1]
+    return ProblemProgress(len(observed), rollouts, last.proposal.F, last.bound, last.stopped_by, extended, course)
 
 
 def _outlook(
@@ -243,8 +250,5 @@ def _outlook(
     extended: int | None,
     planned: Callable[[ProblemProgress], tuple[Guess, Guess] | None],
 ) -> str | None:
-    points = ((each.test + 1, each.bound.upper) for each in observed if each.test + 1 in MARKED)
-    course = tuple((tests, upper) for tests, upper in points if upper is not None)
-    last = observed[-1]
-    progress = ProblemProgress(len(observed), rollouts, None, last.bound, last.stopped_by, extended, course)
+    progress = _progress_of(observed, rollouts, extended)
     return in_words(config, plan.problem, replace(progress, planned=planned(progress)))

@@ -4,20 +4,24 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
 from ...schemas.campaign import CampaignConfig
+from ...schemas.certificate import Assumption
 from ...schemas.problem_models import Problem
 from ...schemas.requirements import alpha_of
+from ...schemas.so_far import SoFar
 from ...schemas.values import ProblemProgress
-from ..campaign.outlook import outlook_lines
+from ..campaign.outlook import outlook_lines, remaining_tests
 from .format import ENDS, duration, figure
 from .json_lines import JsonLines
-from .service import Listener, RunStatus
+from .service import RunStatus
+from .so_far_table import so_far_view
+from .so_far_text import refutation_line, so_far_line
 from .systemd import Systemd
-from .table import bound_in_sense, progress_table, remaining_distance, remaining_tests
+from .table import bound_in_sense, progress_table, remaining_distance
 
 PLAIN_PERIOD = 10.0
 """Seconds between two progress lines where there is no terminal."""
@@ -31,10 +35,19 @@ class Terminal:
     def __init__(self, console: Console, live: Live) -> None:
         self._console, self._live = console, live
         self._rate = Rate()
+        self._so_far: SoFar | None = None
 
     def print_line(self, line: str) -> None:
         """Print a line above the table."""
         self._console.print(Text(line, "yellow"), soft_wrap=True)
+
+    def refuted(self, found: Assumption, then: str) -> None:
+        """Print a refutation above the table."""
+        self._console.print(Text(refutation_line(found, then), "bold red"), soft_wrap=True)
+
+    def so_far(self, found: SoFar) -> None:
+        """Keep what the run has shown so far for the next drawing."""
+        self._so_far = found
 
     def show(self, status: RunStatus) -> None:
         """Redraw the table."""
@@ -45,9 +58,9 @@ class Terminal:
             for problem, each in zip(config.problems, status.problems.values(), strict=True)
         ]
         lines = [*outlook_lines(config, list(status.problems.values())), worker_line(status, rate)]
-        self._live.update(
-            Group(progress_table(config, rows, status.closing), *(Text(line, style="dim") for line in lines))
-        )
+        above: list[RenderableType] = [so_far_view(self._so_far), Text()] if self._so_far else []
+        below = (Text(line, style="dim") for line in lines)
+        self._live.update(Group(*above, progress_table(config, rows, status.closing), *below))
 
 
 class Plain:
@@ -59,10 +72,22 @@ class Plain:
         self._rate = Rate()
         self._last = time.monotonic()
         self._ended: set[str] = set()
+        self._so_far: SoFar | None = None
 
     def print_line(self, line: str) -> None:
         """Print a line."""
         self._console.print(Text(line), soft_wrap=True)
+
+    def refuted(self, found: Assumption, then: str) -> None:
+        """Print a refutation."""
+        if self._json is None:
+            self.print_line(refutation_line(found, then))
+        else:
+            self._json.line("refuted", level="warning", assumption=found.id, reason=found.detail, then=then)
+
+    def so_far(self, found: SoFar) -> None:
+        """Keep what the run has shown so far for the next lines."""
+        self._so_far = found
 
     def show(self, status: RunStatus) -> None:
         """Print the lines that are due."""
@@ -80,6 +105,14 @@ class Plain:
                 for line in outlook_lines(status.config, list(status.problems.values())):
                     self.print_line(line)
             self._workers(status, rate)
+            if self._so_far is not None:
+                self._holding(self._so_far)
+
+    def _holding(self, found: SoFar) -> None:
+        if self._json is None:
+            self.print_line(so_far_line(found))
+        else:
+            self._json.line("so far", **found.model_dump(mode="json", exclude={"assumptions", "run", "at"}))
 
     def _has_news(self, name: str, progress: ProblemProgress, *, due: bool) -> bool:
         """Whether a series continues and a line is due, or has ended since the last call."""
@@ -154,10 +187,10 @@ class Rate:
 
 
 def _time_left(config: CampaignConfig, problem: Problem, progress: ProblemProgress, rate: float) -> str:
-    left = remaining_tests(config, problem, progress)
+    left = remaining_tests(config, problem, progress) if progress.tests else None
     if left is None or rate <= 0:
         return "-"
-    return f"about {duration(left * progress.rollouts / progress.tests / rate)}"
+    return f"about {duration(left.middle * progress.rollouts / progress.tests / rate)}"
 
 
 def worker_line(status: RunStatus, rate: float) -> str:
@@ -169,7 +202,7 @@ def worker_line(status: RunStatus, rate: float) -> str:
 
 
 @contextmanager
-def listener(console: Console) -> Iterator[Listener]:
+def listener(console: Console) -> Iterator[Terminal | Plain]:
     """Yield the form that fits: a live table on a terminal, lines elsewhere."""
     if not console.is_terminal:
         yield Plain(console)

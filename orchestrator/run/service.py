@@ -47,9 +47,11 @@ ADOPTION = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Interrupted:
-    """The event of a signal that stops the orchestrator."""
+    """The event of a signal, or a request, that stops the orchestrator."""
 
     signal: int
+    drain: bool | None = None
+    """Whether the rollouts under way end first; None: as the run was started."""
 
 
 Message = Inbound | Decoded | Interrupted
@@ -106,8 +108,7 @@ class Service:
         self._journal = journal
         self._fleet = fleet
         self._listeners = listeners
-        self._lines = Lines(self._print_line)
-        self._roster = Roster(ledger.header.spec, journal.platform)
+        self._lines, self._roster = Lines(self._print_line), Roster(ledger.header.spec, journal.platform)
         self._outlooks = PlannedOutlooks()
         self._review = Review(ledger, journal)
         self._results = Results(ledger, journal, self._review, self.inbox.put)
@@ -195,14 +196,15 @@ class Service:
             case Garbage():
                 self._lines.ignored(message.worker, message.reason)
             case Interrupted():
-                self._interrupted(message.signal)
+                self._interrupted(message)
 
-    def _interrupted(self, signal: int) -> None:
+    def _interrupted(self, message: Interrupted) -> None:
         """Stop at once; with `drain`, hand out nothing more and stop when the attempts under way have ended."""
-        if not self._drain or self._draining is not None:
-            self._stop = signal
+        drain = self._drain if message.drain is None else message.drain
+        if not drain or self._draining is not None:
+            self._stop = message.signal
             return
-        self._draining = signal
+        self._draining = message.signal
         under_way = dispatch.under_way(self._state)
         self._print_line(f"draining: {under_way} rollouts are under way; a second signal stops at once")
 

@@ -34,6 +34,7 @@ from ..store import read
 from ..store.journal import INSTALLED, Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
+from ..store.so_far import remove_so_far
 from .address import Address
 from .directory import check_vacant, claimed
 from .live_page import LivePage, live_page
@@ -339,6 +340,8 @@ def _conduct(
         from .contradictions import Contradictions  # noqa: PLC0415
         from .progress import SystemdStatus, listener  # noqa: PLC0415
         from .service import Interrupted, Service  # noqa: PLC0415
+        from .so_far import SoFarListener  # noqa: PLC0415
+        from .stop_requests import StopRequests  # noqa: PLC0415
 
         ledger = Ledger(directory, journal)
         ledger.replay()
@@ -356,8 +359,11 @@ def _conduct(
             ):
                 terminal.print_line(sentence)
             contradictions = Contradictions(ledger.accounts, ledger.methods, terminal.print_line)
-            listeners = (terminal, SystemdStatus(systemd), page, contradictions)
+            requests = StopRequests(directory, terminal.print_line)
+            so_far = SoFarListener(directory, ledger, terminal)
+            listeners = (so_far, terminal, SystemdStatus(systemd), page, contradictions, requests)
             service = Service(ledger, journal, transport, fleet, listeners, resumed=resumed, drain=options.drain)
+            requests.put = service.inbox.put
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))
             transport.start(run, service.inbox.put)
             systemd.ready(f"workers connect to {transport.endpoint}")
@@ -371,6 +377,7 @@ def _conduct(
     from .certify import certify  # noqa: PLC0415
 
     certify(directory, ledger)
+    remove_so_far(directory)
 
 
 @contextmanager

@@ -30,12 +30,6 @@ def remaining_distance(config: CampaignConfig, problem: Problem, progress: Probl
     return forecast.distance(problem, progress.F, progress.bound)
 
 
-def remaining_tests(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> int | None:
-    """Guess the tests until a problem ends; None where its decay is too short for a guess."""
-    away = remaining_distance(config, problem, progress)
-    return forecast.tests_left(config, problem, away, progress.tests, progress.extended)
-
-
 def progress_table(
     config: CampaignConfig,
     rows: Sequence[tuple[ProblemProgress, str]],

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...schemas.errors import PerfboundError
+from . import stop_request
 
 ATTEMPTS = 10
 
@@ -26,9 +27,13 @@ def campaign_lock(directory: Path) -> Iterator[None]:
         if not _take(descriptor):
             raise PerfboundError(
                 f"{directory}: another orchestrator is running this campaign; "
-                f"watch it with `perfbound status {directory}`, or stop it first"
+                f"watch it with `perfbound status {directory}`, or stop it with `perfbound stop {directory}`"
             )
-        yield
+        stop_request.withdraw_request(directory)  # of before: it was meant for an orchestrator that has ended
+        try:
+            yield
+        finally:
+            stop_request.withdraw_request(directory)
     finally:
         os.close(descriptor)
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
+from ...schemas.errors import one_line
 from ...schemas.facts import RECORDED, RESTORED, Header
-from ...schemas.values import MARKED, ProblemProgress
+from ...schemas.values import MARKED, Bound, ProblemProgress, distance_after
 from .readonly import snapshot
 from .rows import (
     bound_fact,
@@ -36,8 +37,8 @@ _LAST_BOUNDS = """
     WHERE bounds.seq IN (SELECT max(seq) FROM bounds GROUP BY problem)
 """
 _COURSE = """
-    SELECT test + 1, upper FROM bounds WHERE problem = ? AND upper IS NOT NULL
-    AND test IN (SELECT value FROM json_each(?)) ORDER BY test
+    SELECT test + 1, upper, lower, F FROM bounds JOIN tests USING (problem, test) WHERE problem = ?
+    AND upper IS NOT NULL AND test IN (SELECT value FROM json_each(?)) ORDER BY test
 """
 _MARKED = json.dumps([tests - 1 for tests in sorted(MARKED)])
 _EXTENSIONS = "SELECT seq, number, budgets FROM extensions ORDER BY seq"
@@ -52,6 +53,7 @@ _SET_ASIDE = """
 _REASON = "SELECT reason FROM set_aside WHERE kind = ? AND name = ? AND seconds > 0 ORDER BY entry DESC LIMIT 1"
 _OPINIONS = "SELECT kind, count(*) FROM opinions GROUP BY kind ORDER BY kind"
 _SESSIONS = "SELECT count(*) FROM sessions"
+_LAST_SESSION = "SELECT host, pid FROM sessions ORDER BY session DESC LIMIT 1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +112,18 @@ def header_alone(directory: Path) -> Header:
         return _header_and_version(connection, directory)[0]
 
 
+def last_session(directory: Path) -> tuple[str | None, int | None]:
+    """Return host and process id of the last orchestrator of the campaign in `directory`; both None if there is none.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+
+    """
+    with snapshot(directory) as connection:
+        found = connection.execute(_LAST_SESSION).fetchone()
+    return (None, None) if found is None else (one_line(str(found[0])), int(found[1]))
+
+
 def _header_and_version(connection: sqlite3.Connection, directory: Path) -> tuple[Header, int]:
     """Return the header and the schema version."""
     found = connection.execute(_VERSION).fetchone()
@@ -129,7 +143,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         tuple(
             replace(
                 _problem_progress(last.get(each.name), rollouts.get(each.name, 0), extended.get(each.name)),
-                course=tuple(connection.execute(_COURSE, [each.name, _MARKED]).fetchall()),
+                course=_course(connection, each.name),
             )
             for each in header.config.problems
         ),
@@ -141,6 +155,11 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         dict(connection.execute(_OPINIONS).fetchall()) if has_table("opinions", version) else {},
         rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])]),
     )
+
+
+def _course(connection: sqlite3.Connection, problem: str) -> tuple[tuple[int, float, float | None], ...]:
+    rows = connection.execute(_COURSE, [problem, _MARKED]).fetchall()
+    return tuple((tests, upper, distance_after(Bound(upper, lower, None), f)) for tests, upper, lower, f in rows)
 
 
 def _last_extensions(connection: sqlite3.Connection) -> dict[str, tuple[int, int]]:

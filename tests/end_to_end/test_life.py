@@ -42,7 +42,11 @@ def test_log_lines_for_programs(started: Processes) -> None:
         "nominal_robustness": 2,
         "sim_gap": 2,
     }
-    assert all(line["time"].endswith("+00:00") and line["level"] == "info" for line in lines)
+    assert all(line["time"].endswith("+00:00") for line in lines)
+    # The paper's norms are refuted by its first observations.
+    warned = {line["assumption"] for line in lines if line["message"] == "refuted"}
+    assert "rkhs_norm/nominal_robustness" in warned
+    assert all(line["level"] == ("warning" if line["message"] == "refuted" else "info") for line in lines)
     failed = started.run("perfbound", "run", campaign, "--out", directory, "--log", "json")
     (line,) = [json.loads(text) for text in failed.err.splitlines()]
     assert (failed.code, line["level"]) == (1, "error")

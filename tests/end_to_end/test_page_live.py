@@ -7,7 +7,9 @@ import pytest
 from playwright.sync_api import Browser, Route
 
 from perfbound.orchestrator.report import html
+from perfbound.orchestrator.report.claim_data import AssumptionRow
 from perfbound.orchestrator.report.data import ReportData, to_json
+from perfbound.orchestrator.report.live import LiveCard
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Watched
@@ -112,6 +114,85 @@ def test_a_finished_campaign_is_said_to_be_finished(campaign: Campaign) -> None:
     assert "the campaign has finished" in page.locator("#live").inner_text()
     assert "never" not in page.locator("#workers").inner_text()
     assert campaign.watch.errors == []
+
+
+CARD = LiveCard(
+    at=1.8e9,
+    head=("", "bound", "probability", "tests", "verdict"),
+    rows=(
+        ("proven so far", ">= 0.1250 rad", "at least 0.9500", "30", "if it ended now: NOT SHOWN"),
+        (
+            "expected at the end",
+            "about 0.31 (0.25 to 0.4 rad)",
+            "at least 0.9500",
+            "about 56 (37 to 60)",
+            "SHOWN, in about 32 s",
+        ),
+    ),
+    verdict="NOT SHOWN",
+    ahead="SHOWN",
+    reason="The bound 0.1250 does not reach the required 0.2 rad.",
+    share=0.255,
+    bar="25 % of the work, by forecast",
+    violations="2 of 300 rollouts violate the specification so far; the worst -0.0312 rad",
+    violated=True,
+    tested=(
+        AssumptionRow("replicate_spread/robustness", "Repeated rollouts vary no more", "refuted", "they vary more <b>"),
+        AssumptionRow("rkhs_norm/sim_gap", "The norm of the gap", "refuted", "it is too small"),
+        AssumptionRow("rkhs_norm/robustness", "The norm is large enough", "not refuted", "a norm of 2 is enough"),
+    ),
+    others=("rkhs_norm/sim_gap",),
+    then="The campaign continues.",
+)
+
+
+def test_what_holds_now_is_on_the_first_screen_and_a_refutation_is_red(campaign: Campaign) -> None:
+    page = campaign.watch.page
+    assert page.locator("#holding, #tested").count() == 0, "its orchestrator has written nothing yet"
+    campaign.report = lambda tests: replace(example_reports.running(tests), live=CARD)
+    campaign.tests = 5
+    page.wait_for_selector("#holding table")
+    rows = page.locator("#holding tbody tr")
+    assert rows.nth(0).inner_text().split("\t")[0] == "proven so far"
+    assert rows.nth(0).inner_text().endswith("if it ended now: NOT SHOWN")
+    assert rows.nth(1).inner_text().endswith("SHOWN, in about 32 s")
+    assert page.locator("#holding progress").get_attribute("value") == "25"
+    assert page.locator("#holding .bad").inner_text().startswith("2 of 300 rollouts violate")
+    box = page.locator("#holding").bounding_box()
+    assert box is not None
+    assert box["y"] + box["height"] < 900
+    refuted = page.locator("#tested .refuted")
+    assert "they vary more <b>" in refuted.inner_text(), "a text is no markup"
+    assert "rkhs_norm" not in refuted.inner_text()
+    assert "sim_gap" not in refuted.inner_text(), "the first claim does not rest on it"
+    further, passed = page.locator("#tested summary").all_inner_texts()
+    assert further.startswith("1 refuted, on which the first claim does not rest: The norm of the gap")
+    assert passed.startswith("1 not refuted so far")
+    line = page.evaluate("getComputedStyle(document.querySelector('#tested .refuted')).borderTopColor")
+    assert line == "rgb(198, 43, 32)"
+    assert campaign.watch.overflow() <= 0
+    assert campaign.watch.errors == []
+
+
+def test_a_campaign_that_stops_is_no_lost_connection(campaign: Campaign) -> None:
+    page = campaign.watch.page
+    campaign.report = lambda tests: replace(
+        example_reports.running(tests), live=CARD, state="stopped", resume="perfbound resume r"
+    )
+    campaign.tests = 5
+    page.wait_for_selector("#live[data-connection=stopped]")
+    campaign.refusing = 1000
+    page.wait_for_timeout(1500)
+    said = page.locator("#live").inner_text()
+    assert said.startswith("stopped: no process runs this campaign; continue with: perfbound resume r; updated at ")
+    assert "live" not in said
+    assert page.locator("#holding h2").inner_text() == "What held when it stopped"
+    assert "never" not in page.locator("#workers").inner_text()
+    assert page.locator("#workers th", has_text="Heartbeat").count() == 0
+    campaign.refusing, campaign.tests = 0, 6
+    campaign.report = example_reports.running
+    campaign.wait_for_tests(6)
+    assert page.locator("#live").get_attribute("data-connection") in ("live", "lost"), "it was resumed"
 
 
 def test_a_counterexample_appears_on_a_live_page_with_its_trajectory(campaign: Campaign) -> None:

@@ -89,14 +89,15 @@ function spaceText(report) {
 function claimSection(report) {
   const [first, ...others] = report.claims;
   const formula = first ? formulaOf(first) : null;
+  const repeatsTable = report.live !== null && report.problems.length === 1; // `holdingSection` has the one bound
   return el(
     "section#verdict",
     { "aria-label": "Verdict and claim" },
     verdictCard(report),
     refutation(report),
     counterexample(report),
-    el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "The claim in the words of the certificate") : "Bounds so far"),
-    el("p.claim#claim", sentence(first ? first.sentence : report.now)),
+    repeatsTable ? null : el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "The claim in the words of the certificate") : "Bounds so far"),
+    repeatsTable ? null : el("p.claim#claim", sentence(first ? first.sentence : report.now)),
     formula && el("div.formula", formula),
     first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
     first ? first.notes.map((note) => el("p.muted", sentence(note))) : null,

@@ -14,7 +14,6 @@ const page = {
   width: 0, // of the page, in CSS pixels
 };
 const MOST_FETCHED = 40;
-const [RETRY, LONGEST_RETRY] = [1000, 15_000]; // milliseconds
 
 /** Draw the whole page; unchanged elements and charts are kept. */
 function draw() {
@@ -41,7 +40,9 @@ function tree(report, selected, data) {
     "main#page",
     page.live === null ? null : statusLine(),
     titleSection(report),
+    holdingSection(report),
     claimSection(report),
+    testedSection(report),
     compositionSection(report),
     report.problems.map((problem, index) => regionSection(report, problem, index)),
     checkSection(report),
@@ -197,52 +198,7 @@ function onKey(event) {
   event.preventDefault();
 }
 
-// The live page -------------------------------------------------------------------------------------------------------
-
-function statusLine() {
-  const time = page.updated === null ? null : new Date(page.updated).toTimeString().slice(0, 8);
-  const text = { connecting: "connecting", live: "live", lost: "connection lost, retrying", ended: "the campaign has finished" }[page.connection];
-  return el("p#live", { role: "status", "data-connection": page.connection }, time ? `${text}; updated at ${time}` : text);
-}
-
-function setConnection(state) {
-  page.connection = state;
-  if (page.report !== null) morph(document.getElementById("live"), statusLine());
-}
-
-/** A finished campaign has no further events. */
-function end(source) {
-  source.close();
-  setConnection("ended");
-}
-
-/** Follow the event stream. EventSource reconnects by itself, except after an HTTP error: then with growing pauses. */
-function follow(wait = RETRY) {
-  const source = new EventSource(page.live);
-  source.addEventListener("story", (event) => {
-    const report = JSON.parse(event.data);
-    wait = RETRY;
-    page.connection = "live";
-    page.updated = Date.now();
-    show(report);
-    if (report.state === "finished") end(source); // at once: the server ends before the next frame of the screen
-  });
-  source.onopen = () => setConnection("live");
-  source.onerror = () => {
-    setConnection("lost");
-    if (source.readyState !== EventSource.CLOSED) return;
-    source.close();
-    setTimeout(() => follow(Math.min(2 * wait, LONGEST_RETRY)), wait);
-  };
-}
-
-let waiting = null; // the newest undrawn report data
-
-/** Draw report data at the next frame of the screen, the newest if several wait. */
-function show(report) {
-  if (waiting === null) requestAnimationFrame(() => ((page.report = waiting), (waiting = null), draw()));
-  waiting = report;
-}
+// The width of the page, and paper ------------------------------------------------------------------------------------
 
 /** Draw again after a change of width; drawing itself changes the height. */
 function onResize([{ contentRect }]) {

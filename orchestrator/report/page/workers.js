@@ -68,9 +68,13 @@ function comparedTable({ compared, compared_results }) {
   return el("details", el("summary", `Compared results: ${shown}`), table(["Kind", "Rollout", "#Attempt", "Worker", "sha256", "#Time"], rows));
 }
 
-/** A page of a campaign under way has states, heartbeats and ages; one that is finished, and a report, have times. */
+/**
+ * A page of a campaign under way has ages, and with the feed of its run states and heartbeats; one that is stopped or
+ * finished, and a report, have times.
+ */
 function workerTable(report) {
-  const live = report.updated !== null && report.state !== "finished";
+  const running = report.updated !== null && report.state === "running";
+  const live = running && report.workers.some((each) => each.heartbeat !== null);
   const heads = ["Worker", "Host", live && "State", "#Rollouts", "#Failures", "#Busy time", "#CPU time", "#Last result", live && "#Heartbeat", live && "Current rollout"];
   const row = (each) => [
     nameElement(each.name, 60),
@@ -80,7 +84,7 @@ function workerTable(report) {
     each.failures ? el("strong.bad", count(each.failures)) : "0",
     duration(each.busy_seconds),
     duration(each.cpu_seconds),
-    live ? ago(each.last, report.updated) : utc(each.last),
+    running ? ago(each.last, report.updated) : utc(each.last),
     live && ago(each.heartbeat, report.updated),
     live && (each.rollout === null ? num(null) : nameElement(each.rollout, 60)),
   ];

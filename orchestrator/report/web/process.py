@@ -40,6 +40,7 @@ def _follow(feed: socket.socket, server: Server) -> None:
         server.snapshots.live = {name: LiveState(*state) for name, state in json.loads(message).items()}
     signal.alarm(DEADLINE)  # the default action of SIGALRM ends the process even if its threads hang
     server.snapshots.live = {}  # without the orchestrator the state of the workers is unknown
+    server.snapshots.abandon()
     server.should_exit = True
 
 

@@ -50,6 +50,10 @@ class SnapshotCache:
         self._data: ReportData | None = None
         self._error = ""
 
+    def abandon(self) -> None:
+        """Show the campaign as one that no process runs, from the next refresh on: its orchestrator has ended."""
+        self._collector.abandoned = True
+
     async def latest(self) -> Snapshot | None:
         """Return the last snapshot, or a new one when it is due; None if the campaign was never readable."""
         async with self._one_at_a_time:

@@ -14,7 +14,7 @@ Course = Callable[[int], float]
 
 def progress(course: Course, tests: int, lower: float | None = None) -> ProblemProgress:
     """Return a problem after so many tests whose bounds have followed a course."""
-    points = tuple((at, course(at)) for at in sorted(MARKED) if at < tests)
+    points = tuple((at, course(at), None) for at in sorted(MARKED) if at < tests)
     return ProblemProgress(tests, 4 * tests, None, Bound(course(tests), lower, None), "budget", None, points)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from perfbound.orchestrator.campaign import plan as plans
 from perfbound.orchestrator.campaign import planned_outlook
 from perfbound.orchestrator.campaign.ledger import Ledger
-from perfbound.orchestrator.campaign.outlook import in_words, outlook, outlook_lines
+from perfbound.orchestrator.campaign.outlook import CoursePoint, count_words, in_words, outlook, outlook_lines
 from perfbound.orchestrator.campaign.planned_outlook import PlannedOutlooks
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.store.journal import Journal
@@ -32,17 +32,17 @@ RIGOROUS: dict[str, Any] = {
 }
 
 
-def course(tests: int, power: float, limit: float = 1.0, start: float = 2.0) -> list[tuple[int, float]]:
-    return [(n, limit + start * n**-power) for n in sorted(MARKED) if n < tests] + [
-        (tests, limit + start * tests**-power)
-    ]
+def course(tests: int, power: float, limit: float = 1.0, start: float = 2.0) -> list[CoursePoint]:
+    """Return a bound that falls to a limit, and its distance to it."""
+    numbers = [*(n for n in sorted(MARKED) if n < tests), tests]
+    return [(n, limit + start * n**-power, start * n**-power) for n in numbers]
 
 
 @given(st.floats(0.25, 1.0), st.integers(60, 2000), st.integers(2, 10), st.floats(-3, 3))
 def test_the_range_contains_a_course_whose_power_is_between_those_fitted(
     power: float, tests: int, factor: int, limit: float
 ) -> None:
-    found = outlook(course(tests, power, limit), tests=tests, least=None, most=factor * tests, per_test=1.0)
+    found = outlook(course(tests, power, limit), least=None, most=factor * tests, per_test=1.0)
     assert found is not None
     truth = limit + 2.0 * (factor * tests) ** -power
     slack = 1e-6
@@ -52,7 +52,7 @@ def test_the_range_contains_a_course_whose_power_is_between_those_fitted(
 
 
 def test_a_known_power_is_continued() -> None:
-    found = outlook(course(400, 0.5), tests=400, least=None, most=1600, per_test=2.0)
+    found = outlook(course(400, 0.5), least=None, most=1600, per_test=2.0)
     assert found is not None
     assert found.bound.middle == pytest.approx(1 + 2 / 40, abs=2e-3)
     # 1000 rollouts are 500 tests
@@ -60,19 +60,42 @@ def test_a_known_power_is_continued() -> None:
 
 
 def test_no_bound_falls_below_its_partner_or_rises() -> None:
-    found = outlook(course(200, 0.5), tests=200, least=1.13, most=10**6, per_test=1.0)
+    found = outlook(course(200, 0.5), least=1.13, most=10**6, per_test=1.0)
     assert found is not None
     assert found.bound.low == 1.13
     assert found.gain.low == 0.0
-    rising = [(n, 1.0 + n / 1000) for n in sorted(MARKED) if n < 200]
-    flat = outlook(rising, tests=rising[-1][0], least=None, most=1000, per_test=1.0)
+    rising = [(n, 1.0 + n / 1000, None) for n in sorted(MARKED) if n < 200]
+    flat = outlook(rising, least=None, most=1000, per_test=1.0)
     assert flat is not None
-    assert flat.bound.low == flat.bound.high == rising[-1][1]
+    assert flat.bound.middle == flat.bound.high == rising[-1][1]
+    assert flat.gain.high == 0.0
 
 
-@pytest.mark.parametrize("points", [[], course(10, 0.5), [(n, math.inf) for n in sorted(MARKED) if n < 900]])
-def test_few_bounds_allow_no_forecast(points: list[tuple[int, float]]) -> None:
-    assert outlook(points, tests=900, least=None, most=1000, per_test=1.0) is None
+@given(st.floats(0.3, 1.0), st.integers(60, 600), st.floats(1.2, 6.0), st.integers(2, 20))
+def test_the_range_contains_the_test_at_which_a_known_course_ends(
+    power: float, tests: int, later: float, factor: int
+) -> None:
+    end, most = later * tests, factor * tests
+    found = outlook(course(tests, power), least=1.0, most=most, per_test=1.0, alpha=2.0 * end**-power)
+    assert found is not None
+    truth = min(most, end)
+    assert found.tests.low <= truth * (1 + 1e-9)
+    assert truth <= found.tests.high * (1 + 1e-9)
+    assert tests < found.tests.low <= found.tests.middle <= found.tests.high <= most
+    bound = 1.0 + 2.0 * truth**-power
+    assert found.bound.low - 1e-6 <= bound <= found.bound.high + 1e-6
+
+
+def test_a_problem_at_its_tolerance_ends_there() -> None:
+    found = outlook(course(100, 0.5), least=1.0, most=400, per_test=1.0, alpha=0.3)
+    assert found is not None
+    assert count_words(found.tests) == "100"
+    assert found.bound.low == found.bound.high == 1.2
+
+
+@pytest.mark.parametrize("points", [[], course(10, 0.5), [(n, math.inf, None) for n in sorted(MARKED) if n < 900]])
+def test_few_bounds_allow_no_forecast(points: list[CoursePoint]) -> None:
+    assert outlook(points, least=None, most=1000, per_test=1.0) is None
 
 
 def progress(stopped_by: Any, *, tests: int = 100, extended: int | None = None) -> ProblemProgress:

@@ -11,8 +11,10 @@ from tests.campaigns import FOLDER
 HEAVY = {"numpy", "scipy", "sklearn", "mcap", "matplotlib"}
 
 
-def test_status_loads_no_numerical_library() -> None:
-    program = "import sys, perfbound.orchestrator.cli.status; print(*{name.partition('.')[0] for name in sys.modules})"
+@pytest.mark.parametrize("command", ["status", "stop"])
+def test_what_is_called_while_a_campaign_runs_loads_no_numerical_library(command: str) -> None:
+    program = "print(*{name.partition('.')[0] for name in sys.modules})"
+    program = f"import sys, perfbound.orchestrator.cli.{command}; {program}"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert HEAVY.isdisjoint(ended.stdout.split())
 
@@ -42,7 +44,10 @@ finally:
         ("simulate c.toml --x 1,1 --out o.mcap", "c.toml: sede: unknown key"),
         ("simulate missing.py:cars --x 1,1 --out o.mcap", "missing.py: there is no such Python file"),
         ("init missing.py:cars", "missing.py: there is no such Python file"),
-        *((f"{command} nowhere", "nowhere: no campaign here") for command in ("status", "resume", "report", "export")),
+        *(
+            (f"{command} nowhere", "nowhere: no campaign here")
+            for command in ("status", "stop", "resume", "report", "export")
+        ),
         ("replay nowhere sim_gap.3.true.0", "nowhere: no campaign here"),
         ("verify nowhere", "'nowhere' does not exist"),
     ],

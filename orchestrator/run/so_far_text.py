@@ -1,0 +1,123 @@
+"""What a run has shown so far, in words: two rows, one for now and one for the end, for terminal, status and page."""
+
+import math
+from typing import NamedTuple
+
+from ...schemas.certificate import Assumption
+from ...schemas.errors import one_line
+from ...schemas.so_far import Expected, SoFar, Span
+from ..certificate.text import outward
+from .format import duration
+
+HEAD = ("", "bound", "probability", "tests", "verdict")
+AHEAD = {"SHOWN": "SHOWN", "NOT SHOWN": "NOT SHOWN", "VIOLATED": "VIOLATED", None: "open"}
+
+
+class HoldingRow(NamedTuple):
+    """A row of the table of what holds; its cells have the names of `HEAD`."""
+
+    name: str
+    bound: str
+    probability: str
+    tests: str
+    verdict: str
+
+
+def holding_rows(found: SoFar, *, running: bool = True) -> tuple[HoldingRow, HoldingRow]:
+    """Return the row of what is proven so far, and that of what is expected at the end, in the time that it runs."""
+    ahead = found.expected
+    chance = "-" if found.probability is None else f"at least {outward(found.probability, '>=')}"
+    bound = None if found.bound is None else _in_unit(outward(found.bound, found.sense), found)
+    proven = "nothing yet" if bound is None else f"{found.sense} {bound}{', refuted' if found.refuted else ''}"
+    count = "-" if ahead.tests is None else _span_words(ahead.tests)
+    end = f"{AHEAD[ahead.verdict]}, {left_words(ahead, running=running)}"
+    return (
+        HoldingRow("proven so far", proven, chance, f"{found.tests:,}", f"if it ended now: {found.verdict}"),
+        HoldingRow("expected at the end", _expected_bound(found), "-" if ahead.bound is None else chance, count, end),
+    )
+
+
+def left_words(ahead: Expected, *, running: bool = True) -> str:
+    """Return when a run is expected to end, or how much work a stopped one still has."""
+    if ahead.seconds is None:
+        return "its time is not known yet"
+    low, middle, high = (duration(each) for each in (ahead.seconds.low, ahead.seconds.middle, ahead.seconds.high))
+    when = "in" if running else "after a resume,"
+    if ahead.by_budget:
+        return f"{when} {high} at most, when the budget ends"
+    return f"{when} about {middle}" + ("" if low == high else f" ({low} to {high})")
+
+
+def bar_words(ahead: Expected) -> str:
+    """Return the label of the progress bar."""
+    of = (
+        f"of the budget of {ahead.most_tests:,} tests; no forecast yet"
+        if ahead.by_budget
+        else "of the work, by forecast"
+    )
+    return f"{math.floor(100 * ahead.share)} % {of}"
+
+
+def assumption_words(found: SoFar) -> str:
+    """Return how many assumptions were tested so far, and which of them are refuted; empty before the first test."""
+    if not found.assumptions:
+        return ""
+    refuted = [each.id for each in found.assumptions if each.status == "refuted"]
+    of_first = ", ".join(each for each in refuted if each not in found.others)
+    further = ", ".join(each for each in refuted if each in found.others)
+    parts = [f"REFUTED: {of_first}"] if of_first else []
+    parts += [f"refuted, of further claims alone: {further}"] if further else []
+    return f"assumptions tested: {'; '.join([*parts, f'{len(found.assumptions) - len(refuted)} not refuted so far'])}"
+
+
+def consequence_of_key(on_refuted: str) -> str:
+    """Return what a refutation leads to, by the key of the campaign file."""
+    if on_refuted == "stop":
+        return 'A problem ends with the first refutation by its tests (on_refuted = "stop").'
+    return (
+        'The campaign continues after a refutation by its tests (on_refuted = "continue"); a problem whose own bounds '
+        "contradict its constants ends."
+    )
+
+
+def refutation_line(found: Assumption, then: str) -> str:
+    """Return the line that reports a refutation the moment it is found."""
+    return one_line(f"REFUTED: {found.id}: {found.detail.rstrip('.')}; {then}")
+
+
+def violations_so_far(found: SoFar) -> str:
+    """Return how many rollouts violate the specification so far; empty where none has a robustness."""
+    seen = found.violations
+    if not seen.rollouts or seen.least is None:
+        return ""
+    margin = _in_unit(f"{seen.least:.4f}", found)
+    return f"{seen.violations:,} of {seen.rollouts:,} rollouts violate the specification so far; the worst {margin}"
+
+
+def so_far_line(found: SoFar) -> str:
+    """Return both rows in one line."""
+    now, end = holding_rows(found)
+    return (
+        f"if it ended now: {found.verdict} ({now.bound}, {found.tests} tests); expected at the end: {end.bound}, "
+        f"{end.verdict}; {bar_words(found.expected)}"
+    )
+
+
+def _expected_bound(found: SoFar) -> str:
+    span = found.expected.bound
+    if span is None:
+        return "no forecast yet" if found.expected.by_budget else "no forecast"
+    if span.low == span.high:  # its problem has ended
+        end = _in_unit(outward(span.low, found.sense), found)
+        return f"{found.sense} {end}{', refuted' if found.refuted else ''}"
+    low, high = f"{span.low:.4g}", f"{span.high:.4g}"
+    return f"about {span.middle:.4g} ({low} to {_in_unit(high, found)})"
+
+
+def _span_words(span: Span) -> str:
+    low, high = math.floor(span.low), math.ceil(span.high)
+    return f"{low:,}" if low == high else f"about {round(span.middle):,} ({low:,} to {high:,})"
+
+
+def _in_unit(text: str, found: SoFar) -> str:
+    return text if found.unit in ("", "1") else f"{text} {one_line(found.unit)}"
