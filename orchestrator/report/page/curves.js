@@ -104,7 +104,7 @@ function drawnText(data, rollouts) {
     if (drawn === 0) return "";
     return drawn < all ? `${drawn} of ${plural(all, `${variant} rollout`)}` : plural(drawn, `${variant} rollout`);
   });
-  return `Curves: ${parts.filter(Boolean).join(", ") || plural(rollouts.length, "rollout")}, the worst in a thick line.`;
+  return `Curves: ${parts.filter(Boolean).join(", ") || plural(rollouts.length, "rollout")}${rollouts.length > 1 ? ", the worst in a thick line" : ""}.`;
 }
 
 function rolloutKey(rollout) {
