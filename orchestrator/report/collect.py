@@ -31,7 +31,7 @@ from .problem import ProblemCollector
 from .provenance import provenance
 from .question import required_words
 from .ranges import ranges
-from .rollout_data import RolloutsOfTest
+from .rollout_data import RankedTest, RolloutsOfTest
 from .scenes import SceneCache, bounded_scenes
 from .trust import TrustStatistics
 from .violations import ViolationStatistics
@@ -153,6 +153,7 @@ class Collector:
         config, violations = header.config, self._violations
         predicate = self._certificate.predicate if self._certificate else None
         violations.refresh(header, self._start)
+        command = partial(replay_command, self.directory, header, system=self._system)
         results = {each.key: each for each in predicate.problems} if predicate else {}
         problems = tuple(self._problem(each, results.get(key), predicate) for key, each in self._problems.items())
         claims = wording.worded(predicate) if predicate else ()
@@ -180,13 +181,13 @@ class Collector:
             assumptions=tuple(map(assumption_row, predicate.assumptions)) if predicate else (),
             checks=check_sentences(predicate) if predicate else (),
             problems=problems,
-            scenes=tuple(bounded_scenes(self._rollouts(*test) for test in self._shown_tests())),
-            counterexamples=tuple(
-                rollouts.described(
-                    fact,
-                    self._start(*fact.rollout[:2]) or (),
-                    replay_command(self.directory, header, str(fact.rollout), self._system),
+            scenes=tuple(
+                bounded_scenes(
+                    self._rollouts(*test) for test in _shown_tests(violations.ranked, self._problems.values())
                 )
+            ),
+            counterexamples=tuple(
+                rollouts.described(fact, self._start(*fact.rollout[:2]) or (), command(str(fact.rollout)))
                 for fact in violations.facts[:MOST_COUNTEREXAMPLES]
             ),
             violations=len(violations.facts),
@@ -205,7 +206,7 @@ class Collector:
                 violations.facts,
                 predicate.counterexample if predicate else None,
                 header,
-                lambda rollout: replay_command(self.directory, header, rollout, self._system),
+                command,
             ),
             compared=self._trust.compared_rows(),
             compared_results=self._trust.compared,
@@ -233,7 +234,7 @@ class Collector:
     def _start(self, series: str, test: int) -> tuple[float, ...] | None:
         if closing_check(series):
             return self._checked.get((series, test))
-        starts = self._problems[series].starts
+        starts = self._problems[series].starts if series in self._problems else []
         return starts[test] if test < len(starts) else None
 
     def _state(self) -> State:
@@ -241,24 +242,22 @@ class Collector:
             return "finished"
         return "running" if lock.is_held(self.directory) else "stopped"
 
-    def _shown_tests(self) -> list[tuple[str, int]]:
-        """Return the tests whose rollouts are part of the data, those that a report needs most first."""
-        ranked = [(each.problem, each.test) for each in self._violations.ranked]
-        return list(dict.fromkeys([*ranked, *_worst_tests(self._problems.values())]))
-
     def _rollouts(self, series: str, test: int) -> RolloutsOfTest:
-        assert self._header is not None, "read before"
         # A closing check has no columns of its own: those of the first problem.
         collector = self._problems.get(series) or next(iter(self._problems.values()))
         x, checks = self._start(series, test), closing_check(series) is not None
-        assert x is not None, "proposed before it was rolled out"
+        assert self._header is not None, "read before"
+        assert x is not None, "proposed before"
         final = self._certificate is not None if checks else test < len(collector.observed)
-        also = frozenset(
-            each.rollout for each in self._violations.ranked if (each.problem, each.test) == (series, test)
-        )
+        also = self._violations.ranked_of(series, test)
         return self._scenes.of_test(
             self._header, (series, test), (collector.problem, x), final=final, system=self._system, also=also
         )
+
+
+def _shown_tests(ranked: Iterable[RankedTest], collectors: Iterable[ProblemCollector]) -> list[tuple[str, int]]:
+    """Return the tests whose rollouts are part of the data, those that a report needs most first."""
+    return list(dict.fromkeys([*((each.problem, each.test) for each in ranked), *_worst_tests(collectors)]))
 
 
 def _worst_tests(collectors: Iterable[ProblemCollector]) -> list[tuple[str, int]]:
