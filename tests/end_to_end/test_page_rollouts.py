@@ -213,6 +213,20 @@ def test_zoom_has_buttons_for_the_keyboard(browser: Browser, tmp_path: Path) -> 
         assert watch.page.locator("[data-zoom]:disabled").count() == 4
 
 
+def test_the_values_in_sight_fill_a_zoomed_chart(browser: Browser, tmp_path: Path) -> None:
+    """Also between two samples, where a chart by itself would see none of the curve."""
+    with shown(browser, tmp_path) as watch:
+        watch.page.evaluate("setRange([0.42, 0.48])")
+        low, high, *seen = watch.page.evaluate(
+            """() => {
+                const { plot, of } = curvePlots.get("curves-margin"), { min, max } = plot.scales.y;
+                return [min, max, ...of.rollouts.flatMap((each) => valuesAt(of.curve(each), [0.42, 0.48]))];
+            }"""
+        )
+        assert low < 0 < min(seen)
+        assert max(seen) < high < max(seen) + 0.2
+
+
 def test_a_range_of_time_outlives_no_other_test(browser: Browser, tmp_path: Path) -> None:
     with shown(browser, tmp_path) as watch:
         watch.page.get_by_role("button", name="Zoom in", exact=True).click()
