@@ -57,6 +57,7 @@ class Collector:
         self._problems: dict[str, ProblemCollector] = {}
         self._checked: dict[tuple[str, int], tuple[float, ...]] = {}
         """The start of each test of a closing check."""
+        self._start = partial(_start_of, self._problems, self._checked)
         self._workers, self._trust = WorkerStatistics(), TrustStatistics()
         self._violations = ViolationStatistics(self.directory)
         self._system: str | None = None
@@ -114,7 +115,7 @@ class Collector:
         if certificate is not None and self._verdict is None:
             self._verdict = wording.verdict_card(verdict_of(self.directory, header, certificate), certificate.predicate)
         if not self._problems:
-            self._problems = dict(_collectors(header))
+            self._problems.update(_collectors(header))
         self._sessions = changes.sessions
         last = changes.sessions[-1] if changes.sessions else None
         self._system = last.system if last else None
@@ -164,7 +165,7 @@ class Collector:
             name=config.name,
             seed=config.seed,
             run=header.run,
-            state=self._state(),
+            state=_state_of(self.directory, self._certificate),
             updated=at,
             system=header.spec.name,
             doc=header.spec.doc,
@@ -231,17 +232,6 @@ class Collector:
             self._divided[collector.problem.name] = collector.regions(self.directory, predicate)
         return self._divided.get(collector.problem.name)
 
-    def _start(self, series: str, test: int) -> tuple[float, ...] | None:
-        if closing_check(series):
-            return self._checked.get((series, test))
-        starts = self._problems[series].starts if series in self._problems else []
-        return starts[test] if test < len(starts) else None
-
-    def _state(self) -> State:
-        if self._certificate is not None:
-            return "finished"
-        return "running" if lock.is_held(self.directory) else "stopped"
-
     def _rollouts(self, series: str, test: int) -> RolloutsOfTest:
         # A closing check has no columns of its own: those of the first problem.
         collector = self._problems.get(series) or next(iter(self._problems.values()))
@@ -253,6 +243,25 @@ class Collector:
         return self._scenes.of_test(
             self._header, (series, test), (collector.problem, x), final=final, system=self._system, also=also
         )
+
+
+def _start_of(
+    problems: Mapping[str, ProblemCollector],
+    checked: Mapping[tuple[str, int], tuple[float, ...]],
+    series: str,
+    test: int,
+) -> tuple[float, ...] | None:
+    """Return the start of a test of a problem or closing check; None for one that is not known."""
+    if closing_check(series):
+        return checked.get((series, test))
+    starts = problems[series].starts if series in problems else []
+    return starts[test] if test < len(starts) else None
+
+
+def _state_of(directory: Path, certificate: Certificate | None) -> State:
+    if certificate is not None:
+        return "finished"
+    return "running" if lock.is_held(directory) else "stopped"
 
 
 def _shown_tests(ranked: Iterable[RankedTest], collectors: Iterable[ProblemCollector]) -> list[tuple[str, int]]:
