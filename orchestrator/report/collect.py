@@ -34,7 +34,7 @@ from .problem import ProblemCollector
 from .provenance import provenance
 from .question import required_words
 from .ranges import ranges
-from .rollout_data import RolloutsOfTest
+from .rollout_data import RankedTest, RolloutsOfTest
 from .scenes import SceneCache, bounded_scenes
 from .trust import TrustStatistics
 from .violations import ViolationStatistics
@@ -61,6 +61,7 @@ class Collector:
         self._problems: dict[str, ProblemCollector] = {}
         self._checked: dict[tuple[str, int], tuple[float, ...]] = {}
         """The start of each test of a closing check."""
+        self._start = partial(_start_of, self._problems, self._checked)
         self._workers, self._trust = WorkerStatistics(), TrustStatistics()
         self._violations = ViolationStatistics(self.directory)
         self._system: str | None = None
@@ -121,7 +122,7 @@ class Collector:
         if certificate is not None and self._verdict is None:
             self._verdict = wording.verdict_card(verdict_of(self.directory, header, certificate), certificate.predicate)
         if not self._problems:
-            self._problems = dict(_collectors(header))
+            self._problems.update(_collectors(header))
         self._sessions = changes.sessions
         last = changes.sessions[-1] if changes.sessions else None
         self._system = last.system if last else None
@@ -160,6 +161,7 @@ class Collector:
         config, violations = header.config, self._violations
         predicate = self._certificate.predicate if self._certificate else None
         violations.refresh(header, self._start)
+        command = partial(replay_command, self.directory, header, system=self._system)
         results = {each.key: each for each in predicate.problems} if predicate else {}
         problems = tuple(self._problem(each, results.get(key), predicate) for key, each in self._problems.items())
         claims = wording.worded(predicate) if predicate else ()
@@ -171,7 +173,7 @@ class Collector:
             name=config.name,
             seed=config.seed,
             run=header.run,
-            state="finished" if self._certificate else "running" if running else "stopped",
+            state=_state_of(self._certificate, running=running),
             updated=at,
             system=header.spec.name,
             doc=header.spec.doc,
@@ -188,13 +190,13 @@ class Collector:
             assumptions=tuple(map(assumption_row, predicate.assumptions)) if predicate else (),
             checks=check_sentences(predicate) if predicate else (),
             problems=problems,
-            scenes=tuple(bounded_scenes(self._rollouts(*test) for test in self._shown_tests())),
-            counterexamples=tuple(
-                rollouts.described(
-                    fact,
-                    self._start(*fact.rollout[:2]) or (),
-                    replay_command(self.directory, header, str(fact.rollout), self._system),
+            scenes=tuple(
+                bounded_scenes(
+                    self._rollouts(*test) for test in _shown_tests(violations.ranked, self._problems.values())
                 )
+            ),
+            counterexamples=tuple(
+                rollouts.described(fact, self._start(*fact.rollout[:2]) or (), command(str(fact.rollout)))
                 for fact in violations.facts[:MOST_COUNTEREXAMPLES]
             ),
             violations=len(violations.facts),
@@ -213,7 +215,7 @@ class Collector:
                 violations.facts,
                 predicate.counterexample if predicate else None,
                 header,
-                lambda rollout: replay_command(self.directory, header, rollout, self._system),
+                command,
             ),
             compared=self._trust.compared_rows(),
             compared_results=self._trust.compared,
@@ -239,30 +241,41 @@ class Collector:
             self._divided[collector.problem.name] = collector.regions(self.directory, predicate)
         return self._divided.get(collector.problem.name)
 
-    def _start(self, series: str, test: int) -> tuple[float, ...] | None:
-        if closing_check(series):
-            return self._checked.get((series, test))
-        starts = self._problems[series].starts
-        return starts[test] if test < len(starts) else None
-
-    def _shown_tests(self) -> list[tuple[str, int]]:
-        """Return the tests whose rollouts are part of the data, those that a report needs most first."""
-        ranked = [(each.problem, each.test) for each in self._violations.ranked]
-        return list(dict.fromkeys([*ranked, *_worst_tests(self._problems.values())]))
-
     def _rollouts(self, series: str, test: int) -> RolloutsOfTest:
-        assert self._header is not None, "read before"
         # A closing check has no columns of its own: those of the first problem.
         collector = self._problems.get(series) or next(iter(self._problems.values()))
         x, checks = self._start(series, test), closing_check(series) is not None
-        assert x is not None, "proposed before it was rolled out"
+        assert self._header is not None, "read before"
+        assert x is not None, "proposed before"
         final = self._certificate is not None if checks else test < len(collector.observed)
-        also = frozenset(
-            each.rollout for each in self._violations.ranked if (each.problem, each.test) == (series, test)
-        )
+        also = self._violations.ranked_of(series, test)
         return self._scenes.of_test(
             self._header, (series, test), (collector.problem, x), final=final, system=self._system, also=also
         )
+
+
+def _start_of(
+    problems: Mapping[str, ProblemCollector],
+    checked: Mapping[tuple[str, int], tuple[float, ...]],
+    series: str,
+    test: int,
+) -> tuple[float, ...] | None:
+    """Return the start of a test of a problem or closing check; None for one that is not known."""
+    if closing_check(series):
+        return checked.get((series, test))
+    starts = problems[series].starts if series in problems else []
+    return starts[test] if test < len(starts) else None
+
+
+def _state_of(certificate: Certificate | None, *, running: bool) -> State:
+    if certificate is not None:
+        return "finished"
+    return "running" if running else "stopped"
+
+
+def _shown_tests(ranked: Iterable[RankedTest], collectors: Iterable[ProblemCollector]) -> list[tuple[str, int]]:
+    """Return the tests whose rollouts are part of the data, those that a report needs most first."""
+    return list(dict.fromkeys([*((each.problem, each.test) for each in ranked), *_worst_tests(collectors)]))
 
 
 def _worst_tests(collectors: Iterable[ProblemCollector]) -> list[tuple[str, int]]:

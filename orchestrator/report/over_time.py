@@ -29,7 +29,7 @@ def shown_formula(tree: Formula | None) -> tuple[str, str]:
             return text(other), "first"
 
 
-def drawn_rollout(fact: RolloutFact, trajectory: Trajectory, tree: Formula | None) -> DrawnRollout:
+def with_margin(fact: RolloutFact, trajectory: Trajectory, tree: Formula | None) -> DrawnRollout:
     """Return a recorded rollout with its robustness over time, which a rollout without a robustness has not."""
     t, margin, moment, columns = tuple[float, ...](), tuple[float, ...](), None, frozenset[str]()
     samples = trajectory.samples

@@ -63,7 +63,7 @@ def bounded_scenes(scenes: Iterable[RolloutsOfTest]) -> list[RolloutsOfTest]:
     """Return the first scenes whose curves have room in a report; further columns have less room, and go first."""
     kept, numbers, further = list[RolloutsOfTest](), 0, 0
     for scene in scenes:
-        numbers += _size(scene)
+        numbers += _numbers_in(scene)
         if numbers > MOST_NUMBERS and kept:
             break
         more = sum(2 * len(curve.t) for curve in scene.further)
@@ -78,6 +78,6 @@ def without_further(scenes: Iterable[RolloutsOfTest]) -> tuple[RolloutsOfTest, .
     return tuple(replace(scene, further=()) for scene in scenes)
 
 
-def _size(scene: RolloutsOfTest) -> int:
+def _numbers_in(scene: RolloutsOfTest) -> int:
     times = [each.t for each in scene.traces] + [each.t for each in scene.drawn] + [each.t for each in scene.inputs]
     return 2 * sum(map(len, times))

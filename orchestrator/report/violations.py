@@ -41,7 +41,9 @@ class ViolationStatistics:
 
         """
         if self._new:
-            self._ranked = tuple(ranked_tests(self._directory, header))
+            found = ranked_tests(self._directory, header)
+            # The database may have got a test since the facts were read; the next refresh has it.
+            self._ranked = tuple(each for each in found if start(each.problem, each.test) is not None)
             self._violating = self._grouped(header, start) if self.facts else None
             self._new = False
 
@@ -54,6 +56,10 @@ class ViolationStatistics:
     def ranked(self) -> tuple[RankedTest, ...]:
         """The worst test, the first violation, the median and the best one."""
         return self._ranked
+
+    def ranked_of(self, problem: str, test: int) -> frozenset[str]:
+        """Return the rollouts of one test that have a rank."""
+        return frozenset(each.rollout for each in self._ranked if (each.problem, each.test) == (problem, test))
 
     @property
     def violating(self) -> ViolatingStarts | None:

@@ -25,8 +25,12 @@ _COUNTS = f"""
 """
 _WORST = f"SELECT problem, test, replicate {_OF} AND robustness = ? ORDER BY problem, test, replicate LIMIT 1"
 _ORDER = "ORDER BY robustness, problem, test, replicate LIMIT 1"
-_NTH = f"SELECT problem, test, replicate, robustness {_OF} {_ORDER} OFFSET ?"
-_FIRST = f"SELECT problem, test, replicate, robustness {_OF} AND robustness < 0 ORDER BY test, replicate LIMIT 1"
+_ROLLOUTS = _OF.replace("JOIN tests USING (problem, test) ", "")
+_NUMBER = f"SELECT count(*) {_ROLLOUTS}"
+_RANKED = f"SELECT problem, test, replicate, robustness {_ROLLOUTS}"
+_NTH = f"{_RANKED} {_ORDER} OFFSET ?"
+_BEST = f"{_RANKED} ORDER BY robustness DESC, problem, test, replicate LIMIT 1"
+_FIRST = f"{_RANKED} AND robustness < 0 ORDER BY test, replicate LIMIT 1"
 # Beside the only min(), SQLite takes the columns that are no aggregates from a row that has it.
 _STARTS = """
     SELECT problem, test, count(CASE WHEN robustness < 0 THEN 1 END) AS violations, count(*), min(robustness)
@@ -109,17 +113,21 @@ def read_ranked(directory: Path, variant: str, problems: Sequence[str]) -> Ranke
     """
     with snapshot(directory) as connection:
         series = sorted(_new_series(connection), key=lambda name: series_order(problems, name))
-        number = connection.execute(_COUNTS, [variant, json.dumps(series)]).fetchone()[0]
+        which = [variant, json.dumps(series)]
+        (number,) = connection.execute(_NUMBER, which).fetchone()
         if not number:
             return None
-        nth = [
-            connection.execute(_NTH, [variant, json.dumps(series), place]).fetchone()
-            for place in (0, (number - 1) // 2, number - 1)
-        ]
+        worst, median = (connection.execute(_NTH, [*which, place]).fetchone() for place in (0, (number - 1) // 2))
+        best = connection.execute(_BEST, which).fetchone()
         firsts = (connection.execute(_FIRST, [variant, json.dumps([name])]).fetchone() for name in series)
         first = next(filter(None, firsts), None)
-    worst, median, best = (_ranked(variant, row) for row in nth)
-    return RankedRollouts(number, worst, median, best, first and _ranked(variant, first))
+    return RankedRollouts(
+        number,
+        _ranked(variant, worst),
+        _ranked(variant, median),
+        _ranked(variant, best),
+        first and _ranked(variant, first),
+    )
 
 
 def _ranked(variant: str, row: tuple[str, int, int, float]) -> RankedRollout:

@@ -91,6 +91,26 @@ def test_a_live_page_fetches_the_rollouts_of_the_worst_test(campaign: Campaign) 
     assert campaign.fetched[0] == f"/scene?problem=nominal_robustness&test={worst}"
 
 
+def test_a_live_page_fetches_further_columns_when_they_are_wanted(campaign: Campaign) -> None:
+    """Its events have the rollouts of some tests, without these columns."""
+    page = campaign.watch.page
+    scene = example_reports.rollouts_of_test("nominal_robustness", 2)
+    campaign.report = lambda tests: example_reports.running(tests, scenes=(replace(scene, further=()),))
+    campaign.tests = 5
+    campaign.wait_for_tests(5)
+    page.click('[data-test="nominal_robustness:2"]')
+    page.wait_for_selector("#test[data-test='2'] #curves-0 canvas")
+    asked = [path for path in campaign.fetched if path.endswith("test=2")]
+    assert asked == [], "the curves of the specification came with the event"
+    page.click('[data-column="vx"]')
+    page.wait_for_selector("figcaption:has-text('vx (rad) against time')")
+    page.wait_for_selector("#curves-1 canvas")
+    assert [path for path in campaign.fetched if path.endswith("test=2")] == [
+        "/scene?problem=nominal_robustness&test=2"
+    ]
+    assert campaign.watch.errors == []
+
+
 def test_a_live_page_reconnects_after_its_server_was_away(campaign: Campaign) -> None:
     """An HTTP error closes an EventSource; the page opens a new one."""
     page = campaign.watch.page

@@ -1,6 +1,5 @@
 """Rollouts and counterexamples in a real browser: identities, zoom, further columns, groups, paper."""
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,6 +13,7 @@ from perfbound.orchestrator.report.data import ReportData
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Watched
+from tests.end_to_end.pdf_text import pages_of
 from tests.end_to_end.test_page import WORST, opened
 
 browser = chromium.browser
@@ -213,6 +213,20 @@ def test_zoom_has_buttons_for_the_keyboard(browser: Browser, tmp_path: Path) -> 
         assert watch.page.locator("[data-zoom]:disabled").count() == 4
 
 
+def test_the_values_in_sight_fill_a_zoomed_chart(browser: Browser, tmp_path: Path) -> None:
+    """Also between two samples, where a chart by itself would see none of the curve."""
+    with shown(browser, tmp_path) as watch:
+        watch.page.evaluate("setRange([0.42, 0.48])")
+        low, high, *seen = watch.page.evaluate(
+            """() => {
+                const { plot, of } = curvePlots.get("curves-margin"), { min, max } = plot.scales.y;
+                return [min, max, ...of.rollouts.flatMap((each) => valuesAt(of.curve(each), [0.42, 0.48]))];
+            }"""
+        )
+        assert low < 0 < min(seen)
+        assert max(seen) < high < max(seen) + 0.2
+
+
 def test_a_range_of_time_outlives_no_other_test(browser: Browser, tmp_path: Path) -> None:
     with shown(browser, tmp_path) as watch:
         watch.page.get_by_role("button", name="Zoom in", exact=True).click()
@@ -278,9 +292,39 @@ def test_an_open_group_stays_open(browser: Browser, tmp_path: Path) -> None:
 # Paper
 
 
-def pages(document: bytes) -> int:
-    """Return the number of pages of a PDF of Chromium, whose page objects are not compressed."""
-    return len(re.findall(rb"/Type\s*/Page\b", document))
+HEADING = 16
+"""Pixels: headings of sections are larger, and all other text is smaller."""
+PRINTED = {
+    "counterexamples": lambda: example_reports.violating(groups=3, starts=40, rollouts=25),
+    "refuted": example_reports.small,
+    "drawn starts": example_reports.many,
+}
+
+
+@pytest.mark.parametrize("name", PRINTED)
+@pytest.mark.parametrize("size", ["A4", "Letter"])
+def test_each_page_has_its_number_and_ends_with_no_heading(
+    browser: Browser, tmp_path: Path, name: str, size: str
+) -> None:
+    with shown(browser, tmp_path, PRINTED[name]()) as watch:
+        found = pages_of(watch.page.pdf(format=size))
+    assert 2 <= len(found) <= 12
+    for number, (header, *lines, footer) in enumerate(found, 1):
+        assert header.text.split() == ["small", "perfbound", "report"]
+        assert footer.text == f"run c0ffee page {number} of {len(found)}"
+        assert lines, "no page is empty"
+        assert lines[-1].size < HEADING, f"page {number} ends with {lines[-1].text!r}"
+    sections = [line.text for lines in found for line in lines if line.size >= HEADING]
+    assert "Counterexamples" in sections
+    assert "Workers" in sections
+
+
+def test_paper_names_what_it_leaves_out(browser: Browser, tmp_path: Path) -> None:
+    with shown(browser, tmp_path, PRINTED["counterexamples"]()) as watch:
+        text = [line.text for lines in pages_of(watch.page.pdf()) for line in lines]
+    assert "and 15 starts more, in counterexamples.csv" in text
+    assert "and 15 more, in counterexamples.csv" in text, "10 of 25 listed rollouts"
+    assert not any("Zoom" in line or "Copy" in line or "Point at" in line for line in text)
 
 
 def test_paper_has_a_header_and_a_footer(browser: Browser, tmp_path: Path) -> None:
@@ -307,10 +351,10 @@ def test_long_lists_are_cut_on_paper(browser: Browser, tmp_path: Path, size: str
                 window.seen = [...document.querySelectorAll('details[data-paper=folded]:not([open])')].length;
             })"""
         )
-        short = pages(watch.page.pdf(format=size))
+        short = len(pages_of(watch.page.pdf(format=size)))
         assert watch.page.evaluate("window.seen") > 40, "all starts but the first"
     with shown(browser, tmp_path, example_reports.violating(groups=3, starts=4, rollouts=5)) as watch:
-        assert short <= pages(watch.page.pdf(format=size)) + 2
+        assert short <= len(pages_of(watch.page.pdf(format=size))) + 2
         watch.page.emulate_media(media="print")
         for control in (".ranked .switch", ".zoom", ".choice", ".copy", "#test h2 .switch", ".hint"):
             assert not watch.page.locator(control).first.is_visible(), control

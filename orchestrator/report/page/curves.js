@@ -44,7 +44,7 @@ function drawnRollouts(data) {
     const pairs = found.filter((other) => other.variant === "nominal").length > 1;
     const place = compared ? (pairs ? tested.findIndex((other) => other.replicate === each.replicate) : -1) : tested.indexOf(each);
     const worst = tested[0] === each;
-    return { ...each, colour: colour(place), worst, dash: compared ? [8, 5] : place >= 2 ? [2, 3] : [], width: worst ? WORST_WIDTH : compared ? 2 : 1.5 };
+    return { ...each, colour: colour(place), worst, worstOf: worst ? tested.length : 0, dash: compared ? [8, 5] : place >= 2 ? [2, 3] : [], width: worst ? WORST_WIDTH : compared ? 2 : 1.5 };
   });
 }
 
@@ -104,7 +104,7 @@ function drawnText(data, rollouts) {
     if (drawn === 0) return "";
     return drawn < all ? `${drawn} of ${plural(all, `${variant} rollout`)}` : plural(drawn, `${variant} rollout`);
   });
-  return `Curves: ${parts.filter(Boolean).join(", ") || plural(rollouts.length, "rollout")}, the worst in a thick line.`;
+  return `Curves: ${parts.filter(Boolean).join(", ") || plural(rollouts.length, "rollout")}${rollouts.some((each) => each.worstOf > 1) ? ", the worst in a thick line" : ""}.`;
 }
 
 function rolloutKey(rollout) {
@@ -115,7 +115,7 @@ function rolloutKey(rollout) {
     "button.rollout-key",
     { "data-curve": rollout.key, "aria-pressed": String(shown), title: rollout.id ? `${short(rollout.id)}, seed ${rollout.seed}` : null },
     rolloutLine(rollout),
-    `${name}${value}${rollout.worst && rollout.robustness !== null ? " (the worst)" : ""}`,
+    `${name}${value}${rollout.worstOf > 1 && rollout.robustness !== null ? " (the worst)" : ""}`,
   );
 }
 
@@ -212,7 +212,7 @@ function drawCurveChart(host, of) {
     const shown = !curveView.hidden.has(rollout.key);
     if (plot.series[k + 1].show !== shown) plot.setSeries(k + 1, { show: shown });
   });
-  applyRange(plot);
+  applyRange(plot, of);
 }
 
 function curveColours() {
@@ -224,17 +224,12 @@ function curveColours() {
 
 function curveOptions(host, spec, colours, state) {
   const options = chartOptions(host, spec, colours);
-  const range = (plot, low, high) => {
-    const ends = extent([low, high], state.of.limits, state.of.zero ? [0] : []) ?? [0, 1];
-    const border = 0.08 * (ends[1] - ends[0]) || 0.5;
-    return [ends[0] - border, ends[1] + border];
-  };
   return {
     ...options,
     padding: [20, 14, 0, 0], // the time of the worst moment is above the curves
     cursor: { ...options.cursor, drag: { x: true, y: false, setScale: true, dist: 4 }, focus: { prox: 24 }, sync: { key: "curves", setSeries: true, scales: ["x", null] } },
     focus: { alpha: 0.25 },
-    scales: { x: { time: false }, y: { range } },
+    scales: { x: { time: false }, y: { range: () => valueRange(state.of) } },
     hooks: {
       setCursor: [(plot) => readCurves(plot, host.id, state.of)],
       setSeries: [(plot, k, change) => "focus" in change && focusRollout(k === null || k === undefined ? null : state.of.rollouts[k - 1]?.key ?? null)],
@@ -245,12 +240,24 @@ function curveOptions(host, spec, colours, state) {
   };
 }
 
+/** The range of the values in sight, of the limits and of the requirement; a curve may have no sample in sight. */
+function valueRange(of) {
+  const [from, to] = curveView.range ?? [-Infinity, Infinity];
+  const seen = of.rollouts.filter((each) => !curveView.hidden.has(each.key)).map((each) => {
+    const { t, values } = of.curve(each);
+    return [...values.filter((_, k) => t[k] >= from && t[k] <= to), ...valuesAt({ t, values }, [from, to])];
+  });
+  const ends = extent(...seen, of.limits, of.zero ? [0] : []) ?? [0, 1];
+  const border = 0.08 * (ends[1] - ends[0]) || 0.5;
+  return [ends[0] - border, ends[1] + border];
+}
+
 /** Values of a curve at increasing times, linear between its samples; null outside of them. */
 function valuesAt({ t, values }, times) {
   let k = 0;
   return times.map((time) => {
     while (k < t.length && t[k] < time) k += 1;
-    if (k === t.length || time < t[0]) return null;
+    if (k === t.length || time < t[0]) return null; // also of a curve without samples
     if (t[k] === time || k === 0) return values[k];
     return values[k - 1] + ((time - t[k - 1]) / (t[k] - t[k - 1])) * (values[k] - values[k - 1]);
   });
@@ -396,13 +403,17 @@ function takeRange(plot) {
 function setRange(range) {
   if (String(range) === String(curveView.range)) return;
   curveView.range = range;
-  for (const { plot } of curvePlots.values()) if (plot !== null) applyRange(plot);
+  for (const { plot, of } of curvePlots.values()) if (plot !== null) applyRange(plot, of);
   for (const button of document.querySelectorAll("[data-zoom]:not([data-zoom=in])")) button.disabled = range === null;
 }
 
-function applyRange(plot) {
+function applyRange(plot, of) {
   const [min, max] = curveView.range ?? extent(plot.data[0]) ?? [0, 1];
-  if (plot.scales.x.min !== min || plot.scales.x.max !== max) plot.setScale("x", { min, max });
+  const [low, high] = valueRange(of);
+  plot.batch(() => {
+    if (plot.scales.x.min !== min || plot.scales.x.max !== max) plot.setScale("x", { min, max });
+    if (plot.scales.y.min !== low || plot.scales.y.max !== high) plot.setScale("y", { min: low, max: high });
+  });
 }
 
 /** Zoom about the worst moment if it is in sight, else about the middle; or move by half of what is in sight. */

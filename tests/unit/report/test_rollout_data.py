@@ -110,7 +110,7 @@ def described(formula: str, values: list[float]) -> DrawnRollout:
     t = np.arange(float(len(values)))
     trajectory = Trajectory(("t", "x"), np.column_stack([t, values]))
     fact = RolloutFact(RolloutId("true_risk", 0, "true", 0), 7, "", 0, "", -1.0)
-    return over_time.drawn_rollout(fact, trajectory, parse_formula(formula))
+    return over_time.with_margin(fact, trajectory, parse_formula(formula))
 
 
 def test_the_worst_moment_is_a_stretch_of_time_or_nothing() -> None:
