@@ -28,7 +28,7 @@ from . import rollouts, wording
 from .charts import LaterCharts
 from .claim_data import VerdictCard, assumption_row
 from .counterexample import ending_counterexample
-from .data import Axis, Problem, RegionMap, ReportData
+from .data import Axis, Problem, RegionMap, ReportData, State
 from .live import live_card
 from .problem import ProblemCollector
 from .provenance import provenance
