@@ -54,8 +54,8 @@ def lattice_indices(values: Floats) -> Indices | None:
     first, total = [], []
     for axis in axes:
         others = tuple(each for each in axes if each != axis)
-        first.append(_variance(_mean(values, others), (axis,)) / variance)
-        total.append(_mean(_variance(values, (axis,)), others) / variance)
+        first.append(_variance(_averaged(values, others), (axis,)) / variance)
+        total.append(_averaged(_variance(values, (axis,)), others) / variance)
     return Indices(*(np.clip(np.array([each.item() for each in found]), 0.0, 1.0) for found in (first, total)))
 
 
@@ -66,7 +66,7 @@ def lattice_effect(values: Floats, axis: int) -> Floats:
     [1.0, 5.0]
     """
     others = tuple(each for each in range(values.ndim) if each != axis)
-    return _mean(values, others).ravel()
+    return _averaged(values, others).ravel()
 
 
 def sample_indices(x: Floats, y: Floats) -> Floats | None:
@@ -109,7 +109,7 @@ def _weights(nodes: int) -> Floats:
     return np.asarray(weights / weights.sum())
 
 
-def _mean(values: Floats, axes: tuple[int, ...]) -> Floats:
+def _averaged(values: Floats, axes: tuple[int, ...]) -> Floats:
     """Return the mean over some axes, which remain with length 1."""
     for axis in axes:
         shape = [1] * values.ndim
@@ -119,4 +119,4 @@ def _mean(values: Floats, axes: tuple[int, ...]) -> Floats:
 
 
 def _variance(values: Floats, axes: tuple[int, ...]) -> Floats:
-    return _mean((values - _mean(values, axes)) ** 2, axes)
+    return _averaged((values - _averaged(values, axes)) ** 2, axes)

@@ -31,10 +31,10 @@ def edges(low: float, high: float) -> list[float]:
     return [float(f"{k * width:.12g}") for k in range(first, last + 1)]
 
 
-def counted(values: Sequence[float], ends: Sequence[float]) -> list[int]:
+def bar_counts(values: Sequence[float], ends: Sequence[float]) -> list[int]:
     """Return the number of values in each bar; one that is an end belongs to the bar above it.
 
-    >>> counted([-0.1, 0.0, 0.2, 0.3], [-0.2, 0.0, 0.2, 0.4])
+    >>> bar_counts([-0.1, 0.0, 0.2, 0.3], [-0.2, 0.0, 0.2, 0.4])
     [1, 1, 2]
     """
     place = np.searchsorted(np.array(ends), np.asarray(values), side="right") - 1

@@ -18,7 +18,7 @@ from ..store.read import ObservedTest
 from ..store.rollout_values import RolloutValueReader
 from . import importance, limits
 from .chart_data import Prediction, ProblemCharts
-from .prediction import SpotTests, prediction
+from .prediction import FreshStarts, prediction
 from .rollout_histogram import RolloutValues
 
 
@@ -36,7 +36,7 @@ def charts_after(
     if isinstance(method, SampleMethod):
         drawn = [each for each in observed if plan.is_drawn(each.test)]
         starts, values = [each.proposal.x for each in drawn], [each.observation.each[0] for each in drawn]
-        return replace(charts, importance=importance.of_tests(starts, values))
+        return replace(charts, importance=importance.of_drawn_tests(starts, values))
     uncut = np.array(method.band(bound).mean)
     mean = limits.within(uncut, plan)
     beyond = ~np.isnan(uncut) & (uncut != mean)
@@ -49,7 +49,7 @@ class LaterCharts:
 
     def __init__(self, directory: Path) -> None:
         self._reader, self._values = RolloutValueReader(directory), RolloutValues()
-        self._spot = SpotTests()
+        self._spot = FreshStarts()
         self._predicted: dict[str, Prediction | None] = {}
 
     def add(self, fact: object) -> None:

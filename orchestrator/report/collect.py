@@ -9,7 +9,7 @@ from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 
-from ...schemas.certificate import Certificate, Predicate, ProblemResult
+from ...schemas.certificate import Certificate, Predicate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import ExtensionFact, Header, ProposalFact
 from ...schemas.ids import CLOSING, closing_check
@@ -28,11 +28,11 @@ from . import rollouts, wording
 from .charts import LaterCharts
 from .claim_data import VerdictCard, assumption_row
 from .counterexample import ending_counterexample
-from .data import Axis, Problem, RegionMap, ReportData, State
+from .data import Axis, RegionMap, ReportData, State
 from .live import live_card
 from .problem import ProblemCollector
 from .provenance import provenance
-from .question import required_words
+from .question import question_words
 from .ranges import ranges
 from .rollout_data import RankedTest, RolloutsOfTest
 from .scenes import SceneCache, bounded_scenes
@@ -133,15 +133,14 @@ class Collector:
     def _add(self, changes: Changes) -> None:
         try:
             for fact in changes.decisions:
+                self._charts.add(fact)
                 if isinstance(fact, ExtensionFact):
                     _extend_all(self._problems.values(), fact)
                 elif closing_check(fact.problem) is None:
                     for collector in _collectors_of(self._problems.values(), fact.problem):
                         collector.add(fact)
-                else:
-                    self._charts.add(fact)
-                    if isinstance(fact, ProposalFact):
-                        self._checked[fact.problem, fact.test] = fact.proposal.x
+                elif isinstance(fact, ProposalFact):
+                    self._checked[fact.problem, fact.test] = fact.proposal.x
             for problem, number in changes.rollouts.items():
                 if (check := closing_check(problem)) is not None:
                     self._closing[check] = self._closing.get(check, 0) + number
@@ -163,7 +162,14 @@ class Collector:
         violations.refresh(header, self._start)
         command = partial(replay_command, self.directory, header, system=self._system)
         results = {each.key: each for each in predicate.problems} if predicate else {}
-        problems = tuple(self._problem(each, results.get(key), predicate) for key, each in self._problems.items())
+        problems = tuple(
+            replace(
+                each.data(results.get(key)),
+                regions=self._regions(each, predicate),
+                charts=self._charts.of(each.charts, each.plan, header, predicate, each.fed),
+            )
+            for key, each in self._problems.items()
+        )
         claims = wording.worded(predicate) if predicate else ()
         running = lock.is_held(self.directory) and not self.abandoned
         workers, more = self._workers.rows(live, self._trust.workers)
@@ -221,19 +227,11 @@ class Collector:
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
             verdict=self._verdict,
-            required=required_words(header, claims[0].quantity if claims else problems[0].quantity),
+            required=question_words(header, claims[0].quantity if claims else problems[0].quantity),
             closing_rollouts={each: self._closing[each] for each in CLOSING if each in self._closing},
             live=None if self._certificate else live_card(self._so_far, header.run, running=running),
             provenance=provenance(header, self._sessions, self._workers.ended()),
         )
-
-    def _problem(
-        self, collector: ProblemCollector, result: ProblemResult | None, predicate: Predicate | None
-    ) -> Problem:
-        assert self._header is not None, "read before"
-        found = collector.data(result)
-        charts = self._charts.of(found.charts, collector.plan, self._header, predicate, collector.fed)
-        return replace(found, regions=self._regions(collector, predicate), charts=charts)
 
     def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
         # A certificate is final, and so is its table.

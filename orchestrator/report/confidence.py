@@ -54,9 +54,7 @@ def _with_other_constants(predicate: Predicate, unit: str, required: float | Non
     of_claim = unit if claim.quantity in IN_UNIT else ""
     rows = [row for row in predicate.sensitivity or () if row.claim == 0]
     if rows:
-        changed = (
-            f"{CHANGES[row.constant, row.factor]} {_with_constant(claim, row, of_claim, required)}" for row in rows
-        )
+        changed = (f"{CHANGES[row.constant, row.factor]} {_bound_with(claim, row, of_claim, required)}" for row in rows)
         yield f"{'; '.join(changed)}."
 
 
@@ -67,7 +65,7 @@ def _wrong_at_most(claim: CertificateClaim) -> str:
     return f"If its assumptions hold, it is wrong with probability at most {wrong}: by the chance in the rollouts."
 
 
-def _with_constant(claim: CertificateClaim, row: Sensitivity, unit: str, required: float | None) -> str:
+def _bound_with(claim: CertificateClaim, row: Sensitivity, unit: str, required: float | None) -> str:
     if row.bound is None or is_vacuous(row.bound, claim.sense, claim.by_clip):
         return "nothing, so NOT SHOWN"
     bound = f"{claim.sense} {outward(row.bound, claim.sense)} {unit}".rstrip()

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from ...schemas.claims import PROBABILITIES, SAMPLED, ClaimRequest
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.sample import SampleMethod
-from .bars import counted, edges_over
+from .bars import bar_counts, edges_over
 from .data import Drawn, Mark
 
 REACH = 0.5
@@ -39,7 +39,7 @@ def _histogram(
     return Drawn(
         requirement=which[1],
         edges=tuple(edges),
-        counts=tuple(counted(values, edges)),
+        counts=tuple(bar_counts(values, edges)),
         violations=sum(value < 0 for value in values),
         zeros=sum(value == 0 for value in values),
         unit=unit,

@@ -43,7 +43,7 @@ def of_model(plan: ProblemPlan, mean: Floats) -> Importance | None:
     return Importance(True, box.size, None, tuple(parameters))
 
 
-def of_tests(starts: Sequence[Sequence[float]], observed: Sequence[float]) -> Importance | None:
+def of_drawn_tests(starts: Sequence[Sequence[float]], observed: Sequence[float]) -> Importance | None:
     """Return the importance for values that were observed at starts that are drawn independently of one another.
 
     None for fewer than `FEWEST`, for one parameter, and for values that are all equal.

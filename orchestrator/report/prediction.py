@@ -27,7 +27,7 @@ SAME = 1e-9
 
 
 @dataclass(slots=True)
-class SpotTests:
+class FreshStarts:
     """The observed first tests at the fresh starts of each spot check, by its name and the number of the start."""
 
     _starts: dict[str, dict[int, tuple[float, ...]]] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class SpotTests:
 
 
 def prediction(
-    spot: SpotCheck, tests: SpotTests, plan: ProblemPlan, method: ProblemMethod, bound: Bound
+    spot: SpotCheck, tests: FreshStarts, plan: ProblemPlan, method: ProblemMethod, bound: Bound
 ) -> Prediction | None:
     """Return prediction and observation of one problem; None where the spot check did not test it.
 
@@ -72,7 +72,7 @@ def prediction(
         mean, lower, upper = _from_candidates(method, bound, box, x)
     mean = limits.within(mean, plan)
     outside = _beyond(each, upper, 1.0) | _beyond(each, lower, -1.0)
-    kept = _choice(outside)
+    kept = _kept_starts(outside)
     flip = plan.sense == "min"
     ends = (upper, lower) if flip else (lower, upper)
     finding = spot.problems[place]
@@ -83,10 +83,10 @@ def prediction(
         rollouts=len(values[nodes[0]]) // len(keys),
         limit=finding.limit,
         interpolated=not isinstance(method, RigorousMethod),
-        observed=_series(each[kept], flip=flip),
-        mean=_series(mean[kept], flip=flip),
-        lower=_series(ends[0][kept], flip=flip),
-        upper=_series(ends[1][kept], flip=flip),
+        observed=_signed_column(each[kept], flip=flip),
+        mean=_signed_column(mean[kept], flip=flip),
+        lower=_signed_column(ends[0][kept], flip=flip),
+        upper=_signed_column(ends[1][kept], flip=flip),
         outside=tuple(outside[kept].tolist()),
     )
 
@@ -109,7 +109,7 @@ def _beyond(values: Floats, limit: Floats, sign: float) -> NDArray[np.bool_]:
     return np.nan_to_num(sign * (values - limit), nan=-1.0) > SAME * (1.0 + np.nan_to_num(np.abs(limit)))
 
 
-def _choice(outside: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _kept_starts(outside: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the numbers of the starts in the data."""
     number = len(outside)
     if number <= MOST_POINTS:
@@ -120,6 +120,6 @@ def _choice(outside: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.sort(np.concatenate([red, others[even]]))
 
 
-def _series(values: Floats, *, flip: bool) -> Series:
+def _signed_column(values: Floats, *, flip: bool) -> Series:
     signed: Sequence[float] = (0.0 - values if flip else values).tolist()
     return tuple(value if np.isfinite(value) else None for value in signed)

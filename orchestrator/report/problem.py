@@ -60,7 +60,7 @@ class ProblemCollector:
         self._pending: list[tuple[Proposal, Observation]] = []
         """Observations not yet passed to the method."""
         self._surfaces: tuple[Surface, ...] = ()
-        self._charts = empty_charts(header.config, plan)
+        self.charts = empty_charts(header.config, plan)
         self.fed: tuple[ProblemMethod, Bound] | None = None
         """The method with all observations that `data` has described, and the bound after the last; None before."""
         self._drawn: list[Drawn] = []
@@ -115,7 +115,7 @@ class ProblemCollector:
                 self._drawn = self._histograms(self._method)
             else:
                 self._surfaces = band.surfaces(self.plan, self._method, self._bound, self._worst_start)
-            self._charts = charts_after(self._charts, self.plan, self._method, self._bound, self.observed)
+            self.charts = charts_after(self.charts, self.plan, self._method, self._bound, self.observed)
             self.fed = self._method, self._bound
             self._tests = observed_series(self.plan, self.observed)
             self._warnings = self._contradictions()
@@ -161,7 +161,6 @@ class ProblemCollector:
             requirements=tuple(self._drawn[1:]),
             requirement=self.plan.requirement,
             observed=len(self.observed),
-            charts=self._charts,
         )
 
     def regions(self, directory: Path, predicate: Predicate | None) -> RegionMap | None:

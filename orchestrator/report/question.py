@@ -15,7 +15,7 @@ OF_MARGIN: dict[Quantity, str] = {
 """Quantities of a claim about a margin, and what is bounded."""
 
 
-def required_words(header: Header, quantity: Quantity | None) -> str:
+def question_words(header: Header, quantity: Quantity | None) -> str:
     """Return what the file requires of a quantity; empty where it requires nothing that one sentence says.
 
     A term of a composition has no quantity: its sum bounds the risk.

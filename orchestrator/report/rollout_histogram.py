@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..store.rollout_values import AddedValue
-from .bars import counted, edges_over
+from .bars import bar_counts, edges_over
 from .chart_data import RolloutHistogram, VariantCounts
 
 Clip = tuple[float, float] | None
@@ -49,7 +49,7 @@ def _counts(
     low, high = clip or (-np.inf, np.inf)
     return VariantCounts(
         variant=variant,
-        counts=tuple(counted(values.tolist(), edges)),
+        counts=tuple(bar_counts(values.tolist(), edges)),
         rollouts=len(values),
         violations=int((values < 0).sum()),
         least=float(values.min()),

@@ -4,6 +4,14 @@ import itertools
 import math
 from dataclasses import replace
 
+from perfbound.orchestrator.report.chart_data import (
+    Importance,
+    ParameterImportance,
+    Prediction,
+    ProblemCharts,
+    RolloutHistogram,
+    VariantCounts,
+)
 from perfbound.orchestrator.report.claim_data import AssumptionRow, Claim, assumption_row
 from perfbound.orchestrator.report.data import (
     Axis,
@@ -145,6 +153,52 @@ def cube() -> ReportData:
     x = ((2.0, 1.0, 0.0), (3.0, 3.0, 3.0), (2.0, 1.0, 3.0), (0.0, 0.0, 0.0), (0.0, 3.0, 0.0), (1.0, 2.0, 3.0))
     found = replace(problem, surfaces=tuple(planes), tests=replace(problem.tests, x=x))
     return replace(report, axes=axes, problems=(found,))
+
+
+def charted() -> ReportData:
+    """One problem of the robustness with every chart: a bound of -20 m after the first test, 2 of 30 starts outside."""
+    report = small(12)
+    observed = tuple(0.1 * k for k in range(30))
+    outside = tuple(k in {3, 4} for k in range(30))
+    charts = ProblemCharts(
+        required=0.1,
+        of_robustness=True,
+        clip=(-0.2, 0.75),
+        overshoots=0.25,
+        importance=Importance(
+            True,
+            20,
+            None,
+            (
+                ParameterImportance(1, 0.7, 0.8, (0.0, 1.5, 3.0), (0.1, 0.3, 0.6)),
+                ParameterImportance(0, 0.2, 0.3, (0.0, 2.0, 4.0), (0.3, 0.2, 0.4)),
+            ),
+        ),
+        prediction=Prediction(
+            30,
+            28,
+            True,
+            1,
+            0.17,
+            False,
+            observed,
+            tuple(y + 0.05 for y in observed),
+            tuple(y + 0.02 if out else y - 0.2 for y, out in zip(observed, outside, strict=True)),
+            tuple(y + 0.3 for y in observed),
+            outside,
+        ),
+        rollouts=RolloutHistogram(
+            (-0.4, -0.2, 0.0, 0.2, 0.4),
+            "rad",
+            (
+                VariantCounts("nominal", (0, 0, 3, 9), 12, 0, 0.12, 4, (0, 0)),
+                VariantCounts("true", (1, 2, 5, 4), 12, 3, -0.31, 7, (1, 0)),
+            ),
+        ),
+    )
+    problem = report.problems[0]
+    tests = replace(problem.tests, lower=(-20.0, *(problem.tests.lower[1:])))
+    return replace(report, problems=(replace(problem, tests=tests, charts=charts, bound=0.3727),))
 
 
 def many(parameters: int = 12, tests: int = 30) -> ReportData:

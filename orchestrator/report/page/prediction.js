@@ -128,6 +128,15 @@ function drawPredictionPoints(context, { box, toX, toY }, { mean, observed, lowe
       line(context, x, lower[k] === null ? bottom : toY(lower[k]), x, upper[k] === null ? box.top : toY(upper[k]));
       context.globalAlpha = 1;
     }
-    disc(context, [x, toY(observed[k])], outside[k] ? 3.4 : many ? 1.8 : 2.4, outside[k] ? colours.red : colours.blue, colours.paper, 0.6);
+    if (outside[k]) cross(context, [x, toY(observed[k])], 4, colours.red);
+    else disc(context, [x, toY(observed[k])], many ? 1.8 : 2.4, colours.blue, colours.paper, 0.6);
   }
+}
+
+/** A mark that is told from a dot without its colour. */
+function cross(context, [x, y], half, colour) {
+  context.strokeStyle = colour;
+  context.lineWidth = 2;
+  line(context, x - half, y - half, x + half, y + half);
+  line(context, x - half, y + half, x + half, y - half);
 }

@@ -214,7 +214,8 @@ function startBars(report, index, alone) {
   const order = points.map((x, n) => n).filter((n) => side[n] !== null).sort((a, b) => (up ? side[b] - side[a] : side[a] - side[b]));
   const range = extent(lower, upper, mean, [problem.bound]) ?? [0, 1];
   const marks = problem.bound === null ? [] : [[problem.bound, `bound ${outward(problem.bound, up ? "<=" : ">=")}`, "bound"]];
-  if (range[0] < 0 && range[1] > 0) marks.push([0, "0", "zero"]);
+  const limit = comparedWith(problem);
+  if (limit !== null && range[0] <= limit[0] && range[1] >= limit[0]) marks.push([limit[0], `${limit[1].replace(/^the |,$/g, "")} ${num(limit[0])}`, "zero"]);
   const dots = new Map(dotsOf(report, problem).map((dot) => [dot.x.join(), dot]));
   const rows = order.slice(0, MOST_BARS).map((n) => startRow(report, problem, n, dots.get(points[n].join()), range, marks));
   return el(

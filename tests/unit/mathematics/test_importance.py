@@ -18,7 +18,7 @@ A, B = 7.0, 0.1
 
 def ishigami(x: np.ndarray) -> np.ndarray:
     """Return the function of Ishigami and Homma 1990 at x (n, 3), each in [-pi, pi]."""
-    return np.sin(x[:, 0]) + A * np.sin(x[:, 1]) ** 2 + B * x[:, 2] ** 4 * np.sin(x[:, 0])
+    return np.asarray(np.sin(x[:, 0]) + A * np.sin(x[:, 1]) ** 2 + B * x[:, 2] ** 4 * np.sin(x[:, 0]))
 
 
 def ishigami_indices() -> tuple[list[float], list[float]]:

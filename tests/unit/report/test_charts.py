@@ -11,7 +11,7 @@ import pytest
 from perfbound.orchestrator.campaign.plan import plans
 from perfbound.orchestrator.mathematics.gp.lattice import Lattice
 from perfbound.orchestrator.report import importance, limits, prediction
-from perfbound.orchestrator.report.bars import counted, edges
+from perfbound.orchestrator.report.bars import bar_counts, edges
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import Problem, to_json
 from perfbound.orchestrator.report.posterior import posterior
@@ -95,10 +95,10 @@ def test_prediction_and_observation_of_each_fresh_start(finished: Path) -> None:
 def test_of_very_many_starts_those_outside_are_kept() -> None:
     outside = np.zeros(20_000, dtype=np.bool_)
     outside[[3, 777, 19_999]] = True
-    kept = prediction._choice(outside)
+    kept = prediction._kept_starts(outside)
     assert len(kept) == prediction.MOST_POINTS
     assert {3, 777, 19_999} <= set(kept.tolist())
-    everywhere = prediction._choice(np.ones(20_000, dtype=np.bool_))
+    everywhere = prediction._kept_starts(np.ones(20_000, dtype=np.bool_))
     assert 0 < len(everywhere) <= prediction.MOST_POINTS
 
 
@@ -158,8 +158,8 @@ def test_a_model_without_variation_or_with_gaps_has_no_importance() -> None:
 def test_few_tests_say_nothing_about_importance() -> None:
     x = np.random.default_rng(2).uniform(size=(200, 3))
     y = x[:, 2].tolist()
-    assert importance.of_tests(x[:49].tolist(), y[:49]) is None
-    found = importance.of_tests(x.tolist(), y)
+    assert importance.of_drawn_tests(x[:49].tolist(), y[:49]) is None
+    found = importance.of_drawn_tests(x.tolist(), y)
     assert found is not None
     assert found.chance is not None
     assert found.parameters[0].axis == 2
@@ -184,8 +184,8 @@ def test_a_histogram_tells_its_variants_and_the_clip() -> None:
 def test_bars_end_at_their_edges() -> None:
     ends = edges(-0.35, 0.95)
     assert 0.0 in ends
-    assert counted([ends[0], 0.0, ends[-1]], ends)[ends.index(0.0)] == 1
-    assert sum(counted([ends[0] - 1, ends[-1] + 1], ends)) == 2
+    assert bar_counts([ends[0], 0.0, ends[-1]], ends)[ends.index(0.0)] == 1
+    assert sum(bar_counts([ends[0] - 1, ends[-1] + 1], ends)) == 2
 
 
 def test_a_hundred_thousand_rollouts_fit_in_the_page(tmp_path: Path, no_disk: None) -> None:
@@ -194,7 +194,7 @@ def test_a_hundred_thousand_rollouts_fit_in_the_page(tmp_path: Path, no_disk: No
     y = np.random.default_rng(4).normal(size=100_000).tolist()
     values.add(AddedValue(seq, "p", "true", seq, value) for seq, value in enumerate(y))
     many = values.histogram("p", None, "m")
-    found = importance.of_tests(np.random.default_rng(5).uniform(size=(100_000, 12)).tolist(), y)
+    found = importance.of_drawn_tests(np.random.default_rng(5).uniform(size=(100_000, 12)).tolist(), y)
     report = Collector(tmp_path).refresh()
     charts = replace(report.problems[0].charts, rollouts=many, importance=found)
     larger = replace(report, problems=(replace(report.problems[0], charts=charts), *report.problems[1:]))
