@@ -202,7 +202,7 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
     found = [_sentence_on_clip(each.values) for each in predicate.assumptions if _hides_values(each, claim)]
     # A claim that shows nothing says so, and owes nothing to the constants.
     if claim.without_data is not None and not claim.vacuous:
-        found.append(_without_data(claim, claim.without_data))
+        found.append(_alone_proves(claim, claim.without_data))
     if rows and not (claim.vacuous and all(_nothing(claim, row.bound) for row in rows)):
         both = ", in both problems" if composes(claim.rule) else ""
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
@@ -244,7 +244,7 @@ def _nothing(claim: CertificateClaim, value: float | None) -> bool:
     return value is None or is_vacuous(value, claim.sense, claim.by_clip)
 
 
-def _without_data(claim: CertificateClaim, alone: float) -> str:
+def _alone_proves(claim: CertificateClaim, alone: float) -> str:
     """Return a sentence about the share of the rollouts in a claim."""
     by_clip = is_vacuous(alone, claim.sense, claim.by_clip)
     premises = "the clip proves" if by_clip else "B and the prior mean prove"
