@@ -14,7 +14,7 @@ def required_objective(config: CampaignConfig, problem: Problem) -> float | None
     return -config.required_margin if config.sense_of(problem) == "min" else config.required_at_most
 
 
-def required_words(config: CampaignConfig, problem: Problem, expected: float, worst: float) -> str:
+def forecast_margin_words(config: CampaignConfig, problem: Problem, expected: float, worst: float) -> str:
     """Return whether a forecast bound on J meets what is required; empty where nothing is.
 
     `worst` is the largest J of the fitted function, below which no bound may be expected to fall.

@@ -15,7 +15,7 @@ from ...schemas.errors import PerfboundError
 from ..campaign.calibration import ProblemCalibration
 from ..campaign.calibration_budget import RANGE, THOUSAND, BudgetForecast
 from ..campaign.calibration_forecast import Forecast
-from ..campaign.calibration_margin import required_words
+from ..campaign.calibration_margin import forecast_margin_words
 from ..campaign.calibration_tolerance import ToleranceForecast
 from ..mathematics.calibration.trust import KernelTrial
 from ..run.calibration import Calibration, CalibrationWish, Report, calibrate_draft
@@ -88,7 +88,7 @@ def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
         yield from lines
         config = found.draft.config
         of_config = next(each for each in config.problems if each.name == problem.name)
-        if words := required_words(config, of_config, guess.bound, guess.fitted):
+        if words := forecast_margin_words(config, of_config, guess.bound, guess.fitted):
             yield f"{problem.name}: {words}"
     yield from _other_methods(found)
     yield f"evidence: {folder}/{NUMBERS} and calibration-*.png"

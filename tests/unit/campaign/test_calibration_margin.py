@@ -2,7 +2,7 @@
 
 import pytest
 
-from perfbound.orchestrator.campaign.calibration_margin import required_objective, required_words
+from perfbound.orchestrator.campaign.calibration_margin import forecast_margin_words, required_objective
 from perfbound.schemas.campaign import CampaignConfig
 from tests.fakes.simulators import robustness
 
@@ -22,7 +22,7 @@ def test_several_problems_have_no_objective_of_their_own() -> None:
     config = campaign(0.3)
     pair = config.model_copy(update={"problems": (*config.problems, *config.problems)})
     assert required_objective(pair, config.problems[0]) is None
-    assert required_words(pair, config.problems[0], -0.4, -0.5) == ""
+    assert forecast_margin_words(pair, config.problems[0], -0.4, -0.5) == ""
 
 
 @pytest.mark.parametrize(
@@ -35,6 +35,6 @@ def test_several_problems_have_no_objective_of_their_own() -> None:
 )
 def test_a_forecast_bound_is_compared_with_what_is_required(margin: float, words: str) -> None:
     config = campaign(margin)
-    found = required_words(config, config.problems[0], expected=-0.4, worst=-0.5)
+    found = forecast_margin_words(config, config.problems[0], expected=-0.4, worst=-0.5)
     assert found.startswith(words)
     assert (found == words) == (margin == 0.3)
