@@ -44,8 +44,10 @@ def _shown_by_rollouts(how: ByRollouts, probability: float) -> str:
 
 
 def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
-    """Return what fresh starts prove without B and kernel, whatever the verdict is; empty where they prove nothing."""
+    """Return what fresh starts prove without B and kernel; empty where they prove nothing, or a violation is shown."""
     most = predicate.spot_check and predicate.spot_check.most_starts
+    if verdict.verdict == "VIOLATED":
+        return ""
     return _of_fresh_starts(most, "" if verdict.unit == "1" else one_line(verdict.unit)) if most else ""
 
 
