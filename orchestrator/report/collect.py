@@ -4,12 +4,11 @@ It reads the run directory of a running, stopped or finished campaign and change
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 
-from ...schemas.certificate import Certificate, Predicate
+from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
 from ...schemas.facts import ExtensionFact, Header, ProposalFact
 from ...schemas.ids import CLOSING, closing_check
@@ -25,10 +24,10 @@ from ..store import lock
 from ..store.changes import ChangeReader, Changes, Session
 from ..store.so_far import read_so_far
 from . import rollouts, wording
-from .charts import LaterCharts
 from .claim_data import VerdictCard, assumption_row
+from .complete import ProblemCompleter
 from .counterexample import ending_counterexample
-from .data import Axis, RegionMap, ReportData, State
+from .data import Axis, ReportData, State
 from .live import live_card
 from .problem import ProblemCollector
 from .provenance import provenance
@@ -67,8 +66,7 @@ class Collector:
         self._system: str | None = None
         self._code: str | None = None
         self._scenes = SceneCache(self.directory)
-        self._divided: dict[str, RegionMap | None] = {}
-        self._charts = LaterCharts(self.directory)
+        self._complete = ProblemCompleter(self.directory)
         self._verdict: VerdictCard | None = None
         self._so_far: SoFar | None = None
         self._sessions: tuple[Session, ...] = ()
@@ -114,8 +112,8 @@ class Collector:
         changes = self._changes.read()
         if self._certificate and changes.extended:
             # That of before; the next refresh finds the one that follows.
-            certificate, self._verdict, self._divided = None, None, {}
-            self._charts.reopen()
+            certificate = self._verdict = None
+            self._complete.reopen()
         header = self._header = changes.header
         _check_same(self.directory, certificate, header)
         self._certificate = certificate
@@ -133,7 +131,6 @@ class Collector:
     def _add(self, changes: Changes) -> None:
         try:
             for fact in changes.decisions:
-                self._charts.add(fact)
                 if isinstance(fact, ExtensionFact):
                     _extend_all(self._problems.values(), fact)
                 elif closing_check(fact.problem) is None:
@@ -147,11 +144,11 @@ class Collector:
                 else:
                     for collector in _collectors_of(self._problems.values(), problem):
                         collector.rollouts += number
+            self._complete.add(changes.decisions)
         except (KeyError, ValueError) as error:
             raise JournalError(
                 f"{self.directory}: the facts contradict each other ({error}); restore the database from a copy"
             ) from None
-        self._charts.refresh()
         self._workers.add(changes)
         self._trust.add(changes)
         self._violations.add(changes.violations, changed=bool(changes.decisions or changes.rollouts))
@@ -162,14 +159,8 @@ class Collector:
         violations.refresh(header, self._start)
         command = partial(replay_command, self.directory, header, system=self._system)
         results = {each.key: each for each in predicate.problems} if predicate else {}
-        problems = tuple(
-            replace(
-                each.data(results.get(key)),
-                regions=self._regions(each, predicate),
-                charts=self._charts.of(each.charts, each.plan, header, predicate, each.fed),
-            )
-            for key, each in self._problems.items()
-        )
+        complete = self._complete.data
+        problems = tuple(complete(each, results.get(key), header, predicate) for key, each in self._problems.items())
         claims = wording.worded(predicate) if predicate else ()
         running = lock.is_held(self.directory) and not self.abandoned
         workers, more = self._workers.rows(live, self._trust.workers)
@@ -232,12 +223,6 @@ class Collector:
             live=None if self._certificate else live_card(self._so_far, header.run, running=running),
             provenance=provenance(header, self._sessions, self._workers.ended()),
         )
-
-    def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
-        # A certificate is final, and so is its table.
-        if predicate is not None and collector.problem.name not in self._divided:
-            self._divided[collector.problem.name] = collector.regions(self.directory, predicate)
-        return self._divided.get(collector.problem.name)
 
     def _rollouts(self, series: str, test: int) -> RolloutsOfTest:
         # A closing check has no columns of its own: those of the first problem.

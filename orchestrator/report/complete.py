@@ -1,0 +1,73 @@
+"""The data of each problem, completed by what its own facts do not have: all rollouts, the spot check, the regions."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from ...schemas.certificate import Predicate, ProblemResult
+from ...schemas.facts import Header
+from ..store.export_tables import robustness_unit
+from ..store.rollout_values import RolloutValueReader
+from .chart_data import Prediction, ProblemCharts
+from .data import Problem, RegionMap
+from .prediction import FreshStarts, prediction
+from .problem import ProblemCollector
+from .rollout_histogram import RolloutValues
+
+
+class ProblemCompleter:
+    """Completes the data of the problems of one campaign. Not thread-safe."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._reader, self._values = RolloutValueReader(directory), RolloutValues()
+        self._fresh = FreshStarts()
+        # A certificate is final, and so is what follows from it.
+        self._predicted: dict[str, Prediction | None] = {}
+        self._divided: dict[str, RegionMap | None] = {}
+
+    def add(self, facts: Iterable[object]) -> None:
+        """Add the next facts, of which those of a spot check are kept, and read the rollouts since the last call.
+
+        Raises:
+            JournalError: there is no campaign, or its database is damaged.
+
+        """
+        for fact in facts:
+            self._fresh.add(fact)
+        self._values.add(self._reader.read())
+
+    def reopen(self) -> None:
+        """Forget what followed from a certificate, because the campaign was extended."""
+        self._predicted.clear()
+        self._divided.clear()
+
+    def data(
+        self, collector: ProblemCollector, result: ProblemResult | None, header: Header, predicate: Predicate | None
+    ) -> Problem:
+        """Return the data of a problem; `result` is its part of the certificate.
+
+        Raises:
+            ValueError: the method cannot continue.
+
+        """
+        found = collector.data(result)
+        charts = self._charts(collector, header, predicate)
+        return replace(found, regions=self._regions(collector, predicate), charts=charts)
+
+    def _charts(self, collector: ProblemCollector, header: Header, predicate: Predicate | None) -> ProblemCharts:
+        plan, fed = collector.plan, collector.fed
+        spot = predicate.spot_check if predicate else None
+        if spot is not None and fed is not None and plan.key not in self._predicted:
+            self._predicted[plan.key] = prediction(spot, self._fresh, plan, *fed)
+        # Where starts are drawn another histogram has the bounds; a requirement has the rollouts of the whole.
+        by_itself = plan.candidates is None or plan.requirement is not None
+        unit = robustness_unit(header.config, header.spec)
+        rollouts = None if by_itself else self._values.histogram(plan.name, header.config.clip, unit)
+        return replace(collector.charts, prediction=self._predicted.get(plan.key), rollouts=rollouts)
+
+    def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
+        name = collector.problem.name
+        if predicate is not None and name not in self._divided:
+            self._divided[name] = collector.regions(self._directory, predicate)
+        return self._divided.get(name)
