@@ -170,7 +170,7 @@ function seriesSwitch(problem, band, series) {
 function mapLegend(report, problem, kind, band, chosen) {
   const worst = band?.worst ?? [];
   const excludesNone = worst.length > 0 && worst.every(Boolean) && kind !== "starts";
-  const outline = { lattice: "key.region-outline", starts: "mark.region-starts", profile: "mark.region-profile" }[kind];
+  const meaning = { lattice: "the worst start may be on the side of the ticks", starts: "thick edge: possible worst start", profile: "possible worst start" }[kind];
   return el(
     "ul.legend",
     ownDots(kind, band) ? legendItem("mark.dot", "listed start, larger where tested more often") : sizeLegend(dotsOf(report, problem, chosen)),
@@ -178,10 +178,16 @@ function mapLegend(report, problem, kind, band, chosen) {
     violating(report, problem).size ? legendItem("mark.violates", "violates the specification") : null,
     legendItem("mark.worst", "worst observed"),
     legendItem("mark.ring", "selected test"),
-    worst.some(Boolean) && !excludesNone ? legendItem(outline, { lattice: "the worst start may be on the side of the ticks", starts: "thick edge: possible worst start", profile: "possible worst start" }[kind]) : null,
+    worst.some(Boolean) && !excludesNone ? (kind === "lattice" ? el("li", el("span.mark.outline", tickedLine()), meaning) : legendItem(`mark.region-${kind}`, meaning)) : null,
     kind === "profile" ? legendItem("mark.band", "mean and band") : null,
     excludesNone ? el("li", `every start ${report.axes.length > 2 ? "of this plane " : ""}is a possible worst start so far`) : null,
   );
+}
+
+/** A piece of the line around the possible worst starts. */
+function tickedLine() {
+  const ticks = [4, 12, 20].map((x) => svg("line", { x1: x, x2: x, y1: 2, y2: 9 }));
+  return svg("svg", { width: 24, height: 10, "aria-hidden": "true" }, svg("line", { x1: 0, x2: 24, y1: 2, y2: 2 }), ...ticks);
 }
 
 /** The dots of a start with few and with many tests, as large as on the map. */
