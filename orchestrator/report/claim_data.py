@@ -8,6 +8,13 @@ from ...schemas.verdict import ByRollouts, VerdictWord
 from ..certificate.assumption_titles import title
 
 
+NUMBERS = {
+    "kernel": {"rkhs_norm": "B", "length_scale": "length scale"},
+    "noise_scale": {"noise_scale": "R"},
+}
+"""Values of assumptions that the campaign file sets, and their symbols."""
+
+
 @dataclass(frozen=True, slots=True)
 class Claim:
     """A claim of the certificate; the first one is fixed before the campaign."""
@@ -65,9 +72,18 @@ class AssumptionRow:
     status: Status
     detail: str
     """The finding behind the status, a sentence."""
+    numbers: str = ""
+    """The constants of the campaign file that it is about."""
 
 
 def assumption_row(found: Assumption) -> AssumptionRow:
     """Return an assumption of a certificate with its title."""
     detail = found.detail[:1].upper() + found.detail[1:]
-    return AssumptionRow(found.id, title(found.id), found.status, detail)
+    return AssumptionRow(found.id, title(found.id), found.status, detail, _numbers(found))
+
+
+def _numbers(found: Assumption) -> str:
+    """Return the constants of an assumption that a reader has to judge; empty where it has none."""
+    values = found.values or {}
+    shown = NUMBERS.get(found.id.partition("/")[0], {})
+    return ", ".join(f"{name} = {values[key]}" for key, name in shown.items() if key in values)

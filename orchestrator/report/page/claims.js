@@ -27,7 +27,7 @@ function titleSection(report) {
     el("h1", nameElement(report.name, 120), el("span.state", { "data-state": report.state }, short(report.state, 20))),
     el("p.question", asks, `from ${report.problems.some(isListed) ? "each of " : "every start with "}${spaceText(report)}.`),
     el("p.question", el("strong", system[0]), system[1]),
-    report.required ? el("p.muted", sentence(report.required)) : null,
+    report.required ? el("p.question", el("strong", "Asked: "), sentence(report.required)) : null,
   );
 }
 
@@ -70,12 +70,16 @@ function aboutSection(report) {
   );
 }
 
+/** The rollouts behind the bounds and of the checks after the campaign. */
+function allRollouts(report) {
+  return Object.values(report.closing_rollouts).reduce((sum, each) => sum + each, report.rollouts);
+}
+
 /** "1,013: 480 for the bound, 513 of the spot check, 20 of the recheck". */
 function rolloutsText(report) {
   const closing = Object.entries(report.closing_rollouts);
   if (!closing.length) return count(report.rollouts);
-  const all = closing.reduce((sum, [, each]) => sum + each, report.rollouts);
-  return `${count(all)}: ${[`${count(report.rollouts)} for the bound`, ...closing.map(([name, each]) => `${count(each)} of the ${words(name)}`)].join(", ")}`;
+  return `${count(allRollouts(report))}: ${[`${count(report.rollouts)} for the bound`, ...closing.map(([name, each]) => `${count(each)} of the ${words(name)}`)].join(", ")}`;
 }
 
 function spaceText(report) {
@@ -96,7 +100,7 @@ function claimSection(report) {
     verdictCard(report),
     refutation(report),
     counterexample(report),
-    repeatsTable ? null : el("p.kind", first ? (others.length ? "First claim, chosen before the campaign" : "The claim in the words of the certificate") : "Bounds so far"),
+    repeatsTable ? null : el("p.kind", claimHeading(report)),
     repeatsTable ? null : el("p.claim#claim", sentence(first ? first.sentence : report.now)),
     formula && el("div.formula", formula),
     first ? el("p.muted", claimBasis(first, unitText(report.problems[0]?.unit))) : null,
@@ -106,12 +110,20 @@ function claimSection(report) {
   );
 }
 
+/** What stands above the words of the first claim: a violation or refutation is the verdict, and not the claim. */
+function claimHeading({ claims, verdict }) {
+  if (!claims.length) return "Bounds so far";
+  if (claims[0].refuted.length) return "The refuted claim, in the words of the certificate";
+  if (verdict?.word === "VIOLATED") return "The bound that was computed too, which is not the verdict";
+  return claims.length > 1 ? "First claim, chosen before the campaign" : "The claim in the words of the certificate";
+}
+
 /** The answer to the question of the campaign: what was shown, how sure, on what it rests, and what to do next. */
 function verdictCard(report) {
   const { verdict: found } = report;
   if (found === null) return null;
   // What is refuted, and what a violation makes pointless, stands with the claim below.
-  const claim = refutedOf(report).length || found.by_rollouts !== null ? [] : [found.claim];
+  const claim = refutedOf(report).length || found.by_rollouts !== null || report.claims[0].vacuous ? [] : [found.claim];
   const [answer, ...more] = found.word === "SHOWN" ? [...claim, ...found.reasons] : [...found.reasons, ...claim];
   const rows = [
     ["In detail", more.map((text) => el("p", sentence(text)))],
@@ -132,13 +144,26 @@ function verdictCard(report) {
   );
 }
 
+/** Quantities of claims about a mean. */
+const OF_MEANS = ["rho_star", "expected_robustness", "mean", "risk"];
+/** In the sentence of the spot check on violations. */
+const FRESH = "at fresh starts violate the specification";
+
 /** How many rollouts violate the specification, and what that number is not. */
 function rolloutCount(report) {
-  const { verdict: found } = report;
+  const { verdict: found, claims: [first] } = report;
   if (!found.count) return null;
-  if (!report.violations) return el("p", found.word === "SHOWN" ? sentence(found.count) : ["No violation was found: ", sentence(found.count)]);
-  const chosen = report.problems.some((problem) => problem.drawn === null);
-  return el("p", el("a", { href: "#counterexamples" }, sentence(found.count)), chosen ? " Most starts were chosen for being bad, so this is no failure rate." : null);
+  const chosen = report.violations && report.problems.some((problem) => problem.drawn === null);
+  const mean = found.word === "SHOWN" && OF_MEANS.includes(first.quantity);
+  return [
+    el(
+      "p",
+      report.violations ? el("a", { href: "#counterexamples" }, sentence(found.count)) : [found.word === "SHOWN" ? null : "No violation was found: ", sentence(found.count)],
+      chosen ? " Part of them are where the margin seemed worst, so this is no failure rate." : null,
+      mean ? " What is shown is about means: single rollouts may be worse." : null,
+    ),
+    report.checks.filter((each) => each.includes(FRESH)).map((each) => el("p", sentence(each))),
+  ];
 }
 
 /** What no data of a campaign can test of a claim, in the order of how much depends on it. */
@@ -147,15 +172,16 @@ const FIRST_OF_ALL = ["simulator_is_the_system", "rkhs_norm", "kernel", "noise_s
 /** The assumptions of the first claim: how many have which status, and those that nothing checked. */
 function restsOn(report) {
   if (report.verdict.by_rollouts !== null) return [el("p", "On the rollouts alone, and on one thing that no rollout can check: that the real system behaves like the simulator.")];
+  if (report.claims[0].vacuous) return [el("p", "On nothing: the bound holds without any rollout.")];
   const mine = report.assumptions.filter((each) => report.claims[0].assumptions.includes(each.id));
   const of = (status) => mine.filter((each) => each.status === status);
   const counts = Object.entries(STATUS_WORDS).map(([status, text]) => [of(status).length, text]).filter(([number]) => number);
   const rank = ({ id }) => (FIRST_OF_ALL.indexOf(id.split("/")[0]) + FIRST_OF_ALL.length + 1) % (FIRST_OF_ALL.length + 1);
   const broken = of("refuted").length > 0; // then the others do not matter
-  const titles = broken ? [] : [...new Set(of("assumed").sort((a, b) => rank(a) - rank(b)).map((each) => each.title))];
+  const titles = broken ? [] : [...new Map(of("assumed").sort((a, b) => rank(a) - rank(b)).map((each) => [each.title + each.numbers, [each.title, each.numbers]])).values()];
   return [
     el("p", el("a", { href: "#assumptions" }, plural(mine.length, "assumption")), `: ${counts.map(([number, text]) => `${number} ${text}`).join(", ")}.${titles.length ? " Not checked, so you must judge:" : ""}`),
-    titles.length ? el("ul.judge", titles.map((each) => el("li", short(each, 90)))) : null,
+    titles.length ? el("ul.judge", titles.map(([title, numbers]) => el("li", short(title, 90), numbers ? el("span.muted", ` (${short(numbers, 120)})`) : null))) : null,
   ];
 }
 

@@ -9,7 +9,7 @@ function counterexampleSection(report) {
   const { violations, later_violations: later } = report;
   const head = el("h2", "Counterexamples");
   if (violations === 0) {
-    const none = `None among ${plural(report.rollouts, "recorded rollout")}: no robustness is below 0.`;
+    const none = `None among ${plural(allRollouts(report), "recorded rollout")}: no robustness is below 0.`;
     const text = report.specification === null ? "Not applicable: the campaign has no specification." : none;
     return el("section#counterexamples", { "data-violations": 0 }, head, el("p", text));
   }

@@ -28,7 +28,7 @@ function rolloutFigure(problem, index) {
   const one = rollouts.variants.length === 1;
   return el(
     "figure.histogram",
-    el("figcaption", "Robustness of all rollouts"),
+    el("figcaption", "Robustness of the rollouts behind the bound"),
     rollouts.variants.map((each) => el("div", one ? null : el("h3", `${words(each.variant)} system`), el(`div.chart#rollouts-${index}-${each.variant === "true" ? "true" : "nominal"}`, { "data-keep": true, role: "img", "aria-label": variantCaption(each, rollouts, problem) }))),
     el("ul.legend", legendItem("key.violations", "violates the specification"), legendItem("key.kept", "meets it")),
     rollouts.variants.map((each) => caption(variantCaption(each, rollouts, problem))),

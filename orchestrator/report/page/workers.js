@@ -3,7 +3,7 @@
 function workerSection(report) {
   const { throughput, workers } = report;
   const facts = [
-    ["Recorded", plural(report.rollouts, "rollout")],
+    ["Recorded", plural(allRollouts(report), "rollout")],
     ["Rate over the last active minute", `${num(throughput.rate, 3)} rollouts/s`],
     ["Failed attempts", failureText(throughput)],
     ["Sessions (run and resumes)", count(throughput.sessions)],
