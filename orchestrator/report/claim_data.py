@@ -7,7 +7,6 @@ from ...schemas.problems import Quantity
 from ...schemas.verdict import ByRollouts, VerdictWord
 from ..certificate.assumption_titles import title
 
-
 NUMBERS = {
     "kernel": {"rkhs_norm": "B", "length_scale": "length scale"},
     "noise_scale": {"noise_scale": "R"},
@@ -82,8 +81,12 @@ def assumption_row(found: Assumption) -> AssumptionRow:
     return AssumptionRow(found.id, title(found.id), found.status, detail, _numbers(found))
 
 
+def _short(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
 def _numbers(found: Assumption) -> str:
     """Return the constants of an assumption that a reader has to judge; empty where it has none."""
     values = found.values or {}
     shown = NUMBERS.get(found.id.partition("/")[0], {})
-    return ", ".join(f"{name} = {values[key]}" for key, name in shown.items() if key in values)
+    return ", ".join(f"{name} = {_short(values[key])}" for key, name in shown.items() if key in values)

@@ -171,7 +171,10 @@ const FIRST_OF_ALL = ["simulator_is_the_system", "rkhs_norm", "kernel", "noise_s
 
 /** The assumptions of the first claim: how many have which status, and those that nothing checked. */
 function restsOn(report) {
-  if (report.verdict.by_rollouts !== null) return [el("p", "On the rollouts alone, and on one thing that no rollout can check: that the real system behaves like the simulator.")];
+  if (report.verdict.by_rollouts !== null) {
+    const chance = report.verdict.by_rollouts === "certain" ? "" : ", which must be independent of each other";
+    return [el("p", `On the rollouts alone${chance}, and on what no rollout can check: that the real system behaves like the simulator.`)];
+  }
   if (report.claims[0].vacuous) return [el("p", "On nothing: the bound holds without any rollout.")];
   const mine = report.assumptions.filter((each) => report.claims[0].assumptions.includes(each.id));
   const of = (status) => mine.filter((each) => each.status === status);
