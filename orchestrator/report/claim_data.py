@@ -78,15 +78,15 @@ class AssumptionRow:
 def assumption_row(found: Assumption) -> AssumptionRow:
     """Return an assumption of a certificate with its title."""
     detail = found.detail[:1].upper() + found.detail[1:]
-    return AssumptionRow(found.id, title(found.id), found.status, detail, _numbers(found))
+    return AssumptionRow(found.id, title(found.id), found.status, detail, _constants_of(found))
 
 
-def _short(value: float | str) -> str:
+def _constant_text(value: float | str) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def _numbers(found: Assumption) -> str:
+def _constants_of(found: Assumption) -> str:
     """Return the constants of an assumption that a reader has to judge; empty where it has none."""
     values = found.values or {}
     shown = NUMBERS.get(found.id.partition("/")[0], {})
-    return ", ".join(f"{name} = {_short(values[key])}" for key, name in shown.items() if key in values)
+    return ", ".join(f"{name} = {_constant_text(values[key])}" for key, name in shown.items() if key in values)

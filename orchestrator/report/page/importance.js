@@ -44,7 +44,8 @@ function shareRow(axis, { first, total }, chance) {
   const bars = [svg("rect", { class: "first", x: 0, y: 3, width: Math.max(2, at(first)), height: 12 })];
   if (total !== null) bars.unshift(svg("rect", { class: "total", x: 0, y: 3, width: Math.max(2, at(total)), height: 12 }));
   if (chance !== null) bars.push(svg("line", { class: "chance", x1: at(chance), x2: at(chance), y1: 0, y2: 18 }));
-  const text = total === null ? percent(first) : `${percent(first)}; ${percent(total)} with the others`;
+  const alone = total === null || percent(total) === percent(first);
+  const text = alone ? percent(first) : `${percent(first)}; ${percent(total)} with the others`;
   return [
     el("span", { title: visible(axis.name).slice(0, 1000) }, shortMiddle(axis.name, 30)),
     svg("svg", { viewBox: "0 0 1000 18", preserveAspectRatio: "none", "aria-hidden": "true" }, ...bars),
