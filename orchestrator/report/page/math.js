@@ -32,7 +32,8 @@ function robustnessOf(claim, start) {
 const mathMean = (content) => mathRow(mathUpright("E"), mathBracketed("[", content, "]"));
 const mathChance = (content) => mathRow(mathUpright("P"), mathBracketed("[", content, "]"));
 const mathSpread = (content) => mathRow(mathUpright("sd"), mathBracketed("[", content, "]"));
-const riskOf = (rho) => mathRow(mathMean(rho), mathSign("\u2212"), mathLetter("r"), mathSpread(rho));
+/** The risk of what `rho` builds: a node can stand in one place only. */
+const riskOf = (rho) => mathRow(mathMean(rho()), mathSign("\u2212"), mathLetter("r"), mathSpread(rho()));
 
 /** The set of starts under a minimum or maximum. */
 function startsOf(claim) {
@@ -44,7 +45,7 @@ function startsOf(claim) {
 /** What a claim bounds: quantity -> its definition. */
 const DEFINITIONS = {
   rho_star: (claim) => {
-    const rho = robustnessOf(claim, mathLetter("d"));
+    const rho = () => robustnessOf(claim, mathLetter("d"));
     return mathRow(mathSuperscript(mathLetter("\u03c1"), mathSign("*")), mathSign("="), mathBelow("min", startsOf(claim)), mathBracketed("(", riskOf(rho), ")"));
   },
   J_star: (claim) => mathRow(mathSuperscript(mathLetter("J"), mathSign("*")), mathSign("="), mathBelow("max", startsOf(claim)), mathMean(mathRow(mathLetter("J"), mathBracketed("(", mathLetter("d"), ")")))),
@@ -52,7 +53,7 @@ const DEFINITIONS = {
   expected_robustness: (claim) => mathRow(mathBelow("min", startsOf(claim)), mathMean(robustnessOf(claim, mathLetter("d")))),
   failure_probability: (claim) => mathChance(mathRow(robustnessOf(claim), mathSign("<"), mathNumber("0"))),
   mean: (claim) => mathMean(robustnessOf(claim)),
-  risk: (claim) => riskOf(robustnessOf(claim)),
+  risk: (claim) => riskOf(() => robustnessOf(claim)),
   quantile: (claim) => (claim.level === null ? null : mathRow(mathSubscript(mathLetter("q"), mathNumber(num(claim.level))), mathBracketed("(", robustnessOf(claim), ")"))),
   cvar: (claim) => (claim.level === null ? null : mathRow(mathSubscript(mathUpright("CVaR"), mathNumber(num(claim.level))), mathBracketed("(", robustnessOf(claim), ")"))),
 };
