@@ -10,6 +10,7 @@ from playwright.sync_api import Browser
 from tests.end_to_end import browser as chromium
 from tests.end_to_end.processes import Processes, processes
 from tests.end_to_end.six_campaigns import CASES, Case, write
+from tests.end_to_end.test_index import serve
 
 browser = chromium.browser
 SCREEN = 900
@@ -78,6 +79,18 @@ def test_a_phone_shows_the_verdict_without_scrolling_sideways(browser: Browser, 
         box = watch.page.locator("#answer .answer").bounding_box()
         assert box is not None
         assert box["y"] + box["height"] <= SCREEN
+
+
+def test_the_index_has_all_six_and_their_verdicts(started: Processes, browser: Browser, folder: Path) -> None:
+    _, address = serve(started, folder / "runs")
+    with chromium.watched(browser) as watch:
+        watch.page.goto(address)
+        watch.page.wait_for_function(f"document.querySelectorAll('tbody tr').length === {len(CASES)}")
+        rows = {row.locator("a").first.inner_text(): row.inner_text() for row in watch.page.locator("tbody tr").all()}
+        for case in CASES:
+            assert case.verdict in rows[case.name]
+            assert case.verdict != "SHOWN" or "NOT SHOWN" not in rows[case.name]
+        assert watch.errors == []
 
 
 def test_every_word_that_is_a_link_has_a_meaning(browser: Browser, folder: Path) -> None:

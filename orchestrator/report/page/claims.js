@@ -126,12 +126,12 @@ function verdictCard(report) {
   const claim = refutedOf(report).length || found.by_rollouts !== null || report.claims[0].vacuous ? [] : [found.claim];
   const [answer, ...more] = found.word === "SHOWN" ? [...claim, ...found.reasons] : [...found.reasons, ...claim];
   const rows = [
-    ["In detail", more.map((text) => el("p", sentence(text)))],
-    ["What refutes it", refutedOf(report).map((each) => el("p", sentence(each.detail)))],
+    ["In detail", more.map((text) => el("p", withTerms(text)))],
+    ["What refutes it", refutedOf(report).map((each) => el("p", withTerms(each.detail)))],
     ["Rollouts", rolloutCount(report)],
     ["Repeat the worst", found.command ? commandLine(found.command) : null],
-    ["How sure", found.sure.map((text) => el("p", sentence(text)))],
-    ["What holds anyway", found.anyway ? el("p", sentence(found.anyway)) : null],
+    ["How sure", found.sure.map((text) => el("p", withTerms(text)))],
+    ["What holds anyway", found.anyway ? el("p", withTerms(found.anyway)) : null],
     ["What it rests on", restsOn(report)],
     ["What to do next", nextSteps(report)],
   ];
@@ -139,7 +139,7 @@ function verdictCard(report) {
     "div.card#answer",
     { "data-verdict": found.word },
     el("p.word", found.word),
-    el("p.answer", sentence(answer)),
+    el("p.answer", withTerms(answer)),
     el("dl.parts", rows.filter(([, value]) => value !== null && value.length !== 0).map(([name, value]) => el("div", el("dt", name), el("dd", value)))),
   );
 }
@@ -184,7 +184,7 @@ function restsOn(report) {
   const titles = broken ? [] : [...new Map(of("assumed").sort((a, b) => rank(a) - rank(b)).map((each) => [each.title + each.numbers, [each.title, each.numbers]])).values()];
   return [
     el("p", el("a", { href: "#assumptions" }, plural(mine.length, "assumption")), `: ${counts.map(([number, text]) => `${number} ${text}`).join(", ")}.${titles.length ? " Not checked, so you must judge:" : ""}`),
-    titles.length ? el("ul.judge", titles.map(([title, numbers]) => el("li", short(title, 90), numbers ? el("span.muted", ` (${short(numbers, 120)})`) : null))) : null,
+    titles.length ? el("ul.judge", titles.map(([title, numbers]) => el("li", withTerms(short(title, 90)), numbers ? el("span.muted", ` (${short(numbers, 120)})`) : null))) : null,
   ];
 }
 

@@ -39,6 +39,25 @@ function termed(label) {
   return word === undefined ? label : el("a.term", { href: `#${entryId(word)}`, title: GLOSSARY[word][0] }, label);
 }
 
+/** Words of sentences, the longer ones first -> entry. */
+const IN_SENTENCES = new Map([
+  ["norm bound B", "norm bound B"], ["norm bound", "norm bound B"], ["length scale", "kernel, length scale"], ["kernel", "kernel, length scale"],
+  ["prior mean", "prior mean m0"], ["fresh starts", "spot check"], ["expected robustness", "expectation E, standard deviation sd"],
+  ["robustness risk", "robustness risk \u03c1*, risk weight r"], ["robustness", "robustness \u03c1"], ["clip", "clip"], ["Rollouts", "rollout"], ["rollouts", "rollout"],
+]);
+const WORDS = new RegExp(`\\b(${[...IN_SENTENCES.keys()].join("|")})\\b`);
+
+/** A sentence whose first use of each word of the glossary is a link to it. */
+function withTerms(text) {
+  const seen = new Set();
+  return sentence(text).split(WORDS).map((part, place) => {
+    const word = place % 2 ? IN_SENTENCES.get(part) : undefined;
+    if (word === undefined || seen.has(word)) return part;
+    seen.add(word);
+    return el("a.term", { href: `#${entryId(word)}`, title: GLOSSARY[word][0] }, part);
+  });
+}
+
 function glossarySection() {
   const entry = ([word, [meaning]]) => el(`div#${entryId(word)}`, el("dt", word), el("dd", meaning));
   return el(
