@@ -195,7 +195,7 @@ def test_a_bad_rollout_is_one_line_and_the_campaign_goes_on(
     (tmp_path / "bad.sh").chmod(0o755)
     run = started.run("perfbound", "run", tmp_path / "bad.toml", "--out", tmp_path / "run", "--log", "json")
     assert run.code == 0, run.err
-    failures = [line for line in run.err.splitlines() if "failure" in line or "deadline" in line]
+    failures = [line for line in run.err.splitlines() if " failure: " in line or "deadline" in line]
     assert len(failures) == 1, run.err
     if "deadline" not in words:
         assert words in failures[0]
