@@ -30,7 +30,10 @@ PACE_SPAN = 120.0
 """Seconds over which the rate of a forecast is taken; the whole run where few rollouts end in them."""
 FEW = 20
 LOSS = 0.05
-"""A progress bar falls by more than this only with a line that says why."""
+"""A progress bar falls by more than this only with a line that says so."""
+QUIET = 60.0
+"""Seconds between two such lines: a distance that comes close to its tolerance and leaves it again moves the forecast
+back and forth."""
 
 
 class Output(Protocol):
@@ -63,7 +66,7 @@ class SoFarListener:
         self._state: object = None
         """Of the last audit: the tests and ends of every series."""
         self._pace = Pace()
-        self._share = 0.0
+        self._share, self._fell = 0.0, -QUIET
         self._due = self._next = 0.0
 
     def print_line(self, line: str) -> None:
@@ -128,7 +131,9 @@ class SoFarListener:
 
     def _found(self, status: RunStatus, rate: float, holding: Holding, violations: Violations) -> SoFar:
         verdict, config = holding.verdict, status.config
-        forecast = self._never_falling(expected(config, status.problems, status.closing, self._work, rate))
+        forecast = self._never_falling(
+            expected(config, status.problems, status.closing, self._work, rate), status.seconds
+        )
         sense = verdict.sense if verdict else ">=" if config.sense_of(config.problems[0]) == "min" else "<="
         required = config.required_margin if sense == ">=" else config.required_at_most
         word = verdict.verdict if verdict else "NOT SHOWN"
@@ -154,14 +159,14 @@ class SoFarListener:
             expected=forecast.model_copy(update={"verdict": then}),
         )
 
-    def _never_falling(self, found: Expected) -> Expected:
-        """Return a forecast whose share never falls by little, and by much only with a line that says why."""
-        if found.share < self._share - LOSS:
+    def _never_falling(self, found: Expected, seconds: float) -> Expected:
+        """Return a forecast whose share never falls by little, and by much only with a line, now and then."""
+        if found.share < self._share - LOSS and seconds - self._fell >= QUIET:
             self._output.print_line(
                 f"the forecast has grown: {100 * found.share:.0f} % of the work is done, and not "
-                f"{100 * self._share:.0f} %; the bounds fall more slowly than before"
+                f"{100 * self._share:.0f} %"
             )
-            self._share = found.share
+            self._share, self._fell = found.share, seconds
         self._share = max(self._share, found.share)
         return found.model_copy(update={"share": self._share})
 

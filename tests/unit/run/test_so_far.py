@@ -372,15 +372,17 @@ def test_a_share_falls_only_with_a_word(tmp_path: Path) -> None:
     with replayed(tmp_path) as ledger:
         listener = SoFarListener(tmp_path, ledger, output)
 
-    def share(value: float) -> float:
+    def share(value: float, seconds: float = 0.0) -> float:
         found = Expected(share=value, by_budget=False, tests=None, most_tests=9, seconds=None, bound=None, verdict=None)
-        return listener._never_falling(found).share
+        return listener._never_falling(found, seconds).share
 
     assert [share(each) for each in (0.5, 0.48, 0.52)] == [0.5, 0.5, 0.52]
     assert output.lines == []
     assert share(0.3) == 0.3
     (line,) = output.lines
     assert line.startswith("the forecast has grown: 30 % of the work is done, and not 52 %")
+    assert [share(0.6, 10.0), share(0.2, 59.0), share(0.2, 60.0)] == [0.6, 0.6, 0.2], "at most one line a minute"
+    assert len(output.lines) == 2
 
 
 def test_the_pace_of_slow_rollouts_is_that_of_the_whole_run() -> None:
