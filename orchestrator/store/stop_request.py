@@ -30,6 +30,8 @@ def ask_to_stop(directory: Path, manner: Manner) -> None:
 def take_request(directory: Path) -> Manner | None:
     """Return the request and remove it; None where there is none."""
     path = directory / NAME
+    if not path.is_file():  # a pipe of this name would block its reader
+        return None
     try:
         with path.open("rb") as file:
             text = file.read(LONGEST).decode(errors="replace")
