@@ -28,8 +28,11 @@ def write_so_far(directory: Path, found: SoFar) -> None:
 
 def read_so_far(directory: Path) -> SoFar | None:
     """Return what an orchestrator has last written, maybe that of another run; None where there is nothing to read."""
+    path = directory / NAME
+    if not path.is_file():  # a pipe of this name would block its reader
+        return None
     try:
-        with (directory / NAME).open("rb") as file:
+        with path.open("rb") as file:
             return SoFar.model_validate_json(file.read(LONGEST))
     except (OSError, ValidationError):
         return None
