@@ -17,7 +17,6 @@ def test_what_is_no_report_is_nothing(tmp_path: Path, text: bytes) -> None:
     assert not (tmp_path / NAME).exists()
 
 
-@pytest.mark.timeout(10)
 def test_a_pipe_or_a_folder_of_this_name_holds_nobody_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / NAME)
     assert read_so_far(tmp_path) is None

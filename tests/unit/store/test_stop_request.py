@@ -36,7 +36,6 @@ def test_a_withdrawn_request_stops_nothing(tmp_path: Path) -> None:
     assert take_request(tmp_path) is None
 
 
-@pytest.mark.timeout(10)
 def test_a_pipe_or_a_folder_of_this_name_does_not_hold_up_the_campaign(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / NAME)
     assert take_request(tmp_path) is None
