@@ -38,7 +38,7 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate) -> Iter
 
 def _shown_by_rollouts(how: ByRollouts, probability: float) -> str:
     if how == "certain":
-        return "Certain of the simulator: the rollout shows it, and whoever repeats it sees the same."
+        return "Certain of the simulator: the rollout shows it, and its repetition shows the same."
     wrong = outward(1.0 - probability, "<=")
     return f"Wrong with probability at most {wrong}, by the chance in the rollouts. Kernel and norm bound are not used."
 

@@ -10,7 +10,6 @@ from ..certificate.text import outward
 from .format import duration
 
 HEAD = ("", "bound", "probability", "tests", "verdict")
-AHEAD = {"SHOWN": "SHOWN", "NOT SHOWN": "NOT SHOWN", "VIOLATED": "VIOLATED", None: "open"}
 
 
 class HoldingRow(NamedTuple):
@@ -30,7 +29,7 @@ def holding_rows(found: SoFar, *, running: bool = True) -> tuple[HoldingRow, Hol
     bound = None if found.bound is None else _in_unit(outward(found.bound, found.sense), found)
     proven = "nothing yet" if bound is None else f"{found.sense} {bound}{', refuted' if found.refuted else ''}"
     count = "-" if ahead.tests is None else _span_words(ahead.tests)
-    end = f"{AHEAD[ahead.verdict]}, {left_words(ahead, running=running)}"
+    end = f"{ahead.verdict or 'open'}, {left_words(ahead, running=running)}"
     return (
         HoldingRow("proven so far", proven, chance, f"{found.tests:,}", f"if it ended now: {found.verdict}"),
         HoldingRow("expected at the end", _expected_bound(found), "-" if ahead.bound is None else chance, count, end),

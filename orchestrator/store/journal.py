@@ -200,13 +200,13 @@ def _position(connection: Connection, directory: Path) -> tuple[int, int]:
 def _open_session(connection: Connection, version: int, origin: Origin) -> int:
     with connection.begin():
         row: dict[str, Any] = {"host": os.uname().nodename, "pid": os.getpid(), "started": time.time()}
-        told = {
+        known = {
             "system": origin.system,
             "revision": origin.revision,
             "platform": platform_class(),
             "account": _account(),
         }
-        row |= {name: value for name, value in told.items() if has_column("sessions", name, version)}
+        row |= {name: value for name, value in known.items() if has_column("sessions", name, version)}
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key
         assert key is not None
         return int(key[0])

@@ -14,7 +14,7 @@ from ...schemas.so_far import SoFar
 
 NAME = "so-far.json"
 LONGEST = 2**20
-"""Bytes that are read of it, whoever has written it."""
+"""Bytes that are read of it at most: any process may have written it."""
 
 
 def write_so_far(directory: Path, found: SoFar) -> None:

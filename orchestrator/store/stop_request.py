@@ -14,7 +14,7 @@ NAME = "stop.request"
 Manner = Literal["now", "drain"]
 """Stop at once, or after the rollouts under way."""
 LONGEST = 16
-"""Bytes that are read of a request, whoever has written it."""
+"""Bytes that are read of a request at most: any process may have written it."""
 
 
 def ask_to_stop(directory: Path, manner: Manner) -> None:

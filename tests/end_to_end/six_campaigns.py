@@ -47,7 +47,7 @@ TOO_NEAR = "space = { gap = { low = 5, high = 20 }, speed = { low = 20, high = 3
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One campaign: its file, and what a reader must be told."""
+    """One campaign: its file, and what a reader must learn."""
 
     name: str
     file: str

@@ -193,7 +193,7 @@ function nextSteps(report) {
   const advice = report.verdict.advice.map((text) => el("p", withCommands(text)));
   if (advice.length || report.verdict.word === "NOT SHOWN") return advice;
   if (report.verdict.word === "VIOLATED") return [el("p", "Look at the ", el("a", { href: "#counterexamples" }, "counterexamples"), "; change the system, or the starts from which it may operate; then run a new campaign.")];
-  return [el("p", "Judge the assumptions that nothing checked. Then let somebody else verify that the claim follows from the evidence:"), commandLine(verifyCommand())];
+  return [el("p", "Judge the assumptions that nothing checked. Then let another person verify that the claim follows from the evidence:"), commandLine(verifyCommand())];
 }
 
 function verifyCommand() {

@@ -1,7 +1,6 @@
 """The data of the charts: requirement and clip, importance, prediction at fresh starts, robustness of all rollouts."""
 
 import sqlite3
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import Problem, to_json
 from perfbound.orchestrator.report.posterior import posterior
 from perfbound.orchestrator.report.rollout_histogram import RolloutValues
-from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.rollout_values import AddedValue
 from perfbound.workers.systems import load_system
 from tests.fakes.finished import a_list, a_pair, finish, play
@@ -27,15 +25,6 @@ CONFIGS = {
     "scenario": a_list(),
 }
 TEST_FUNCTION = load_system("test-function").spec
-
-
-@pytest.fixture(scope="module")
-def no_disk() -> Iterator[None]:
-    """Have nothing wait for the disk; what is durable is not the question here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("os.fsync", lambda _: None)
-        patch.setattr(service, "TICK", 0.01)
-        yield
 
 
 @pytest.fixture(scope="module", params=CONFIGS)

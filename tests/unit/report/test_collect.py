@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -22,7 +21,6 @@ from perfbound.orchestrator.report import curves, rollouts
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import Problem, ReportData, to_json
 from perfbound.orchestrator.report.workers import MOST_FAILED, LiveState, WorkerStatistics
-from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.format import replay_command
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes, Session
@@ -42,15 +40,6 @@ from tests.fakes.finished import a_list, a_pair, contents, finish, insert, play
 CONFIGS = {"paper": a_pair("paper"), "rigorous": a_pair("rigorous"), "scenario": a_list()}
 TEST_FUNCTION = load_system("test-function").spec
 HOSTILE = "</script ><!--<script></script><script>alert(1)</script>\x00\x1b[2J\u2028\n../../" + "x" * 10_000
-
-
-@pytest.fixture(scope="module")
-def no_disk() -> Iterator[None]:
-    """Have nothing wait for the disk; what is durable is not the question here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("os.fsync", lambda _: None)
-        patch.setattr(service, "TICK", 0.01)
-        yield
 
 
 @pytest.fixture(scope="module", params=CONFIGS)

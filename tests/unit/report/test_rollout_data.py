@@ -1,6 +1,5 @@
 """What the report data have of rollouts: ranks, violations by starts, robustness over time, and a bounded size."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from perfbound.orchestrator.report import curves, over_time, scenes
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import ReportData
 from perfbound.orchestrator.report.rollout_data import Curve, DrawnRollout, RolloutsOfTest
-from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.export import table_rows
 from perfbound.schemas.facts import RolloutFact
 from perfbound.schemas.ids import RolloutId
@@ -20,14 +18,6 @@ from perfbound.schemas.trajectory import Trajectory
 from tests.fakes.finished import a_list, a_pair, finish, play
 
 CONFIGS = {"gap": a_pair("rigorous"), "list": a_list()}
-
-
-@pytest.fixture(scope="module")
-def no_disk() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("os.fsync", lambda _: None)
-        patch.setattr(service, "TICK", 0.01)
-        yield
 
 
 @pytest.fixture(scope="module", params=CONFIGS)

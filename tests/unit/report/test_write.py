@@ -6,7 +6,6 @@ import hashlib
 import html
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,7 +22,6 @@ from perfbound.orchestrator.report import nominal, write
 from perfbound.orchestrator.report.data import Axis, ReportData, Surface, to_json
 from perfbound.orchestrator.report.figures import figures
 from perfbound.orchestrator.report.rollout_data import Rollout
-from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.facts import Header
 from perfbound.schemas.system import SystemSpec
@@ -36,15 +34,6 @@ HOSTILE = (
     "</script ><!--<script></script><script>alert(1)</script>{{STORY}}{{CSP}}/*PAGE*/ $x$ \\frac \x00\x1b\u2028"
     + "x" * 10_000
 )
-
-
-@pytest.fixture(scope="module")
-def no_disk() -> Iterator[None]:
-    """Have nothing wait for the disk; what is durable is not the question here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("os.fsync", lambda _: None)
-        patch.setattr(service, "TICK", 0.01)
-        yield
 
 
 @pytest.fixture(scope="module")

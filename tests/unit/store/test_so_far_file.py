@@ -1,4 +1,4 @@
-"""The file of what a run has shown so far: nothing depends on it, so whatever stands there is nothing, or a report."""
+"""The file of what a run has shown so far: nothing depends on it, so other content is as good as none."""
 
 import os
 from pathlib import Path
