@@ -1,0 +1,50 @@
+"""The question of a campaign, where its evidence comes from, and the constants beside what is assumed."""
+
+from perfbound.orchestrator.report.claim_data import assumption_row
+from perfbound.orchestrator.report.provenance import MOST_NAMED, provenance
+from perfbound.orchestrator.report.question import question_words
+from perfbound.orchestrator.store.changes import Session
+from perfbound.schemas.campaign_text import campaign_text
+from perfbound.schemas.certificate import Assumption
+from perfbound.schemas.facts import Header
+from perfbound.workers.systems import load_system
+from tests.campaigns import config
+
+CAMPAIGN = config("segway-scenario", required_margin=0.25)
+HEADER = Header("c0ffee", CAMPAIGN, load_system("segway").spec, {}, "12ab", "34cd")
+
+
+def test_the_question_names_what_must_be_at_least_what() -> None:
+    of_risk = question_words(HEADER, "rho_star")
+    assert of_risk.startswith(
+        "From every start, the mean margin less 0.2 standard deviations must be at least 0.25 rad."
+    )
+    assert question_words(HEADER, None) == of_risk, "terms of a composition bound the risk"
+    assert "the margin of every rollout must be at least" in question_words(HEADER, "robustness")
+    assert "the mean margin over the noise must" in question_words(HEADER, "expected_robustness")
+    drawn = question_words(HEADER, "failure_probability")
+    assert drawn.startswith(
+        "At starts that are drawn as declared, the probability that a rollout violates it must be as"
+    )
+    assert question_words(HEADER, "J_star") == ""
+
+
+def test_the_evidence_comes_from_all_sessions() -> None:
+    old = Session("first", 10.0, "cars.py:cars", "abc", None, None)
+    new = Session("second", 20.0, "cars.py:cars", "def", "x86", "ada")
+    found = provenance(HEADER, (old, new, new), 35.5)
+    assert (found.accounts, found.hosts, found.platforms) == (("ada",), ("first", "second"), ("x86",))
+    assert (found.started, found.ended, found.commit) == (10.0, 35.5, "def")
+    assert (found.digest, found.file) == (HEADER.config_sha256, campaign_text(CAMPAIGN))
+    many = provenance(HEADER, [Session(f"h{k}", 1.0, None, None, None, None) for k in range(50)], None)
+    assert len(many.hosts) == MOST_NAMED
+
+
+def test_constants_stand_beside_what_is_assumed_of_them() -> None:
+    kernel: dict[str, int | float | str] = {"rkhs_norm": 40.0, "length_scale": "30 (gap)", "nu": 2.5}
+    rows = [
+        assumption_row(Assumption(id=name, status="assumed", detail="so.", values=values))
+        for name, values in (("kernel/a", kernel), ("noise_scale/a", kernel | {"noise_scale": 3.5}), ("clip/a", kernel))
+    ]
+    assert [each.numbers for each in rows] == ["B = 40, length scale = 30 (gap)", "R = 3.5", ""]
+    assert rows[0].detail == "So."
