@@ -4,7 +4,7 @@ The names are those of `--allow`. Zenoh takes no rules while it runs, so a new n
 keys of a worker have its name and a random suffix: `NAME-$*` in Zenoh's key expressions.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,32 @@ def access_rules(allowed: Sequence[str], own: str) -> dict[str, Any]:
     for name in names:
         _check_name(name, (*names, LOCAL), own)
     prefixes = ({own: LOCAL} if own else {}) | {name: name for name in names}
-    rules = {name: _rules_of(name, prefix) for name, prefix in prefixes.items()}
+    return _denied_but({name: _rules_of(name, prefix) for name, prefix in prefixes.items()})
+
+
+def router_rules(workers: Sequence[str], orchestrators: Sequence[str], routers: Sequence[str]) -> dict[str, Any] | None:
+    """Return the rules of a router, for the common names of what connects to it; None where there are no names.
+
+    An orchestrator speaks to all workers, hears them, and may have local ones; another router passes on everything.
+
+    Raises:
+        LinkError: a name cannot be one of a worker, or its keys would be among those of another one.
+
+    """
+    if not (workers or orchestrators or routers):
+        return None
+    names = tuple(dict.fromkeys(workers))
+    for name in names:
+        _check_name(name, (*names, LOCAL), "")
+    if twice := (set(names) & {*orchestrators, *routers}) | (set(orchestrators) & set(routers)):
+        raise LinkError(f"{min(twice)}: named twice, as one of two kinds; each kind needs certificates of its own")
+    rules = {name: _rules_of(name, name) for name in names}
+    rules |= {name: [*_rules_of(name, LOCAL), *_rules_of_orchestrator(name)] for name in orchestrators}
+    rules |= {name: _rules_of_router(name) for name in routers}
+    return _denied_but(rules)
+
+
+def _denied_but(rules: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -69,7 +94,7 @@ def _check_name(name: str, names: Sequence[str], own: str) -> None:
 def _rules_of(name: str, prefix: str) -> list[dict[str, Any]]:
     """Return what a worker may do, as its orchestrator's node sees it: in comes what it sends, out what it reads."""
     run, worker = "*", f"{prefix}-$*"
-    orchestrators = [keys.live_orchestrator(run, "*")]
+    orchestrators = [keys.live_orchestrator(run, "*"), keys.live_router("*")]
     allowed = [
         ("ingress", ["put"], [keys.state_key(run, worker), keys.result_key(run, worker, "*", "*")]),
         ("ingress", ["liveliness_token"], [keys.live_worker(run, worker)]),
@@ -80,6 +105,34 @@ def _rules_of(name: str, prefix: str) -> list[dict[str, Any]]:
         ("egress", ["declare_subscriber"], [keys.state_key(run, "*"), keys.result_key(run, "*", "*", "*")]),
         ("egress", ["declare_liveliness_subscriber"], [keys.live_worker(run, "*")]),
     ]
+    return _numbered(name, allowed)
+
+
+def _rules_of_orchestrator(name: str) -> list[dict[str, Any]]:
+    """Return what an orchestrator may do, as a router sees it."""
+    run, worker = "*", "*"
+    up = [keys.state_key(run, worker), keys.result_key(run, worker, "*", "*")]
+    tokens = [keys.live_worker(run, worker), keys.live_router("*")]
+    allowed = [
+        ("ingress", ["put"], [keys.request_key(run, worker)]),
+        ("ingress", ["liveliness_token"], [keys.live_orchestrator(run, "*")]),
+        ("ingress", ["declare_subscriber"], up),
+        ("ingress", ["declare_liveliness_subscriber", "liveliness_query"], tokens),
+        ("egress", ["put"], up),
+        ("egress", ["liveliness_token"], tokens),
+        ("egress", ["declare_subscriber"], [keys.request_key(run, worker)]),
+        ("egress", ["declare_liveliness_subscriber"], [keys.live_orchestrator(run, "*")]),
+    ]
+    return _numbered(f"{name} as orchestrator", allowed)
+
+
+def _rules_of_router(name: str) -> list[dict[str, Any]]:
+    """Return what another router may do: it has its own rules for what connects to it."""
+    messages = ["put", "declare_subscriber", "liveliness_token", "declare_liveliness_subscriber", "liveliness_query"]
+    return _numbered(name, [(flow, messages, [f"{keys.ROOT}/**"]) for flow in ("ingress", "egress")])
+
+
+def _numbered(name: str, allowed: Sequence[tuple[str, Sequence[str], Sequence[str]]]) -> list[dict[str, Any]]:
     return [
         {"id": f"{name} {number}", "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": exprs}
         for number, (flow, messages, exprs) in enumerate(allowed)

@@ -2,11 +2,12 @@
 
     perfbound/<run>/live/worker/<worker>                      liveliness token of a worker
     perfbound/<run>/live/orchestrator/<orchestrator>          liveliness token of the orchestrator
+    perfbound/router/<router>                                 liveliness token of a router
     perfbound/<run>/request/<worker>                          assign, cancel, ack, refuse
     perfbound/<run>/up/<worker>/state                         heartbeat
     perfbound/<run>/up/<worker>/result/<rollout>/<attempt>    evidence
 
-`<run>` names a campaign database, `<worker>` and `<orchestrator>` name one process each.
+`<run>` names a campaign database, `<worker>`, `<orchestrator>` and `<router>` name one process each.
 """
 
 import re
@@ -43,6 +44,11 @@ def live_orchestrator(run: str, orchestrator: str) -> str:
     return f"{ROOT}/{run}/live/orchestrator/{orchestrator}"
 
 
+def live_router(router: str) -> str:
+    """Token of one router; `*` for all."""
+    return f"{ROOT}/router/{router}"
+
+
 def request_key(run: str, worker: str) -> str:
     """Return the key of the requests to one worker."""
     return f"{ROOT}/{run}/request/{worker}"
@@ -66,6 +72,11 @@ def run_of(key: str) -> str:
 def last(key: str) -> str:
     """Return the last chunk of a key: the process of a token."""
     return key.rsplit("/", 1)[1]
+
+
+def kind_of(key: str) -> str:
+    """Return what a token is of: `router`, `orchestrator` or `worker`; of any other key some text."""
+    return key.split("/")[-2]
 
 
 def worker_of(key: str) -> str:

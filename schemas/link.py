@@ -1,12 +1,12 @@
-"""The configuration of both sides of the Zenoh link, in one place so that they agree."""
+"""The configuration of the ends of the Zenoh link and of the routers between, in one place so that they agree."""
 
 import ipaddress
 import json
 import re
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from .base import Model
 from .errors import LinkError
@@ -21,6 +21,11 @@ STUCK_MS = 500
 LOCAL = "tcp/127.0.0.1:0"
 """Loopback, a free port."""
 ENCRYPTED = ("tls", "quic")
+RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
+MOST_LINKS = 10_000
+"""Links that a node accepts, of Zenoh's own default of 1,000; as many as an orchestrator takes workers."""
+Side = Literal["listen", "connect"]
+"""Of a link, in the words of Zenoh."""
 USER = "perfbound"
 """The user of a link with a secret, in the words of Zenoh."""
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|tls|quic)/(?P<host>\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z._-]+):(?P<port>[0-9]{1,5})")
@@ -42,7 +47,7 @@ def listen_config(
     passwords: str | None = None,
     access: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the Zenoh configuration of the orchestrator.
+    """Return the Zenoh configuration of an orchestrator that workers connect to.
 
     `passwords` is a file with `password_line`: who does not know the secret is refused. `access` are the rules of
     `schemas.access`.
@@ -51,47 +56,65 @@ def listen_config(
         LinkError: the endpoint is malformed, or open to others without TLS, or a TLS file is missing.
 
     """
-    protocol, host = _checked_endpoint("--listen", endpoint, tls)
-    if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
-        raise LinkError(
-            f"--listen {endpoint}: anyone who reaches this address could feed the campaign; "
-            "use a tls/ endpoint with --tls-ca, --tls-certificate and --tls-key, or add --insecure"
-        )
-    names = ("listen_certificate", "listen_private_key")
-    common = _common(tls, names, None if passwords is None else {"dictionary_file": passwords})
-    block = {"block": {"wait_before_close": STUCK_MS * 1000}}
-    common["transport"]["link"]["tx"]["queue"] = {"congestion_control": block}
-    return json.dumps(
-        {
-            **common,
-            **({} if access is None else {"access_control": access}),
-            "mode": "peer",
-            "listen": {"endpoints": [endpoint]},
-            "adminspace": {"enabled": False},  # it shows every peer the addresses of all others
-        }
-    )
+    _check_node(endpoint, tls, insecure=insecure)
+    user = None if passwords is None else {"dictionary_file": passwords}
+    return json.dumps({**_node(tls, ("listen",), user, access), "mode": "peer", "listen": {"endpoints": [endpoint]}})
 
 
-def connect_config(endpoint: str, tls: Tls | None, secret: bytes | None = None) -> str:
-    """Return the Zenoh configuration of a worker.
+def connect_config(endpoints: Sequence[str], tls: Tls | None, secret: bytes | None = None) -> str:
+    """Return the Zenoh configuration of a worker, or of an orchestrator behind a router.
+
+    Of several endpoints one is used at a time; when its link ends, the next one is tried.
 
     Raises:
-        LinkError: the endpoint is malformed, or a TLS file is missing.
+        LinkError: an endpoint is malformed, or a TLS file is missing.
 
     """
-    _checked_endpoint("--connect", endpoint, tls)
-    retry = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
+    for endpoint in endpoints:
+        _checked_endpoint("--connect", endpoint, tls)
     return json.dumps(
         {
-            **_common(
-                tls,
-                ("connect_certificate", "connect_private_key"),
-                None if secret is None else {"user": USER, "password": link_password(secret)},
-            ),
+            **_common(tls, ("connect",), None if secret is None else _user(secret)),
             "mode": "client",
-            "connect": {"endpoints": [endpoint], "timeout_ms": 1000, "exit_on_failure": True, "retry": retry},
+            "connect": {"endpoints": list(endpoints), "timeout_ms": 1000, "exit_on_failure": True, "retry": RETRY},
         }
     )
+
+
+def router_config(
+    endpoints: Sequence[str],
+    routers: Sequence[str],
+    tls: Tls | None,
+    *,
+    insecure: bool,
+    secret: bytes | None = None,
+    passwords: str | None = None,
+    access: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the Zenoh configuration of a router that listens at `endpoints` and links itself with other `routers`.
+
+    Raises:
+        LinkError: an endpoint is malformed, or open to others without TLS, or a TLS file is missing.
+
+    """
+    for endpoint in endpoints:
+        _check_node(endpoint, tls, insecure=insecure)
+    for endpoint in routers:
+        _checked_endpoint("--connect", endpoint, tls)
+    user = None if passwords is None or secret is None else {**_user(secret), "dictionary_file": passwords}
+    return json.dumps(
+        {
+            **_node(tls, ("listen", "connect"), user, access),
+            "mode": "router",
+            "listen": {"endpoints": list(endpoints)},
+            # It serves its own links while another router is away, and tries again for as long as it runs.
+            "connect": {"endpoints": list(routers), "timeout_ms": 0, "exit_on_failure": False, "retry": RETRY},
+        }
+    )
+
+
+def _user(secret: bytes) -> dict[str, str]:
+    return {"user": USER, "password": link_password(secret)}
 
 
 def password_line(secret: bytes) -> str:
@@ -183,7 +206,29 @@ def _checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str,
     return protocol, host
 
 
-def _common(tls: Tls | None, names: tuple[str, str], user: Mapping[str, str] | None) -> dict[str, Any]:
+def _check_node(endpoint: str, tls: Tls | None, *, insecure: bool) -> None:
+    protocol, host = _checked_endpoint("--listen", endpoint, tls)
+    if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
+        raise LinkError(
+            f"--listen {endpoint}: anyone who reaches this address could feed the campaign; "
+            "use a tls/ endpoint with --tls-ca, --tls-certificate and --tls-key, or add --insecure"
+        )
+
+
+def _node(
+    tls: Tls | None, sides: Sequence[Side], user: Mapping[str, str] | None, access: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Return what a node that others connect to has beyond its mode and its endpoints."""
+    common = _common(tls, sides, user)
+    block = {"block": {"wait_before_close": STUCK_MS * 1000}}
+    common["transport"]["link"]["tx"]["queue"] = {"congestion_control": block}
+    common["transport"]["unicast"] = {"max_sessions": MOST_LINKS}
+    rules = {} if access is None else {"access_control": access}
+    # The admin space would show every peer the addresses of all others.
+    return {**common, **rules, "adminspace": {"enabled": False}}
+
+
+def _common(tls: Tls | None, sides: Sequence[Side], user: Mapping[str, str] | None) -> dict[str, Any]:
     link: dict[str, Any] = {
         "tx": {"lease": LEASE_MS, "keep_alive": 4},
         "rx": {"max_message_size": MAX_RESULT + 1024 * 1024},
@@ -196,8 +241,8 @@ def _common(tls: Tls | None, names: tuple[str, str], user: Mapping[str, str] | N
             raise LinkError(f"{tls.key}: others can read this private key; run `chmod 600` on it")
         link["tls"] = {
             "root_ca_certificate": tls.ca,
-            names[0]: tls.certificate,
-            names[1]: tls.key,
+            **{f"{side}_certificate": tls.certificate for side in sides},
+            **{f"{side}_private_key": tls.key for side in sides},
             "enable_mtls": True,
             "close_link_on_expiration": True,
         }

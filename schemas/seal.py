@@ -25,6 +25,8 @@ from .errors import SealError
 from .messages import ResultHeader
 
 StreamName = Literal["request", "state", "result"]
+ROUTER = "router"
+"""In the place of a run, which has sixteen hexadecimal digits."""
 COUNTER, TAG = 8, 32
 """Bytes of the two parts of a seal."""
 WINDOW = 64
@@ -67,6 +69,16 @@ def is_orchestrator(secret: bytes, run: str, name: str) -> bool:
 
 def _announced(secret: bytes, run: str, fresh: str) -> str:
     return mac(secret, b"orchestrator", run.encode(), fresh.encode())[:16].hex()
+
+
+def router_name(secret: bytes, fresh: str) -> str:
+    """Return the name under which a router announces itself."""
+    return orchestrator_name(secret, ROUTER, fresh)
+
+
+def is_router(secret: bytes, name: str) -> bool:
+    """Whether a router that knows the secret announces itself under `name`."""
+    return is_orchestrator(secret, ROUTER, name)
 
 
 # Messages

@@ -23,7 +23,7 @@ from .messages import (
 
 SEAL = seal.COUNTER + seal.TAG
 BY_CERTIFICATE = "-certificate"
-"""Before the seal in the name of an orchestrator with access rules."""
+"""Before the seal in the name of an orchestrator or router with access rules."""
 SHOWN = 5
 """Messages without a valid seal that are reported; a peer that sends more shall not fill the log."""
 
@@ -44,9 +44,7 @@ class OrchestratorEnd:
 
     def __init__(self, secret: bytes | None, run: str, *, by_certificate: bool = False) -> None:
         self._secret, self._run = secret or b"", run
-        # The time makes names sort by age, and workers without --run join the first.
-        fresh = keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}") + (BY_CERTIFICATE if by_certificate else "")
-        self.name = seal.orchestrator_name(self._secret, run, fresh)
+        self.name = seal.orchestrator_name(self._secret, run, fresh_name(by_certificate=by_certificate))
         self._requests = seal.Sealer(self._stream("request"))
         self._states = seal.Opener(self._stream("state"))
         self._results = seal.Opener(self._stream("result"))
@@ -86,9 +84,15 @@ class OrchestratorEnd:
         return seal.Stream(self._secret, self._run, self.name, stream)
 
 
-def takes_by_certificate(orchestrator: str) -> bool:
-    """Whether an orchestrator hears a worker only under the common name of its certificate."""
-    return orchestrator.rpartition("-")[0].endswith(BY_CERTIFICATE)
+def takes_by_certificate(name: str) -> bool:
+    """Whether an orchestrator, or router, hears a worker only under the common name of its certificate."""
+    return name.rpartition("-")[0].endswith(BY_CERTIFICATE)
+
+
+def fresh_name(*, by_certificate: bool) -> str:
+    """Return what an orchestrator or router calls itself, before the seal."""
+    # The time makes names sort by age, and workers without --run join the first.
+    return keys.fresh_id(f"{time.time_ns() // 1_000_000:013d}") + (BY_CERTIFICATE if by_certificate else "")
 
 
 class _Line:
@@ -107,6 +111,7 @@ class WorkerEnd:
         self._secret = secret or b""
         self._live: dict[str, str] = {}
         self._strangers: set[str] = set()
+        self._strict_routers: set[str] = set()
         self._run, self._worker = "", ""
         self._lines: dict[str, _Line] = {}
         self._line: _Line | None = None
@@ -121,6 +126,18 @@ class WorkerEnd:
     def orchestrators(self) -> list[tuple[str, str]]:
         """Return (orchestrator, run) of all that are alive and know the secret, the oldest first."""
         return sorted(self._live.copy().items())
+
+    def by_certificate(self, orchestrator: str) -> bool:
+        """Whether it, or a router, hears this worker only under the common name of its certificate."""
+        return takes_by_certificate(orchestrator) or bool(self._strict_routers)
+
+    def router(self, key: str, *, alive: bool) -> None:
+        """Take the token of a router, or its end."""
+        name = keys.last(key)
+        if not alive:
+            self._strict_routers.discard(name)
+        elif takes_by_certificate(name) and seal.is_router(self._secret, name):
+            self._strict_routers.add(name)
 
     def appear(self, key: str) -> None:
         """Take the token of an orchestrator."""

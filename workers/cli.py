@@ -19,7 +19,6 @@ from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
 from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
 from ..schemas.link import Tls, asks_for_secret
-from ..schemas.sealed import takes_by_certificate
 from ..schemas.secret import VARIABLE, shared_secret
 from .lifeline import adopt_orphans, die_with_parent
 
@@ -79,7 +78,13 @@ system_option = click.option(
 
 @group.command(context_settings=HELP)  # again: `perfbound-worker` is this command alone
 @system_option
-@click.option("--connect", "endpoint", required=True, help="Endpoint of the orchestrator, e.g. tcp/127.0.0.1:7447.")
+@click.option(
+    "--connect",
+    "endpoints",
+    required=True,
+    multiple=True,
+    help="Endpoint of the orchestrator or of a router, e.g. tcp/127.0.0.1:7447; repeat it for others to try.",
+)
 @click.option(
     "--name",
     default=None,
@@ -94,7 +99,7 @@ system_option = click.option(
 @click.option("--lifeline", type=int, default=None, hidden=True, help="Exit at the end of this pipe.")
 def serve(
     *,
-    endpoint: str,
+    endpoints: tuple[str, ...],
     name: str | None,
     run: str | None,
     tls_ca: str | None,
@@ -114,12 +119,12 @@ def serve(
             raise click.UsageError("--tls-ca, --tls-certificate and --tls-key belong together")
         tls = Tls(ca=tls_ca, certificate=tls_certificate, key=tls_key)
     try:
-        secret = shared_secret(loopback=asks_for_secret(endpoint) and not insecure)
+        secret = shared_secret(loopback=all(map(asks_for_secret, endpoints)) and not insecure)
         # The system under test, and the programs that it starts, have no use for it.
         os.environ.pop(VARIABLE, None)
         own = common_name(tls.certificate) if tls else ""
         name = name or (own if keys.NAME.fullmatch(own) else "worker")
-        _serve(LinkOptions(endpoint, tls, secret, own), name, run, identity)
+        _serve(LinkOptions(endpoints, tls, secret, own), name, run, identity)
     except (LinkError, ValueError) as error:
         fail(str(error))
     except KeyboardInterrupt:
@@ -143,7 +148,7 @@ def _hold(descriptor: int) -> None:
 class LinkOptions(NamedTuple):
     """Where an orchestrator is expected, and what this worker shows there."""
 
-    endpoint: str
+    endpoints: tuple[str, ...]
     tls: Tls | None
     secret: bytes | None
     common_name: str
@@ -155,13 +160,13 @@ def _serve(link: LinkOptions, name: str, run: str | None, identity: str | None) 
     from .worker import WorkerProcess  # noqa: PLC0415
 
     started = identity or keys.fresh_id(name)
-    with connect(link.endpoint, link.tls, _waiting(link.endpoint), link.secret) as uplink:
+    with connect(link.endpoints, link.tls, _waiting(link.endpoints), link.secret) as uplink:
         while True:
             orchestrator, chosen = _choose(uplink, run, link)
-            if identity is None and takes_by_certificate(orchestrator) and name != link.common_name:
+            if identity is None and uplink.by_certificate(orchestrator) and name != link.common_name:
                 fail(
-                    f"--name {name}: the orchestrator at {link.endpoint} was started with --allow, so the name of a "
-                    f"worker is the common name of its certificate, here {link.common_name!r}; leave --name out"
+                    f"--name {name}: {' or '.join(link.endpoints)} was started with --allow, so a worker has the "
+                    f"common name of its certificate, here {link.common_name!r}; leave --name out"
                 )
             worker = WorkerProcess(started, uplink)
             uplink.join(chosen, worker.name, worker.receive)
@@ -173,21 +178,21 @@ def _serve(link: LinkOptions, name: str, run: str | None, identity: str | None) 
             started = keys.fresh_id(name)
 
 
-def _waiting(endpoint: str) -> Callable[[], None]:
-    from .unanswered import no_link  # noqa: PLC0415
+def _waiting(endpoints: tuple[str, ...]) -> Callable[[], None]:
+    from ..schemas.unanswered import no_link  # noqa: PLC0415
 
     last = [time.monotonic()]
 
     def waiting() -> None:
         if time.monotonic() - last[0] > 5:
-            click.echo(f"perfbound-worker: {no_link(endpoint)}", err=True)
+            click.echo(f"perfbound-worker: {no_link(endpoints, 'worker')}", err=True)
             last[0] = time.monotonic()
 
     return waiting
 
 
 def _choose(uplink: "ZenohUplink", run: str | None, link: LinkOptions) -> tuple[str, str]:
-    from .unanswered import no_orchestrator  # noqa: PLC0415
+    from ..schemas.unanswered import no_orchestrator  # noqa: PLC0415
 
     last = time.monotonic()
     while True:
@@ -196,7 +201,7 @@ def _choose(uplink: "ZenohUplink", run: str | None, link: LinkOptions) -> tuple[
                 return orchestrator, found
         if time.monotonic() - last > 10:
             last = time.monotonic()
-            line = no_orchestrator(link.endpoint, run, strangers=uplink.strangers, common_name=link.common_name)
+            line = no_orchestrator(link.endpoints, run, strangers=uplink.strangers, common_name=link.common_name)
             click.echo(f"perfbound-worker: {line}", err=True)
         time.sleep(0.02)
 

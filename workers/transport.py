@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
@@ -53,6 +53,17 @@ class ZenohUplink:
         liveliness = session.liveliness()
         tokens = liveliness.declare_subscriber(keys.ANY_ORCHESTRATOR, zenoh.handlers.FifoChannel(1024), history=True)
         self._pump(tokens, self._see)
+        routers = liveliness.declare_subscriber(keys.live_router("*"), zenoh.handlers.FifoChannel(1024), history=True)
+        self._pump(routers, self._see_router)
+
+    @property
+    def linked(self) -> bool:
+        """Whether there is a link to a router or an orchestrator."""
+        return bool(self._session.info.routers_zid() or self._session.info.peers_zid())
+
+    def by_certificate(self, orchestrator: str) -> bool:
+        """Whether it, or a router, hears this worker only under the common name of its certificate."""
+        return self._end.by_certificate(orchestrator)
 
     @property
     def strangers(self) -> bool:
@@ -102,6 +113,9 @@ class ZenohUplink:
         take = self._end.appear if sample.kind == zenoh.SampleKind.PUT else self._end.disappear
         take(str(sample.key_expr))
 
+    def _see_router(self, sample: zenoh.Sample) -> None:
+        self._end.router(str(sample.key_expr), alive=sample.kind == zenoh.SampleKind.PUT)
+
     def _pump(self, subscriber: Any, read: Callable[[zenoh.Sample], None]) -> None:
         def pump() -> None:
             try:
@@ -122,15 +136,15 @@ class ZenohUplink:
 
 @contextmanager
 def connect(
-    endpoint: str, tls: Tls | None, waiting: Callable[[], None], secret: bytes | None = None
+    endpoints: Sequence[str], tls: Tls | None, waiting: Callable[[], None], secret: bytes | None = None
 ) -> Iterator[ZenohUplink]:
-    """Open a session with `endpoint`, trying until it answers; `waiting` is called between tries and may raise.
+    """Open a session with the first of `endpoints` that answers; `waiting` is called between tries and may raise.
 
     Raises:
         LinkError: the endpoint is malformed or a TLS file is missing.
 
     """
-    config = connect_config(endpoint, tls, secret)
+    config = connect_config(endpoints, tls, secret)
     while True:
         try:
             # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.

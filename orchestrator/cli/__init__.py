@@ -7,10 +7,23 @@ from . import (  # each adds its commands
     check,
     completion,
     report,
+    router,
     start,
     stop,
     systems,
 )
 from .entry import main
 
-__all__ = ["calibrate", "campaigns", "certificate", "check", "completion", "main", "report", "start", "stop", "systems"]
+__all__ = [
+    "calibrate",
+    "campaigns",
+    "certificate",
+    "check",
+    "completion",
+    "main",
+    "report",
+    "router",
+    "start",
+    "stop",
+    "systems",
+]

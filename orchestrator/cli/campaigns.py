@@ -10,54 +10,22 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ...schemas.errors import one_line
-from ..run.address import Address
 from . import signing
 from .early import check_campaign, check_directory
 from .exits import resumable
 from .group import RUN_DIRECTORY, cli, output_console
+from .link_options import link_of, link_options
 from .report import draw
 from .stderr import STDERR
-from .web_option import web_option
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
     from ...schemas.verdict import CampaignVerdict
-    from ..run.session import Link
 
 REFUTED = 3
 """Exit code with --strict."""
 SEEDS = click.IntRange(0, 10_000)
-
-
-def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of the endpoint for workers and of the live page."""
-    for option in (
-        web_option(
-            "Serve a live page.  [default of HOST:PORT: loopback and a free port]",
-            is_flag=False,
-            flag_value=Address(),
-            default=None,
-        ),
-        click.option(
-            "--allow",
-            multiple=True,
-            metavar="NAME",
-            help="With TLS: accept the worker NAME, whose certificate has this common name, and no unnamed one; may be "
-            "repeated.",
-        ),
-        click.option("--tls-key", default=None, help="PEM file of the private key of this side."),
-        click.option("--tls-certificate", default=None, help="PEM file of the certificate of this side."),
-        click.option("--tls-ca", default=None, help="PEM file of the authority that signed both sides' certificates."),
-        click.option(
-            "--insecure", is_flag=True, help="Allow listening or serving the page beyond this machine without TLS."
-        ),
-        click.option(
-            "--listen", "endpoint", default=None, help="Endpoint for workers.  [default: loopback and a free port]"
-        ),
-    ):
-        command = option(command)
-    return command
 
 
 out_option = click.option("--out", type=RUN_DIRECTORY, default=None, help="Run directory.  [default: runs/<name>]")
@@ -182,7 +150,7 @@ def resume(
 
     key = signing.load_key(sign) if sign else None
     with resumable(directory):
-        options = session.RunOptions(workers, _link(**link), drain, system)
+        options = session.RunOptions(workers, link_of(**link), drain, system)
         resumed = session.resume_campaign(directory, options, STDERR.console, max_tests)
         _finish(directory, key, strict=strict, on_finish=on_finish, report=resumed)
 
@@ -207,7 +175,7 @@ def _run_new(
     directory = out or Path("runs") / config.name
     at_end = {name: options.pop(name) for name in ("strict", "on_finish")}
     with resumable(directory):
-        settings = session.RunOptions(workers, _link(**options), drain)
+        settings = session.RunOptions(workers, link_of(**options), drain)
         session.start_campaign(config, campaign, directory, settings, STDERR.console)
         _finish(directory, key, **at_end, report=True)
 
@@ -352,25 +320,3 @@ def paper(*, out: Path, campaigns: Path | None, workers: int, **extent: Any) -> 
             study.Extent(**extent), campaigns or study.SHIPPED, out, workers=workers, console=STDERR.console
         ):
             click.echo(line)
-
-
-def _link(
-    endpoint: str | None,
-    *,
-    insecure: bool,
-    tls_ca: str | None,
-    tls_certificate: str | None,
-    tls_key: str | None,
-    allow: tuple[str, ...],
-    web: Address | None,
-) -> "Link":
-    from ...schemas.link import LOCAL, Tls  # noqa: PLC0415
-    from ..run.session import Link  # noqa: PLC0415
-
-    endpoint = endpoint or LOCAL
-    files = (tls_ca, tls_certificate, tls_key)
-    if not any(files):
-        return Link(endpoint, None, insecure, web, allow)
-    if tls_ca is None or tls_certificate is None or tls_key is None:
-        raise click.UsageError("--tls-ca, --tls-certificate and --tls-key belong together")
-    return Link(endpoint, Tls(ca=tls_ca, certificate=tls_certificate, key=tls_key), insecure, web, allow)

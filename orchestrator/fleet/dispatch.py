@@ -20,7 +20,8 @@ recording a result may take longer than the limit for a worker without progress.
 `new` has not reported yet: it may be busy since before it was lost or the orchestrator was restarted. `sent` has an
 assignment that no heartbeat has confirmed yet: it is sent again every `resend_after` s. `shunned` hung, missed its
 deadline or was cancelled. `new` and `shunned` workers get nothing until they report idle, and are given up every
-`hung_after` s that they do not. `gone` has lost its liveliness token: after `lost_after` s its attempt is lost. Reports
+`hung_after` s that they do not. `gone` has lost its liveliness token: after `lost_after` s its attempt is lost, later
+where a router has come or gone (`routes`; `RouterChanged` and `LinkChanged` change no phase). Reports
 that are late, repeated or of unknown rollouts change nothing but are acknowledged. `LEGAL` is all of this as data.
 
 The first valid result of a rollout wins, whichever attempt it came from, unless it is compared with another one
@@ -46,11 +47,13 @@ from .events import (
     Fail,
     GiveUp,
     HandOut,
+    LinkChanged,
     Poison,
     Record,
     Reported,
     Resend,
     Revoke,
+    RouterChanged,
     Start,
     Tick,
     Unwanted,
@@ -60,6 +63,7 @@ from .events import (
 )
 from .opinions import consider
 from .retries import ELSEWHERE, SAME_WORKER, Open, blames_rollout, is_poison, missed
+from .routes import away, is_lost, link_changed, lost_after, router_changed
 from .standing import Place
 from .state import NEVER, DispatchState, Worker, WorkerPhase
 
@@ -105,10 +109,8 @@ def advance(state: DispatchState, event: Event) -> Outcome:
             return _want(state, event)
         case Unwanted():
             return _forget(state, event)
-        case WorkerUp():
-            return _up(state, event), ()
-        case WorkerDown():
-            return _down(state, event), ()
+        case WorkerUp() | WorkerDown() | RouterChanged() | LinkChanged():
+            return _present(state, event), ()
         case Reported():
             return _report(state, event)
         case Delivered():
@@ -148,6 +150,18 @@ def _forget(state: DispatchState, event: Unwanted) -> Outcome:
     return _close_rollouts(state, dropped), tuple(cancels)
 
 
+def _present(state: DispatchState, event: WorkerUp | WorkerDown | RouterChanged | LinkChanged) -> DispatchState:
+    match event:
+        case WorkerUp():
+            return _up(state, event)
+        case WorkerDown():
+            return _down(state, event)
+        case RouterChanged():
+            return router_changed(state, event)
+        case LinkChanged():
+            return link_changed(state, event)
+
+
 def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     worker = state.workers.get(event.worker)
     if worker is None:
@@ -155,7 +169,15 @@ def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     if worker.phase != "gone":
         return state  # a repeated token
     # A partition, not a death: the rollout has continued, and the time without messages counts against no limit.
-    back = replace(worker, phase=worker.resumes_as, gone_at=NEVER, progress_at=event.at, sent_at=event.at)
+    started = worker.started_at + away(state, worker, event.at)
+    back = replace(
+        worker,
+        phase=worker.resumes_as,
+        gone_at=NEVER,
+        progress_at=event.at,
+        sent_at=event.at,
+        started_at=started,
+    )
     return _put(state, event.worker, back)
 
 
@@ -261,9 +283,10 @@ def _tick(state: DispatchState, at: float) -> Outcome:
 def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcome:
     limits = state.limits
     if worker.phase == "gone":
-        if at - worker.gone_at < limits.lost_after:
+        if not is_lost(state, worker, at):
             return state, ()
-        lost, failed = Failure("infrastructure", f"worker lost for {limits.lost_after:g} s"), tuple[Action, ...]()
+        seconds = f"{lost_after(state, at):g} s"
+        lost, failed = Failure("infrastructure", f"worker lost for {seconds}"), tuple[Action, ...]()
         if worker.attempt is not None:
             state = _put(state, name, replace(worker, attempt=None, resumes_as="shunned"))
             state, failed = _fail(state, name, worker.attempt, lost, at)

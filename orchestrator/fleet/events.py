@@ -79,13 +79,32 @@ class Tick:
 
 
 @dataclass(frozen=True, slots=True)
+class RouterChanged:
+    """A router appeared or disappeared, and at the same time the tokens of the workers behind it."""
+
+    at: float
+    grace: float
+    """Seconds for those workers to return."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkChanged:
+    """The orchestrator's own link to its router is down, or there again."""
+
+    at: float
+    grace: float
+    """Seconds for the workers to return once it is there again."""
+    up: bool
+
+
+@dataclass(frozen=True, slots=True)
 class HandOut:
     """The end of a turn: waiting rollouts go to idle workers."""
 
     at: float
 
 
-Event = Wanted | Unwanted | WorkerUp | WorkerDown | Reported | Delivered | Tick | HandOut
+Event = Wanted | Unwanted | WorkerUp | WorkerDown | Reported | Delivered | Tick | RouterChanged | LinkChanged | HandOut
 
 
 @dataclass(frozen=True, slots=True)

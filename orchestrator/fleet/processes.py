@@ -60,12 +60,13 @@ class Fleet:
     def __init__(
         self,
         size: int,
-        endpoint: str,
+        endpoints: Sequence[str],
         run: str,
         options: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        self._arguments = ["serve", "--connect", endpoint, "--run", run, *options]
+        ways = [part for endpoint in endpoints for part in ("--connect", endpoint)]
+        self._arguments = ["serve", *ways, "--run", run, *options]
         self._environment = environment or {}
         self._size = size
         self._next = 0

@@ -39,6 +39,14 @@ class DispatchState:
     limits: Limits
     hold_until: float = 0.0
     """Nothing is assigned before this time: after a restart busy workers report first."""
+    linked: bool = True
+    """Whether the link to the router is up; without a router always."""
+    linked_at: float = -NEVER
+    """When it came back last."""
+    grace: float = 0.0
+    """Seconds for gone workers to return, since a router or the link to it has changed; nothing without a router."""
+    patient_until: float = 0.0
+    """The end of that time, which was counted from the last change."""
     workers: Mapping[str, Worker] = field(default_factory=dict)
     open: Mapping[RolloutId, Open] = field(default_factory=dict)
     waiting: tuple[RolloutId, ...] = ()

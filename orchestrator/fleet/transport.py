@@ -1,9 +1,8 @@
-"""The orchestrator's side of the protocol; the only importer of zenoh in this package."""
+"""The orchestrator's side of the protocol."""
 
-import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -11,20 +10,22 @@ from typing import Any, Protocol
 
 import zenoh
 
-from ...schemas import keys
-from ...schemas.errors import LinkError, MessageError, PerfboundError, SealError, shortened
+from ...schemas import keys, seal
+from ...schemas.errors import MessageError, SealError, shortened
 from ...schemas.ids import Attempt, RolloutId
-from ...schemas.link import Tls, listen_config, password_line, reachable, with_port
+from ...schemas.link import Tls, reachable
 from ...schemas.messages import MAX_RESULT, Request, ResultHeader, WorkerState
 from ...schemas.sealed import OrchestratorEnd
+from . import sessions
 from .inbox import Budget
 from .sender import Sender, within_patience
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
-TRIES = 5
-"""Free ports that are tried where the endpoint names none."""
-IN_USE = "Address already in use"
+GRACE = 30.0
+"""Seconds for workers to return after a router has come or gone: the restart of a machine's service, not of a machine."""
+LINK_PERIOD = 0.2
+"""Seconds between two looks at the link to the router."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,28 @@ class Garbage:
     reason: str
 
 
-Inbound = Token | Heartbeat | Result | Garbage
+@dataclass(frozen=True, slots=True)
+class RouterToken:
+    """The token of a router appeared or disappeared; those of the workers behind it do so at the same time."""
+
+    at: float
+    grace: float
+    """Seconds for those workers to return."""
+    router: str
+    alive: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Linked:
+    """The link to the router was found up or down; sent when it changes."""
+
+    at: float
+    grace: float
+    """Seconds for the workers to return once it is up."""
+    up: bool
+
+
+Inbound = Token | Heartbeat | Result | Garbage | RouterToken | Linked
 Sink = Callable[[Inbound], None]
 
 
@@ -91,15 +113,22 @@ class Transport(Protocol):
 
 
 class ZenohTransport:
-    """A Zenoh session that listens for workers."""
+    """A Zenoh session that listens for workers; with `grace`, in s, one with a router that they connect to as well."""
 
     def __init__(
-        self, session: zenoh.Session, endpoint: str, secret: bytes | None, *, by_certificate: bool = False
+        self,
+        session: zenoh.Session,
+        endpoint: str,
+        secret: bytes | None,
+        *,
+        by_certificate: bool = False,
+        grace: float | None = None,
     ) -> None:
         self._session = session
         self._endpoint = endpoint
-        self._secret, self._by_certificate = secret, by_certificate
+        self._secret, self._by_certificate, self._grace = secret, by_certificate, grace
         self._threads: list[threading.Thread] = []
+        self._closing = threading.Event()
         self._sender = Sender(self._put)
         self._budget = Budget()
 
@@ -117,11 +146,26 @@ class ZenohTransport:
         results = session.declare_subscriber(keys.result_key(run, "*", "*", "*"), handler(CHANNEL))
         tokens = liveliness.declare_subscriber(keys.live_worker(run, "*"), handler(CHANNEL), history=True)
         for subscriber, read in ((states, _heartbeat), (results, partial(_result, self._budget)), (tokens, _token)):
-            thread = threading.Thread(target=_pump, args=(subscriber, read, self.end, sink), daemon=True)
-            thread.start()
-            self._threads.append(thread)
+            self._pump(subscriber, read, sink)
+        if self._grace is not None:
+            self._watch_routers(sink, self._grace)
         # Last: a worker that has found the token may send at once.
         self._token = liveliness.declare_token(keys.live_orchestrator(run, self.end.name))
+
+    def _pump(self, subscriber: Any, read: "Read", sink: Sink) -> None:
+        self._start_thread(partial(_pump, subscriber, read, self.end, sink))
+
+    def _start_thread(self, work: Callable[[], None]) -> None:
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
+        self._threads.append(thread)
+
+    def _watch_routers(self, sink: Sink, grace: float) -> None:
+        tokens = self._session.liveliness().declare_subscriber(
+            keys.live_router("*"), zenoh.handlers.FifoChannel(CHANNEL), history=True
+        )
+        self._pump(tokens, partial(_router, self._secret, grace), sink)
+        self._start_thread(partial(_watch_link, self._session, self._closing, grace, sink))
 
     def send(self, worker: str, message: Request) -> None:
         """Send a request without waiting for its peer."""
@@ -147,6 +191,7 @@ class ZenohTransport:
         within_patience(self._close)
 
     def _close(self) -> None:
+        self._closing.set()
         self._sender.finish()
         self._session.close()  # type: ignore[no-untyped-call]
         for thread in self._threads:
@@ -168,50 +213,39 @@ def listen(
         PerfboundError: the endpoint is in use, malformed, or open to others without TLS.
 
     """
-    with _passwords(secret) as passwords:
-        configured = partial(listen_config, tls=tls, insecure=insecure, passwords=passwords, access=access)
-        session, chosen = _listening(endpoint, configured)
-    transport = ZenohTransport(session, reachable(chosen), secret, by_certificate=access is not None)
+    session, chosen = sessions.listening(endpoint, tls, insecure=insecure, secret=secret, access=access)
+    with _closed(ZenohTransport(session, reachable(chosen), secret, by_certificate=access is not None)) as transport:
+        yield transport
+
+
+@contextmanager
+def connect_to_router(
+    endpoints: Sequence[str],
+    tls: Tls | None,
+    secret: bytes | None,
+    print_line: Callable[[str], None],
+    *,
+    grace: float = GRACE,
+) -> Iterator[ZenohTransport]:
+    """Open a Zenoh session with the first router of `endpoints` that answers, and wait until one does.
+
+    Workers have `grace` s to return after a router has come or gone, or the link to it.
+
+    Raises:
+        PerfboundError: an endpoint is malformed, or a TLS file is missing.
+
+    """
+    session = sessions.connected(endpoints, tls, secret, print_line)
+    with _closed(ZenohTransport(session, endpoints[0], secret, grace=grace)) as transport:
+        yield transport
+
+
+@contextmanager
+def _closed(transport: ZenohTransport) -> Iterator[ZenohTransport]:
     try:
         yield transport
     finally:
         transport.close()
-
-
-def _listening(endpoint: str, configured: Callable[[str], str]) -> tuple[zenoh.Session, str]:
-    """Return a session that listens, and its endpoint; port 0 becomes a free one."""
-    tries = TRIES
-    while True:
-        tries -= 1
-        try:
-            configured(endpoint)
-            chosen = with_port(endpoint)
-            return zenoh.open(zenoh.Config.from_json5(configured(chosen))), chosen
-        except LinkError as error:
-            raise PerfboundError(str(error)) from None
-        except zenoh.ZError as error:
-            # Between the choice of a free port and its use, another process may have taken it.
-            if not (tries and chosen != endpoint and IN_USE in str(error)):
-                raise PerfboundError(_explain(endpoint, str(error))) from None
-
-
-@contextmanager
-def _passwords(secret: bytes | None) -> Iterator[str | None]:
-    """Make the file that Zenoh reads passwords from when it opens; it has no name, so no disk keeps it."""
-    if secret is None:
-        yield None
-        return
-    with os.fdopen(os.memfd_create("perfbound"), "wb") as file:
-        file.write(password_line(secret).encode())
-        file.flush()
-        yield f"/proc/self/fd/{file.fileno()}"
-
-
-def _explain(endpoint: str, error: str) -> str:
-    if IN_USE in error:
-        return f"--listen {endpoint}: this endpoint is in use; choose another port, or 0 for a free one"
-    reason = error.split(" at /", maxsplit=1)[0][:300]
-    return f"--listen {endpoint}: cannot listen there ({reason}); check the address and the TLS files"
 
 
 Read = Callable[[OrchestratorEnd, zenoh.Sample, float], Inbound | None]
@@ -240,6 +274,24 @@ def garbage(end: OrchestratorEnd, at: float, worker: str, error: Exception) -> G
 
 def _token(_end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound:
     return Token(at, keys.worker_of(str(sample.key_expr)), alive=sample.kind == zenoh.SampleKind.PUT)
+
+
+def _router(
+    secret: bytes | None, grace: float, _end: OrchestratorEnd, sample: zenoh.Sample, at: float
+) -> Inbound | None:
+    name = keys.last(str(sample.key_expr))
+    if not seal.is_router(secret or b"", name):
+        return None  # of a peer that does not know the secret: it shall not make the orchestrator wait
+    return RouterToken(at, grace, name, alive=sample.kind == zenoh.SampleKind.PUT)
+
+
+def _watch_link(session: zenoh.Session, closing: threading.Event, grace: float, sink: Sink) -> None:
+    """Report when the link to the router ends, and when another one is there."""
+    up = True
+    while not closing.wait(LINK_PERIOD):
+        if (now := bool(session.info.routers_zid())) != up:
+            up = now
+            sink(Linked(time.monotonic(), grace, up))
 
 
 def _heartbeat(end: OrchestratorEnd, sample: zenoh.Sample, at: float) -> Inbound | None:

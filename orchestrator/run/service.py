@@ -23,7 +23,7 @@ from ..fleet.inbox import Inbox
 from ..fleet.limits import Limits
 from ..fleet.processes import Fleet
 from ..fleet.state import DispatchState
-from ..fleet.transport import Garbage, Heartbeat, Inbound, Result, Token, Transport
+from ..fleet.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
 from ..store import read
 from ..store.journal import Journal
 from .assignments import Assignments
@@ -34,6 +34,7 @@ from .poison import poison_text
 from .results import Results
 from .review import Review
 from .roster import Roster, WorkerRecord
+from .routers import Routers
 from .trust import failures_before, note, still_aside
 
 TICK = 0.25
@@ -109,7 +110,7 @@ class Service:
         self._fleet = fleet
         self._listeners = listeners
         self._lines, self._roster = Lines(self._print_line), Roster(ledger.header.spec, journal.platform)
-        self._outlooks = PlannedOutlooks()
+        self._routers, self._outlooks = Routers(self._print_line), PlannedOutlooks()
         self._review = Review(ledger, journal)
         self._results = Results(ledger, journal, self._review, self.inbox.put)
         self._assignments = Assignments(journal.directory, journal.header.run)
@@ -195,6 +196,8 @@ class Service:
                 self._events.extend(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
                 self._lines.ignored(message.worker, message.reason)
+            case RouterToken() | Linked():
+                self._events.append(self._routers.take(message))
             case Interrupted():
                 self._interrupted(message)
 

@@ -11,81 +11,33 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import Protocol
 
 from rich.console import Console
 from rich.text import Text
 
-from ...schemas.access import access_rules, common_name
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import CampaignError, JournalError, LinkError
+from ...schemas.errors import CampaignError, JournalError
 from ...schemas.facts import Header
-from ...schemas.link import Tls, asks_for_secret
 from ...schemas.platforms import ANY, platform_class
-from ...schemas.secret import VARIABLE, shared_secret
+from ...schemas.secret import VARIABLE
 from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new
 from ..campaign.software import other_numerics, software
 from ..certificate import files
 from ..fleet import child
 from ..fleet.processes import Fleet
-from ..fleet.transport import Transport, listen
+from ..fleet.transport import Transport
 from ..store import read
 from ..store.journal import INSTALLED, Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
 from ..store.so_far import remove_so_far
-from .address import Address
 from .directory import check_vacant, claimed
+from .link import Link
 from .live_page import LivePage, live_page
 from .revision import revision
 from .systemd import Systemd
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """The endpoint for workers with its protection, and the address of the live page, if there is one."""
-
-    endpoint: str
-    tls: Tls | None = None
-    insecure: bool = False
-    web: Address | None = None
-    allow: tuple[str, ...] = ()
-    """Common names of the certificates of workers; empty: every one of the authority."""
-
-    def secret(self) -> bytes | None:
-        """Return the secret that workers must know.
-
-        Raises:
-            SecretError: it cannot be used, or there is no place for one.
-
-        """
-        return shared_secret(loopback=asks_for_secret(self.endpoint))
-
-    def access(self, *, local_workers: bool) -> dict[str, Any] | None:
-        """Return the access rules for the link.
-
-        Raises:
-            LinkError: there are no certificates, or a name cannot be allowed.
-
-        """
-        if not self.allow:
-            return None
-        if self.tls is None:
-            raise LinkError("--allow: needs a tls/ endpoint, --tls-ca, --tls-certificate and --tls-key")
-        own = common_name(self.tls.certificate)
-        if local_workers and not own:
-            raise LinkError(
-                f"{self.tls.certificate}: has no common name, by which local workers could be told apart; with --allow "
-                "choose a certificate with one, or no local workers"
-            )
-        return access_rules(self.allow, own)
-
-    def worker_options(self) -> list[str]:
-        """Return the options with which local workers connect."""
-        if self.tls is None:
-            return ["--insecure"] if self.secret() is None else []
-        return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]
 
 
 class OwnSystem(Protocol):
@@ -142,7 +94,7 @@ def start_campaign(
     header, link = Header.new(config, spec, software(spec)), options.link
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
-        _transport(options) as transport,
+        _transport(options, console) as transport,
         created(directory, header, reference) as journal,
     ):
         page.start()
@@ -178,7 +130,7 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
         check_workers(journal.header.spec, options.own, directory)
         if options.own is not None:
             check_own(journal.header, options.own.spec)
-        with _transport(options) as transport:
+        with _transport(options, console) as transport:
             page.start()
             found = replace(options, system=reference)
             _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
@@ -221,12 +173,12 @@ def _origin(reference: str) -> Origin:
     return Origin(reference, revision(Path(reference.rpartition(":")[0] or reference).parent))
 
 
-def _transport(options: RunOptions) -> AbstractContextManager[Transport]:
-    link = options.link
+def _transport(options: RunOptions, console: Console) -> AbstractContextManager[Transport]:
     if options.own:
         return options.own.transport()
-    access = link.access(local_workers=options.workers > 0)
-    return listen(link.endpoint, link.tls, insecure=link.insecure, secret=link.secret(), access=access)
+    return options.link.opened(
+        local_workers=options.workers > 0, print_line=lambda line: console.print(Text(line), soft_wrap=True)
+    )
 
 
 def _shared(options: RunOptions) -> dict[str, str]:
@@ -320,18 +272,19 @@ def _conduct(
     console: Console,
     resumed: bool,
 ) -> None:
-    run, systemd = journal.header.run, Systemd()
+    run, systemd, link = journal.header.run, Systemd(), options.link
     with ExitStack() as stack:
         fleet = None
         if options.own or options.workers:
             check_platform(journal.platform, directory)
-            links = [*options.link.worker_options(), *child.system_options(options.system)]
-            own = options.own
-            fleet = own.fleet() if own else Fleet(options.workers, transport.endpoint, run, links, _shared(options))
+            own, more = options.own, [*link.worker_options(), *child.system_options(options.system)]
+            ways = link.ways(transport.endpoint)
+            fleet = own.fleet() if own else Fleet(options.workers, ways, run, more, _shared(options))
             stack.callback(fleet.stop)
             fleet.start()
         else:
-            line = ["perfbound-worker", "--connect", transport.endpoint, *child.system_options(options.system)]
+            line = [part for way in link.ways(transport.endpoint) for part in ("--connect", way)]
+            line = ["perfbound-worker", *line, *child.system_options(options.system)]
             text = f"waiting for workers: {shlex.join(line)}"
             console.print(Text(text), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.

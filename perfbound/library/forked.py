@@ -115,7 +115,7 @@ class _ForkedFleet(Fleet):
     """One worker, replaced by another fork when it dies or hangs."""
 
     def __init__(self, system: SystemUnderTest, pipes: PipeTransport) -> None:
-        super().__init__(1, pipes.endpoint, "")
+        super().__init__(1, (), "")
         self._system, self._pipes = system, pipes
 
     def _started(self, worker: str) -> ChildProcess:

@@ -14,6 +14,7 @@ from rich.console import Console
 from ..orchestrator.certificate import console_lines, files, text
 from ..orchestrator.run import directory as places
 from ..orchestrator.run import session
+from ..orchestrator.run.link import Link
 from ..orchestrator.run.verdict import verdict_of
 from ..orchestrator.store import export, read
 from ..orchestrator.store.export_tables import robustness_unit
@@ -269,7 +270,7 @@ def run_campaign(
 def _run_options(workers: int, reference: str | None, own: Forked | None) -> session.RunOptions:
     if not 1 <= workers <= MOST_WORKERS:
         raise PerfboundError(f"workers: {workers} is not allowed: allowed is a whole number from 1 to {MOST_WORKERS}")
-    return session.RunOptions(workers, session.Link(LOCAL), system=reference, own=own)
+    return session.RunOptions(workers, Link(LOCAL), system=reference, own=own)
 
 
 def robustness(specification: str, trajectory: Trajectory | dict[str, Sequence[float]]) -> float:

@@ -22,6 +22,7 @@ from ..orchestrator.certificate import files
 from ..orchestrator.run import session
 from ..orchestrator.run.certify import certify
 from ..orchestrator.run.directory import stored_differently
+from ..orchestrator.run.link import Link
 from ..orchestrator.store import read
 from ..orchestrator.store.journal import Journal
 from ..orchestrator.store.rows import DATABASE
@@ -284,7 +285,7 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
             if config is not None and (found := stored_differently(directory, config)):
                 raise PerfboundError(f"{directory}: another campaign is here ({found}); choose another `out`")
             # No worker: of an installed system nothing is compared: the caller has it.
-            options = session.RunOptions(0, session.Link(LOCAL), system=system.reference if system else None)
+            options = session.RunOptions(0, Link(LOCAL), system=system.reference if system else None)
             journal, _ = stack.enter_context(session.reopened(directory, options, SILENT))
             _check_opinions(journal.header.config)
             if system is not None and system.spec.repeated != "anywhere":

@@ -50,7 +50,7 @@ class Site:
         self.transport.start(RUN, self.heard.put)
 
     def uplink(self, name: str) -> ZenohUplink:
-        return self._stack.enter_context(connect(self.transport.endpoint, self._certificate(name), no_waiting))
+        return self._stack.enter_context(connect([self.transport.endpoint], self._certificate(name), no_waiting))
 
     def joined(self, name: str, worker: str) -> tuple[ZenohUplink, list[Request]]:
         received: list[Request] = []
@@ -60,7 +60,7 @@ class Site:
         return uplink, received
 
     def raw(self, name: str) -> zenoh.Session:
-        config = connect_config(self.transport.endpoint, self._certificate(name))
+        config = connect_config([self.transport.endpoint], self._certificate(name))
         session = zenoh.open(zenoh.Config.from_json5(config))
         self._stack.callback(session.close)
         return session

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.smoke
 def test_a_peer_reads_nothing_of_the_admin_space() -> None:
     with (
         listen(LOCAL) as transport,
-        zenoh.open(zenoh.Config.from_json5(connect_config(transport.endpoint, None))) as peer,
+        zenoh.open(zenoh.Config.from_json5(connect_config([transport.endpoint], None))) as peer,
     ):
         found = [str(reply.ok.key_expr) for reply in peer.get("@/**") if reply.ok is not None]
     own = f"@/{peer.zid()}/"
@@ -25,7 +25,7 @@ def test_port_0_becomes_one_that_peers_can_reach() -> None:
         assert one.endpoint != other.endpoint
         for transport in (one, other):
             assert not transport.endpoint.endswith(":0")
-            zenoh.open(zenoh.Config.from_json5(connect_config(transport.endpoint, None))).close()  # type: ignore[no-untyped-call]
+            zenoh.open(zenoh.Config.from_json5(connect_config([transport.endpoint], None))).close()  # type: ignore[no-untyped-call]
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "quic", "tls"])

@@ -25,11 +25,13 @@ from perfbound.orchestrator.fleet.events import (
     Fail,
     GiveUp,
     HandOut,
+    LinkChanged,
     Poison,
     Record,
     Reported,
     Resend,
     Revoke,
+    RouterChanged,
     SetAside,
     Start,
     TakeBack,
@@ -435,6 +437,46 @@ def test_a_lost_worker_loses_its_attempt_after_a_while() -> None:
     state, actions = after(*history, Tick(4))
     assert actions == [Fail("w", first(R[0]), Failure("infrastructure", "worker lost for 3 s"))]
     assert (state.workers, state.waiting) == ({}, (R[0],))
+
+
+def test_a_worker_behind_a_router_that_restarts_has_the_grace_period() -> None:
+    history: list[Event] = [*up(), want(R[0]), busy(R[0]), RouterChanged(1, 30), WorkerDown(1, "w")]
+    assert after(*history, Tick(30.9))[1] == []
+    back = after(*history, Tick(25), RouterChanged(25, 30), WorkerUp(25.5, "w"), Tick(26))
+    assert (back[1], back[0].workers["w"].phase) == ([], "busy")
+    failed = Fail("w", first(R[0]), Failure("infrastructure", "worker lost for 3 s"))
+    assert after(*history, Tick(31))[1] == [failed], "the router is long gone, and so is its worker"
+
+
+def test_the_grace_period_is_only_for_routers_that_changed_lately() -> None:
+    history: list[Event] = [*up(), want(R[0]), busy(R[0]), RouterChanged(1, 30), busy(R[0], at=39, progress=1)]
+    assert after(*history, WorkerDown(40, "w"), Tick(42.9))[1] == []
+    assert after(*history, WorkerDown(40, "w"), Tick(43))[1] != []
+
+
+def test_nobody_is_lost_while_the_own_link_is_down() -> None:
+    history: list[Event] = [*up(), want(R[0]), busy(R[0]), WorkerDown(1, "w"), LinkChanged(1.2, 30, up=False)]
+    assert after(*history, Tick(500))[1] == []
+    found: list[Event] = [*history, LinkChanged(500, 30, up=True)]
+    assert after(*found, Tick(529.9))[1] == []
+    assert after(*found, Tick(530))[1] != [], "it has had its time to return"
+
+
+def test_time_behind_a_dead_link_does_not_count_against_the_deadline() -> None:
+    """Its result may be the next message, and a missed deadline would blame the rollout."""
+    history: list[Event] = [*up(), want(R[0]), busy(R[0]), WorkerDown(1, "w"), LinkChanged(1.2, 30, up=False)]
+    back: list[Event] = [*history, LinkChanged(700, 30, up=True), WorkerUp(701, "w"), Tick(702)]
+    state, actions = after(*back)
+    assert (actions, state.workers["w"].phase) == ([], "busy")
+    assert after(*back, done(R[0], at=703))[1][0] == Record("w", first(R[0]))
+
+
+def test_a_worker_that_withdraws_its_token_does_not_escape_its_deadline() -> None:
+    history: list[Event] = [*up(), want(R[0]), busy(R[0])]
+    for at in range(0, 60, 6):
+        history += [WorkerDown(at + 0.5, "w"), WorkerUp(at + 3, "w"), busy(R[0], at=at + 3, progress=at + 1)]
+    actions = after(*history, Tick(60))[1]
+    assert [each.failure.reason for each in actions if isinstance(each, Fail)] == ["not done after 60 s"]
 
 
 def test_a_short_silence_costs_nothing() -> None:

@@ -18,7 +18,7 @@ import zenoh
 from perfbound.orchestrator.campaign.admission import admit
 from perfbound.orchestrator.fleet import transport
 from perfbound.orchestrator.fleet.inbox import Budget
-from perfbound.orchestrator.fleet.transport import Garbage, Inbound
+from perfbound.orchestrator.fleet.transport import Garbage, Inbound, Linked, RouterToken
 from perfbound.schemas import keys
 from perfbound.schemas.errors import LONGEST_EXCERPT, EvidenceError, MessageError, TrajectoryError
 from perfbound.schemas.ids import RolloutId
@@ -157,6 +157,7 @@ def test_readers_of_the_link() -> None:
         # Of those without a valid seal some are reported; all others are read.
         assert len(samples) // 4 < len(received) <= len(samples)
         for message in received:
+            assert not isinstance(message, RouterToken | Linked)
             assert len(message.worker) <= 100
             assert message.worker.isprintable()
             assert not isinstance(message, Garbage) or len(message.reason) <= LONGEST_EXCERPT

@@ -19,7 +19,7 @@ from tests.architecture.diagrams import FOLDER, texts
 from tests.architecture.transitions import Transition, of_campaign, of_dispatch
 
 DOCS = Path(__file__).parents[3] / "docs"
-STEPS = 30_000
+STEPS = 60_000
 
 
 @pytest.mark.parametrize("name", sorted(texts()))
@@ -56,6 +56,8 @@ def an_event(rng: random.Random, at: float) -> events.Event:
         lambda: events.Delivered(at, worker, attempt, rng.choice([None, None, *FAILURES])),
         lambda: events.Tick(at),
         lambda: events.HandOut(at),
+        lambda: events.RouterChanged(at, 30.0),
+        lambda: events.LinkChanged(at, 30.0, rng.choice([True, True, False])),
         lambda: events.Unwanted(at, (rollout,)),
     ]
     return rng.choice(makers)()

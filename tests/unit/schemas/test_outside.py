@@ -77,9 +77,9 @@ def test_a_private_key_of_tls_is_private(tmp_path: Path, mode: int) -> None:
     with pytest.raises(LinkError, match=message):
         listen_config("tls/127.0.0.1:0", tls, insecure=False)
     with pytest.raises(LinkError, match=message):
-        connect_config("tls/127.0.0.1:1", tls)
+        connect_config(["tls/127.0.0.1:1"], tls)
     (tmp_path / "key").chmod(0o600)
-    assert "enable_mtls" in connect_config("tls/127.0.0.1:1", tls)
+    assert "enable_mtls" in connect_config(["tls/127.0.0.1:1"], tls)
 
 
 def test_the_owner_of_a_secret_decides() -> None:

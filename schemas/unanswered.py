@@ -1,40 +1,52 @@
-"""The lines of a worker that does not come through to an orchestrator, with the remedies."""
+"""The lines of a worker or orchestrator that does not come through to the other side, with the remedies."""
 
 import contextlib
 import socket
+from collections.abc import Sequence
+from typing import Literal
 
-from ..schemas.errors import SecretError
-from ..schemas.link import ENCRYPTED, split
-from ..schemas.secret import VARIABLE, secret_file
+from .errors import SecretError
+from .link import ENCRYPTED, split
+from .secret import VARIABLE, secret_file
 
+EXPECTED = {"worker": "the orchestrator or router", "orchestrator": "the router"}
+"""What a side waits for."""
 PROBE = 1.0
 """Seconds for a TCP connection, which something that listens accepts at once."""
 
 
-def no_link(endpoint: str) -> str:
-    """Return the line for a link that does not open: nothing listens, or what listens refuses this worker."""
+def no_link(endpoints: Sequence[str], side: Literal["worker", "orchestrator"]) -> str:
+    """Return the line for a link that opens at none of `endpoints`: nothing listens, or what listens refuses this side.
+
+    `side` is this one.
+    """
+    return "; ".join(_no_link(endpoint, side) for endpoint in endpoints)
+
+
+def _no_link(endpoint: str, side: str) -> str:
     protocol, _ = split(endpoint)
     if protocol == "quic" or not _listens(endpoint):
         certificates = ", and that both certificates are signed by --tls-ca" if protocol == "quic" else ""
-        return f"no answer from {endpoint} yet; check the address, and that the orchestrator runs{certificates}"
+        return f"no answer from {endpoint} yet; check the address, and that {EXPECTED[side]} runs{certificates}"
     if protocol in ENCRYPTED:
         remedy = (
             f"check that both certificates are valid and signed by --tls-ca, and that {VARIABLE} is the same, or unset"
         )
     else:
         remedy = both_ways()
-    return f"something listens at {endpoint}, but refuses this worker: {remedy}"
+    return f"something listens at {endpoint}, but refuses this {side}: {remedy}"
 
 
-def no_orchestrator(endpoint: str, run: str | None, *, strangers: bool, common_name: str) -> str:
+def no_orchestrator(endpoints: Sequence[str], run: str | None, *, strangers: bool, common_name: str) -> str:
     """Return the line for a link without an orchestrator of the run, or with one that does not know the secret."""
+    place = " or ".join(endpoints)
     if strangers:
         # One from before the secrets is a stranger as well; a worker from before them cannot be told by anybody.
         older = "an orchestrator of an older version has none: install the same version on both"
-        return f"the orchestrator at {endpoint} does not know the secret of this worker: {both_ways()}; {older}"
+        return f"the orchestrator at {place} does not know the secret of this worker: {both_ways()}; {older}"
     which = f"run {run}" if run else "any run"
-    allowed = f"; one that was started with --allow must list {common_name!r}" if common_name else ""
-    return f"connected to {endpoint}, waiting for an orchestrator of {which}{allowed}"
+    allowed = f"; one, or a router, that was started with --allow must list {common_name!r}" if common_name else ""
+    return f"connected to {place}, waiting for an orchestrator of {which}{allowed}"
 
 
 def both_ways() -> str:

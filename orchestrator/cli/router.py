@@ -1,0 +1,87 @@
+"""`perfbound router`: carries the messages between orchestrators and workers that all connect to it."""
+
+import signal
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from .campaigns import log_option
+from .group import cli
+from .link_options import TLS_OPTIONS, Decorator, connect_option, names_option, tls_of
+from .stderr import STDERR
+
+NEWS = 10.0
+"""Seconds between two lines of what is connected, while that changes."""
+
+
+def _options(command: Callable[..., Any]) -> Callable[..., Any]:
+    options: tuple[Decorator, ...] = (
+        *TLS_OPTIONS,
+        names_option("--allow-router", "another router, which passes on everything"),
+        names_option("--allow-orchestrator", "an orchestrator"),
+        names_option("--allow", "a worker, which speaks in its own name alone"),
+        click.option("--insecure", is_flag=True, help="Allow listening beyond this machine without TLS."),
+        connect_option(text="Endpoint of another router, with which this one shares all workers"),
+        click.option(
+            "--listen",
+            "endpoints",
+            multiple=True,
+            required=True,
+            metavar="ENDPOINT",
+            help="Endpoint for orchestrators, workers and routers, e.g. tls/0.0.0.0:7447; may be repeated.",
+        ),
+    )
+    for option in options:
+        command = option(command)
+    return command
+
+
+@cli.command()
+@log_option
+@_options
+def router(
+    *,
+    endpoints: tuple[str, ...],
+    routers: tuple[str, ...],
+    insecure: bool,
+    allow: tuple[str, ...],
+    allow_orchestrator: tuple[str, ...],
+    allow_router: tuple[str, ...],
+    **tls: str | None,
+) -> None:
+    """Carry the messages between orchestrators and workers, which all connect to this router.
+
+    It stores nothing: it may be stopped and started again while campaigns run.
+    """
+    from ...schemas.access import router_rules  # noqa: PLC0415
+    from ...schemas.errors import LinkError  # noqa: PLC0415
+    from ...schemas.link import asks_for_secret  # noqa: PLC0415
+    from ...schemas.secret import shared_secret  # noqa: PLC0415
+    from ..fleet.router import route  # noqa: PLC0415
+    from ..run.systemd import Systemd  # noqa: PLC0415
+
+    files, rules = tls_of(**tls), router_rules(allow, allow_orchestrator, allow_router)
+    if rules is not None and files is None:
+        raise LinkError("--allow: needs tls/ endpoints, --tls-ca, --tls-certificate and --tls-key")
+    secret = shared_secret(loopback=all(map(asks_for_secret, endpoints)))
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    systemd, told = Systemd(), ""
+    with route(endpoints, routers, files, insecure=insecure, secret=secret, access=rules) as opened:
+        _print(f"router: listening at {', '.join(opened.endpoints)}")
+        systemd.ready(f"listening at {', '.join(opened.endpoints)}")
+        while not ended.wait(NEWS):
+            if (now := opened.connected) != told:
+                told = now
+                _print(f"router: {now}")
+            systemd.alive(now)
+        systemd.stopping()
+
+
+def _print(line: str) -> None:
+    from rich.text import Text  # noqa: PLC0415
+
+    STDERR.console.print(Text(line), soft_wrap=True)

@@ -1,0 +1,81 @@
+"""The link of an orchestrator to its workers: an endpoint of its own, or routers in between."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+from ...schemas.access import access_rules, common_name
+from ...schemas.errors import LinkError
+from ...schemas.link import Tls, asks_for_secret
+from ...schemas.secret import shared_secret
+from ..fleet.transport import GRACE, Transport, connect_to_router, listen
+from .address import Address
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """The endpoint for workers, or the routers in between, with their protection, and the address of the live page."""
+
+    endpoint: str
+    tls: Tls | None = None
+    insecure: bool = False
+    web: Address | None = None
+    allow: tuple[str, ...] = ()
+    """Common names of the certificates of workers; empty: every one of the authority."""
+    routers: tuple[str, ...] = ()
+    """Endpoints of routers, of which one is used at a time; then nothing listens here."""
+    grace: float = GRACE
+    """Seconds for workers to return after a router has come or gone."""
+
+    def secret(self) -> bytes | None:
+        """Return the secret that workers must know.
+
+        Raises:
+            SecretError: it cannot be used, or there is no place for one.
+
+        """
+        return shared_secret(loopback=all(map(asks_for_secret, self.routers or (self.endpoint,))))
+
+    def access(self, *, local_workers: bool) -> dict[str, Any] | None:
+        """Return the access rules for the link.
+
+        Raises:
+            LinkError: there are no certificates, or a name cannot be allowed.
+
+        """
+        if not self.allow:
+            return None
+        if self.routers:
+            raise LinkError("--allow: the router alone sees the certificates of workers; give it these names")
+        if self.tls is None:
+            raise LinkError("--allow: needs a tls/ endpoint, --tls-ca, --tls-certificate and --tls-key")
+        own = common_name(self.tls.certificate)
+        if local_workers and not own:
+            raise LinkError(
+                f"{self.tls.certificate}: has no common name, by which local workers could be told apart; with --allow "
+                "choose a certificate with one, or no local workers"
+            )
+        return access_rules(self.allow, own)
+
+    def opened(self, *, local_workers: bool, print_line: Callable[[str], None]) -> AbstractContextManager[Transport]:
+        """Open the way to the workers; a router that does not answer is waited for.
+
+        Raises:
+            PerfboundError: an endpoint cannot be used.
+
+        """
+        access = self.access(local_workers=local_workers)
+        if self.routers:
+            return connect_to_router(self.routers, self.tls, self.secret(), print_line, grace=self.grace)
+        return listen(self.endpoint, self.tls, insecure=self.insecure, secret=self.secret(), access=access)
+
+    def ways(self, listening: str) -> tuple[str, ...]:
+        """Return the endpoints that workers connect to; `listening` is the one of this process, where it has one."""
+        return self.routers or (listening,)
+
+    def worker_options(self) -> list[str]:
+        """Return the options with which local workers connect."""
+        if self.tls is None:
+            return ["--insecure"] if self.secret() is None else []
+        return ["--tls-ca", self.tls.ca, "--tls-certificate", self.tls.certificate, "--tls-key", self.tls.key]

@@ -1,0 +1,39 @@
+"""The routers between a run and its workers: their lines in the log, and the events for the dispatch machine."""
+
+from collections.abc import Callable
+
+from ..fleet import events
+from ..fleet.transport import Linked, RouterToken
+from .format import duration
+
+
+class Routers:
+    """The routers that one run knows."""
+
+    def __init__(self, print_line: Callable[[str], None]) -> None:
+        self._print_line = print_line
+        self._known: set[str] = set()
+        self._down_since: float | None = None
+
+    def take(self, message: RouterToken | Linked) -> events.RouterChanged | events.LinkChanged:
+        """Take a change, and return its event."""
+        if isinstance(message, Linked):
+            self._say(message)
+            return events.LinkChanged(message.at, message.grace, message.up)
+        if message.alive:
+            self._known.add(message.router)
+        elif message.router in self._known:
+            self._known.remove(message.router)
+            # Without its own link the orchestrator sees no router; the line of the link says so.
+            if self._known:
+                self._print_line(f"a router has ended: workers behind it have {duration(message.grace)} to return")
+        return events.RouterChanged(message.at, message.grace)
+
+    def _say(self, message: Linked) -> None:
+        if not message.up:
+            self._down_since = message.at
+            self._print_line("the link to the router is down: no worker is given up until it is there again")
+        elif self._down_since is not None:
+            away = duration(message.at - self._down_since)
+            self._down_since = None
+            self._print_line(f"the link to the router is there again after {away}")
