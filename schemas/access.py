@@ -105,7 +105,7 @@ def _rules_of(name: str, prefix: str) -> list[dict[str, Any]]:
         ("egress", ["declare_subscriber"], [keys.state_key(run, "*"), keys.result_key(run, "*", "*", "*")]),
         ("egress", ["declare_liveliness_subscriber"], [keys.live_worker(run, "*")]),
     ]
-    return _numbered(name, allowed)
+    return _as_rules(name, allowed)
 
 
 def _rules_of_orchestrator(name: str) -> list[dict[str, Any]]:
@@ -123,16 +123,16 @@ def _rules_of_orchestrator(name: str) -> list[dict[str, Any]]:
         ("egress", ["declare_subscriber"], [keys.request_key(run, worker)]),
         ("egress", ["declare_liveliness_subscriber"], [keys.live_orchestrator(run, "*")]),
     ]
-    return _numbered(f"{name} as orchestrator", allowed)
+    return _as_rules(f"{name} as orchestrator", allowed)
 
 
 def _rules_of_router(name: str) -> list[dict[str, Any]]:
     """Return what another router may do: it has its own rules for what connects to it."""
     messages = ["put", "declare_subscriber", "liveliness_token", "declare_liveliness_subscriber", "liveliness_query"]
-    return _numbered(name, [(flow, messages, [f"{keys.ROOT}/**"]) for flow in ("ingress", "egress")])
+    return _as_rules(name, [(flow, messages, [f"{keys.ROOT}/**"]) for flow in ("ingress", "egress")])
 
 
-def _numbered(name: str, allowed: Sequence[tuple[str, Sequence[str], Sequence[str]]]) -> list[dict[str, Any]]:
+def _as_rules(name: str, allowed: Sequence[tuple[str, Sequence[str], Sequence[str]]]) -> list[dict[str, Any]]:
     return [
         {"id": f"{name} {number}", "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": exprs}
         for number, (flow, messages, exprs) in enumerate(allowed)

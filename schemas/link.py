@@ -56,9 +56,11 @@ def listen_config(
         LinkError: the endpoint is malformed, or open to others without TLS, or a TLS file is missing.
 
     """
-    _check_node(endpoint, tls, insecure=insecure)
+    _check_accepting(endpoint, tls, insecure=insecure)
     user = None if passwords is None else {"dictionary_file": passwords}
-    return json.dumps({**_node(tls, ("listen",), user, access), "mode": "peer", "listen": {"endpoints": [endpoint]}})
+    return json.dumps(
+        {**_accepting(tls, ("listen",), user, access), "mode": "peer", "listen": {"endpoints": [endpoint]}}
+    )
 
 
 def connect_config(endpoints: Sequence[str], tls: Tls | None, secret: bytes | None = None) -> str:
@@ -98,13 +100,13 @@ def router_config(
 
     """
     for endpoint in endpoints:
-        _check_node(endpoint, tls, insecure=insecure)
+        _check_accepting(endpoint, tls, insecure=insecure)
     for endpoint in routers:
         _checked_endpoint("--connect", endpoint, tls)
     user = None if passwords is None or secret is None else {**_user(secret), "dictionary_file": passwords}
     return json.dumps(
         {
-            **_node(tls, ("listen", "connect"), user, access),
+            **_accepting(tls, ("listen", "connect"), user, access),
             "mode": "router",
             "listen": {"endpoints": list(endpoints)},
             # It serves its own links while another router is away, and tries again for as long as it runs.
@@ -206,7 +208,7 @@ def _checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str,
     return protocol, host
 
 
-def _check_node(endpoint: str, tls: Tls | None, *, insecure: bool) -> None:
+def _check_accepting(endpoint: str, tls: Tls | None, *, insecure: bool) -> None:
     protocol, host = _checked_endpoint("--listen", endpoint, tls)
     if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
         raise LinkError(
@@ -215,7 +217,7 @@ def _check_node(endpoint: str, tls: Tls | None, *, insecure: bool) -> None:
         )
 
 
-def _node(
+def _accepting(
     tls: Tls | None, sides: Sequence[Side], user: Mapping[str, str] | None, access: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return what a node that others connect to has beyond its mode and its endpoints."""

@@ -22,8 +22,8 @@ from .sender import Sender, within_patience
 
 CHANNEL = 4096
 """Messages that may wait for a reader thread; every worker has one rollout outstanding, so it cannot fill."""
-GRACE = 30.0
-"""Seconds for workers to return after a router has come or gone: the restart of a machine's service, not of a machine."""
+ROUTER_GRACE = 30.0
+"""Seconds for workers to return after a router has come or gone: a restart of its service, not of its machine."""
 LINK_PERIOD = 0.2
 """Seconds between two looks at the link to the router."""
 
@@ -225,7 +225,7 @@ def connect_to_router(
     secret: bytes | None,
     print_line: Callable[[str], None],
     *,
-    grace: float = GRACE,
+    grace: float = ROUTER_GRACE,
 ) -> Iterator[ZenohTransport]:
     """Open a Zenoh session with the first router of `endpoints` that answers, and wait until one does.
 

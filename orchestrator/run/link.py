@@ -9,7 +9,7 @@ from ...schemas.access import access_rules, common_name
 from ...schemas.errors import LinkError
 from ...schemas.link import Tls, asks_for_secret
 from ...schemas.secret import shared_secret
-from ..fleet.transport import GRACE, Transport, connect_to_router, listen
+from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
 from .address import Address
 
 
@@ -25,7 +25,7 @@ class Link:
     """Common names of the certificates of workers; empty: every one of the authority."""
     routers: tuple[str, ...] = ()
     """Endpoints of routers, of which one is used at a time; then nothing listens here."""
-    grace: float = GRACE
+    grace: float = ROUTER_GRACE
     """Seconds for workers to return after a router has come or gone."""
 
     def secret(self) -> bytes | None:

@@ -105,8 +105,7 @@ class Service:
         drain: bool = False,
     ) -> None:
         self.inbox: Inbox[Message] = Inbox()
-        self._ledger = ledger
-        self._journal = journal
+        self._ledger, self._journal = ledger, journal
         self._fleet = fleet
         self._listeners = listeners
         self._lines, self._roster = Lines(self._print_line), Roster(ledger.header.spec, journal.platform)
@@ -120,8 +119,7 @@ class Service:
         self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
-        self._started = time.monotonic()
-        self._next_tick = self._started
+        self._started = self._next_tick = time.monotonic()
         limits = _dispatch_limits(ledger.config)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
