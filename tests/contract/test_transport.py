@@ -12,6 +12,7 @@ import pytest
 import zenoh
 
 from perfbound.orchestrator.fleet import transport as port
+from perfbound.orchestrator.fleet.router import route
 from perfbound.orchestrator.fleet.transport import (
     Garbage,
     Heartbeat,
@@ -20,6 +21,7 @@ from perfbound.orchestrator.fleet.transport import (
     Token,
     Transport,
     ZenohTransport,
+    connect_to_router,
     listen,
 )
 from perfbound.schemas import keys
@@ -78,6 +80,27 @@ def zenoh_rig() -> Iterator[Rig]:
 
 
 @contextmanager
+def router_rig() -> Iterator[Rig]:
+    """As the other one, but that orchestrator and workers connect to a router, and what is put comes from a third."""
+    with ExitStack() as stack:
+        router = stack.enter_context(route([LOCAL], [], None, insecure=False, secret=SECRET, access=None))
+        other = stack.enter_context(route([LOCAL], router.endpoints, None, insecure=False, secret=SECRET, access=None))
+        transport = stack.enter_context(connect_to_router(router.endpoints, None, SECRET, no_lines))
+        raw = zenoh.open(zenoh.Config.from_json5(connect_config(other.endpoints, None, SECRET)))
+        stack.callback(raw.close)
+        block = zenoh.CongestionControl.BLOCK
+        yield Rig(
+            transport,
+            lambda: connect(other.endpoints, None, no_waiting, SECRET),
+            lambda key, payload, header: raw.put(key, payload, attachment=header, congestion_control=block),
+        )
+
+
+def no_lines(line: str) -> None:
+    raise AssertionError(line)
+
+
+@contextmanager
 def memory_rig() -> Iterator[Rig]:
     @contextmanager
     def uplink() -> Iterator[Uplink]:
@@ -91,7 +114,7 @@ def memory_rig() -> Iterator[Rig]:
         transport.stop()
 
 
-RIGS = {"zenoh": zenoh_rig, "memory": memory_rig}
+RIGS = {"zenoh": zenoh_rig, "two routers": router_rig, "memory": memory_rig}
 
 
 @pytest.fixture(params=sorted(RIGS))
