@@ -66,6 +66,11 @@ class ZenohUplink:
         return self._end.by_certificate(orchestrator)
 
     @property
+    def routed(self) -> bool:
+        """Whether there is a link to a router."""
+        return bool(self._session.info.routers_zid())
+
+    @property
     def strangers(self) -> bool:
         """Whether an orchestrator is there that does not know the secret."""
         return self._end.strangers

@@ -1,7 +1,7 @@
 """The messages of a turn: they leave after its commit, so that no worker acts on what a crash could undo."""
 
 from ...schemas.ids import Attempt
-from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
+from ...schemas.messages import Ack, Assign, Cancel, Finished, Refuse, Release, Request
 from ...schemas.rollout import RolloutRequest
 from ..fleet.transport import Transport
 from .assignments import Assignments
@@ -30,6 +30,14 @@ class Outbox:
     def refuse(self, worker: str, reason: str) -> None:
         """Send a worker away."""
         self._waiting.append((worker, Refuse(reason=reason)))
+
+    def dismiss(self, worker: str) -> None:
+        """Let a worker end that leaves: nothing more is assigned to it."""
+        self._waiting.append((worker, Release()))
+
+    def finished(self, worker: str) -> None:
+        """Report that the campaign has its certificate."""
+        self._waiting.append((worker, Finished()))
 
     def send(self) -> None:
         """Send everything."""

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.facts import HANDED_BACK
 from ...schemas.ids import RolloutId, closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
@@ -148,6 +149,12 @@ class Service:
             self._turn(*_received(self.inbox, self._next_tick))
         self._show()  # the last turn ends between two ticks
 
+    def report_end(self) -> None:
+        """Report to every worker that the certificate is issued; a message that gets lost is not repeated."""
+        for worker in self._roster.living:
+            self._outbox.finished(worker)
+        self._outbox.send()
+
     @property
     def _done(self) -> bool:
         return self._ledger.done and not self._review
@@ -192,6 +199,8 @@ class Service:
                 # Of another peer, or of an attempt whose key is lost: nothing is recorded, and no worker keeps it.
                 self._lines.ignored(message.worker, "no assignment proves its result")
                 self._outbox.acknowledge(message.worker, message.attempt)
+            case Result() if message.header.outcome == "handed_back":
+                self._events.append(events.HandedBack(message.at, message.worker, message.attempt))
             case Result() | Decoded():
                 self._events.extend(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
@@ -247,6 +256,10 @@ class Service:
                 self._outbox.cancel(worker, attempt)
             case events.Acknowledge(worker, attempt):
                 self._outbox.acknowledge(worker, attempt)
+            case events.Dismiss(worker):
+                self._outbox.dismiss(worker)
+            case events.Withdraw(worker, attempt):
+                self._journal.attempts.ended(attempt, worker, HANDED_BACK)
             case events.Fail(worker, attempt, failure):
                 self._journal.attempts.ended(attempt, worker, failure)
                 self._lines.failed(action)
