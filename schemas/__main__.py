@@ -8,7 +8,7 @@ from pydantic import BaseModel, TypeAdapter
 from .campaign import CampaignConfig
 from .campaign_defaults import file_schema
 from .certificate import Certificate
-from .messages import Ack, Assign, Cancel, Finished, Refuse, Release, ResultHeader, WorkerState
+from .messages import Ack, Assign, Cancel, Refuse, Release, ResultHeader, RunFinished, WorkerState
 from .reference import page
 from .rollout import RolloutRequest
 from .system import SystemSpec
@@ -25,7 +25,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "ack": Ack,
     "refuse": Refuse,
     "release": Release,
-    "finished": Finished,
+    "finished": RunFinished,
     "worker-state": WorkerState,
     "result-header": ResultHeader,
 }

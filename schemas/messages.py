@@ -67,13 +67,13 @@ class Release(Model):
     type: Literal["release"] = "release"
 
 
-class Finished(Model):
+class RunFinished(Model):
     """The certificate of the campaign is issued: no rollout is needed any more, also not one under way."""
 
     type: Literal["finished"] = "finished"
 
 
-Request = Assign | Cancel | Ack | Refuse | Release | Finished
+Request = Assign | Cancel | Ack | Refuse | Release | RunFinished
 
 
 class WorkerState(Model):

@@ -42,9 +42,9 @@ class Parcels:
 
     def add(self, assign: Assign, found: End, **spent: float) -> None:
         """Keep the end of an attempt, which `deliver` delivers; `spent` are the seconds of its header."""
-        rollout, attempt = key = attempt_key(assign)
+        rollout, attempt = key = key_of(assign)
         named = {"rollout": rollout, "attempt": attempt, "worker": self._worker}
-        header = ResultHeader.model_validate({**named, **_fields(found), **spent})
+        header = ResultHeader.model_validate({**named, **_end_fields(found), **spent})
         header = header.model_copy(update={"proof": result_proof(assign.secret, header)})
         with self._lock:
             self._waiting.setdefault(key, _Parcel(header, found if isinstance(found, bytes) else b""))
@@ -71,20 +71,20 @@ class Parcels:
             self._uplink.deliver(parcel.header, parcel.payload)
 
 
-def attempt_key(assign: Assign) -> Key:
+def key_of(assign: Assign) -> Key:
     """Return the attempt of an assignment."""
     return assign.request.rollout, assign.attempt
 
 
-def _fields(found: End) -> dict[str, Any]:
+def _end_fields(found: End) -> dict[str, Any]:
     """Return the part of a header that says how an attempt ended."""
     if isinstance(found, Failure):
-        return {"outcome": "failed", "error": _text(found.reason), "kind": found.kind}
+        return {"outcome": "failed", "error": _utf8(found.reason), "kind": found.kind}
     if isinstance(found, bytes):
         return {"outcome": "done", "sha256": hashlib.sha256(found).hexdigest()}
     return {"outcome": found}
 
 
-def _text(reason: str) -> str:
+def _utf8(reason: str) -> str:
     """Return a reason as a header takes it: a file name in it may be no UTF-8."""
     return reason.encode(errors="backslashreplace").decode()

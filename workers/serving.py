@@ -87,7 +87,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
             if end == "finished":
                 # Its token may stay for a while; a new orchestrator of this run has another name.
                 finished |= {each for each, served in uplink.orchestrators() if served == chosen}
-                if life.ends.until_done and not _others(uplink, run, finished):
+                if life.ends.until_done and not _to_serve(uplink, run, finished):
                     return 0
             started = keys.fresh_id(name)
 
@@ -105,14 +105,14 @@ def _waiting(link: LinkOptions, life: Life) -> Callable[[], None]:
     return waiting
 
 
-def _others(uplink: ZenohUplink, run: str | None, finished: set[str]) -> list[tuple[str, str]]:
+def _to_serve(uplink: ZenohUplink, run: str | None, finished: set[str]) -> list[tuple[str, str]]:
     """Return (orchestrator, run) of those that may be served, the oldest first."""
     return [(name, found) for name, found in uplink.orchestrators() if run in (None, found) and name not in finished]
 
 
 def _choose(uplink: ZenohUplink, run: str | None, link: LinkOptions, life: Life, finished: set[str]) -> tuple[str, str]:
     last = time.monotonic()
-    while not (found := _others(uplink, run, finished)):
+    while not (found := _to_serve(uplink, run, finished)):
         life.check()
         if time.monotonic() - last > 10:
             last = time.monotonic()

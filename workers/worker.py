@@ -16,10 +16,10 @@ from ..schemas.messages import (
     Ack,
     Assign,
     Cancel,
-    Finished,
     Refuse,
     Release,
     Request,
+    RunFinished,
     WorkerState,
 )
 from ..schemas.platforms import platform_class
@@ -27,7 +27,7 @@ from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
 from .faults import fault_text
-from .parcels import Key, Parcels, attempt_key
+from .parcels import Key, Parcels, key_of
 from .simulate import requested_system, run_request_on
 from .systems import usable
 from .systems.base import Cancelled
@@ -79,7 +79,7 @@ class WorkerProcess:
             case Release():
                 self._dismissed = True
                 self._inbox.put(None)
-            case Finished():
+            case RunFinished():
                 self._finished = True
                 self._outbox.clear()
                 self._drop()
@@ -95,7 +95,7 @@ class WorkerProcess:
     def hand_back(self) -> None:
         """Give the rollout under way back to the orchestrator; what this process still computes of it is dropped."""
         assign = self._accepted
-        if assign is not None and attempt_key(assign) not in self._outbox:
+        if assign is not None and key_of(assign) not in self._outbox:
             self._drop()
             self._outbox.add(assign, "handed_back")
             self._outbox.deliver(RESEND)
@@ -142,9 +142,9 @@ class WorkerProcess:
         return "abandoned" if abandoned(not self._outbox) else None
 
     def _accept(self, assign: Assign) -> None:
-        key = attempt_key(assign)
+        key = key_of(assign)
         with self._lock:
-            current = self._accepted and attempt_key(self._accepted)
+            current = self._accepted and key_of(self._accepted)
             if key in self._outbox or (current and key[0] == current[0] and key[1] <= current[1]):
                 return  # a repeat, or overtaken by a later attempt
             self._accepted = assign
@@ -154,7 +154,7 @@ class WorkerProcess:
         if self._leaving_since is not None:  # it has not begun
             self.hand_back()
             return
-        key = attempt_key(assign)
+        key = key_of(assign)
         self._progress = (key, 0)
         self._changed.set()
         cpu, wall = time.process_time(), time.monotonic()
@@ -196,7 +196,7 @@ class WorkerProcess:
         """Make nothing of the attempt that is accepted, and perhaps under way."""
         with self._lock:
             if self._accepted is not None:
-                self._cancelled = self._interrupted = attempt_key(self._accepted)
+                self._cancelled = self._interrupted = key_of(self._accepted)
                 self._accepted = None
 
     def _finish(self, assign: Assign) -> None:
@@ -226,6 +226,6 @@ class WorkerProcess:
             state="busy" if current else "idle",
             rollout=current.request.rollout if current else None,
             attempt=current.attempt if current else None,
-            progress=step if current and running == attempt_key(current) else 0,
+            progress=step if current and running == key_of(current) else 0,
             leaving=True if self._leaving_since is not None else None,
         )

@@ -171,7 +171,7 @@ class Acknowledge:
 
 
 @dataclass(frozen=True, slots=True)
-class Withdraw:
+class Requeue:
     """Record that an attempt ended because its worker ends."""
 
     worker: str
@@ -257,7 +257,7 @@ Action = (
     | Revoke
     | Record
     | Acknowledge
-    | Withdraw
+    | Requeue
     | Dismiss
     | Fail
     | GiveUp

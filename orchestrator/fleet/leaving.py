@@ -7,7 +7,7 @@ can be on the way to it.
 
 from dataclasses import replace
 
-from .events import Acknowledge, Action, Dismiss, HandedBack, Reported, Withdraw
+from .events import Acknowledge, Action, Dismiss, HandedBack, Reported, Requeue
 from .opinions import queued_again
 from .state import DispatchState, Worker
 
@@ -17,7 +17,7 @@ def report_leaving(state: DispatchState, event: Reported, worker: Worker) -> tup
     # With an assignment on the way it is not dismissed: it hands that back first.
     if worker.attempt is not None:
         return state, ()
-    return _shun(state, event, worker), (Dismiss(event.worker),)
+    return _without_attempt(state, event, worker), (Dismiss(event.worker),)
 
 
 def hand_back(state: DispatchState, event: HandedBack) -> tuple[DispatchState, tuple[Action, ...]]:
@@ -25,12 +25,12 @@ def hand_back(state: DispatchState, event: HandedBack) -> tuple[DispatchState, t
     worker, rollout = state.workers.get(event.worker), event.attempt.rollout
     acknowledge = Acknowledge(event.worker, event.attempt)
     if worker is not None and worker.attempt == event.attempt:
-        state = _shun(state, event, worker)
+        state = _without_attempt(state, event, worker)
     if rollout not in state.open:
         return state, (acknowledge,)
     # In front, as after a failure; unless it waits or is simulated already, as when this is a repeat.
-    return queued_again(state, rollout), (Withdraw(event.worker, event.attempt), acknowledge)
+    return queued_again(state, rollout), (Requeue(event.worker, event.attempt), acknowledge)
 
 
-def _shun(state: DispatchState, event: Reported | HandedBack, worker: Worker) -> DispatchState:
+def _without_attempt(state: DispatchState, event: Reported | HandedBack, worker: Worker) -> DispatchState:
     return replace(state, workers={**state.workers, event.worker: worker.shunned(event.at)})

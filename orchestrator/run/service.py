@@ -13,7 +13,6 @@ from typing import Any, Protocol
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
-from ...schemas.facts import HANDED_BACK
 from ...schemas.ids import RolloutId, closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
@@ -106,10 +105,8 @@ class Service:
         drain: bool = False,
     ) -> None:
         self.inbox: Inbox[Message] = Inbox()
-        self._ledger = ledger
-        self._journal = journal
-        self._fleet = fleet
-        self._listeners = listeners
+        self._ledger, self._journal = ledger, journal
+        self._fleet, self._listeners = fleet, listeners
         self._lines, self._roster = Lines(self._print_line), Roster(ledger.header.spec, journal.platform)
         self._routers, self._outlooks = Routers(self._print_line), PlannedOutlooks()
         self._review = Review(ledger, journal)
@@ -121,8 +118,7 @@ class Service:
         self._draining: int | None = None
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
-        self._started = time.monotonic()
-        self._next_tick = self._started
+        self._started = self._next_tick = time.monotonic()
         limits = _dispatch_limits(ledger.config)
         # Workers that connect may be busy since before a restart; those of our own fleet have just started.
         hold = self._started + ADOPTION if resumed and fleet is None else 0.0
@@ -138,10 +134,9 @@ class Service:
             OSError: the disk is full.
 
         """
-        attempts = read.attempts(self._journal.directory)
         with self._ledger.transaction():
             failed = failures_before(self._journal.directory, self._state.limits.deadline)
-            self._demand(self._ledger.outstanding(), attempts, failed)
+            self._demand(self._ledger.outstanding(), read.attempts(self._journal.directory), failed)
             self._settle()
             self._begin_review()
         self._send()
@@ -151,9 +146,7 @@ class Service:
 
     def report_end(self) -> None:
         """Report to every worker that the certificate is issued; a message that gets lost is not repeated."""
-        for worker in self._roster.living:
-            self._outbox.finished(worker)
-        self._outbox.send()
+        self._outbox.report_end(self._roster.living)
 
     @property
     def _done(self) -> bool:
@@ -199,8 +192,6 @@ class Service:
                 # Of another peer, or of an attempt whose key is lost: nothing is recorded, and no worker keeps it.
                 self._lines.ignored(message.worker, "no assignment proves its result")
                 self._outbox.acknowledge(message.worker, message.attempt)
-            case Result() if message.header.outcome == "handed_back":
-                self._events.append(events.HandedBack(message.at, message.worker, message.attempt))
             case Result() | Decoded():
                 self._events.extend(self._results.take(message, open_rollouts=self._state.open))
             case Garbage():
@@ -216,9 +207,8 @@ class Service:
         if not drain or self._draining is not None:
             self._stop = message.signal
             return
-        self._draining = message.signal
-        under_way = dispatch.under_way(self._state)
-        self._print_line(f"draining: {under_way} rollouts are under way; a second signal stops at once")
+        self._draining, count = message.signal, dispatch.under_way(self._state)
+        self._print_line(f"draining: {count} rollouts are under way; a second signal stops at once")
 
     def _tick(self, now: float) -> None:
         self._next_tick = now + TICK
@@ -252,14 +242,8 @@ class Service:
                 self._outbox.assign(worker, attempt, self._results.request(attempt.rollout))
             case events.Resend(worker, attempt):
                 self._outbox.assign(worker, attempt, self._results.request(attempt.rollout))
-            case events.Revoke(worker, attempt):
-                self._outbox.cancel(worker, attempt)
-            case events.Acknowledge(worker, attempt):
-                self._outbox.acknowledge(worker, attempt)
-            case events.Dismiss(worker):
-                self._outbox.dismiss(worker)
-            case events.Withdraw(worker, attempt):
-                self._journal.attempts.ended(attempt, worker, HANDED_BACK)
+            case events.Revoke() | events.Acknowledge() | events.Dismiss():
+                self._outbox.answer(action)
             case events.Fail(worker, attempt, failure):
                 self._journal.attempts.ended(attempt, worker, failure)
                 self._lines.failed(action)

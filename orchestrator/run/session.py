@@ -285,8 +285,7 @@ def _conduct(
         else:
             line = [part for way in link.ways(transport.endpoint) for part in ("--connect", way)]
             line = ["perfbound-worker", *line, *child.system_options(options.system)]
-            text = f"waiting for workers: {shlex.join(line)}"
-            console.print(Text(text), soft_wrap=True)
+            console.print(Text(f"waiting for workers: {shlex.join(line)}"), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
         from ..campaign import closing_checks, consistency, forecast, scope  # noqa: PLC0415
         from ..campaign.ledger import Ledger  # noqa: PLC0415

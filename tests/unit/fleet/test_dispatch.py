@@ -31,6 +31,7 @@ from perfbound.orchestrator.fleet.events import (
     Poison,
     Record,
     Reported,
+    Requeue,
     Resend,
     Revoke,
     RouterChanged,
@@ -40,7 +41,6 @@ from perfbound.orchestrator.fleet.events import (
     Tick,
     Unwanted,
     Wanted,
-    Withdraw,
     WorkerDown,
     WorkerUp,
 )
@@ -290,7 +290,7 @@ def test_what_is_handed_back_goes_to_another_worker_at_once_and_counts_against_n
     history: list[Event] = [*up("a"), want(R[0], R[1]), busy(R[0], worker="a"), *up("b"), busy(R[1], worker="b")]
     state, actions = after(*history, *up("c"), handed_back(R[0], worker="a"))
     first_try, second = first(R[0]), first(R[0], 2)
-    assert actions == [Withdraw("a", first_try), Acknowledge("a", first_try), Start("c", second)]
+    assert actions == [Requeue("a", first_try), Acknowledge("a", first_try), Start("c", second)]
     assert (state.standings, state.open[R[0]].failures, state.workers["a"].phase) == ({}, (), "shunned")
 
 
@@ -308,7 +308,7 @@ def test_handing_back_never_poisons_a_rollout_and_never_sets_a_worker_aside() ->
 def test_a_repeated_hand_back_is_acknowledged_and_starts_nothing_twice() -> None:
     history: list[Event] = [*up("a"), want(R[0]), busy(R[0], worker="a"), *up("b"), handed_back(R[0], worker="a")]
     state, actions = after(*history, *up("c"), handed_back(R[0], worker="a"))
-    assert actions == [Withdraw("a", first(R[0])), Acknowledge("a", first(R[0]))]
+    assert actions == [Requeue("a", first(R[0])), Acknowledge("a", first(R[0]))]
     assert state.workers["b"].attempt == first(R[0], 2)
     # Of a rollout that is recorded meanwhile, nothing is written.
     state, actions = after(*history, done(R[0], 2, worker="b"), handed_back(R[0], worker="a"))
@@ -332,7 +332,7 @@ def test_a_worker_with_an_assignment_on_the_way_is_not_dismissed() -> None:
 def test_what_a_lost_worker_hands_back_changes_nothing_of_its_successor() -> None:
     lost: list[Event] = [*up("a"), want(R[0]), busy(R[0], worker="a"), WorkerDown(1, "a"), Tick(4), *up("b", 4)]
     state, actions = after(*lost, handed_back(R[0], worker="a", at=5))
-    assert actions == [Withdraw("a", first(R[0])), Acknowledge("a", first(R[0]))]
+    assert actions == [Requeue("a", first(R[0])), Acknowledge("a", first(R[0]))]
     assert state.workers["b"].attempt == first(R[0], 2)
     gone, _ = after(*lost[:5], handed_back(R[0], worker="a"))
     assert (gone.workers["a"].phase, gone.workers["a"].resumes_as, gone.waiting) == ("gone", "shunned", (R[0],))
