@@ -8,7 +8,7 @@ from pydantic import BaseModel, TypeAdapter
 from .campaign import CampaignConfig
 from .campaign_defaults import file_schema
 from .certificate import Certificate
-from .messages import Ack, Assign, Cancel, Refuse, ResultHeader, WorkerState
+from .messages import Ack, Assign, Cancel, Refuse, Release, ResultHeader, RunFinished, WorkerState
 from .reference import page
 from .rollout import RolloutRequest
 from .system import SystemSpec
@@ -24,6 +24,8 @@ MODELS: dict[str, type[BaseModel]] = {
     "cancel": Cancel,
     "ack": Ack,
     "refuse": Refuse,
+    "release": Release,
+    "finished": RunFinished,
     "worker-state": WorkerState,
     "result-header": ResultHeader,
 }

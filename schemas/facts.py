@@ -17,7 +17,8 @@ from .rules import RULES
 from .system import SystemSpec
 from .values import Bound, Observation, Proposal, StoppedBy
 
-RECORDED, RESTORED = "recorded", "restored"
+RECORDED, RESTORED, HANDED_BACK = NO_FAILURE = "recorded", "restored", "handed back"
+"""Outcomes of attempts; every other text is the reason of a failure."""
 """Outcomes of attempts that brought a result: a new one, or the file of a recorded one once more."""
 
 

@@ -11,7 +11,7 @@ from .failure import FailureKind
 from .ranges import MAX_FILE_BYTES, AttemptNumber, ProcessId, ProtocolNumber, Seconds, StepCount
 from .rollout import RolloutRequest
 
-PROTOCOL = 2
+PROTOCOL = 3
 MAX_MESSAGE = 64 * 1024
 """Bytes of a JSON message."""
 MAX_RESULT = MAX_FILE_BYTES
@@ -61,7 +61,19 @@ class Refuse(Model):
     reason: Advice
 
 
-Request = Assign | Cancel | Ack | Refuse
+class Release(Model):
+    """Nothing more is assigned to this worker, which has said that it leaves."""
+
+    type: Literal["release"] = "release"
+
+
+class RunFinished(Model):
+    """The certificate of the campaign is issued: no rollout is needed any more, also not one under way."""
+
+    type: Literal["finished"] = "finished"
+
+
+Request = Assign | Cancel | Ack | Refuse | Release | RunFinished
 
 
 class WorkerState(Model):
@@ -82,6 +94,7 @@ class WorkerState(Model):
     rollout: Rollout | None = None
     attempt: AttemptNumber | None = None
     progress: StepCount = Field(default=0, description="control steps done; a worker that is not hung makes it grow")
+    leaving: Literal[True] | None = Field(default=None, description="true if the worker takes no more rollouts")
 
 
 class ResultHeader(Model):
@@ -90,7 +103,9 @@ class ResultHeader(Model):
     rollout: Rollout
     attempt: AttemptNumber
     worker: Word
-    outcome: Literal["done", "failed"]
+    outcome: Literal["done", "failed", "handed_back"] = Field(
+        description="handed_back: the worker ends and has stopped the attempt, which says nothing about the rollout"
+    )
     sha256: str = Field(default="", pattern=r"^([0-9a-f]{64})?$")
     error: Excerpt = ""
     kind: FailureKind | None = Field(default=None, description="of a failed attempt; if it is missing, infrastructure")
@@ -104,8 +119,8 @@ class ResultHeader(Model):
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
-        if self.outcome == "done" and self.kind is not None:
-            raise ValueError("a result has no kind of failure")
+        if self.outcome != "failed" and self.kind is not None:
+            raise ValueError("only a failed attempt has a kind of failure")
         return self
 
 

@@ -6,9 +6,8 @@ import resource
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import Any
 
 import click
 
@@ -17,26 +16,13 @@ from ..schemas.access import common_name
 from ..schemas.atomic import replacing
 from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
-from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
+from ..schemas.errors import LinkError, PerfboundError
 from ..schemas.link import Tls, asks_for_secret
 from ..schemas.secret import VARIABLE, shared_secret
+from .ends import IDLE_EXIT, STOP_WITHIN, EndOptions
+from .failing import fail
 from .lifeline import adopt_orphans, die_with_parent
-
-if TYPE_CHECKING:
-    from .transport import ZenohUplink
-
-RUN_GONE = 5.0
-"""Seconds without its orchestrator after which an idle worker may join another campaign."""
-OUTBOX_KEPT = 600.0
-"""Seconds without its orchestrator after which undelivered results are given up."""
-
-
-def fail(*reasons: str) -> NoReturn:
-    """Print each reason in one line on stderr, and exit with 1."""
-    for reason in reasons:
-        click.echo(f"perfbound-worker: {one_line(reason)}", err=True)
-    sys.exit(1)
-
+from .stopping import Stopping
 
 HELP = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
@@ -95,6 +81,35 @@ system_option = click.option(
 @click.option("--tls-certificate", default=None, help="PEM file of the certificate of this side.")
 @click.option("--tls-key", default=None, help="PEM file of the private key of this side.")
 @click.option("--insecure", is_flag=True, help="Connect without the secret of this user.")
+@click.option(
+    "--until-done",
+    is_flag=True,
+    help="Exit with 0 when the campaign has its certificate and no other one is announced.",
+)
+@click.option(
+    "--idle-exit",
+    type=click.FloatRange(0, 31_536_000),
+    default=None,
+    metavar="SECONDS",
+    help="Exit after so long without a campaign: with 0, or with 1 if there has been none.  "
+    f"[default: never, with --until-done {IDLE_EXIT:g}]",
+)
+@click.option(
+    "--max-hours",
+    type=click.FloatRange(0, 8784, min_open=True),
+    default=None,
+    metavar="HOURS",
+    help="Take no new rollout after so long; finish the one under way, and exit with 0.",
+)
+@click.option(
+    "--stop-within",
+    type=click.FloatRange(0, 86_400),
+    default=STOP_WITHIN,
+    show_default=True,
+    metavar="SECONDS",
+    help="On SIGTERM, finish the rollout under way within this time, or hand it back; then exit with 143. A second "
+    "SIGTERM ends the worker at once.",
+)
 @click.option("--as", "identity", default=None, hidden=True, help="Whole name of a local worker.")
 @click.option("--lifeline", type=int, default=None, hidden=True, help="Exit at the end of this pipe.")
 def serve(
@@ -108,9 +123,14 @@ def serve(
     insecure: bool,
     identity: str | None,
     lifeline: int | None,
+    **ends: Any,
 ) -> None:
-    """Simulate rollouts for an orchestrator until stopped."""
-    if lifeline is not None:
+    """Simulate rollouts for an orchestrator until stopped, or until one of the ends below."""
+    options = EndOptions.of(**ends)
+    stopping = Stopping(options.stop_within, end_programs)
+    if lifeline is None:
+        stopping.watch()
+    else:
         die_with_parent()
         threading.Thread(target=_hold, args=(lifeline,), daemon=True).start()
     tls = None
@@ -124,7 +144,10 @@ def serve(
         os.environ.pop(VARIABLE, None)
         own = common_name(tls.certificate) if tls else ""
         name = name or (own if keys.NAME.fullmatch(own) else "worker")
-        _serve(LinkOptions(endpoints, tls, secret, own), name, run, identity)
+        from .serving import Life, LinkOptions, serve_campaigns  # noqa: PLC0415
+
+        link, life = LinkOptions(endpoints, tls, secret, own), Life(options, stopping)
+        sys.exit(serve_campaigns(link, life, name, run=run, identity=identity))
     except (LinkError, ValueError) as error:
         fail(str(error))
     except KeyboardInterrupt:
@@ -143,81 +166,6 @@ def _hold(descriptor: int) -> None:
         pass
     end_programs()
     os._exit(0)
-
-
-class LinkOptions(NamedTuple):
-    """Where an orchestrator is expected, and what this worker shows there."""
-
-    endpoints: tuple[str, ...]
-    tls: Tls | None
-    secret: bytes | None
-    common_name: str
-    """Of the certificate of this worker, if it has one."""
-
-
-def _serve(link: LinkOptions, name: str, run: str | None, identity: str | None) -> None:
-    from .transport import connect  # noqa: PLC0415
-    from .worker import WorkerProcess  # noqa: PLC0415
-
-    started = identity or keys.fresh_id(name)
-    with connect(link.endpoints, link.tls, _waiting(link.endpoints), link.secret) as uplink:
-        while True:
-            orchestrator, chosen = _choose(uplink, run, link)
-            if identity is None and uplink.by_certificate(orchestrator) and name != link.common_name:
-                fail(
-                    f"--name {name}: {' or '.join(link.endpoints)} was started with --allow, so a worker has the "
-                    f"common name of its certificate, here {link.common_name!r}; leave --name out"
-                )
-            worker = WorkerProcess(started, uplink)
-            uplink.join(chosen, worker.name, worker.receive)
-            try:
-                worker.serve(_abandoned(uplink.orchestrators, chosen, pinned=run is not None))
-            except RefusedError as error:
-                fail(str(error))
-            uplink.leave()
-            started = keys.fresh_id(name)
-
-
-def _waiting(endpoints: tuple[str, ...]) -> Callable[[], None]:
-    from ..schemas.unanswered import no_link  # noqa: PLC0415
-
-    last = [time.monotonic()]
-
-    def waiting() -> None:
-        if time.monotonic() - last[0] > 5:
-            click.echo(f"perfbound-worker: {no_link(endpoints, 'worker')}", err=True)
-            last[0] = time.monotonic()
-
-    return waiting
-
-
-def _choose(uplink: "ZenohUplink", run: str | None, link: LinkOptions) -> tuple[str, str]:
-    from ..schemas.unanswered import no_orchestrator  # noqa: PLC0415
-
-    last = time.monotonic()
-    while True:
-        for orchestrator, found in uplink.orchestrators():
-            if run in (None, found):
-                return orchestrator, found
-        if time.monotonic() - last > 10:
-            last = time.monotonic()
-            line = no_orchestrator(link.endpoints, run, strangers=uplink.strangers, common_name=link.common_name)
-            click.echo(f"perfbound-worker: {line}", err=True)
-        time.sleep(0.02)
-
-
-def _abandoned(
-    orchestrators: Callable[[], list[tuple[str, str]]], chosen: str, *, pinned: bool
-) -> Callable[[bool], bool]:
-    seen = [time.monotonic()]
-
-    def abandoned(outbox_empty: bool) -> bool:
-        now = time.monotonic()
-        if pinned or any(run == chosen for _, run in orchestrators()):
-            seen[0] = now
-        return now - seen[0] > (RUN_GONE if outbox_empty else OUTBOX_KEPT)
-
-    return abandoned
 
 
 @group.command()

@@ -54,7 +54,7 @@ class ZenohUplink:
         tokens = liveliness.declare_subscriber(keys.ANY_ORCHESTRATOR, zenoh.handlers.FifoChannel(1024), history=True)
         self._pump(tokens, self._see)
         routers = liveliness.declare_subscriber(keys.live_router("*"), zenoh.handlers.FifoChannel(1024), history=True)
-        self._pump(routers, self._see_router)
+        self._pump(routers, lambda each: self._end.router(str(each.key_expr), alive=each.kind == zenoh.SampleKind.PUT))
 
     @property
     def linked(self) -> bool:
@@ -64,6 +64,11 @@ class ZenohUplink:
     def by_certificate(self, orchestrator: str) -> bool:
         """Whether it, or a router, hears this worker only under the common name of its certificate."""
         return self._end.by_certificate(orchestrator)
+
+    @property
+    def routed(self) -> bool:
+        """Whether there is a link to a router."""
+        return bool(self._session.info.routers_zid())
 
     @property
     def strangers(self) -> bool:
@@ -112,9 +117,6 @@ class ZenohUplink:
     def _see(self, sample: zenoh.Sample) -> None:
         take = self._end.appear if sample.kind == zenoh.SampleKind.PUT else self._end.disappear
         take(str(sample.key_expr))
-
-    def _see_router(self, sample: zenoh.Sample) -> None:
-        self._end.router(str(sample.key_expr), alive=sample.kind == zenoh.SampleKind.PUT)
 
     def _pump(self, subscriber: Any, read: Callable[[zenoh.Sample], None]) -> None:
         def pump() -> None:

@@ -1,12 +1,11 @@
 """The loop of a worker: receive, simulate, deliver; a result is kept until the orchestrator has acknowledged it."""
 
-import hashlib
 import os
 import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Literal
 
 from ..schemas import __version__
 from ..schemas.errors import PerfboundError, RefusedError
@@ -18,16 +17,17 @@ from ..schemas.messages import (
     Assign,
     Cancel,
     Refuse,
+    Release,
     Request,
-    ResultHeader,
+    RunFinished,
     WorkerState,
 )
 from ..schemas.platforms import platform_class
 from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
-from ..schemas.seal import result_proof
 from ..schemas.system import SystemSpec
 from .faults import fault_text
+from .parcels import Key, Parcels, key_of
 from .simulate import requested_system, run_request_on
 from .systems import usable
 from .systems.base import Cancelled
@@ -36,17 +36,13 @@ from .transport import Uplink
 HEARTBEAT = 0.5
 RESEND = 1.0
 """Seconds between two deliveries of a result that is not acknowledged."""
+POLL, POLL_AT_END = 1.0, 0.1
+"""Seconds between two questions whether the run is over for this worker, and while it leaves."""
+DISMISSAL = 3.0
+"""Seconds in which an orchestrator answers a worker that leaves; there may be none, or none that has admitted it."""
 
-
-Key = tuple[str, int]
-"""Rollout and number of an attempt."""
-
-
-@dataclass
-class _Parcel:
-    header: ResultHeader
-    payload: bytes
-    sent_at: float
+EndOfRun = Literal["abandoned", "finished", "left"]
+"""Why a worker no longer serves a run: its orchestrator is gone, its certificate is issued, or the worker leaves."""
 
 
 class WorkerProcess:
@@ -55,14 +51,15 @@ class WorkerProcess:
     def __init__(self, name: str, uplink: Uplink) -> None:
         self.name = name
         self._uplink = uplink
-        self._inbox: queue.SimpleQueue[Assign | Refuse] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[Assign | Refuse | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._outbox: dict[Key, _Parcel] = {}
+        self._outbox = Parcels(name, uplink)
         self._accepted: Assign | None = None
         self._cancelled: Key | None = None
         self._interrupted: Key | None = None
         self._progress: tuple[Key | None, int] = (None, 0)
-        self._leaving = False
+        self._closed = self._finished = self._dismissed = False
+        self._leaving_since: float | None = None
         self._changed = threading.Event()
         self._systems = {name: each.identities for name, each in usable().items() if isinstance(each, SystemSpec)}
 
@@ -74,13 +71,46 @@ class WorkerProcess:
             case Cancel():
                 self._cancelled = (message.rollout, message.attempt)
             case Ack():
-                with self._lock:
-                    self._outbox.pop((message.rollout, message.attempt), None)
+                self._outbox.acknowledge((message.rollout, message.attempt))
+                if self._leaving_since is not None:
+                    self._changed.set()  # the next heartbeat asks for the dismissal
             case Refuse():
                 self._inbox.put(message)
+            case Release():
+                self._dismissed = True
+                self._inbox.put(None)
+            case RunFinished():
+                self._finished = True
+                self._outbox.clear()
+                self._drop()
+                self._inbox.put(None)
 
-    def serve(self, abandoned: Callable[[bool], bool]) -> None:
-        """Simulate what is assigned until `abandoned(outbox is empty)` is true.
+    def leave(self) -> None:
+        """Take nothing more: end with the rollout under way, and its result; any thread may call it, also again."""
+        if self._leaving_since is None:
+            self._leaving_since = time.monotonic()
+            self._changed.set()
+            self._inbox.put(None)
+
+    def hand_back(self) -> None:
+        """Give the rollout under way back to the orchestrator; what this process still computes of it is dropped."""
+        assign = self._accepted
+        if assign is not None and key_of(assign) not in self._outbox:
+            self._drop()
+            self._outbox.add(assign, "handed_back")
+            self._outbox.deliver(RESEND)
+            self._changed.set()
+
+    @property
+    def has_left(self) -> bool:
+        """Whether a worker that leaves has nothing to do or to deliver, and nothing can be on the way to it."""
+        if self._leaving_since is None or self._accepted is not None or self._outbox:
+            return False
+        since = max(self._leaving_since, self._outbox.emptied_at)
+        return self._dismissed or time.monotonic() - since > DISMISSAL
+
+    def serve(self, abandoned: Callable[[bool], bool]) -> EndOfRun:
+        """Simulate what is assigned until `abandoned(outbox is empty)` is true, the run is finished, or it has left.
 
         Raises:
             RefusedError: the orchestrator refuses this worker.
@@ -89,30 +119,42 @@ class WorkerProcess:
         heart = threading.Thread(target=self._beat, daemon=True)
         heart.start()
         try:
-            while not abandoned(not self._outbox):
+            while (end := self._end(abandoned)) is None:
                 try:
-                    message = self._inbox.get(timeout=1.0)
+                    message = self._inbox.get(timeout=POLL if self._leaving_since is None else POLL_AT_END)
                 except queue.Empty:
                     continue
                 if isinstance(message, Refuse):
                     raise RefusedError(message.reason)
-                self._simulate(message)
+                if isinstance(message, Assign):
+                    self._simulate(message)
+            return end
         finally:
-            self._leaving = True
+            self._closed = True
             self._changed.set()
             heart.join(timeout=1.0)
 
+    def _end(self, abandoned: Callable[[bool], bool]) -> EndOfRun | None:
+        if self._finished:
+            return "finished"
+        if self.has_left:
+            return "left"
+        return "abandoned" if abandoned(not self._outbox) else None
+
     def _accept(self, assign: Assign) -> None:
-        key = _attempt_key(assign)
+        key = key_of(assign)
         with self._lock:
-            current = self._accepted and _attempt_key(self._accepted)
+            current = self._accepted and key_of(self._accepted)
             if key in self._outbox or (current and key[0] == current[0] and key[1] <= current[1]):
                 return  # a repeat, or overtaken by a later attempt
             self._accepted = assign
         self._inbox.put(assign)
 
     def _simulate(self, assign: Assign) -> None:
-        key = _attempt_key(assign)
+        if self._leaving_since is not None:  # it has not begun
+            self.hand_back()
+            return
+        key = key_of(assign)
         self._progress = (key, 0)
         self._changed.set()
         cpu, wall = time.process_time(), time.monotonic()
@@ -121,23 +163,10 @@ class WorkerProcess:
         if self._interrupted == key:
             self._finish(assign)
             return
-        failure, payload = (found, b"") if isinstance(found, Failure) else (None, found)
-        header = ResultHeader(
-            rollout=key[0],
-            attempt=key[1],
-            worker=self.name,
-            outcome="failed" if failure else "done",
-            sha256="" if failure else hashlib.sha256(payload).hexdigest(),
-            error=_text(failure.reason) if failure else "",
-            kind=failure.kind if failure else None,
-            cpu_seconds=time.process_time() - cpu,
-            wall_seconds=time.monotonic() - wall,
-        )
-        header = header.model_copy(update={"proof": result_proof(assign.secret, header)})
-        with self._lock:
-            self._outbox[key] = _Parcel(header, payload, time.monotonic())
+        spent = {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.monotonic() - wall}
+        self._outbox.add(assign, found, **spent)
         self._finish(assign)
-        self._uplink.deliver(header, payload)
+        self._outbox.deliver(RESEND)
 
     def _run(self, request: RolloutRequest, key: Key) -> bytes | Failure:
         """Return the trajectory's file, or the failure of the attempt."""
@@ -163,6 +192,13 @@ class WorkerProcess:
             self._interrupted = key
             raise Cancelled
 
+    def _drop(self) -> None:
+        """Make nothing of the attempt that is accepted, and perhaps under way."""
+        with self._lock:
+            if self._accepted is not None:
+                self._cancelled = self._interrupted = key_of(self._accepted)
+                self._accepted = None
+
     def _finish(self, assign: Assign) -> None:
         with self._lock:
             if self._accepted is assign:
@@ -170,9 +206,9 @@ class WorkerProcess:
         self._changed.set()
 
     def _beat(self) -> None:
-        while not self._leaving:
+        while not self._closed:
             self._uplink.report(self._state())
-            self._deliver_again()
+            self._outbox.deliver(RESEND)
             self._changed.wait(HEARTBEAT)
             self._changed.clear()
 
@@ -190,22 +226,6 @@ class WorkerProcess:
             state="busy" if current else "idle",
             rollout=current.request.rollout if current else None,
             attempt=current.attempt if current else None,
-            progress=step if current and running == _attempt_key(current) else 0,
+            progress=step if current and running == key_of(current) else 0,
+            leaving=True if self._leaving_since is not None else None,
         )
-
-    def _deliver_again(self) -> None:
-        now = time.monotonic()
-        with self._lock:
-            late = [parcel for parcel in self._outbox.values() if now - parcel.sent_at >= RESEND]
-        for parcel in late:
-            parcel.sent_at = now
-            self._uplink.deliver(parcel.header, parcel.payload)
-
-
-def _text(reason: str) -> str:
-    """Return a reason as a header takes it: a file name in it may be no UTF-8."""
-    return reason.encode(errors="backslashreplace").decode()
-
-
-def _attempt_key(assign: Assign) -> Key:
-    return assign.request.rollout, assign.attempt

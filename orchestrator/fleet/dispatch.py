@@ -3,14 +3,14 @@
 A pure machine: `advance(state, event) -> (state, actions)`. Time comes inside the events, in seconds of any one clock.
 A worker is in one of these phases, and this table lists every legal transition of the worker that an event names:
 
-    phase      WorkerUp   WorkerDown  Reported         Delivered   Tick
-    unknown    new        (ignored)   (ignored)        unknown     -
-    new        new        gone        new, idle, busy  new         new
-    idle       idle       gone        idle             idle        idle
-    sent       sent       gone        sent, busy       sent, idle  sent, shunned
-    busy       busy       gone        busy             busy, idle  busy, shunned
-    shunned    shunned    gone        shunned, idle    shunned     shunned
-    gone       (back)     gone        (ignored)        gone        gone, unknown
+    phase      WorkerUp   WorkerDown  Reported                  Delivered   HandedBack     Tick
+    unknown    new        (ignored)   (ignored)                 unknown     unknown        -
+    new        new        gone        new, idle, busy, shunned  new         new            new
+    idle       idle       gone        idle, shunned             idle        idle           idle
+    sent       sent       gone        sent, busy                sent, idle  sent, shunned  sent, shunned
+    busy       busy       gone        busy                      busy, idle  busy, shunned  busy, shunned
+    shunned    shunned    gone        shunned, idle             shunned     shunned        shunned
+    gone       (back)     gone        (ignored)                 gone        gone           gone, unknown
 
 `-` cannot be. `(ignored)` changes nothing. `(back)` is the phase before it was gone. Beyond the table, `HandOut` makes
 an `idle` worker `sent` if a rollout waits, and a worker whose rollout is withdrawn, or recorded from another attempt,
@@ -19,9 +19,9 @@ recording a result may take longer than the limit for a worker without progress.
 
 `new` has not reported yet: it may be busy since before it was lost or the orchestrator was restarted. `sent` has an
 assignment that no heartbeat has confirmed yet: it is sent again every `resend_after` s. `shunned` hung, missed its
-deadline or was cancelled. `new` and `shunned` workers get nothing until they report idle, and are given up every
-`hung_after` s that they do not. `gone` has lost its liveliness token: after `lost_after` s its attempt is lost, later
-where a router has come or gone (`routes`; `RouterChanged` and `LinkChanged` change no phase). Reports
+deadline, was cancelled, or leaves (`leaving`). `new` and `shunned` workers get nothing until they report idle, and are
+given up every `hung_after` s that they do not. `gone` has lost its liveliness token: after `lost_after` s its attempt
+is lost, later where a router has come or gone (`routes`; `RouterChanged` and `LinkChanged` change no phase). Reports
 that are late, repeated or of unknown rollouts change nothing but are acknowledged. `LEGAL` is all of this as data.
 
 The first valid result of a rollout wins, whichever attempt it came from, unless it is compared with another one
@@ -46,6 +46,7 @@ from .events import (
     Event,
     Fail,
     GiveUp,
+    HandedBack,
     HandOut,
     LinkChanged,
     Poison,
@@ -61,6 +62,7 @@ from .events import (
     WorkerDown,
     WorkerUp,
 )
+from .leaving import hand_back, report_leaving
 from .opinions import consider
 from .retries import ELSEWHERE, SAME_WORKER, Open, blames_rollout, is_poison, missed
 from .routes import away, is_lost, link_changed, lost_after, router_changed
@@ -72,24 +74,23 @@ KNOWN: tuple[WorkerPhase, ...] = ("new", "idle", "sent", "busy", "shunned")
 
 LEGAL: dict[tuple[Phase, str], tuple[Phase, ...]] = {
     ("unknown", "WorkerUp"): ("new",),
-    **{("unknown", event): ("unknown",) for event in ("WorkerDown", "Reported", "Delivered")},
+    **{("unknown", event): ("unknown",) for event in ("WorkerDown", "Reported", "Delivered", "HandedBack")},
     **{(phase, "WorkerUp"): (phase,) for phase in KNOWN},
     **{(phase, "WorkerDown"): ("gone",) for phase in KNOWN},
-    ("new", "Reported"): ("new", "idle", "busy"),
-    **{("new", event): ("new",) for event in ("Delivered", "Tick")},
-    **{("idle", event): ("idle",) for event in ("Reported", "Delivered", "Tick")},
+    ("new", "Reported"): ("new", "idle", "busy", "shunned"),
+    ("idle", "Reported"): ("idle", "shunned"),
+    **{(phase, event): (phase,) for phase in ("new", "idle") for event in ("Delivered", "HandedBack", "Tick")},
     ("idle", "HandOut"): ("idle", "sent"),
     ("sent", "Reported"): ("sent", "busy"),
     ("sent", "Delivered"): ("sent", "idle"),
-    ("sent", "Tick"): ("sent", "shunned"),
+    **{("sent", event): ("sent", "shunned") for event in ("HandedBack", "Tick")},
     ("busy", "Reported"): ("busy",),
     ("busy", "Delivered"): ("busy", "idle"),
-    ("busy", "Tick"): ("busy", "shunned"),
+    **{("busy", event): ("busy", "shunned") for event in ("HandedBack", "Tick")},
     ("shunned", "Reported"): ("shunned", "idle"),
-    ("shunned", "Delivered"): ("shunned",),
-    ("shunned", "Tick"): ("shunned",),
+    **{("shunned", event): ("shunned",) for event in ("Delivered", "HandedBack", "Tick")},
     ("gone", "WorkerUp"): KNOWN,
-    **{("gone", event): ("gone",) for event in ("WorkerDown", "Reported", "Delivered")},
+    **{("gone", event): ("gone",) for event in ("WorkerDown", "Reported", "Delivered", "HandedBack")},
     ("gone", "Tick"): ("gone", "unknown"),
 }
 """(phase of the worker that an event names, or of any worker for HandOut and Tick; event) -> the phases after it."""
@@ -115,6 +116,8 @@ def advance(state: DispatchState, event: Event) -> Outcome:
             return _report(state, event)
         case Delivered():
             return _deliver(state, event)
+        case HandedBack():
+            return hand_back(state, event)
         case Tick():
             return _tick(state, event.at)
         case HandOut():
@@ -146,7 +149,7 @@ def _forget(state: DispatchState, event: Unwanted) -> Outcome:
     for name, worker in state.workers.items():
         if worker.attempt is not None and worker.attempt.rollout in dropped:
             cancels.append(Revoke(name, worker.attempt))
-            state = _put(state, name, _shunned(worker, event.at))
+            state = _put(state, name, worker.shunned(event.at))
     return _close_rollouts(state, dropped), tuple(cancels)
 
 
@@ -194,7 +197,8 @@ def _report(state: DispatchState, event: Reported) -> Outcome:
     if worker is None or worker.phase == "gone":
         return state, ()  # a heartbeat that overtook its token, or was late
     if event.attempt is None:
-        return _report_idle(state, event.worker, worker), ()
+        idle = _report_idle(state, event.worker, worker)
+        return report_leaving(state, event, worker) if event.leaving else (idle, ())
     if event.attempt == worker.attempt:
         return _put(state, event.worker, _advanced(worker, event)), ()
     # Busy since before a restart, with a rollout that is still needed: its result is as good as a new one's.
@@ -268,7 +272,7 @@ def _cancel_others(state: DispatchState, rollout: RolloutId, at: float) -> Outco
     for name, worker in state.workers.items():
         if worker.attempt is not None and worker.attempt.rollout == rollout:
             cancels.append(Revoke(name, worker.attempt))
-            state = _put(state, name, _shunned(worker, at))
+            state = _put(state, name, worker.shunned(at))
     return state, tuple(cancels)
 
 
@@ -312,7 +316,7 @@ def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcom
 
 def _shun(state: DispatchState, name: str, worker: Worker, failure: Failure, at: float) -> Outcome:
     assert worker.attempt is not None
-    state = _put(state, name, _shunned(worker, at))
+    state = _put(state, name, worker.shunned(at))
     state, actions = _fail(state, name, worker.attempt, failure, at)
     others = tuple(action for action in actions if action != GiveUp(name))
     return state, (Revoke(name, worker.attempt), *others, GiveUp(name))
@@ -359,13 +363,6 @@ def _assign(state: DispatchState, at: float) -> Outcome:
     }
     workers, opened = {**state.workers, **sent}, {**state.open, **tried}
     return replace(state, workers=workers, open=opened, waiting=waiting), (*back, *starts)
-
-
-def _shunned(worker: Worker, at: float) -> Worker:
-    """Return the worker without its assignment, with which it may still be busy."""
-    if worker.phase == "gone":  # the token decides first whether the process is lost
-        return replace(worker, attempt=None, resumes_as="shunned")
-    return Worker("shunned", host=worker.host, progress_at=at)
 
 
 def _close_rollouts(state: DispatchState, rollouts: frozenset[RolloutId]) -> DispatchState:

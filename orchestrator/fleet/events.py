@@ -55,6 +55,8 @@ class Reported:
     worker: str
     attempt: Attempt | None
     progress: int
+    leaving: bool = False
+    """Whether the worker takes no more rollouts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,15 @@ class Delivered:
     """Of a result."""
     doubtful: bool = False
     """Whether something in the result is unlike all others, so that it counts only if it is repeated."""
+
+
+@dataclass(frozen=True, slots=True)
+class HandedBack:
+    """A worker that ends has stopped an attempt."""
+
+    at: float
+    worker: str
+    attempt: Attempt
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +115,19 @@ class HandOut:
     at: float
 
 
-Event = Wanted | Unwanted | WorkerUp | WorkerDown | Reported | Delivered | Tick | RouterChanged | LinkChanged | HandOut
+Event = (
+    Wanted
+    | Unwanted
+    | WorkerUp
+    | WorkerDown
+    | Reported
+    | Delivered
+    | HandedBack
+    | Tick
+    | RouterChanged
+    | LinkChanged
+    | HandOut
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +168,21 @@ class Acknowledge:
 
     worker: str
     attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Requeue:
+    """Record that an attempt ended because its worker ends."""
+
+    worker: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Dismiss:
+    """Tell a worker that leaves that it gets nothing more."""
+
+    worker: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,5 +252,18 @@ class TakeBack:
 
 
 Action = (
-    Start | Resend | Revoke | Record | Acknowledge | Fail | GiveUp | Compared | Outvoted | Poison | SetAside | TakeBack
+    Start
+    | Resend
+    | Revoke
+    | Record
+    | Acknowledge
+    | Requeue
+    | Dismiss
+    | Fail
+    | GiveUp
+    | Compared
+    | Outvoted
+    | Poison
+    | SetAside
+    | TakeBack
 )

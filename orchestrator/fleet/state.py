@@ -1,7 +1,7 @@
 """The state of the dispatch machine: limits, workers, open rollouts, and the standing of workers and hosts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from ...schemas.ids import Attempt, RolloutId
@@ -30,6 +30,12 @@ class Worker:
     started_at: float = NEVER
     progress: int = -1
     progress_at: float = NEVER
+
+    def shunned(self, at: float) -> "Worker":
+        """Return the worker without its assignment, with which it may still be busy."""
+        if self.phase == "gone":  # the token decides first whether the process is lost
+            return replace(self, attempt=None, resumes_as="shunned")
+        return Worker("shunned", host=self.host, progress_at=at)
 
 
 @dataclass(frozen=True, slots=True)

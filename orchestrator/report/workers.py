@@ -6,7 +6,7 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
 
-from ...schemas.facts import RECORDED, RESTORED
+from ...schemas.facts import NO_FAILURE, RECORDED
 from ..store.changes import AttemptOutcome, Changes
 from ..store.progress import RECENT, rate
 from .worker_data import FailedAttempt, Throughput, WorkerRow
@@ -39,7 +39,7 @@ class _Totals:
     def add(self, outcome: AttemptOutcome) -> None:
         if outcome.outcome == RECORDED:
             self.rollouts += 1
-        elif outcome.outcome != RESTORED:
+        elif outcome.outcome not in NO_FAILURE:
             self.failures += 1
         self.busy_seconds += outcome.wall_seconds
         self.cpu_seconds += outcome.cpu_seconds
@@ -65,7 +65,7 @@ class WorkerStatistics:
             self._totals.setdefault(outcome.worker, _Totals()).add(outcome)
             if outcome.outcome == RECORDED:
                 self._ended.append(outcome.ended)
-            elif outcome.outcome != RESTORED:
+            elif outcome.outcome not in NO_FAILURE:
                 self._system_failures += outcome.kind == "system"
                 self._failed.append(_failed_attempt(outcome))
 

@@ -1,5 +1,6 @@
 """The end of a run: its certificate, and its manifest."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from ..campaign.ledger import Ledger, observed_discards
@@ -8,11 +9,12 @@ from ..certificate.issue import issue, manifest
 from ..certificate.regions import campaign_regions
 from ..store import read
 from ..store.files import read_evidence
+from ..store.so_far import remove_so_far
 from . import assignments
 
 
-def certify(directory: Path, ledger: Ledger) -> None:
-    """Write the certificate of a campaign that is done, and its manifest.
+def certify(directory: Path, ledger: Ledger, report_end: Callable[[], None] | None = None) -> None:
+    """Write the certificate of a campaign that is done, and its manifest; then report that to its workers.
 
     Raises:
         EvidenceError: the kept file of a discarded rollout is missing or damaged.
@@ -27,3 +29,6 @@ def certify(directory: Path, ledger: Ledger) -> None:
     regions = campaign_regions(ledger)
     certificate = issue(ledger, found, irreproducible=irreproducible, contradicted=differing, regions=regions)
     files.write(directory, certificate, found.text, None if regions is None else regions.csv)
+    if report_end is not None:
+        report_end()
+    remove_so_far(directory)

@@ -1,8 +1,11 @@
 """The messages of a turn: they leave after its commit, so that no worker acts on what a crash could undo."""
 
+from collections.abc import Iterable
+
 from ...schemas.ids import Attempt
-from ...schemas.messages import Ack, Assign, Cancel, Refuse, Request
+from ...schemas.messages import Ack, Assign, Cancel, Refuse, Release, Request, RunFinished
 from ...schemas.rollout import RolloutRequest
+from ..fleet import events
 from ..fleet.transport import Transport
 from .assignments import Assignments
 
@@ -19,9 +22,15 @@ class Outbox:
         secret = self._assignments.secret(worker, attempt)
         self._waiting.append((worker, Assign(attempt=attempt.number, secret=secret, request=request)))
 
-    def cancel(self, worker: str, attempt: Attempt) -> None:
-        """Stop an attempt."""
-        self._waiting.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
+    def answer(self, action: events.Revoke | events.Acknowledge | events.Dismiss) -> None:
+        """Stop an attempt, acknowledge it, or let a worker end that leaves."""
+        match action:
+            case events.Revoke(worker, attempt):
+                self._waiting.append((worker, Cancel(rollout=str(attempt.rollout), attempt=attempt.number)))
+            case events.Acknowledge(worker, attempt):
+                self.acknowledge(worker, attempt)
+            case events.Dismiss(worker):
+                self._waiting.append((worker, Release()))
 
     def acknowledge(self, worker: str, attempt: Attempt) -> None:
         """Let a worker drop a result."""
@@ -30,6 +39,11 @@ class Outbox:
     def refuse(self, worker: str, reason: str) -> None:
         """Send a worker away."""
         self._waiting.append((worker, Refuse(reason=reason)))
+
+    def report_end(self, workers: Iterable[str]) -> None:
+        """Report at once that the campaign has its certificate."""
+        self._waiting += [(worker, RunFinished()) for worker in workers]
+        self.send()
 
     def send(self) -> None:
         """Send everything."""

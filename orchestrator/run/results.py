@@ -18,6 +18,8 @@ from .decoder import LARGE, Decoded, Decoder
 from .grids import Grids
 from .review import Review
 
+Events = tuple[events.Delivered | events.HandedBack, ...]
+
 
 class Results:
     """Admitted results by attempt; the dispatch machine receives their outcome alone, never their bytes."""
@@ -36,7 +38,7 @@ class Results:
         """Time of receipt of the oldest result that is still decoded; infinite without one."""
         return self._decoder.oldest
 
-    def take(self, message: Result | Decoded, *, open_rollouts: Container[RolloutId]) -> tuple[events.Delivered, ...]:
+    def take(self, message: Result | Decoded, *, open_rollouts: Container[RolloutId]) -> Events:
         """Take a result of an admitted worker; return the events for the dispatch machine.
 
         A large one is decoded beside the loop first: there are none then, and `done` gets the result again.
@@ -47,6 +49,8 @@ class Results:
         else:
             result, decoded = message, None
         attempt = result.attempt
+        if result.header.outcome == "handed_back":
+            return (events.HandedBack(result.at, result.worker, attempt),)
         header, failure, is_open = result.header, None, attempt.rollout in open_rollouts
         if header.outcome == "done" and len(result.payload) > (most := self._ledger.header.spec.largest_file):
             size = f"{len(result.payload)} bytes, more than the {most} of a result"

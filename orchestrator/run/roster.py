@@ -93,12 +93,17 @@ class Roster:
         state, attempt = message.state, None
         if state.rollout is not None and state.attempt is not None:
             attempt = Attempt(RolloutId.parse(state.rollout), state.attempt)
-        return (*up, events.Reported(message.at, message.worker, attempt, state.progress))
+        return (*up, events.Reported(message.at, message.worker, attempt, state.progress, bool(state.leaving)))
 
     def admitted(self, worker: str) -> WorkerState | None:
         """Return the last heartbeat of an admitted worker; None for every other one."""
         record = self.records.get(worker)
         return record.state if record is not None else None
+
+    @property
+    def living(self) -> list[str]:
+        """Admitted workers whose token is there."""
+        return [name for name, each in self.records.items() if each.alive and each.state is not None]
 
     def _mismatch(self, state: WorkerState) -> str | None:
         spec = self._spec

@@ -106,8 +106,7 @@ class Service:
     ) -> None:
         self.inbox: Inbox[Message] = Inbox()
         self._ledger, self._journal = ledger, journal
-        self._fleet = fleet
-        self._listeners = listeners
+        self._fleet, self._listeners = fleet, listeners
         self._lines, self._roster = Lines(self._print_line), Roster(ledger.header.spec, journal.platform)
         self._routers, self._outlooks = Routers(self._print_line), PlannedOutlooks()
         self._review = Review(ledger, journal)
@@ -135,16 +134,19 @@ class Service:
             OSError: the disk is full.
 
         """
-        attempts = read.attempts(self._journal.directory)
         with self._ledger.transaction():
             failed = failures_before(self._journal.directory, self._state.limits.deadline)
-            self._demand(self._ledger.outstanding(), attempts, failed)
+            self._demand(self._ledger.outstanding(), read.attempts(self._journal.directory), failed)
             self._settle()
             self._begin_review()
         self._send()
         while not self._done:
             self._turn(*_received(self.inbox, self._next_tick))
         self._show()  # the last turn ends between two ticks
+
+    def report_end(self) -> None:
+        """Report to every worker that the certificate is issued; a message that gets lost is not repeated."""
+        self._outbox.report_end(self._roster.living)
 
     @property
     def _done(self) -> bool:
@@ -205,9 +207,8 @@ class Service:
         if not drain or self._draining is not None:
             self._stop = message.signal
             return
-        self._draining = message.signal
-        under_way = dispatch.under_way(self._state)
-        self._print_line(f"draining: {under_way} rollouts are under way; a second signal stops at once")
+        self._draining, count = message.signal, dispatch.under_way(self._state)
+        self._print_line(f"draining: {count} rollouts are under way; a second signal stops at once")
 
     def _tick(self, now: float) -> None:
         self._next_tick = now + TICK
@@ -241,10 +242,8 @@ class Service:
                 self._outbox.assign(worker, attempt, self._results.request(attempt.rollout))
             case events.Resend(worker, attempt):
                 self._outbox.assign(worker, attempt, self._results.request(attempt.rollout))
-            case events.Revoke(worker, attempt):
-                self._outbox.cancel(worker, attempt)
-            case events.Acknowledge(worker, attempt):
-                self._outbox.acknowledge(worker, attempt)
+            case events.Revoke() | events.Acknowledge() | events.Dismiss():
+                self._outbox.answer(action)
             case events.Fail(worker, attempt, failure):
                 self._journal.attempts.ended(attempt, worker, failure)
                 self._lines.failed(action)

@@ -32,7 +32,6 @@ from ..store import read
 from ..store.journal import INSTALLED, Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
-from ..store.so_far import remove_so_far
 from .directory import check_vacant, claimed
 from .link import Link
 from .live_page import LivePage, live_page
@@ -273,6 +272,7 @@ def _conduct(
     resumed: bool,
 ) -> None:
     run, systemd, link = journal.header.run, Systemd(), options.link
+    report_end: Callable[[], None] | None = None
     with ExitStack() as stack:
         fleet = None
         if options.own or options.workers:
@@ -285,8 +285,7 @@ def _conduct(
         else:
             line = [part for way in link.ways(transport.endpoint) for part in ("--connect", way)]
             line = ["perfbound-worker", *line, *child.system_options(options.system)]
-            text = f"waiting for workers: {shlex.join(line)}"
-            console.print(Text(text), soft_wrap=True)
+            console.print(Text(f"waiting for workers: {shlex.join(line)}"), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
         from ..campaign import closing_checks, consistency, forecast, scope  # noqa: PLC0415
         from ..campaign.ledger import Ledger  # noqa: PLC0415
@@ -326,11 +325,11 @@ def _conduct(
             while lost := ledger.check_files(journal, whole=True):
                 terminal.print_line(f"{lost} trajectory files were removed or changed: simulating them again")
                 service.run()
+            report_end = service.report_end
     journal.check_place()
     from .certify import certify  # noqa: PLC0415
 
-    certify(directory, ledger)
-    remove_so_far(directory)
+    certify(directory, ledger, report_end)
 
 
 @contextmanager

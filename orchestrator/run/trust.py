@@ -1,9 +1,10 @@
-"""What the run keeps and tells of the trust in its workers and hosts."""
+"""What the run keeps and tells of its workers and hosts, and of the trust in them."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from ...schemas.errors import one_line
+from ...schemas.facts import HANDED_BACK
 from ...schemas.ids import RolloutId
 from ..fleet import events
 from ..fleet.opinions import FOR_GOOD, without
@@ -18,11 +19,11 @@ MOST_NAMED = 5
 
 
 def note(
-    action: events.SetAside | events.TakeBack | events.Compared | events.Outvoted,
+    action: events.SetAside | events.TakeBack | events.Compared | events.Outvoted | events.Requeue,
     log: AttemptLog,
     print_line: Callable[[str], None],
 ) -> None:
-    """Write what concerns the trust in a worker or host; inside a transaction."""
+    """Write what concerns a worker or host alone; inside a transaction."""
     match action:
         case events.SetAside(place, seconds, reason):
             log.set_aside(place.kind, place.name, seconds, reason)
@@ -32,6 +33,8 @@ def note(
             log.opinion("compared", attempt, worker, digest)
         case events.Outvoted(worker, attempt, digest):
             log.opinion("outvoted", attempt, worker, digest)
+        case events.Requeue(worker, attempt):
+            log.ended(attempt, worker, HANDED_BACK)
         case events.TakeBack(place):
             log.set_aside(place.kind, place.name, 0.0, "")
 

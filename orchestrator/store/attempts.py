@@ -26,7 +26,7 @@ class AttemptLog:
         self._rows.add(tables.attempts, attempt_key(attempt) | row)
 
     def ended(self, attempt: Attempt, worker: str, outcome: str | Failure, cpu: float = 0.0, wall: float = 0.0) -> None:
-        """Write the outcome of an attempt: RECORDED, RESTORED or a failure.
+        """Write the outcome of an attempt: RECORDED, RESTORED, HANDED_BACK or a failure.
 
         A worker that was given up may still deliver its result, or report a failure. A result is written in any case,
         a failure of the infrastructure as the first outcome alone, a failure of the system as the first of its kind.

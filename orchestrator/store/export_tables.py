@@ -26,7 +26,7 @@ from sqlalchemy import Connection
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import PROBABILITIES
-from ...schemas.facts import RECORDED, RESTORED, Header
+from ...schemas.facts import NO_FAILURE, RECORDED, Header
 from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK, closing_check
 from ...schemas.problem_models import Problem
 from ...schemas.problems import replicates_are_robustness
@@ -210,7 +210,7 @@ _FAILURE = (
 
 def _failures_table(version: int) -> ExportTable:
     columns = tables.readable(tables.outcomes, version)
-    query = sa.select(*columns).where(_outcome.outcome.not_in((RECORDED, RESTORED)))
+    query = sa.select(*columns).where(_outcome.outcome.not_in(NO_FAILURE))
     # Outcomes have no sequence number: the order of the rows is that in which they were written.
     return ExportTable("failures", _FAILURE, query.order_by(sa.literal_column("outcomes.rowid")), _failure_row)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from ...schemas.errors import one_line
-from ...schemas.facts import RECORDED, RESTORED, Header
+from ...schemas.facts import NO_FAILURE, RECORDED, Header
 from ...schemas.values import MARKED, Bound, ProblemProgress, distance_after
 from .readonly import snapshot
 from .rows import (
@@ -43,7 +43,7 @@ _COURSE = """
 _MARKED = json.dumps([tests - 1 for tests in sorted(MARKED)])
 _EXTENSIONS = "SELECT seq, number, budgets FROM extensions ORDER BY seq"
 _WORKERS = "SELECT worker, count(*), max(ended) FROM outcomes WHERE outcome = ? GROUP BY worker ORDER BY worker"
-_FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?)"
+_FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?, ?)"
 _SYSTEM_FAILURES = "SELECT count(*) FROM outcomes WHERE kind = 'system'"
 _RECENT = "SELECT ended FROM outcomes WHERE outcome = ? ORDER BY rowid DESC LIMIT ?"
 _SET_ASIDE = """
@@ -148,7 +148,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
             for each in header.config.problems
         ),
         tuple((str(row[0]), int(row[1]), float(row[2])) for row in connection.execute(_WORKERS, [RECORDED])),
-        int(connection.execute(_FAILURES, [RECORDED, RESTORED]).fetchone()[0]),
+        int(connection.execute(_FAILURES, NO_FAILURE).fetchone()[0]),
         connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
         int(connection.execute(_SESSIONS).fetchone()[0]),
         _pauses(connection) if has_table("set_aside", version) else (),

@@ -10,8 +10,7 @@ from ...schemas.base import canonical_json
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import JournalError
 from ...schemas.facts import (
-    RECORDED,
-    RESTORED,
+    NO_FAILURE,
     BoundFact,
     DiscardFact,
     ExtensionFact,
@@ -234,7 +233,7 @@ def attempt_key(attempt: Attempt) -> dict[str, Any]:
 def outcome_fields(outcome: str | Failure, version: int) -> dict[str, Any]:
     """Return the outcome of an attempt as columns of `outcomes` in a database of this schema version."""
     kind, text = (outcome.kind, outcome.reason) if isinstance(outcome, Failure) else (None, outcome)
-    if kind and text in (RECORDED, RESTORED):  # a reason is text of a system under test, and may be anything
+    if kind and text in NO_FAILURE:  # a reason is text of a system under test, and may be anything
         text = f"failed: {text}"
     return {"outcome": text} | ({"kind": kind} if has_column("outcomes", "kind", version) else {})
 

@@ -21,14 +21,17 @@ from perfbound.orchestrator.fleet.events import (
     Acknowledge,
     Action,
     Delivered,
+    Dismiss,
     Event,
     Fail,
     GiveUp,
+    HandedBack,
     HandOut,
     LinkChanged,
     Poison,
     Record,
     Reported,
+    Requeue,
     Resend,
     Revoke,
     RouterChanged,
@@ -103,7 +106,7 @@ def first(rollout: RolloutId, number: int = 1) -> Attempt:
 
 # The table
 
-WORKER = ("WorkerUp", "WorkerDown", "Reported", "Delivered", "Tick")
+WORKER = ("WorkerUp", "WorkerDown", "Reported", "Delivered", "HandedBack", "Tick")
 
 
 def printed_table() -> dict[tuple[str, str], str]:
@@ -158,7 +161,14 @@ BEFORE: dict[str, list[Event]] = {
 VARIANTS: dict[str, list[Event]] = {
     "WorkerUp": [WorkerUp(1, "w")],
     "WorkerDown": [WorkerDown(1, "w")],
-    "Reported": [idle(at=1), busy(R[0], at=1, progress=1), busy(R[5], at=1), busy(R[0], 2, at=1)],
+    "HandedBack": [HandedBack(1, "w", first(R[0])), HandedBack(1, "w", first(R[5]))],
+    "Reported": [
+        idle(at=1),
+        Reported(1, "w", None, 0, leaving=True),
+        busy(R[0], at=1, progress=1),
+        busy(R[5], at=1),
+        busy(R[0], 2, at=1),
+    ],
     "Delivered": [done(R[0], at=1), done(R[5], at=1), done(R[0], at=1, failure=BAD)],
     "Tick": [Tick(1), Tick(5), Tick(10), Tick(70)],
 }
@@ -266,6 +276,66 @@ def test_the_first_valid_result_wins_and_the_other_worker_is_cancelled() -> None
     assert actions == [Record("a", first(R[0])), Acknowledge("a", first(R[0])), Revoke("b", first(R[0], 2))]
     assert state.workers["b"].phase == "shunned"
     assert step(state, idle("b", 6))[0].workers["b"].phase == "idle"
+
+
+def handed_back(rollout: RolloutId, number: int = 1, *, worker: str = "w", at: float = 1.0) -> HandedBack:
+    return HandedBack(at, worker, Attempt(rollout, number))
+
+
+def leaving(worker: str = "w", at: float = 1.0) -> Reported:
+    return Reported(at, worker, None, 0, leaving=True)
+
+
+def test_what_is_handed_back_goes_to_another_worker_at_once_and_counts_against_nobody() -> None:
+    history: list[Event] = [*up("a"), want(R[0], R[1]), busy(R[0], worker="a"), *up("b"), busy(R[1], worker="b")]
+    state, actions = after(*history, *up("c"), handed_back(R[0], worker="a"))
+    first_try, second = first(R[0]), first(R[0], 2)
+    assert actions == [Requeue("a", first_try), Acknowledge("a", first_try), Start("c", second)]
+    assert (state.standings, state.open[R[0]].failures, state.workers["a"].phase) == ({}, (), "shunned")
+
+
+def test_handing_back_never_poisons_a_rollout_and_never_sets_a_worker_aside() -> None:
+    events: list[Event] = [want(R[0])]
+    for number in range(1, 4 * LIMITS.max_attempts):
+        name = f"w{number}"
+        events += [*up(name, number), handed_back(R[0], number, worker=name, at=number), leaving(name, number)]
+        events += [WorkerDown(number, name)]
+    state, actions = after(*events, *up("last", 100))
+    assert actions == [Start("last", first(R[0], 4 * LIMITS.max_attempts))]
+    assert (state.standings, state.open[R[0]].failures) == ({}, ())
+
+
+def test_a_repeated_hand_back_is_acknowledged_and_starts_nothing_twice() -> None:
+    history: list[Event] = [*up("a"), want(R[0]), busy(R[0], worker="a"), *up("b"), handed_back(R[0], worker="a")]
+    state, actions = after(*history, *up("c"), handed_back(R[0], worker="a"))
+    assert actions == [Requeue("a", first(R[0])), Acknowledge("a", first(R[0]))]
+    assert state.workers["b"].attempt == first(R[0], 2)
+    # Of a rollout that is recorded meanwhile, nothing is written.
+    state, actions = after(*history, done(R[0], 2, worker="b"), handed_back(R[0], worker="a"))
+    assert actions == [Acknowledge("a", first(R[0]))]
+
+
+def test_a_worker_that_leaves_gets_nothing_more_and_is_dismissed() -> None:
+    state, actions = after(*up(), leaving(), want(R[0]))
+    assert (actions, state.waiting) == ([], (R[0],))
+    assert step(state, leaving(at=2))[1] == (Dismiss("w"),), "each time: a message may be lost"
+    assert after(WorkerUp(0, "w"), leaving(), want(R[0]))[0].waiting == (R[0],)
+
+
+def test_a_worker_with_an_assignment_on_the_way_is_not_dismissed() -> None:
+    """It says that it leaves before it has received what it hands back then."""
+    sent: list[Event] = [*up(), want(R[0]), leaving()]
+    assert after(*sent)[1] == []
+    assert after(*sent, handed_back(R[0]), leaving())[1] == [Dismiss("w")]
+
+
+def test_what_a_lost_worker_hands_back_changes_nothing_of_its_successor() -> None:
+    lost: list[Event] = [*up("a"), want(R[0]), busy(R[0], worker="a"), WorkerDown(1, "a"), Tick(4), *up("b", 4)]
+    state, actions = after(*lost, handed_back(R[0], worker="a", at=5))
+    assert actions == [Requeue("a", first(R[0])), Acknowledge("a", first(R[0]))]
+    assert state.workers["b"].attempt == first(R[0], 2)
+    gone, _ = after(*lost[:5], handed_back(R[0], worker="a"))
+    assert (gone.workers["a"].phase, gone.workers["a"].resumes_as, gone.waiting) == ("gone", "shunned", (R[0],))
 
 
 def test_a_failed_attempt_is_tried_again_first() -> None:

@@ -19,7 +19,7 @@ from tests.architecture.diagrams import FOLDER, texts
 from tests.architecture.transitions import Transition, of_campaign, of_dispatch
 
 DOCS = Path(__file__).parents[3] / "docs"
-STEPS = 60_000
+STEPS = 400_000
 
 
 @pytest.mark.parametrize("name", sorted(texts()))
@@ -59,6 +59,8 @@ def an_event(rng: random.Random, at: float) -> events.Event:
         lambda: events.RouterChanged(at, 30.0),
         lambda: events.LinkChanged(at, 30.0, rng.choice([True, True, False])),
         lambda: events.Unwanted(at, (rollout,)),
+        lambda: events.Reported(at, worker, None, 0, leaving=rng.random() < 0.3),
+        lambda: events.HandedBack(at, worker, attempt),
     ]
     return rng.choice(makers)()
 

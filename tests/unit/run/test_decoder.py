@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from perfbound.orchestrator.fleet.events import Delivered
 from perfbound.orchestrator.fleet.transport import Result
 from perfbound.orchestrator.run import results
 from perfbound.orchestrator.run.decoder import Decoded, Decoder
@@ -76,8 +77,10 @@ def test_a_file_of_ten_times_what_the_system_declares_is_refused_unread(tmp_path
     object.__setattr__(stage.ledger.header, "spec", declared)
     ledger_results = Results(stage.ledger, stage.journal, Review(stage.ledger, stage.journal), lambda _: None)
     (found,) = ledger_results.take(a_result(1.0, b"x" * 1001, "0" * 64), open_rollouts=())
+    assert isinstance(found, Delivered)
     assert found.failure == Failure("system", "the trajectory's file has 1001 bytes, more than the 1000 of a result")
     (found,) = ledger_results.take(a_result(1.0, b"x" * 1000, "0" * 64), open_rollouts=())
+    assert isinstance(found, Delivered)
     assert found.failure is None
     stage.journal.close()
 

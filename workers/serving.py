@@ -1,0 +1,147 @@
+"""The life of a worker process: one campaign after the other, until the worker ends."""
+
+import sys
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import click
+
+from ..schemas import keys
+from ..schemas.errors import RefusedError
+from ..schemas.link import Tls
+from ..schemas.unanswered import no_link, no_orchestrator
+from .ends import EndOptions, gone_since, is_abandoned
+from .failing import fail
+from .stopping import STOPPED, Stopping
+from .transport import ZenohUplink, connect
+from .worker import WorkerProcess
+
+LOOK = 0.02
+"""Seconds between two looks for an orchestrator."""
+
+
+class LinkOptions(NamedTuple):
+    """Where an orchestrator is expected, and what this worker shows there."""
+
+    endpoints: tuple[str, ...]
+    tls: Tls | None
+    secret: bytes | None
+    common_name: str
+    """Of the certificate of this worker, if it has one."""
+
+
+class Life:
+    """The times of this process by which it ends, and the signal that ends it."""
+
+    def __init__(self, ends: EndOptions, stopping: Stopping) -> None:
+        self.ends, self.stopping = ends, stopping
+        self._started = self.last_campaign = time.monotonic()
+        self.served = False
+        """Whether there has been a campaign."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it takes no new rollout."""
+        return self.stopping.asked or self.ends.is_over(time.monotonic() - self._started)
+
+    @property
+    def is_idle_for_too_long(self) -> bool:
+        """Whether it has been without a campaign for too long."""
+        return self.ends.is_idle_for_too_long(time.monotonic() - self.last_campaign)
+
+    def check(self) -> None:
+        """End the process if it is time, while it serves no campaign."""
+        if self.is_over:
+            sys.exit(STOPPED if self.stopping.asked else 0)
+        if self.is_idle_for_too_long:
+            if not self.served:
+                fail(f"no campaign within {self.ends.idle_exit:g} s; check that its orchestrator runs (--idle-exit)")
+            sys.exit(0)
+
+
+def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None, identity: str | None) -> int:
+    """Serve campaigns, only that of `run` if it is given; return the exit code.
+
+    Raises:
+        LinkError: the endpoint is malformed or a TLS file is missing.
+
+    """
+    started, finished = identity or keys.fresh_id(name), set[str]()
+    with connect(link.endpoints, link.tls, _waiting(link, life), link.secret) as uplink:
+        while True:
+            orchestrator, chosen = _choose(uplink, run, link, life, finished)
+            if identity is None and uplink.by_certificate(orchestrator) and name != link.common_name:
+                fail(
+                    f"--name {name}: {' or '.join(link.endpoints)} was started with --allow, so a worker has the "
+                    f"common name of its certificate, here {link.common_name!r}; leave --name out"
+                )
+            worker = WorkerProcess(started, uplink)
+            life.stopping.attend(worker)
+            uplink.join(chosen, worker.name, worker.receive)
+            try:
+                end = worker.serve(_abandoned(uplink, chosen, worker, life, pinned=run is not None))
+            except RefusedError as error:
+                fail(str(error))
+            uplink.leave()
+            if end == "finished":
+                # Its token may stay for a while; a new orchestrator of this run has another name.
+                finished |= {each for each, served in uplink.orchestrators() if served == chosen}
+                if life.ends.until_done and not _to_serve(uplink, run, finished):
+                    return 0
+            started = keys.fresh_id(name)
+
+
+def _waiting(link: LinkOptions, life: Life) -> Callable[[], None]:
+    last = time.monotonic()
+
+    def waiting() -> None:
+        nonlocal last
+        life.check()
+        if time.monotonic() - last > 5:
+            click.echo(f"perfbound-worker: {no_link(link.endpoints, 'worker')}", err=True)
+            last = time.monotonic()
+
+    return waiting
+
+
+def _to_serve(uplink: ZenohUplink, run: str | None, finished: set[str]) -> list[tuple[str, str]]:
+    """Return (orchestrator, run) of those that may be served, the oldest first."""
+    return [(name, found) for name, found in uplink.orchestrators() if run in (None, found) and name not in finished]
+
+
+def _choose(uplink: ZenohUplink, run: str | None, link: LinkOptions, life: Life, finished: set[str]) -> tuple[str, str]:
+    last = time.monotonic()
+    while not (found := _to_serve(uplink, run, finished)):
+        life.check()
+        if time.monotonic() - last > 10:
+            last = time.monotonic()
+            line = no_orchestrator(link.endpoints, run, strangers=uplink.strangers, common_name=link.common_name)
+            click.echo(f"perfbound-worker: {line}", err=True)
+        time.sleep(LOOK)
+    life.check()
+    life.served = True
+    return found[0]
+
+
+def _abandoned(
+    uplink: ZenohUplink, chosen: str, worker: WorkerProcess, life: Life, *, pinned: bool
+) -> Callable[[bool], bool]:
+    """Return what the worker asks between two rollouts: whether the run goes on without it, or it without the run."""
+    gone = life.last_campaign = time.monotonic()
+    # Of a link to the orchestrator itself, its end is that of the orchestrator.
+    routed = False
+
+    def abandoned(outbox_empty: bool) -> bool:
+        nonlocal gone, routed
+        now, linked = time.monotonic(), uplink.linked
+        routed = uplink.routed if linked else routed
+        present = any(run == chosen for _, run in uplink.orchestrators())
+        if life.is_over:
+            worker.leave()
+        if present or not outbox_empty:  # it has just been busy
+            life.last_campaign = now
+        gone = gone_since(gone, now, present=present or pinned, linked=linked or not routed)
+        return life.is_idle_for_too_long or is_abandoned(now - gone, outbox_empty=outbox_empty)
+
+    return abandoned
