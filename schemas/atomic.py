@@ -138,7 +138,10 @@ def write_folder(folder: Path, contents: Mapping[str, tuple[bytes, int]]) -> Non
         OSError: the disk is full or the folder above cannot be written; nothing is left.
 
     """
-    make_folder(folder.parent)
+    try:
+        make_folder(folder.parent)
+    except FileExistsError:
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder.parent)) from None
     partial = temporary(folder, f".{secrets.token_hex(4)}")
     partial.mkdir(mode=0o700)
     try:

@@ -22,7 +22,7 @@ UNIT = "perfbound "
 FIX = "fix the TLS options"
 
 
-def check_files(ca: str, certificate: str, key: str, *, listens: bool, connects: bool) -> None:
+def check_link_files(ca: str, certificate: str, key: str, *, listens: bool, connects: bool) -> None:
     """Refuse files with which no link can open; what the other side alone can know is not checked.
 
     Raises:
@@ -200,8 +200,8 @@ def _public_bytes(owner: "PrivateKeyTypes | x509.Certificate") -> bytes:
 def _leads_to(chain: Sequence["x509.Certificate"], authorities: Sequence["x509.Certificate"]) -> bool:
     """Whether one of `authorities` has signed the first certificate, or one of the others that has."""
     current, others = chain[0], list(chain[1:])
-    while not any(_signed(authority, current) for authority in authorities):
-        issuer = next((each for each in others if _signed(each, current)), None)
+    while not any(_has_signed(authority, current) for authority in authorities):
+        issuer = next((each for each in others if _has_signed(each, current)), None)
         if issuer is None:
             return False
         others.remove(issuer)
@@ -209,7 +209,7 @@ def _leads_to(chain: Sequence["x509.Certificate"], authorities: Sequence["x509.C
     return True
 
 
-def _signed(issuer: "x509.Certificate", certificate: "x509.Certificate") -> bool:
+def _has_signed(issuer: "x509.Certificate", certificate: "x509.Certificate") -> bool:
     from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm  # noqa: PLC0415
 
     try:

@@ -41,9 +41,9 @@ def refusal(host: str, port: int, tls: "Tls") -> str | None:
             # In TLS 1.3 the other side examines our certificate when the handshake has ended for us.
             link.recv(1)
     except ssl.SSLCertVerificationError as error:
-        return f"the certificate of {place} {_fault(error, host, tls)}"
+        return f"the certificate of {place} {_wrong_certificate(error, host, tls)}"
     except ssl.SSLError as error:
-        return _refusal(error, place, tls)
+        return _refused_certificate(error, place, tls)
     except OSError:
         return None  # no connection, or nothing said about the certificate
     return None
@@ -63,7 +63,7 @@ def speaks_tls(host: str, port: int) -> bool:
         return "ALERT" in (getattr(error, "reason", None) or "")
 
 
-def _fault(error: ssl.SSLCertVerificationError, host: str, tls: "Tls") -> str:
+def _wrong_certificate(error: ssl.SSLCertVerificationError, host: str, tls: "Tls") -> str:
     """Return what is wrong with the certificate of the other side."""
     if error.verify_code in _AUTHORITY:
         return f"is not signed by {tls.ca}; give both sides certificates of one authority"
@@ -79,7 +79,7 @@ def _fault(error: ssl.SSLCertVerificationError, host: str, tls: "Tls") -> str:
     return f"is refused here ({shortened(error.verify_message, 100)}); fix it there"
 
 
-def _refusal(error: ssl.SSLError, place: str, tls: "Tls") -> str | None:
+def _refused_certificate(error: ssl.SSLError, place: str, tls: "Tls") -> str | None:
     reason = error.reason or ""
     if reason in ("WRONG_VERSION_NUMBER", "UNEXPECTED_EOF_WHILE_READING", "RECORD_LAYER_FAILURE"):
         return f"{place} does not speak TLS; connect to the tls/ endpoint of a router or orchestrator"

@@ -31,10 +31,10 @@ def pki() -> None:
     """Make TLS certificates for routers, orchestrators and workers, with an authority of your own."""
 
 
-@pki.command()
+@pki.command("init")
 @folder_option
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="Life of the authority.")
-def init(*, folder: Path | None, days: int) -> None:
+def init_pki(*, folder: Path | None, days: int) -> None:
     """Make the authority: a private key, which stays in its folder, and a certificate."""
     from ...schemas.certificates import time_text  # noqa: PLC0415
     from ..run.pki import CA_KEY, init_folder, pki_folder  # noqa: PLC0415
@@ -47,7 +47,7 @@ def init(*, folder: Path | None, days: int) -> None:
     click.echo(f"next         {command} NAME --worker|--orchestrator|--router")
 
 
-@pki.command()
+@pki.command("issue")
 @click.argument("name")
 @click.option("--worker", "role", flag_value="worker", help="For workers on one host, which connect.")
 @click.option("--orchestrator", "role", flag_value="orchestrator", help="For an orchestrator: it connects or listens.")
@@ -61,7 +61,7 @@ def init(*, folder: Path | None, days: int) -> None:
 @click.option("--days", type=click.IntRange(1, 397), default=30, show_default=True, help="Life of the certificate.")
 @click.option("--out", type=FOLDER, default=None, help="New folder for its files.  [default: hosts/NAME in --folder]")
 @folder_option
-def issue(
+def issue_to(
     *, name: str, role: "Role | None", hosts: tuple[str, ...], days: int, out: Path | None, folder: Path | None
 ) -> None:
     """Issue the certificate of the worker, orchestrator or router NAME; to renew it, name a new folder with --out."""
@@ -72,7 +72,7 @@ def issue(
     if role is None:
         raise click.UsageError("add --worker, --orchestrator or --router")
     place = folder or authority.pki_folder()
-    written, made = authority.issue(place, checked_order(name, role, hosts), days, out)
+    written, made = authority.issue_files(place, checked_order(name, role, hosts), days, out)
     for line in _instructions(written, made, authority.issued(place)):
         click.echo(line)
     if (tree := work_tree(written)) is not None:

@@ -93,19 +93,17 @@ def init_folder(folder: Path, days: int) -> datetime:
         write_folder(folder.resolve(), contents)
     except FileExistsError:
         remedy = (
-            "issue certificates of it with `perfbound pki issue`, or choose another folder with --folder"
+            "issue certificates of it with `perfbound pki issue`, or choose another --folder"
             if (folder / CA_KEY).exists()
             else "choose a new or empty folder with --folder"
         )
         raise AuthorityError(f"{folder}: exists already, and an authority is never overwritten; {remedy}") from None
     except OSError as error:
-        raise AuthorityError(
-            f"{folder}: cannot be made ({error.strerror}); choose another folder with --folder"
-        ) from None
+        raise AuthorityError(f"{folder}: cannot be made ({error.strerror}); choose another --folder") from None
     return signer.certificate.not_valid_after_utc
 
 
-def issue(folder: Path, order: Order, days: int, out: Path | None) -> tuple[Path, Issued]:
+def issue_files(folder: Path, order: Order, days: int, out: Path | None) -> tuple[Path, Issued]:
     """Write certificate and key of a checked order, and the authority's certificate, into `out`; return its path.
 
     Raises:
@@ -125,7 +123,7 @@ def issue(folder: Path, order: Order, days: int, out: Path | None) -> tuple[Path
             f"{order.name}.pem": (pem, 0o644),
             f"{order.name}-key.pem": (key_bytes(key), 0o600),
         }
-        with _recorded(folder / ISSUED / f"{order.name}-{certificate.serial_number:x}.pem", pem):
+        with _with_copy(folder / ISSUED / f"{order.name}-{certificate.serial_number:x}.pem", pem):
             try:
                 write_folder(out.resolve(), contents)
             except FileExistsError:
@@ -136,7 +134,7 @@ def issue(folder: Path, order: Order, days: int, out: Path | None) -> tuple[Path
 
 
 @contextmanager
-def _recorded(path: Path, pem: bytes) -> Iterator[None]:
+def _with_copy(path: Path, pem: bytes) -> Iterator[None]:
     """Write the authority's copy of a certificate, and remove it if the block fails."""
     try:
         path.parent.mkdir(mode=0o700, exist_ok=True)
@@ -202,9 +200,7 @@ def load_signer(folder: Path) -> Signer:
     except (ValueError, TypeError, UnsupportedAlgorithm):
         key = None
     if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
-        raise AuthorityError(
-            f"{path}: not the private key of {folder / CA}; restore both files as `pki init` made them"
-        )
+        raise AuthorityError(f"{path}: not the private key of {folder / CA}; restore the two files of `pki init`")
     return Signer(certificate, key)
 
 
