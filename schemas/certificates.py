@@ -2,7 +2,7 @@
 
 import ipaddress
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -19,6 +19,7 @@ Role = Literal["worker", "orchestrator", "router"]
 ROLES: tuple[Role, ...] = get_args(Role)
 UNIT = "perfbound "
 """Before the role, in the organisational unit of a certificate that `perfbound pki` has issued."""
+SOON = timedelta(days=2)
 FIX = "fix the TLS options"
 
 
@@ -65,6 +66,29 @@ def check_time(path: str, certificate: "x509.Certificate") -> None:
             f"{path}: this certificate is valid from {time_text(certificate.not_valid_before_utc)} on, and {clock}; "
             "fix the clock, or issue a new one"
         )
+
+
+def check_valid(path: str) -> None:
+    """Refuse the file of a certificate that is not valid now.
+
+    Raises:
+        LinkError: it has ended, or is not valid yet, or is no certificate.
+
+    """
+    check_time(path, read_certificates(path)[0])
+
+
+def ends_soon(path: str) -> str:
+    """Return the line for a certificate that ends soon; empty if there is time.
+
+    Raises:
+        LinkError: it is no certificate.
+
+    """
+    end = read_certificates(path)[0].not_valid_after_utc
+    if end - datetime.now(UTC) > SOON:
+        return ""
+    return f"{path}: this certificate ends at {time_text(end)}, and the links close then; issue a new one before"
 
 
 def check_role(path: str, *roles: Role) -> None:
@@ -155,6 +179,8 @@ def read_certificates(path: str) -> list["x509.Certificate"]:
 
     try:
         return x509.load_pem_x509_certificates(read_with_status(Path(path), MOST)[0])
+    except FileNotFoundError:
+        raise LinkError(f"{path}: no such file; the TLS options name PEM files") from None
     except (OSError, ValueError):
         raise LinkError(f"{path}: not the PEM file of a certificate; {FIX}") from None
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn
 import click
 
 from ..schemas import keys
-from ..schemas.access import common_name
 from ..schemas.atomic import replacing
 from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
+from ..schemas.certificates import check_role, check_valid, common_name
 from ..schemas.errors import LinkError, PerfboundError, RefusedError, one_line
 from ..schemas.link import Tls, asks_for_secret
 from ..schemas.secret import VARIABLE, shared_secret
@@ -122,6 +122,8 @@ def serve(
         secret = shared_secret(loopback=all(map(asks_for_secret, endpoints)) and not insecure)
         # The system under test, and the programs that it starts, have no use for it.
         os.environ.pop(VARIABLE, None)
+        if tls and identity is None:  # local workers show the certificate of their orchestrator
+            check_role(tls.certificate, "worker")
         own = common_name(tls.certificate) if tls else ""
         name = name or (own if keys.NAME.fullmatch(own) else "worker")
         _serve(LinkOptions(endpoints, tls, secret, own), name, run, identity)
@@ -160,7 +162,7 @@ def _serve(link: LinkOptions, name: str, run: str | None, identity: str | None) 
     from .worker import WorkerProcess  # noqa: PLC0415
 
     started = identity or keys.fresh_id(name)
-    with connect(link.endpoints, link.tls, _waiting(link.endpoints), link.secret) as uplink:
+    with connect(link.endpoints, link.tls, _waiting(link), link.secret) as uplink:
         while True:
             orchestrator, chosen = _choose(uplink, run, link)
             if identity is None and uplink.by_certificate(orchestrator) and name != link.common_name:
@@ -178,14 +180,14 @@ def _serve(link: LinkOptions, name: str, run: str | None, identity: str | None) 
             started = keys.fresh_id(name)
 
 
-def _waiting(endpoints: tuple[str, ...]) -> Callable[[], None]:
+def _waiting(link: LinkOptions) -> Callable[[], None]:
     from ..schemas.unanswered import no_link  # noqa: PLC0415
 
     last = [time.monotonic()]
 
     def waiting() -> None:
         if time.monotonic() - last[0] > 5:
-            click.echo(f"perfbound-worker: {no_link(endpoints, 'worker')}", err=True)
+            click.echo(f"perfbound-worker: {no_link(link.endpoints, 'worker', link.tls)}", err=True)
             last[0] = time.monotonic()
 
     return waiting
@@ -201,6 +203,8 @@ def _choose(uplink: "ZenohUplink", run: str | None, link: LinkOptions) -> tuple[
                 return orchestrator, found
         if time.monotonic() - last > 10:
             last = time.monotonic()
+            if link.tls:
+                check_valid(link.tls.certificate)  # its link is closed when it ends
             line = no_orchestrator(link.endpoints, run, strangers=uplink.strangers, common_name=link.common_name)
             click.echo(f"perfbound-worker: {line}", err=True)
         time.sleep(0.02)

@@ -92,7 +92,7 @@ def list_issued(*, folder: Path | None) -> None:
         verb = "ended at" if each.ended else "ends at"
         hosts = f"   {', '.join(each.order.hosts)}" if each.order.hosts else ""
         click.echo(f"{each.order.role:12} {each.order.name:24} {verb:8} {time_text(each.ends)}{hosts}")
-    allowed = _allowed(found)
+    allowed = _allow_options(found)
     click.echo(f"options of a router: {shlex.join(allowed)}" if allowed else "no worker or orchestrator yet")
 
 
@@ -122,7 +122,7 @@ def _commands(role: "Role", options: list[str], known: "Sequence[Issued]") -> li
     """Return the command of the host of a certificate; without a router, an orchestrator has one more."""
     routers = [each.order.hosts[0] for each in known if each.order.role == "router" and not each.ended]
     to_router = ["--connect", f"tls/{_bracketed(routers[-1])}:{PORT}" if routers else f"tls/ROUTER:{PORT}"]
-    listen, allowed = ["--listen", f"tls/0.0.0.0:{PORT}"], _allowed(known)
+    listen, allowed = ["--listen", f"tls/0.0.0.0:{PORT}"], _allow_options(known)
     if role == "worker":
         return [["perfbound-worker", *to_router, *options]]
     if role == "router":
@@ -132,7 +132,7 @@ def _commands(role: "Role", options: list[str], known: "Sequence[Issued]") -> li
     return [["perfbound", "orchestrate", "CAMPAIGN.toml", *way, *options] for way in ways]
 
 
-def _allowed(known: "Sequence[Issued]") -> list[str]:
+def _allow_options(known: "Sequence[Issued]") -> list[str]:
     """Return the options by which a router lets the issued workers and orchestrators in."""
     names = {(each.order.role, each.order.name): each for each in known if not each.ended}
     option = {"worker": "--allow", "orchestrator": "--allow-orchestrator"}

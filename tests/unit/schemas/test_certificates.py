@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Callable
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from cryptography.hazmat.primitives.serialization import BestAvailableEncryption
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perfbound.schemas.certificates import check_host, check_link_files, check_role, common_name
+from perfbound.schemas.certificates import check_host, check_link_files, check_role, common_name, ends_soon
 from perfbound.schemas.errors import LinkError
 from perfbound.schemas.link import Tls
 from tests.fakes.certificates import DAY, Site, now
@@ -30,7 +31,7 @@ def check(tls: Tls, *, listens: bool = False, connects: bool = True) -> None:
     check_link_files(tls.ca, tls.certificate, tls.key, listens=listens, connects=connects)
 
 
-def fault(call: Callable[[], None]) -> str:
+def fault(call: Callable[[], object]) -> str:
     with pytest.raises(LinkError) as refused:
         call()
     assert "\n" not in str(refused.value)
@@ -211,5 +212,19 @@ def test_a_certificate_of_another_role(site: Site) -> None:
     check_role(tls.certificate, "router", "worker")
 
 
-def test_the_common_name_of_a_certificate(site: Site) -> None:
-    assert common_name(site.tls("node-1", "worker").certificate) == "node-1"
+def test_the_common_name_of_a_certificate(tmp_path: Path) -> None:
+    authority, path = trustme.CA(), tmp_path / "c.pem"
+    for name in ("worker-1", None):
+        authority.issue_cert("127.0.0.1", common_name=name).cert_chain_pems[0].write_to_path(path)
+        assert common_name(str(path)) == (name or "")
+    path.write_text("no certificate")
+    for wrong in (path, tmp_path):
+        assert "not the PEM file of a certificate" in fault(partial(common_name, str(wrong)))
+    assert "no such file" in fault(lambda: common_name(str(tmp_path / "missing")))
+
+
+@pytest.mark.parametrize(("days", "soon"), [(1, True), (3, False)])
+def test_a_certificate_that_ends_soon_is_announced(site: Site, days: int, soon: bool) -> None:
+    line = ends_soon(site.tls("main", "orchestrator", days=days).certificate)
+    assert bool(line) is soon
+    assert not line or f"ends at {now() + days * DAY:%Y-%m-%d}" in line
