@@ -5,7 +5,6 @@ keys of a worker have its name and a random suffix: `NAME-$*` in Zenoh's key exp
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from . import keys
@@ -59,23 +58,6 @@ def _denied_but(rules: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, A
         "subjects": [{"id": name, "cert_common_names": [name]} for name in rules],
         "policies": [{"subjects": [name], "rules": [rule["id"] for rule in each]} for name, each in rules.items()],
     }
-
-
-def common_name(certificate: str) -> str:
-    """Return the common name of a certificate in a PEM file; empty if it has none.
-
-    Raises:
-        LinkError: the file cannot be read, or is no certificate.
-
-    """
-    from cryptography import x509  # noqa: PLC0415  (for links with certificates alone)
-
-    try:
-        subject = x509.load_pem_x509_certificate(Path(certificate).read_bytes()).subject
-    except (OSError, ValueError):
-        raise LinkError(f"{certificate}: not the PEM file of a certificate; fix the TLS options") from None
-    found = subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
-    return str(found[0].value) if found else ""
 
 
 def _check_name(name: str, names: Sequence[str], own: str) -> None:

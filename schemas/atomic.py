@@ -4,8 +4,10 @@ Each file is written beside its place, synced, and moved; then its folder is syn
 rename as well as bytes.
 """
 
+import errno
 import os
 import secrets
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -126,6 +128,33 @@ def write_new(contents: Mapping[Path, tuple[bytes, int]]) -> None:
     finally:
         for partial in partials.values():
             partial.unlink(missing_ok=True)
+
+
+def write_folder(folder: Path, contents: Mapping[str, tuple[bytes, int]]) -> None:
+    """Create a folder that this user alone can open, with files (bytes, mode); it appears whole, also after a kill.
+
+    Raises:
+        FileExistsError: there is something in its place, other than an empty folder.
+        OSError: the disk is full or the folder above cannot be written; nothing is left.
+
+    """
+    try:
+        make_folder(folder.parent)
+    except FileExistsError:
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder.parent)) from None
+    partial = temporary(folder, f".{secrets.token_hex(4)}")
+    partial.mkdir(mode=0o700)
+    try:
+        for name, (data, mode) in contents.items():
+            _create(partial / name, data, mode)
+        sync(partial)
+        partial.rename(folder)  # an empty folder is replaced, another one refused
+        sync(folder.parent)
+    except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        if error.errno in (errno.ENOTEMPTY, errno.ENOTDIR, errno.EEXIST):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(folder)) from None
+        raise
 
 
 def _create(path: Path, data: bytes, mode: int) -> None:

@@ -42,6 +42,10 @@ class SecretError(LinkError):
     """The secret of this user cannot be used."""
 
 
+class AuthorityError(PerfboundError):
+    """The certificate authority cannot be used as asked."""
+
+
 class MessageError(PerfboundError):
     """The message is not acceptable."""
 

@@ -5,13 +5,12 @@ import json
 import re
 import socket
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 from .base import Model
+from .certificates import check_host, check_link_files
 from .errors import LinkError
 from .messages import MAX_RESULT
-from .outside import exposed
 from .seal import link_password
 
 LEASE_MS = 2000
@@ -53,14 +52,14 @@ def listen_config(
     `schemas.access`.
 
     Raises:
-        LinkError: the endpoint is malformed, or open to others without TLS, or a TLS file is missing.
+        LinkError: the endpoint is malformed, or open to others without TLS, or a TLS file cannot be used.
 
     """
     _check_accepting(endpoint, tls, insecure=insecure)
     user = None if passwords is None else {"dictionary_file": passwords}
-    return json.dumps(
-        {**_accepting(tls, ("listen",), user, access), "mode": "peer", "listen": {"endpoints": [endpoint]}}
-    )
+    node = _accepting(tls, ("listen",), user, access)
+    _check_hosts([endpoint], tls)
+    return json.dumps({**node, "mode": "peer", "listen": {"endpoints": [endpoint]}})
 
 
 def connect_config(endpoints: Sequence[str], tls: Tls | None, secret: bytes | None = None) -> str:
@@ -69,7 +68,7 @@ def connect_config(endpoints: Sequence[str], tls: Tls | None, secret: bytes | No
     Of several endpoints one is used at a time; when its link ends, the next one is tried.
 
     Raises:
-        LinkError: an endpoint is malformed, or a TLS file is missing.
+        LinkError: an endpoint is malformed, or a TLS file cannot be used.
 
     """
     for endpoint in endpoints:
@@ -96,7 +95,7 @@ def router_config(
     """Return the Zenoh configuration of a router that listens at `endpoints` and links itself with other `routers`.
 
     Raises:
-        LinkError: an endpoint is malformed, or open to others without TLS, or a TLS file is missing.
+        LinkError: an endpoint is malformed, or open to others without TLS, or a TLS file cannot be used.
 
     """
     for endpoint in endpoints:
@@ -104,9 +103,11 @@ def router_config(
     for endpoint in routers:
         _checked_endpoint("--connect", endpoint, tls)
     user = None if passwords is None or secret is None else {**_user(secret), "dictionary_file": passwords}
+    node = _accepting(tls, ("listen", "connect") if routers else ("listen",), user, access)
+    _check_hosts(endpoints, tls)
     return json.dumps(
         {
-            **_accepting(tls, ("listen", "connect"), user, access),
+            **node,
             "mode": "router",
             "listen": {"endpoints": list(endpoints)},
             # It serves its own links while another router is away, and tries again for as long as it runs.
@@ -217,6 +218,14 @@ def _check_accepting(endpoint: str, tls: Tls | None, *, insecure: bool) -> None:
         )
 
 
+def _check_hosts(endpoints: Sequence[str], tls: Tls | None) -> None:
+    """Refuse to listen where every side that connects would refuse the certificate."""
+    for endpoint in endpoints:
+        protocol, host = split(endpoint)
+        if protocol in ENCRYPTED and tls is not None:
+            check_host(tls.certificate, host)
+
+
 def _accepting(
     tls: Tls | None, sides: Sequence[Side], user: Mapping[str, str] | None, access: Mapping[str, Any] | None
 ) -> dict[str, Any]:
@@ -236,11 +245,7 @@ def _common(tls: Tls | None, sides: Sequence[Side], user: Mapping[str, str] | No
         "rx": {"max_message_size": MAX_RESULT + 1024 * 1024},
     }
     if tls is not None:
-        for path in (tls.ca, tls.certificate, tls.key):
-            if not Path(path).is_file():
-                raise LinkError(f"{path}: no such file; the TLS options name PEM files")
-        if exposed(Path(tls.key).stat()):
-            raise LinkError(f"{tls.key}: others can read this private key; run `chmod 600` on it")
+        check_link_files(tls.ca, tls.certificate, tls.key, listens="listen" in sides, connects="connect" in sides)
         link["tls"] = {
             "root_ca_certificate": tls.ca,
             **{f"{side}_certificate": tls.certificate for side in sides},

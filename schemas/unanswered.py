@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 from .errors import SecretError
-from .link import ENCRYPTED, split
+from .handshake import refusal, speaks_tls
+from .link import Tls, split
 from .secret import VARIABLE, secret_file
 
 EXPECTED = {"worker": "the orchestrator or router", "orchestrator": "the router"}
@@ -15,23 +16,29 @@ PROBE = 1.0
 """Seconds for a TCP connection, which something that listens accepts at once."""
 
 
-def no_link(endpoints: Sequence[str], side: Literal["worker", "orchestrator"]) -> str:
+def no_link(endpoints: Sequence[str], side: Literal["worker", "orchestrator"], tls: Tls | None) -> str:
     """Return the line for a link that opens at none of `endpoints`: nothing listens, or what listens refuses this side.
 
     `side` is this one.
     """
-    return "; ".join(_no_link(endpoint, side) for endpoint in endpoints)
+    return "; ".join(_no_link(endpoint, side, tls) for endpoint in endpoints)
 
 
-def _no_link(endpoint: str, side: str) -> str:
+def _no_link(endpoint: str, side: str, tls: Tls | None) -> str:
     protocol, _ = split(endpoint)
     if protocol == "quic" or not _listens(endpoint):
         certificates = ", and that both certificates are signed by --tls-ca" if protocol == "quic" else ""
         return f"no answer from {endpoint} yet; check the address, and that {EXPECTED[side]} runs{certificates}"
-    if protocol in ENCRYPTED:
+    host, port = _host_and_port(endpoint)
+    if tls is not None:
+        if reason := refusal(host, port, tls):
+            return reason
         remedy = (
-            f"check that both certificates are valid and signed by --tls-ca, and that {VARIABLE} is the same, or unset"
+            f"no certificate is at fault; check that {VARIABLE} is the same on both sides, or unset, and that it is a "
+            "tls/ endpoint"
         )
+    elif speaks_tls(host, port):
+        return f"{endpoint} is encrypted; write tls/HOST:PORT, with --tls-ca, --tls-certificate and --tls-key"
     else:
         remedy = both_ways()
     return f"something listens at {endpoint}, but refuses this {side}: {remedy}"
@@ -57,10 +64,13 @@ def both_ways() -> str:
     return f"set {VARIABLE} to the same text for both"
 
 
+def _host_and_port(endpoint: str) -> tuple[str, int]:
+    return split(endpoint)[1], int(endpoint.rsplit(":", 1)[1])
+
+
 def _listens(endpoint: str) -> bool:
-    host, port = split(endpoint)[1], int(endpoint.rsplit(":", 1)[1])
     try:
-        socket.create_connection((host, port), timeout=PROBE).close()
+        socket.create_connection(_host_and_port(endpoint), timeout=PROBE).close()
     except OSError:
         return False
     return True

@@ -12,10 +12,10 @@ from typing import Any
 import click
 
 from ..schemas import keys
-from ..schemas.access import common_name
 from ..schemas.atomic import replacing
 from ..schemas.base import canonical_json
 from ..schemas.blas import one_blas_thread
+from ..schemas.certificates import check_role, common_name
 from ..schemas.errors import LinkError, PerfboundError
 from ..schemas.link import Tls, asks_for_secret
 from ..schemas.secret import VARIABLE, shared_secret
@@ -142,6 +142,8 @@ def serve(
         secret = shared_secret(loopback=all(map(asks_for_secret, endpoints)) and not insecure)
         # The system under test, and the programs that it starts, have no use for it.
         os.environ.pop(VARIABLE, None)
+        if tls and identity is None:  # local workers show the certificate of their orchestrator
+            check_role(tls.certificate, "worker")
         own = common_name(tls.certificate) if tls else ""
         name = name or (own if keys.NAME.fullmatch(own) else "worker")
         from .serving import Life, LinkOptions, serve_campaigns  # noqa: PLC0415

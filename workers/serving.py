@@ -8,6 +8,7 @@ from typing import NamedTuple
 import click
 
 from ..schemas import keys
+from ..schemas.certificates import check_valid
 from ..schemas.errors import RefusedError
 from ..schemas.link import Tls
 from ..schemas.unanswered import no_link, no_orchestrator
@@ -64,7 +65,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
     """Serve campaigns, only that of `run` if it is given; return the exit code.
 
     Raises:
-        LinkError: the endpoint is malformed or a TLS file is missing.
+        LinkError: the endpoint is malformed, or a TLS file is missing or no longer valid.
 
     """
     started, finished = identity or keys.fresh_id(name), set[str]()
@@ -99,7 +100,7 @@ def _waiting(link: LinkOptions, life: Life) -> Callable[[], None]:
         nonlocal last
         life.check()
         if time.monotonic() - last > 5:
-            click.echo(f"perfbound-worker: {no_link(link.endpoints, 'worker')}", err=True)
+            click.echo(f"perfbound-worker: {no_link(link.endpoints, 'worker', link.tls)}", err=True)
             last = time.monotonic()
 
     return waiting
@@ -116,6 +117,8 @@ def _choose(uplink: ZenohUplink, run: str | None, link: LinkOptions, life: Life,
         life.check()
         if time.monotonic() - last > 10:
             last = time.monotonic()
+            if link.tls:
+                check_valid(link.tls.certificate)  # its link is closed when it ends
             line = no_orchestrator(link.endpoints, run, strangers=uplink.strangers, common_name=link.common_name)
             click.echo(f"perfbound-worker: {line}", err=True)
         time.sleep(LOOK)

@@ -56,6 +56,7 @@ def router(
     It stores nothing: it may be stopped and started again while campaigns run.
     """
     from ...schemas.access import router_rules  # noqa: PLC0415
+    from ...schemas.certificates import check_role, ends_soon  # noqa: PLC0415
     from ...schemas.errors import LinkError  # noqa: PLC0415
     from ...schemas.link import asks_for_secret  # noqa: PLC0415
     from ...schemas.secret import shared_secret  # noqa: PLC0415
@@ -65,6 +66,10 @@ def router(
     files, rules = tls_of(**tls), router_rules(allow, allow_orchestrator, allow_router)
     if rules is not None and files is None:
         raise LinkError("--allow: needs tls/ endpoints, --tls-ca, --tls-certificate and --tls-key")
+    if files is not None:
+        check_role(files.certificate, "router")
+        if end := ends_soon(files.certificate):
+            _print(end)
     secret = shared_secret(loopback=all(map(asks_for_secret, endpoints)))
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

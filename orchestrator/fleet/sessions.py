@@ -85,7 +85,7 @@ def connected(
             return zenoh.open(zenoh.Config.from_json5(config))
         except zenoh.ZError:
             if time.monotonic() - told > REPEAT:
-                print_line(no_link(endpoints, "orchestrator"))
+                print_line(no_link(endpoints, "orchestrator", tls))
                 told = time.monotonic()
             time.sleep(PAUSE)
 

@@ -5,7 +5,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
-from ...schemas.access import access_rules, common_name
+from ...schemas.access import access_rules
+from ...schemas.certificates import check_role, common_name, ends_soon
 from ...schemas.errors import LinkError
 from ...schemas.link import Tls, asks_for_secret
 from ...schemas.secret import shared_secret
@@ -66,6 +67,10 @@ class Link:
 
         """
         access = self.access(local_workers=local_workers)
+        if self.tls is not None:
+            check_role(self.tls.certificate, "orchestrator")
+            if end := ends_soon(self.tls.certificate):
+                print_line(end)
         if self.routers:
             return connect_to_router(self.routers, self.tls, self.secret(), print_line, grace=self.grace)
         return listen(self.endpoint, self.tls, insecure=self.insecure, secret=self.secret(), access=access)

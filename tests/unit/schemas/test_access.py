@@ -1,11 +1,8 @@
-"""Access rules: names that are apart, and certificates that have one."""
-
-from pathlib import Path
+"""Access rules: names that are apart."""
 
 import pytest
-import trustme
 
-from perfbound.schemas.access import access_rules, common_name
+from perfbound.schemas.access import access_rules
 from perfbound.schemas.errors import LinkError
 
 
@@ -44,14 +41,3 @@ def test_names_that_are_not_apart_are_refused(allowed: list[str], reason: str) -
         access_rules(allowed, "server")
     assert str(refused.value).startswith("--allow ")
     assert "\n" not in str(refused.value)
-
-
-def test_the_common_name_of_a_certificate(tmp_path: Path) -> None:
-    authority, path = trustme.CA(), tmp_path / "c.pem"
-    for name in ("worker-1", None):
-        authority.issue_cert("127.0.0.1", common_name=name).cert_chain_pems[0].write_to_path(path)
-        assert common_name(str(path)) == (name or "")
-    path.write_text("no certificate")
-    for wrong in (path, tmp_path, tmp_path / "missing"):
-        with pytest.raises(LinkError, match="not the PEM file of a certificate"):
-            common_name(str(wrong))

@@ -14,8 +14,9 @@ from perfbound.orchestrator.certificate.sign import sign_certificate
 from perfbound.results import read_certificate, read_trajectory
 from perfbound.schemas.campaign_file import load_campaign
 from perfbound.schemas.errors import CampaignError, EvidenceError, LinkError, SignatureError
-from perfbound.schemas.link import Tls, connect_config, listen_config
+from perfbound.schemas.link import connect_config, listen_config
 from perfbound.schemas.outside import exposed, read_outside
+from tests.fakes.certificates import Site
 from tests.fakes.finished import a_list, finish, play
 
 
@@ -69,16 +70,14 @@ def test_a_file_of_starts_is_no_pipe(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", [0o666, 0o640, 0o604, 0o620])
 def test_a_private_key_of_tls_is_private(tmp_path: Path, mode: int) -> None:
-    for name in ("ca", "certificate", "key"):
-        (tmp_path / name).write_text("PEM")
-    tls = Tls(**{name: str(tmp_path / name) for name in ("ca", "certificate", "key")})
-    (tmp_path / "key").chmod(mode)
-    message = re.escape(f"{tmp_path / 'key'}: others can read this private key; run `chmod 600` on it")
+    tls = Site(tmp_path).tls("main", "orchestrator", "127.0.0.1")
+    Path(tls.key).chmod(mode)
+    message = re.escape(f"{tls.key}: others can read this private key; run `chmod 600` on it")
     with pytest.raises(LinkError, match=message):
         listen_config("tls/127.0.0.1:0", tls, insecure=False)
     with pytest.raises(LinkError, match=message):
         connect_config(["tls/127.0.0.1:1"], tls)
-    (tmp_path / "key").chmod(0o600)
+    Path(tls.key).chmod(0o600)
     assert "enable_mtls" in connect_config(["tls/127.0.0.1:1"], tls)
 
 
