@@ -110,12 +110,17 @@ def parsed(line: tuple[str, ...]) -> dict[str, Any]:
     context = click.Context(command, info_name=program)
     given, beyond, _ = command.make_parser(context).parse_args(list(rest))
     assert not beyond, f"too many words: {beyond}"
+    found = {}
     for each in command.params:
-        if each.name in given and isinstance(given[each.name], str | list):
-            given[each.name] = each.type_cast_value(context, given[each.name])
-        elif each.required and each.name not in given:
+        assert each.name is not None
+        value = given.get(each.name)
+        if isinstance(value, str | bool | list | tuple):
+            # By the name of the option: that of the function's parameter may be another.
+            flag = max(each.opts, key=len).lstrip("-").replace("-", "_")
+            found[flag] = each.type_cast_value(context, value)
+        elif each.required:
             raise click.MissingParameter(ctx=context, param=each)
-    return given
+    return found
 
 
 def entrypoint(target: str) -> list[str]:

@@ -3,6 +3,7 @@
 import os
 import re
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -48,10 +49,10 @@ def test_a_wrong_option_would_be_found() -> None:
 
 
 @pytest.mark.parametrize("started", [compose_started, kubernetes_started, systemd_started])
-def test_all_connect_to_the_port_of_the_router(started: "type[dict[str, Started]]") -> None:
+def test_all_connect_to_the_port_of_the_router(started: Callable[[], dict[str, Started]]) -> None:
     """And the router lets in those names that the others have in their certificates."""
     found = {each.place: each.options() for each in started().values()}
-    (router,) = [options for options in found.values() if "allow_router" in options or "allow_orchestrator" in options]
+    (router,) = [options for options in found.values() if "allow_orchestrator" in options]
     ports = {port(each) for options in found.values() for each in options.get("connect", ())}
     assert ports == {port(each) for each in router["listen"]}
     assert tuple(router["allow"]) == ("worker",)
@@ -73,18 +74,17 @@ def test_a_worker_ends_before_it_is_killed(place: str) -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_variables_are_known_to_the_code(path: Path) -> None:
-    code = "".join(
-        each.read_text() for folder in ("schemas", "orchestrator", "workers") for each in (ROOT / folder).rglob("*.py")
-    )
+    sources = (each for folder in ("schemas", "orchestrator", "workers") for each in (ROOT / folder).rglob("*.py"))
+    code = "".join(each.read_text() for each in sources)
     for name in re.findall(r"PERFBOUND_\w+", path.read_text()):
         assert f'"{name}"' in code, name
 
 
 @pytest.mark.parametrize("exists", [False, True])
 def test_a_campaign_is_begun_once_and_then_continued(tmp_path: Path, exists: bool) -> None:
-    for name, text in {"perfbound": '#!/bin/sh\nprintf "%s\\n" perfbound "$@"\n'}.items():
-        (tmp_path / name).write_text(text)
-        (tmp_path / name).chmod(0o755)
+    program = tmp_path / "perfbound"
+    program.write_text('#!/bin/sh\nprintf "%s\\n" perfbound "$@"\n')
+    program.chmod(0o755)
     directory = tmp_path / "a run; true"
     directory.mkdir()
     if exists:

@@ -132,6 +132,11 @@ def test_ports_agree() -> None:
         assert kubernetes_started()[name].options()["connect"] == (f"tls/{service['metadata']['name']}:{number}",)
 
 
+def targets_of(peer: dict[str, Any]) -> set[str]:
+    """Return the pods that a policy lets others reach; `names` for those that resolve names."""
+    return selected(peer["podSelector"]) if "podSelector" in peer else {"names"}
+
+
 def test_the_network_has_the_port_of_the_router_and_names_alone() -> None:
     (listen,) = kubernetes_started()["router"].options()["listen"]
     router = (("TCP", int(listen.rpartition(":")[2])),)
@@ -146,11 +151,7 @@ def test_the_network_has_the_port_of_the_router_and_names_alone() -> None:
             incoming |= {(pod, source, ports) for pod in selected(policy["podSelector"]) for source in sources}
         for rule in policy.get("egress", ()):
             ports = tuple((each["protocol"], each["port"]) for each in rule["ports"])
-            targets = (
-                {pod for each in rule["to"] for pod in selected(each["podSelector"]) if "podSelector" in each}
-                if all("podSelector" in each for each in rule["to"])
-                else {"names"}
-            )
+            targets = {target for each in rule["to"] for target in targets_of(each)}
             outgoing |= {(pod, target, ports) for pod in selected(policy["podSelector"]) for target in targets}
     names = (("UDP", 53), ("TCP", 53))
     assert incoming == {("router", "orchestrator", router), ("router", "workers", router)}
