@@ -219,7 +219,8 @@ def simulate(request: str, out: Path) -> None:
 def pilot(requests: Path, seconds: float, out: Path) -> None:
     """Run rollouts one after the other in this process; `K.mcap` is the file of the K-th request, from 0.
 
-    A first file, `loaded`, says that the systems in files are loaded.
+    A first file, `loaded`, says that the systems in files are loaded; at the end it has the memory of this process at
+    most, in kB.
     """
     _be_child()
     (out / "loaded").touch()
@@ -228,6 +229,8 @@ def pilot(requests: Path, seconds: float, out: Path) -> None:
         if number and time.monotonic() > end:
             break
         (out / f"{number}.mcap").write_bytes(_trajectory_file(request))
+    status = Path("/proc/self/status").read_text()  # `getrusage` counts the process that started this one as well
+    (out / "loaded").write_text(status.partition("VmHWM:")[2].split()[0])
 
 
 def _trajectory_file(request: str) -> bytes:

@@ -76,6 +76,11 @@ def finished(
         yield request, trajectory, path.stat().st_mtime
 
 
+def peak_memory(folder: Path) -> int:
+    """Return the bytes of memory that the child had at most, after its rollouts."""
+    return 1024 * int((folder / "loaded").read_text())
+
+
 def _file(folder: Path, number: int) -> Path:
     return folder / f"{number}.mcap"
 

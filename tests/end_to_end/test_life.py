@@ -1,18 +1,12 @@
 """The life of an orchestrator process: draining, systemd, log lines for programs, a file that was changed."""
 
 import json
-import shutil
 import signal
 import socket
-import subprocess
 from pathlib import Path
-
-import pytest
 
 from tests.end_to_end.processes import Processes, query, recorded, under_way, wait_for, write_campaign
 from tests.patience import PATIENCE
-
-UNITS = Path(__file__).parents[2] / "deploy" / "systemd"
 
 
 def test_draining_loses_no_rollout_that_was_begun(started: Processes, calm: Path) -> None:
@@ -81,16 +75,3 @@ def test_a_changed_file_is_refused_with_the_difference(started: Processes) -> No
     ended = started.run("perfbound", "run", campaign, "--out", directory)
     assert ended.code == 1
     assert "max_tests is 2 and 3; risk_weight is 0.2 and 0.3, respectively" in ended.fault
-
-
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="install systemd for systemd-analyze")
-@pytest.mark.parametrize("unit", sorted(path.name for path in UNITS.glob("*.service")))
-def test_the_units_are_accepted_by_systemd(tmp_path: Path, unit: str) -> None:
-    """With programs that exist here in the place of ours."""
-    text = (UNITS / unit).read_text().replace("/opt/perfbound/.venv/bin/", "/bin/true ")
-    name = unit.replace("@.", "@1.")
-    (tmp_path / name).write_text(text.replace("WorkingDirectory=/srv/perfbound", "WorkingDirectory=/"))
-    found = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", tmp_path / name], capture_output=True, text=True, check=False
-    )
-    assert (found.returncode, found.stderr) == (0, "")

@@ -1,0 +1,254 @@
+"""What a campaign will need from a fleet: time, storage, memory and network, from a pilot and the size of its problems.
+
+| symbol | name         | meaning                                                        | unit |
+|--------|--------------|----------------------------------------------------------------|------|
+| c      | `seconds`    | time of a rollout on one worker                                | s    |
+| n      | `tests`      | tests of a problem, a range                                    | 1    |
+| k      | `per_test`   | rollouts of a test                                             | 1    |
+| w      | `window`     | tests of a problem in flight                                   | 1    |
+| g      | `thinking`   | time of a problem's mathematics in all                         | s    |
+| N      | `workers`    | workers                                                        | 1    |
+| K      | `side_by_side` | rollouts that can run at the same time: sum of w k           | 1    |
+
+The rollouts take at least (sum of n k c) / min(N, K), and each problem n/w rounds one after the other. The loop of the
+orchestrator does the mathematics and takes the results, one at a time. A range goes from all of this at the same time, at
+the fewest tests, to one after the other, at the most tests. Standard library only.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ...schemas.values import Guess
+
+RESULT_SECONDS = 1.8e-3
+"""CPU time of the orchestrator for a result of 100 kB, see docs/scale.md."""
+HEARTBEAT_SECONDS = 105e-6
+"""CPU time of the orchestrator for a heartbeat, in the transport and in the loop, see docs/scale.md."""
+HEARTBEATS = 2.0
+"""Of a worker in a second."""
+MESSAGE = 300
+"""Bytes of a heartbeat, or of an assignment, on the wire."""
+ROUND_TRIP = 0.01
+"""Seconds between the end of a rollout and the start of the next one on the same worker."""
+DATABASE_BYTES = 460
+"""Of a rollout, with its part of test and bound, see docs/scale.md."""
+BLOCK = 4096
+"""Bytes of a block of a file system."""
+REPORT_BYTES = 20_000_000
+"""Certificate, manifest and report at most, beside a kilobyte for each rollout."""
+BASE_BYTES = 150_000_000
+"""Memory of an orchestrator with few rollouts."""
+ROLLOUT_BYTES = 53
+"""Memory of the orchestrator for a rollout, see docs/scale.md."""
+CLOSING = (0.5, 3.0, 20.0)
+"""Seconds from the last rollout to the exit: certificate and report; low, middle, high."""
+FASTER, SLOWER = 0.6, 2.0
+"""A rollout in the campaign, in times of the pilot's: on a machine that is idle, or busy."""
+BUSY = 0.7
+"""Share of one core from which on the orchestrator limits the campaign."""
+
+
+@dataclass(frozen=True, slots=True)
+class PilotFigures:
+    """What a pilot measured of one worker."""
+
+    rollouts: int
+    seconds: float
+    """Of a rollout, the median."""
+    startup: float
+    """Seconds until a worker has simulated its first rollout."""
+    size: float
+    """Bytes of the file of a rollout, the mean."""
+    memory: int
+    """Bytes of the process at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemSize:
+    """The tests of one problem, or of a closing check."""
+
+    name: str
+    tests: Guess
+    per_test: int
+    window: int
+    basis: str
+    thinking: Guess = Guess(0.0, 0.0, 0.0)
+    matrix: tuple[int, int] = (0, 0)
+    """Rows that a test adds to the matrices of the method, at most: (columns that grow with the tests, fixed ones)."""
+
+    @property
+    def rollouts(self) -> Guess:
+        """Its rollouts."""
+        return Guess(self.tests.middle * self.per_test, self.tests.low * self.per_test, self.tests.high * self.per_test)
+
+    @property
+    def side_by_side(self) -> int:
+        """Its rollouts that can run at the same time."""
+        return max(1, min(self.window, math.ceil(self.tests.high))) * self.per_test
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """The share of a core that the loop of the orchestrator needs while the problems run."""
+
+    results: float
+    heartbeats: float
+    results_per_second: float
+    heartbeats_per_second: float
+
+    @property
+    def whole(self) -> float:
+        """Both shares."""
+        return self.results + self.heartbeats
+
+    @property
+    def limits(self) -> bool:
+        """Whether the orchestrator, and not the workers, decides how long it takes."""
+        return self.whole > BUSY
+
+
+@dataclass(frozen=True, slots=True)
+class FleetPlan:
+    """What a campaign will need."""
+
+    workers: int
+    pilot: PilotFigures
+    problems: tuple[ProblemSize, ...]
+    checks: tuple[ProblemSize, ...]
+    rollouts: Guess
+    seconds: Guess
+    useful_workers: int
+    """More of them have nothing to do while the problems run."""
+    useful_in_checks: int
+    files: Guess
+    """Bytes of the trajectories on the disk."""
+    storage: Guess
+    """Bytes of the run directory."""
+    memory: Guess
+    """Bytes of the orchestrator."""
+    network: float
+    """Bytes per second into the router, and out of it."""
+    load: Load
+
+
+def fleet_plan(
+    workers: int, pilot: PilotFigures, problems: Sequence[ProblemSize], checks: Sequence[ProblemSize]
+) -> FleetPlan:
+    """Return what a campaign needs from `workers` workers."""
+    useful = sum(each.side_by_side for each in problems)
+    rollouts = _sum([each.rollouts for each in (*problems, *checks)])
+    load = orchestrator_load(workers, pilot, useful)
+    files = Guess(
+        rollouts.middle * (pilot.size + BLOCK / 2),
+        rollouts.low * pilot.size * 0.8,
+        rollouts.high * (pilot.size * 1.25 + BLOCK),
+    )
+    rate = load.results_per_second
+    return FleetPlan(
+        workers=workers,
+        pilot=pilot,
+        problems=tuple(problems),
+        checks=tuple(checks),
+        rollouts=rollouts,
+        seconds=campaign_seconds(workers, pilot, problems, checks),
+        useful_workers=useful,
+        useful_in_checks=max((each.side_by_side for each in checks), default=0),
+        files=files,
+        storage=Guess(
+            files.middle + rollouts.middle * DATABASE_BYTES + REPORT_BYTES / 20,
+            files.low + rollouts.low * DATABASE_BYTES,
+            files.high + rollouts.high * (2 * DATABASE_BYTES + 1000) + REPORT_BYTES,
+        ),
+        memory=orchestrator_memory(problems, rollouts),
+        network=rate * (pilot.size + 2 * MESSAGE) + HEARTBEATS * MESSAGE * workers,
+        load=load,
+    )
+
+
+def campaign_seconds(
+    workers: int, pilot: PilotFigures, problems: Sequence[ProblemSize], checks: Sequence[ProblemSize]
+) -> Guess:
+    """Return how long a campaign takes.
+
+    >>> one = ProblemSize("robustness", Guess(100, 100, 100), 1, 1, "fixed")
+    >>> found = campaign_seconds(4, PilotFigures(10, 2.0, 1.0, 1e5, 10**8), [one], [])
+    >>> found.low < 100 * 2.0 < found.high
+    True
+    """
+    low = [_phase(workers, FASTER * pilot.seconds, problems, "low"), *_in_turn(workers, pilot, checks, FASTER, "low")]
+    middle = [_phase(workers, pilot.seconds, problems, "middle"), *_in_turn(workers, pilot, checks, 1.0, "middle")]
+    slow = SLOWER * pilot.seconds
+    high = [_one_after_the_other(workers, slow, problems), *_in_turn(workers, pilot, checks, SLOWER, "high")]
+    return Guess(
+        pilot.startup + sum(middle) + CLOSING[1],
+        FASTER * pilot.startup + sum(low) + CLOSING[0],
+        2 * SLOWER * pilot.startup + sum(high) + CLOSING[2],
+    )
+
+
+def _in_turn(workers: int, pilot: PilotFigures, checks: Sequence[ProblemSize], times: float, end: str) -> list[float]:
+    """Return the seconds of the checks, which come one after the other."""
+    return [_phase(workers, times * pilot.seconds, [each], end) for each in checks]
+
+
+def _phase(workers: int, cost: float, sizes: Sequence[ProblemSize], end: str) -> float:
+    """Return the seconds of problems that run side by side, where everything runs at the same time that can."""
+    if not sizes:
+        return 0.0
+    rollouts = [getattr(each.rollouts, end) for each in sizes]
+    at_once = min(workers, sum(each.side_by_side for each in sizes))
+    loop = sum(rollouts) * RESULT_SECONDS * (1.0 if end != "low" else 0.3) + sum(
+        getattr(each.thinking, end) for each in sizes
+    )
+    longest = max(_rounds(each, workers, cost, end) for each in sizes)
+    return float(max(sum(rollouts) * (cost + (ROUND_TRIP if end != "low" else 0.0)) / at_once, loop, longest))
+
+
+def _rounds(size: ProblemSize, workers: int, cost: float, end: str) -> float:
+    """Return the seconds of one problem alone: its rounds, one after the other, and its mathematics between them."""
+    tests = getattr(size.tests, end)
+    at_once = min(workers, size.side_by_side)
+    trip = ROUND_TRIP if end != "low" else 0.0
+    return float(tests * size.per_test / at_once * (cost + trip) + getattr(size.thinking, end))
+
+
+def _one_after_the_other(workers: int, cost: float, sizes: Sequence[ProblemSize]) -> float:
+    """Return the seconds of problems at their most tests, where nothing of the loop runs beside the rollouts."""
+    at_once = min(workers, sum(each.side_by_side for each in sizes))
+    rollouts = sum(each.rollouts.high for each in sizes)
+    shared = rollouts * (cost + 2 * ROUND_TRIP) / at_once
+    longest = max((_rounds(each, workers, cost, "high") for each in sizes), default=0.0)
+    loop = rollouts * 2 * RESULT_SECONDS + SLOWER * sum(each.thinking.high for each in sizes)
+    return max(shared, longest) + loop
+
+
+def orchestrator_load(workers: int, pilot: PilotFigures, useful: int) -> Load:
+    """Return the load of the orchestrator while the problems run."""
+    rate = min(workers, useful) / max(pilot.seconds + ROUND_TRIP, 1e-6)
+    beats = HEARTBEATS * workers
+    return Load(rate * RESULT_SECONDS, beats * HEARTBEAT_SECONDS, rate, beats)
+
+
+def orchestrator_memory(problems: Sequence[ProblemSize], rollouts: Guess) -> Guess:
+    """Return the memory of the orchestrator: a base, each rollout, and the matrices of the methods at their largest.
+
+    A matrix is counted half in the middle of the range: a method keeps distinct starts alone.
+    """
+    largest = 0.0
+    middle = 0.0
+    for each in problems:
+        grows, fixed = each.matrix
+        largest += 8 * each.tests.high * (grows * each.tests.high + fixed)
+        middle += 8 * each.tests.middle * (grows * each.tests.middle + fixed) / 2
+    return Guess(
+        BASE_BYTES + middle + ROLLOUT_BYTES * rollouts.middle,
+        0.6 * BASE_BYTES,
+        1.5 * BASE_BYTES + 2 * largest + 2 * ROLLOUT_BYTES * rollouts.high,
+    )
+
+
+def _sum(guesses: Sequence[Guess]) -> Guess:
+    return Guess(
+        sum(each.middle for each in guesses), sum(each.low for each in guesses), sum(each.high for each in guesses)
+    )

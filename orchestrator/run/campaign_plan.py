@@ -1,0 +1,191 @@
+"""`perfbound plan`: a pilot of ten rollouts in one child process, and what the campaign will need from a fleet."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...schemas.campaign import CampaignConfig
+from ...schemas.errors import PerfboundError, Stopped, TrajectoryError
+from ...schemas.facts import Header
+from ...schemas.ids import RECHECK, SPOT_CHECK, RolloutId
+from ...schemas.problem_models import KernelProblem
+from ...schemas.rollout import RolloutRequest
+from ...schemas.trajectory import Trajectory
+from ...schemas.values import Guess
+from ..campaign.admission import check_whole
+from ..campaign.calibration_design import calibration_seed
+from ..campaign.checks import check_new
+from ..campaign.draws import Draws
+from ..campaign.fleet_plan import FleetPlan, PilotFigures, ProblemSize, fleet_plan
+from ..campaign.plan import Plans, ProblemPlan, plans
+from ..campaign.recheck import Recheck
+from ..campaign.region import Start
+from ..campaign.rehearsal import NearestStart, Rehearsal, expected_tests, rehearsed
+from ..campaign.seeds import drawn
+from ..campaign.spot_check import spot_check_plan
+from ..fleet.child import system_spec
+from ..mathematics.gp.points import point_at
+from .child_rollouts import ChildRolloutError, ChildSystem, finished, peak_memory, simulate_in_child
+
+ROLLOUTS = 10
+SECONDS = 60.0
+"""No rollout of the pilot starts later than this."""
+REHEARSAL = 15.0
+"""Seconds that a problem is rehearsed at most."""
+NAME = "plan"
+"""The place of a problem's name, which no problem has: seeds and starts of a pilot are not those of its campaign."""
+REPEATED = 2
+"""Rollouts of a noisy variant at each start."""
+
+Report = Callable[[str], None]
+"""Progress callback: what is being done."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pilot:
+    figures: PilotFigures
+    starts: tuple[Start, ...]
+    recorded: tuple[dict[str, list[Trajectory]], ...]
+
+
+def planned(config: CampaignConfig, source: Path, workers: int, report: Report = lambda _: None) -> FleetPlan:
+    """Return what the campaign of a file needs from `workers` workers; nothing is kept of its pilot.
+
+    Raises:
+        CampaignError: the campaign does not fit its system, or the system cannot be used here.
+        PerfboundError: a rollout fails, or would be refused by a campaign.
+        Stopped: with what was ended.
+
+    """
+    reference = config.system.reference(source)
+    spec = system_spec(reference, f"{source}: system.{config.system.kind}")
+    check_new(config, spec, str(source))
+    header = Header.new(config, spec, {}, run=NAME)
+    found = plans(config, header.spec)
+    try:
+        report(f"pilot of {ROLLOUTS} rollouts")
+        pilot = _pilot(header, found, ChildSystem(reference, header.spec, config.deadline, SECONDS))
+        nearest = NearestStart(pilot.starts, pilot.recorded)
+        problems = [_size(plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
+    except ChildRolloutError as error:
+        raise PerfboundError(f"{source}: {error}") from None
+    except Stopped as stop:
+        raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
+    return fleet_plan(workers, pilot.figures, problems, tuple(_checks(header, found, problems)))
+
+
+def _rehearsal(plan: ProblemPlan, header: Header, pilot: NearestStart, report: Report) -> Rehearsal | None:
+    """Return the rehearsal of a problem; None where the trajectories of the pilot do not allow one."""
+    if plan.falsify is not None:  # its tests come from a search
+        return None
+    report(f"rehearsal of {plan.name}")
+    try:
+        return rehearsed(plan, header, pilot, time=time.monotonic, most=REHEARSAL)
+    except (ValueError, ArithmeticError):
+        return None
+
+
+def _size(plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
+    tests, basis = expected_tests(plan, rehearsal)
+    thinking = Guess(0.0, 0.0, 0.0)
+    if rehearsal is not None:
+        each = [rehearsal.seconds_for(number) for number in (tests.middle, tests.low, tests.high)]
+        thinking = Guess(each[0].middle, each[1].low, each[2].high)
+    return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, _matrix(plan))
+
+
+def _matrix(plan: ProblemPlan) -> tuple[int, int]:
+    """Return how much the matrices of a method grow with a test: its factor, and its row of all candidates."""
+    parts = plan.parts or (plan,)
+    kernels = sum(isinstance(each.problem, KernelProblem) for each in parts)
+    candidates = 0 if plan.candidates is None else plan.candidates.size
+    return (kernels, kernels * candidates) if kernels else (0, 0)
+
+
+def _checks(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> Iterator[ProblemSize]:
+    """Yield the closing checks, as far as the campaign file decides them."""
+    spot = spot_check_plan(header, found.values())
+    if spot is not None:
+        starts, most = header.config.spot_check, spot.max_tests
+        words = "one rollout set a start; follow-ups at suspicious ones" if most > starts else "one rollout set a start"
+        # In tests of one rollout: a follow-up has fewer of them than the first test at a start.
+        low, high = spot.count(starts), spot.count(most)
+        yield ProblemSize(SPOT_CHECK, Guess((low + high) / 2, low, high), 1, spot.window * len(spot.rollouts), words)
+    if Recheck.wanted(header):
+        rollouts = sum(each.rollouts.low for each in problems)
+        count = int(min(header.config.recheck, rollouts))
+        yield ProblemSize(RECHECK, Guess(count, count, count), 1, count, "fixed by the campaign file")
+
+
+def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
+    """Simulate the pilot.
+
+    Raises:
+        ChildRolloutError: a rollout fails, or would be refused by a campaign.
+
+    """
+    starts, requests = _starts(header, found), []
+    for test, start in enumerate(starts):
+        for variant, count in _variants(header, found).items():
+            for replicate in range(count):
+                place = RolloutId(NAME, test, variant, replicate)
+                seed = calibration_seed(
+                    f"{header.config_sha256} {NAME}", 0, (test, replicate), variant, header.spec.seed_bits
+                )
+                requests.append(header.template.request(place, start, seed))
+    with tempfile.TemporaryDirectory(prefix="perfbound-plan-") as name:
+        folder, begin = Path(name), time.time()
+        simulate_in_child(system, requests, folder)
+        return _measured(header, starts, list(finished(system, requests, folder)), folder, begin)
+
+
+def _measured(
+    header: Header,
+    starts: Sequence[Start],
+    done: Sequence[tuple[RolloutRequest, Trajectory, float]],
+    folder: Path,
+    begin: float,
+) -> _Pilot:
+    columns, recorded = tuple(column.name for column in header.spec.columns), []
+    for request, trajectory, _ in done:
+        try:
+            check_whole(trajectory, columns, header.config.horizon)
+        except TrajectoryError as fault:
+            words = request.words(header.spec)
+            raise ChildRolloutError(f"{words}: a campaign would refuse this rollout: {fault}") from None
+        if request.test == len(recorded):
+            recorded.append({})
+        recorded[request.test].setdefault(request.variant, []).append(trajectory)
+    # A slow pilot may have ended within a start.
+    whole = [each for each in recorded if each.keys() == recorded[0].keys()]
+    startup, last = done[0][2] - begin, done[-1][2]
+    seconds = (last - done[0][2]) / (len(done) - 1) if len(done) > 1 else startup
+    sizes = [os.path.getsize(folder / f"{number}.mcap") for number in range(len(done))]
+    figures = PilotFigures(
+        rollouts=len(done),
+        seconds=max(0.0, seconds),
+        startup=max(0.0, startup),
+        size=sum(sizes) / len(sizes),
+        memory=peak_memory(folder),
+    )
+    return _Pilot(figures, tuple(starts[: len(whole)]), tuple(whole))
+
+
+def _variants(header: Header, found: Plans) -> dict[str, int]:
+    """Return the rollouts of each variant at a start of the pilot."""
+    used = dict.fromkeys(variant for plan in found.values() for variant in plan.variants)
+    return {variant: REPEATED if variant in header.spec.noisy else 1 for variant in used}
+
+
+def _starts(header: Header, found: Plans) -> list[Start]:
+    """Return starts of the space, those of the first problem: drawn ones, or candidates at random."""
+    plan, count = next(iter(found.values())), max(1, ROLLOUTS // sum(_variants(header, found).values()))
+    if plan.candidates is None:
+        draws = Draws(header, NAME)
+        return [draws.start(number) for number in range(count)]
+    # A large list without all of its permutation: the number of candidates may be millions.
+    size = plan.candidates.size
+    return [point_at(plan.candidates, node) for node in drawn(header, NAME, "", size, min(count, size))]

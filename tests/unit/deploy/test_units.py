@@ -1,0 +1,61 @@
+"""The systemd units: accepted by systemd, and with few rights."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.unit.deploy.files import UNITS, systemd_started, unit
+
+NAMES = sorted(path.name for path in UNITS.glob("*.service"))
+EXPOSURE = 15
+"""Most that `systemd-analyze security` may find, of 100; it was 87 before the units were restricted."""
+needs_systemd = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="install systemd for systemd-analyze"
+)
+
+
+def installed(folder: Path, name: str) -> Path:
+    """Write a unit with programs and folders that exist here in the place of ours."""
+    text = (UNITS / name).read_text().replace("/opt/perfbound/.venv/bin/", "/bin/true ")
+    path = folder / name.replace("@.", "@1.")
+    path.write_text(text.replace("WorkingDirectory=/srv/perfbound", "WorkingDirectory=/"))
+    return path
+
+
+@needs_systemd
+@pytest.mark.parametrize("name", NAMES)
+def test_a_unit_is_accepted_by_systemd(tmp_path: Path, name: str) -> None:
+    command = ["systemd-analyze", "verify", "--man=no", installed(tmp_path, name)]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stderr) == (0, "")
+
+
+@needs_systemd
+@pytest.mark.parametrize("name", NAMES)
+def test_a_unit_has_few_rights(tmp_path: Path, name: str) -> None:
+    path = installed(tmp_path, name)
+    command = ["systemd-analyze", "security", "--offline=yes", "--no-pager", f"--threshold={EXPOSURE}", path]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_key_is_handed_over_by_systemd(name: str) -> None:
+    settings, started = unit(UNITS / name), systemd_started()[name]
+    (credential,) = settings["LoadCredential"]
+    label, _, path = credential.partition(":")
+    options = started.options()
+    assert options["tls_key"] == f"%d/{label}"
+    folder = "/etc/perfbound"
+    assert (options["tls_ca"], Path(path).parent) == (f"{folder}/ca.pem", Path(folder))
+    assert path == options["tls_certificate"].removesuffix(".pem") + "-key.pem"
+
+
+def test_units_wait_for_units_that_exist() -> None:
+    for name in NAMES:
+        text = (UNITS / name).read_text()
+        for each in re.findall(r"perfbound[\w@-]*\.service", text):
+            assert each in NAMES
