@@ -65,6 +65,8 @@ FAULTS = {
         Fault(deaths.stop_orchestrator),
         Fault(deaths.hang_then_kill, PLUGIN),
         Fault(links.restart_router, ("function", "slow")),
+        Fault(links.router_away, ("slow",)),
+        Fault(links.restart_everything, ("slow", "function")),
         Fault(links.cut_cable, ("slow",), _no_namespaces),
         Fault(links.cut_and_kill, ("slow",), _no_namespaces),
         Fault(links.disturb_messages, PLUGIN),

@@ -1,21 +1,17 @@
 """Links between the orchestrator and remote workers: a router, a cable, messages in memory."""
 
 import subprocess
-from pathlib import Path
+import time
 
+from tests.end_to_end.processes import Process, query
 from tests.faults.scene import Scene
 from tests.faults.verdict import prefix
 from tests.sharing import free_port
 
-ROUTER = Path(__file__).with_name("router.py")
-
 
 def restart_router(scene: Scene) -> None:
-    """A Zenoh router between orchestrator and workers is killed and started again."""
-    scene.remote = True
-    scene.workers_at = f"tcp/127.0.0.1:{free_port()}"
-    ends = (scene.listening, scene.workers_at)
-    router = scene.processes.start("python", ROUTER, *ends, **scene.environment)
+    """The router between orchestrator and workers is killed and started again."""
+    router = _router(scene)
     scene.start()
     for moment in scene.moments(scene.chance.choice((1, 2, 3))):
         if scene.reach(moment):
@@ -23,8 +19,52 @@ def restart_router(scene: Scene) -> None:
             router.popen.kill()
             seconds = scene.pause(0.0, scene.chance.choice((0.5, 2.5, 6.0)))
             scene.did(f"router away for {seconds:.1f} s")
-            router = scene.processes.start("python", ROUTER, *ends, **scene.environment)
+            router = _router(scene)
     scene.finish()
+    _is_calm(scene)
+
+
+def router_away(scene: Scene) -> None:
+    """The router is killed for 20 s in mid-run, with 8 workers."""
+    router = _router(scene)
+    scene.start(workers=8)
+    if scene.reach(scene.moments(1, share=0.5)[0]):
+        router.popen.kill()
+        time.sleep(20.0)
+        scene.did("router away for 20 s")
+        _router(scene)
+    scene.finish()
+    _is_calm(scene)
+
+
+def restart_everything(scene: Scene) -> None:
+    """Router, orchestrator and a worker are killed, as on a cluster, and started again one after the other."""
+    router = _router(scene)
+    scene.start(workers=4)
+    for moment in scene.moments(2):
+        if scene.reach(moment):
+            router.popen.kill()
+            scene.kill_worker()
+            scene.kill_orchestrator()
+            scene.did("router killed", fault=False)
+            scene.pause(0.0, 3.0)
+            scene.resume()
+            scene.pause(0.0, 3.0)
+            router = _router(scene)
+    scene.finish()
+
+
+def _router(scene: Scene) -> Process:
+    """Start the router, at the same place each time."""
+    scene.remote = True
+    scene.router = scene.router or f"tcp/127.0.0.1:{free_port()}"
+    return scene.processes.start("perfbound", "router", "--listen", scene.router, **scene.environment)
+
+
+def _is_calm(scene: Scene) -> None:
+    """Check that no attempt was given up, and that no rollout was simulated twice."""
+    assert query(scene.directory, "SELECT rollout, attempt, outcome FROM outcomes WHERE outcome <> 'recorded'") == []
+    assert query(scene.directory, "SELECT rollout, worker FROM attempts WHERE attempt > 1") == []
 
 
 def cut_cable(scene: Scene) -> None:

@@ -41,8 +41,8 @@ class Scene:
     """Command before that of the orchestrator."""
     worker_prefix: Sequence[str] = ()
     host: str = "127.0.0.1"
-    workers_at: str = ""
-    """Endpoint that remote workers connect to, when it is not the orchestrator's."""
+    router: str = ""
+    """Endpoint of the router that orchestrator and workers connect to, if there is one."""
     resumes: int = 0
     patience: float = PATIENCE
     """Seconds in which what shall end by itself does so."""
@@ -89,14 +89,15 @@ class Scene:
 
     def _orchestrate(self, *arguments: str | Path) -> None:
         guard = () if self.host == "127.0.0.1" else ("--insecure",)
-        self._orchestrator(*arguments, "--listen", self.listening, *guard)
+        way = ("--connect", self.router) if self.router else ("--listen", self.listening)
+        self._orchestrator(*arguments, *way, *guard)
 
     def _orchestrator(self, *arguments: str | Path) -> None:
         self.orchestrator = self.processes.start("perfbound", *arguments, prefix=self.prefix, **self.environment)
 
     def join(self, name: str = "", **environment: str) -> None:
         """Start one more remote worker."""
-        endpoint = self.workers_at or self.listening
+        endpoint = self.router or self.listening
         options = ("--connect", endpoint, "--name", name or f"remote-{len(self.fleet)}")
         worker = self.processes.start(
             "perfbound-worker", *options, prefix=self.worker_prefix, **self.environment, **environment
