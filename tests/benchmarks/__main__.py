@@ -31,6 +31,7 @@ from tests.benchmarks import (  # noqa: E402  (numpy reads the setting once)
     requirements,
     rigorous,
     rollout,
+    routing,
     scenario,
     stl,
     throughput,
@@ -54,6 +55,7 @@ PARTS = (
     "campaign",
     "fleet",
     "durability",
+    "routing",
     "reactions",
     "throughput",
     "disturbed",
@@ -116,6 +118,7 @@ def measure(part: str, peers: dict[str, Any], *, alone: bool) -> list[report.Row
         "rollout": rollout.main,
         "forms": forms.main,
         "fleet": fleet.main,
+        "routing": routing.main,
     }
     whole = {
         "campaign": campaign.main,

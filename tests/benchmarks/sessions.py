@@ -96,7 +96,7 @@ def _workers(transport: ZenohTransport, run: str, count: int) -> Iterator[None]:
 
 def _be_workers(endpoint: str, run: str, count: int) -> None:
     with ExitStack() as stack:
-        uplinks = [stack.enter_context(connect(endpoint, None, lambda: None)) for _ in range(count)]
+        uplinks = [stack.enter_context(connect([endpoint], None, lambda: None)) for _ in range(count)]
         names = [fresh_id(f"light-{os.getpid()}-{number}") for number in range(count)]
         for uplink, name in zip(uplinks, names, strict=True):
             uplink.join(run, name, _ignore)

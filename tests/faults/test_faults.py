@@ -19,7 +19,17 @@ from tests.faults.verdict import REPRODUCIBLE, without
 from tests.sharing import made_once, shared_folder
 
 SEED = 2
-LONGEST = ("router-away", "slow-disk", "turning-node", "lying-node", "cut-cable", "cut-and-kill", "slow-node", "poison", "fill-disk")
+LONGEST = (
+    "router-away",
+    "slow-disk",
+    "turning-node",
+    "lying-node",
+    "cut-cable",
+    "cut-and-kill",
+    "slow-node",
+    "poison",
+    "fill-disk",
+)
 """Classes that begin first, so that at the end no process of the tests waits for one of them."""
 LEAST = {"dead-worker": 2.9, "hung-worker": 1.9}
 """Seconds that the orchestrator waits before it gives an attempt up; `make bench` measures how long it takes."""

@@ -23,7 +23,7 @@ def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
         found._children.append(processes._Child(keys.fresh_id("local"), child, time.monotonic()))
 
     monkeypatch.setattr(Fleet, "_spawn", spawn)
-    found = Fleet(1, "tcp/127.0.0.1:1", "run")
+    found = Fleet(1, ["tcp/127.0.0.1:1"], "run")
     found.start()
     yield found
     found.stop()
@@ -70,7 +70,7 @@ def test_the_secret_is_in_no_command_line(monkeypatch: pytest.MonkeyPatch) -> No
         return subprocess.Popen(["sleep", "1000"])
 
     monkeypatch.setattr(processes, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=None))
-    fleet = Fleet(1, "tcp/127.0.0.1:1", "run", environment={VARIABLE: "a secret of a test"})
+    fleet = Fleet(1, ["tcp/127.0.0.1:1"], "run", environment={VARIABLE: "a secret of a test"})
     fleet.start()
     monkeypatch.undo()
     fleet.stop()

@@ -292,7 +292,7 @@ def test_without_the_key_of_the_assignments_their_rollouts_are_simulated_again(
 def test_a_process_that_a_message_claims_is_not_ended(tmp_path: Path) -> None:
     """A worker that hangs, and that names this host and the process of a local worker, which is its host's own."""
     begin(tmp_path / "run", a_config())
-    fleet = Fleet(0, "", "")
+    fleet = Fleet(0, (), "")
     own = subprocess.Popen(["sleep", "1000"])
     fleet._children.append(processes._Child("local-1-0123abcd", own, time.monotonic()))
     with closing(Journal.open(tmp_path / "run")) as journal, Network() as network:
