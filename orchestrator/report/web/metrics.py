@@ -1,6 +1,5 @@
 """The metrics of a campaign in the text formats of OpenMetrics and Prometheus, made at each request."""
 
-import math
 import threading
 import time
 from collections import Counter
@@ -192,8 +191,7 @@ def _claim_samples(standing: ClaimNow) -> dict[str, Samples]:
 
 
 def _estimates(span: Span | None) -> Samples:
-    found = {} if span is None else {(end,): float(value) for end, value in span.model_dump().items()}
-    return {labels: value for labels, value in found.items() if math.isfinite(value)}
+    return {} if span is None else {(end,): value for end, value in span.model_dump().items()}
 
 
 def _metric_family(declared: DeclaredMetric, values: Samples) -> Metric:
