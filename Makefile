@@ -93,7 +93,7 @@ build/backend/.installed: pyproject.toml $(INSTALLED)
 	$(INSTALL) --target build/backend "$$(sed -n 's/^requires = \["\(.*\)"\]$$/\1/p' pyproject.toml)"
 	touch $@
 
-DOCTESTS := $(addprefix perfbound/,orchestrator workers schemas library) tests/architecture/source.py tests/golden/record.py
+DOCTESTS := $(addprefix perfbound/,orchestrator workers schemas library) tests/architecture/source.py tests/architecture/prometheus.py tests/golden/record.py
 doctests: $(INSTALLED)-dev ## Examples in docstrings
 	$(BIN)/python -m pytest --doctest-modules $(DOCTESTS)
 

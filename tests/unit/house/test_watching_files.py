@@ -112,6 +112,7 @@ def test_every_alert_is_about_metrics_that_there_are_and_is_described() -> None:
     [
         *("", "1 + 1", "perfbound_bound{", "perfbound_bound}", "sum(perfbound_bound", "perfbound_bound{problem}"),
         *('perfbound_bound{problem="a" sense="b"}', "perfbound_bound[5 minutes]", "median(perfbound_bound)"),
+        *("median by (host) (perfbound_attempts_total)", "sum by host (perfbound_bound)", "sum(up)"),
         *("perfbound_bond", 'perfbound_bound{host="a"}', "sum by (host) (perfbound_bound)", "perfbound_commit_seconds"),
         'perfbound_commit_seconds_sum{le="1"}',
     ],
