@@ -139,7 +139,8 @@ class _PageProcess:
                 start_new_session=True,  # Ctrl-C in the terminal is for the orchestrator
             )
         # The first message: on a command line, or in an environment, other processes could read the token.
-        self._feed.send(access.to_json())
+        with contextlib.suppress(ConnectionError):  # it has ended, see `turn`
+            self._feed.send(access.to_json())
         assert self._process.stderr is not None, "a pipe was asked for"
         self._stderr = self._process.stderr
         os.set_blocking(self._stderr.fileno(), False)

@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ...schemas.facts import RECORDED, RESTORED, Header
+from ...schemas.facts import NO_FAILURE, Header
 from .progress import header_and_version
 from .readonly import snapshot
 from .rows import has_column
@@ -26,7 +26,7 @@ _OUTCOMES = """
     JOIN attempts ON attempts.rollout = outcomes.rollout AND attempts.attempt = outcomes.attempt
     WHERE outcomes.rowid > ? GROUP BY 1, 2 ORDER BY min(outcomes.rowid)
 """
-_KIND = "CASE WHEN outcome IN (?, ?) THEN outcome ELSE coalesce({column}, 'unknown') END"
+_KIND = "CASE WHEN outcome IN (?, ?, ?) THEN outcome ELSE coalesce({column}, 'unknown') END"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class CampaignCounts:
     attempts: dict[str, int] = field(default_factory=dict)
     """Attempts that were started, by host, in the order in which the hosts came."""
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
-    """Attempts that ended, by host and by RECORDED, RESTORED or the kind of the failure, "unknown" in old databases."""
+    """Attempts that ended, by host and a word of `NO_FAILURE` or the kind of the failure, "unknown" in old databases."""
 
 
 class CountReader:
@@ -85,7 +85,7 @@ class CountReader:
             outcomes = Counter(counts.outcomes)
             column = "kind" if has_column("outcomes", "kind", self._version) else "NULL"
             query = _OUTCOMES.format(kind=_KIND.format(column=column))
-            for host, kind, number, last in connection.execute(query, [RECORDED, RESTORED, seen["outcomes"]]):
+            for host, kind, number, last in connection.execute(query, [*NO_FAILURE, seen["outcomes"]]):
                 outcomes[str(host), str(kind)] += number
                 _remember(seen, "outcomes", last)
         # Only now: a call that fails half-way is repeated whole.

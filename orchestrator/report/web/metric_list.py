@@ -60,6 +60,13 @@ METRICS = (
         "perfbound_results_total", "counter", ("host",), "database", "Attempts whose result was recorded or restored."
     ),
     DeclaredMetric(
+        "perfbound_handed_back_total",
+        "counter",
+        ("host",),
+        "database",
+        "Attempts that a worker gave back because it was stopped; another one gets their rollouts.",
+    ),
+    DeclaredMetric(
         "perfbound_failures_total",
         "counter",
         ("host", "kind"),

@@ -22,7 +22,7 @@ from prometheus_client.openmetrics.exposition import generate_latest as open_met
 from prometheus_client.registry import Collector as MetricSource
 
 from ....schemas import __version__
-from ....schemas.facts import RECORDED, RESTORED
+from ....schemas.facts import HANDED_BACK, NO_FAILURE
 from ....schemas.so_far import Span
 from ....schemas.values import Bound, ProblemProgress
 from ....schemas.verdict import VerdictWord
@@ -156,17 +156,20 @@ def _host_samples(counts: CampaignCounts) -> dict[str, Samples]:
     def label(host: str) -> str:
         return found if (found := host_label(host)) in own else OTHER
 
-    attempts, results, failures = Counter[tuple[str, ...]](), Counter[tuple[str, ...]](), Counter[tuple[str, ...]]()
+    attempts, results, back, failures = (Counter[tuple[str, ...]]() for _ in range(4))
     for host, number in counts.attempts.items():
         attempts[label(host),] += number
     for (host, outcome), number in counts.outcomes.items():
-        if outcome in {RECORDED, RESTORED}:
+        if outcome == HANDED_BACK:
+            back[label(host),] += number
+        elif outcome in NO_FAILURE:
             results[label(host),] += number
         else:
             failures[label(host), outcome] += number
     return {
         "perfbound_attempts_total": attempts,
         "perfbound_results_total": results,
+        "perfbound_handed_back_total": back,
         "perfbound_failures_total": failures,
     }
 

@@ -128,7 +128,7 @@ def test_every_declared_metric_appears_with_its_type_labels_and_text(watched: tu
     )
     whole = metric.refresh()
     host = next(iter(whole.counts.attempts))
-    failed = replace(whole.counts, outcomes={**whole.counts.outcomes, (host, "system"): 1})
+    failed = replace(whole.counts, outcomes={**whole.counts.outcomes, (host, "system"): 1, (host, "handed back"): 2})
     assert whole.standing is not None
     standing = replace(whole.standing, required=0.5)
     given = replace(whole, counts=failed, state="running", standing=standing, ahead=ahead, tests=15)
@@ -232,7 +232,11 @@ hostile = st.text(st.characters(), max_size=200) | st.sampled_from(
 
 def of_hosts(counts: CampaignCounts, hosts: Mapping[str, int], failures: Mapping[str, int]) -> str:
     metric = CampaignMetrics(Path("nowhere"), None)
-    outcomes = {(host, kind): n for host, n in failures.items() for kind in ("system", "infrastructure", "recorded")}
+    outcomes = {
+        (host, kind): n
+        for host, n in failures.items()
+        for kind in ("system", "infrastructure", "recorded", "handed back")
+    }
     given = replace(counts, attempts=dict(hosts), outcomes=outcomes)
     metric._last, metric._due = Watched(given, "running", None, None, 0), float("inf")
     return metric.exposition(OPEN_METRICS)[0].decode()
