@@ -93,7 +93,7 @@ build/backend/.installed: pyproject.toml $(INSTALLED)
 	$(INSTALL) --target build/backend "$$(sed -n 's/^requires = \["\(.*\)"\]$$/\1/p' pyproject.toml)"
 	touch $@
 
-DOCTESTS := $(addprefix perfbound/,orchestrator workers schemas library) tests/architecture/source.py tests/golden/record.py
+DOCTESTS := $(addprefix perfbound/,orchestrator workers schemas library) tests/architecture/source.py tests/architecture/prometheus.py tests/golden/record.py
 doctests: $(INSTALLED)-dev ## Examples in docstrings
 	$(BIN)/python -m pytest --doctest-modules $(DOCTESTS)
 
@@ -143,7 +143,7 @@ schemas: $(INSTALLED)-dev ## Write schemas/json/v1 anew from the models
 names: $(INSTALLED)-dev ## Names that are defined in more than one module
 	$(BIN)/python -m tests.architecture.names
 
-diagrams: $(INSTALLED)-dev ## Draw the diagrams of docs/architecture.md from the legality tables and the imports
+diagrams: $(INSTALLED)-dev ## Draw the diagrams of docs/architecture.md from tables and imports, write the table of metrics
 	$(BIN)/python -m tests.architecture
 
 docs: $(INSTALLED)-docs ## Build the docs site into build/site; a broken link fails the build

@@ -14,6 +14,8 @@ from .atomic import make_folder, write_new
 from .errors import SecretError
 
 VARIABLE = "PERFBOUND_SECRET"
+WEB_VARIABLE = "PERFBOUND_WEB_TOKEN"
+"""Variable of the token of a live page, which is of the orchestrator alone: workers and systems never get it."""
 FOLDER, FILE = "perfbound", "secret"
 LEAST, MOST = 16, 1000
 """Characters of a secret."""

@@ -18,7 +18,7 @@ from ..schemas.blas import one_blas_thread
 from ..schemas.certificates import check_role, common_name
 from ..schemas.errors import LinkError, PerfboundError
 from ..schemas.link import Tls, asks_for_secret
-from ..schemas.secret import VARIABLE, shared_secret
+from ..schemas.secret import VARIABLE, WEB_VARIABLE, shared_secret
 from .ends import IDLE_EXIT, STOP_WITHIN, EndOptions
 from .failing import fail
 from .lifeline import adopt_orphans, die_with_parent
@@ -30,7 +30,7 @@ HELP = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 @click.group(context_settings=HELP)
 def group() -> None:
     """Run a command in a child process of the orchestrator."""
-    one_blas_thread()
+    _begin()
 
 
 def _add_files(_context: click.Context, _option: click.Parameter, references: tuple[str, ...]) -> tuple[str, ...]:
@@ -293,5 +293,10 @@ def measure(answers: int, folder: str | None) -> None:
 
 def main() -> None:
     """`perfbound-worker`."""
-    one_blas_thread()
+    _begin()
     serve()
+
+
+def _begin() -> None:
+    one_blas_thread()
+    os.environ.pop(WEB_VARIABLE, None)  # where a user has set it for all programs: no system under test sees it

@@ -1,18 +1,24 @@
 """The command group, to which the modules beside this one add their commands, and what those share."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
+from ...schemas.secret import WEB_VARIABLE
+
 RUN_DIRECTORY = click.Path(path_type=Path, file_okay=False)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="perfbound", prog_name="perfbound")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Test campaigns for safety-critical systems that end with a certificate."""
+    # Before anything is started: no child process gets it.
+    context.obj = os.environ.pop(WEB_VARIABLE, None)
 
 
 def output_console() -> Any:

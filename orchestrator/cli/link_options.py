@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..run.address import Address
-from .web_option import web_option
+from ..run.page_access import PagePlace
+from .web_option import web_options
 
 if TYPE_CHECKING:
     from ...schemas.link import Tls
@@ -45,7 +46,7 @@ def names_option(option: str, kind: str) -> Decorator:
 def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of the endpoint for workers and of the live page."""
     options: tuple[Decorator, ...] = (
-        web_option(
+        web_options(
             "Serve a live page.  [default of HOST:PORT: loopback and a free port]",
             is_flag=False,
             flag_value=Address(),
@@ -86,7 +87,7 @@ def link_of(
     routers: tuple[str, ...],
     insecure: bool,
     allow: tuple[str, ...],
-    web: Address | None,
+    web: PagePlace | None,
     grace: float,
     **tls: str | None,
 ) -> "Link":

@@ -10,11 +10,12 @@ import click
 
 from ...schemas.errors import Stopped, one_line
 from ..run.address import Address
+from ..run.page_access import PagePlace, opened
 from .early import check_directory, check_folder
 from .exits import end
 from .group import RUN_DIRECTORY, cli
 from .stderr import STDERR
-from .web_option import web_option
+from .web_option import web_options
 
 if TYPE_CHECKING:
     from ..certificate.verify.stages import Report
@@ -22,22 +23,22 @@ if TYPE_CHECKING:
 
 @cli.command()
 @click.argument("directory", type=RUN_DIRECTORY, default="runs", callback=check_folder)
-@web_option("Where to serve it.  [default: loopback and a free port]", default=Address())
-@click.option("--insecure", is_flag=True, help="Allow serving it beyond this machine, where anyone can read it.")
-def web(*, directory: Path, web: Address, insecure: bool) -> None:
+@web_options("Where to serve it.  [default: loopback and a free port]", default=Address())
+@click.option("--insecure", is_flag=True, help="Allow serving it beyond this machine without TLS.")
+def web(*, directory: Path, web: PagePlace, insecure: bool) -> None:
     """Serve the live page of the campaign in DIRECTORY, or of all campaigns below it (default: runs)."""
-    from ..run.address import bind  # noqa: PLC0415
     from ..store.rows import DATABASE, existing  # noqa: PLC0415
 
     many = not os.path.lexists(directory / DATABASE)
     if not many:
         existing(directory)
-    listening, address = bind(web, insecure=insecure)
+    listening, address, access = opened(web, insecure=insecure)
     try:
         from ..report.web.server import IndexServer, Server  # noqa: PLC0415  (late: a port in use is reported at once)
 
-        server = (IndexServer if many else Server)(directory, address, _print_stderr)
-        _print_stderr(f"{f'live page of the campaigns in {directory}' if many else 'live page'}: {address.url}")
+        server = (IndexServer if many else Server)(directory, address, _print_stderr, access)
+        for line in access.lines(f"live page of the campaigns in {directory}" if many else "live page", address):
+            _print_stderr(line)
         server.run([listening])
     except Stopped as request:
         end("the live page has ended", code=128 + request.signal)

@@ -49,6 +49,11 @@ class Inbox(Generic[T]):
                 self._waiting[worker] += 1
         self._queue.put(message)
 
+    @property
+    def waiting(self) -> int:
+        """Number of the messages that wait."""
+        return self._queue.qsize()
+
     def get(self, timeout: float) -> T:
         """Return the next message, at once if `timeout` in s is not positive; raises `queue.Empty`."""
         message = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()

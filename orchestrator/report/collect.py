@@ -18,6 +18,7 @@ from ..campaign.observation import of_requirement
 from ..campaign.plan import plans
 from ..certificate import files
 from ..certificate.text import check_sentences
+from ..run.feed import LiveState
 from ..run.format import replay_command, resume_command
 from ..run.verdict import verdict_of
 from ..store import lock
@@ -37,7 +38,7 @@ from .rollout_data import RankedTest, RolloutsOfTest
 from .scenes import SceneCache, bounded_scenes
 from .trust import TrustStatistics
 from .violations import ViolationStatistics
-from .workers import LiveState, WorkerStatistics
+from .workers import WorkerStatistics
 
 WORST_STARTS = 8
 """Starts of each problem whose rollouts are part of the data."""

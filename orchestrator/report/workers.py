@@ -4,9 +4,9 @@ from array import array
 from collections import deque
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import NamedTuple
 
 from ...schemas.facts import NO_FAILURE, RECORDED
+from ..run.feed import LiveState
 from ..store.changes import AttemptOutcome, Changes
 from ..store.progress import RECENT, rate
 from .worker_data import FailedAttempt, Throughput, WorkerRow
@@ -18,14 +18,6 @@ MOST_FAILED = 50
 """Failed attempts in the data; the export lists all of them."""
 LONGEST_REASON = 500
 """Characters of a reason."""
-
-
-class LiveState(NamedTuple):
-    """The current state of a worker, from its orchestrator; `heartbeat` is a Unix time."""
-
-    state: str
-    rollout: str | None = None
-    heartbeat: float | None = None
 
 
 @dataclass(slots=True)

@@ -50,8 +50,12 @@ class Address:
     @property
     def url(self) -> str:
         """The address for a browser."""
+        return self.url_with("http")
+
+    def url_with(self, scheme: str) -> str:
+        """Return the address for a browser, by `http` or `https`."""
         host = os.uname().nodename if self.everywhere else self.host
-        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
+        return f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}/"
 
     def __str__(self) -> str:
         return f"{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
@@ -61,7 +65,7 @@ def bind(address: Address, *, insecure: bool) -> tuple[socket.socket, Address]:
     """Return a socket that listens at `address`, and the address with its port.
 
     Raises:
-        PerfboundError: the port is taken, the host is not of this machine, or is open to others without `insecure`.
+        PerfboundError: the port is taken, the host is not of this machine, or is open to others and not `insecure`.
 
     """
     try:
@@ -69,8 +73,9 @@ def bind(address: Address, *, insecure: bool) -> tuple[socket.socket, Address]:
         host = str(place[0])
         if not ipaddress.ip_address(host.partition("%")[0]).is_loopback and not insecure:
             raise PerfboundError(
-                f"--web {address}: anyone who reaches this address could read the campaign; "
-                "serve it at 127.0.0.1 (ssh -L and a web server with TLS reach it, too), or add --insecure"
+                f"--web {address}: anyone on the way to this address could read the campaign and the token of its "
+                "page; add --web-tls-certificate and --web-tls-key, serve it at 127.0.0.1 (ssh -L reaches it, too), or "
+                "add --insecure"
             )
         listening = _listening(family, host, address.port)
     except (OSError, UnicodeError) as error:  # UnicodeError: a name that cannot be one of a host

@@ -11,7 +11,7 @@ from ...schemas.errors import LinkError
 from ...schemas.link import Tls, asks_for_secret
 from ...schemas.secret import shared_secret
 from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
-from .address import Address
+from .page_access import PagePlace
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Link:
     endpoint: str
     tls: Tls | None = None
     insecure: bool = False
-    web: Address | None = None
+    web: PagePlace | None = None
     allow: tuple[str, ...] = ()
     """Common names of the certificates of workers; empty: every one of the authority."""
     routers: tuple[str, ...] = ()

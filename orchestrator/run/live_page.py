@@ -5,7 +5,6 @@ are dropped, and its failure is reported in one line. It ends with its feed, so 
 """
 
 import contextlib
-import json
 import os
 import shlex
 import socket
@@ -14,7 +13,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +20,9 @@ from rich.console import Console
 from rich.text import Text
 
 from ...schemas.errors import PerfboundError
-from .address import Address, bind
+from .address import Address
+from .feed import message
+from .page_access import PageAccess, PagePlace, opened
 
 if TYPE_CHECKING:
     from .service import RunStatus
@@ -34,21 +34,8 @@ GRACE = 1.5
 
 With the second of the local workers (`fleet.processes`) these are all waits between the last rollout and the exit.
 """
-MOST_WORKERS = 500
-"""Workers in a message: it is sent whole or not at all, and the kernel takes 200 kB."""
 MOST_OUTPUT = 4096
 """Bytes of the child's output that are read in one turn."""
-
-
-def message(status: "RunStatus") -> bytes:
-    """Return a message of the feed: of each worker its state, its rollout, and the Unix time of its last heartbeat."""
-    to_unix, workers = time.time() - time.monotonic(), {}
-    for name, phase in islice(status.workers.items(), MOST_WORKERS):
-        known = status.known.get(name)
-        state = "busy" if phase == "sent" else phase
-        rollout = known.state.rollout if known and known.state and state == "busy" else None
-        workers[name] = (state, rollout, known.last_heartbeat + to_unix if known else None)
-    return json.dumps(workers).encode()
 
 
 def page_command(directory: Path) -> str:
@@ -57,18 +44,18 @@ def page_command(directory: Path) -> str:
 
 
 @contextmanager
-def live_page(address: Address | None, directory: Path, console: Console, *, insecure: bool) -> Iterator["LivePage"]:
-    """Take the port of the page at once, so that a run without its page does not begin; without an address, no page.
+def live_page(place: PagePlace | None, directory: Path, console: Console, *, insecure: bool) -> Iterator["LivePage"]:
+    """Take the port of the page at once, so that a run without its page does not begin; without a place, no page.
 
     Raises:
-        PerfboundError: the port is taken, or `address` cannot be served.
+        PerfboundError: the port is taken, or the place cannot be served.
 
     """
     page = LivePage(directory, console)
-    if address is None:
+    if place is None:
         yield page
         return
-    page.place = bind(address, insecure=insecure)
+    page.place = opened(place, insecure=insecure)
     try:
         yield page
     finally:
@@ -79,7 +66,7 @@ class LivePage:
     """The page of one run."""
 
     def __init__(self, directory: Path, console: Console) -> None:
-        self.place: tuple[socket.socket, Address] | None = None
+        self.place: tuple[socket.socket, Address, PageAccess] | None = None
         self._directory, self._console = directory, console
         self._child: _PageProcess | None = None
         self._next = 0.0
@@ -88,18 +75,19 @@ class LivePage:
         """Begin to serve, if there is a place; the campaign has its database by now."""
         if self.place is None:
             return
-        listening, address = self.place
+        listening, address, access = self.place
         with listening:  # from here on the port is the child's alone
-            self._child = _PageProcess(listening, address, self._directory)
-        self._print_line(f"live page: {address.url}")
+            self._child = _PageProcess(listening, address, access, self._directory)
+        for line in access.lines("live page", address):
+            self._print_line(line)
 
     def print_line(self, line: str) -> None:
         """Drop the line: the page shows the campaign, not its log."""
 
     def show(self, status: "RunStatus") -> None:
-        """Send the state of the workers to the child, at most once in `PERIOD` and without waiting."""
+        """Send the state of the run to the child, at most once in `PERIOD` or at its end, and without waiting."""
         now = time.monotonic()
-        if self._child is None or now < self._next:
+        if self._child is None or (now < self._next and not status.loop.done):
             return
         self._next = now + PERIOD
         try:
@@ -132,7 +120,7 @@ class LivePage:
 class _PageProcess:
     """The process that serves the page, with a socket to its stdin that keeps messages apart."""
 
-    def __init__(self, listening: socket.socket, address: Address, directory: Path) -> None:
+    def __init__(self, listening: socket.socket, address: Address, access: PageAccess, directory: Path) -> None:
         self._ended = 0.0
         self._feed, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._feed.setblocking(False)
@@ -150,6 +138,9 @@ class _PageProcess:
                 pass_fds=[listening.fileno()],
                 start_new_session=True,  # Ctrl-C in the terminal is for the orchestrator
             )
+        # The first message: on a command line, or in an environment, other processes could read the token.
+        with contextlib.suppress(ConnectionError):  # it has ended, see `turn`
+            self._feed.send(access.to_json())
         assert self._process.stderr is not None, "a pipe was asked for"
         self._stderr = self._process.stderr
         os.set_blocking(self._stderr.fileno(), False)

@@ -25,6 +25,7 @@ from ..fleet.processes import Fleet
 from ..fleet.state import DispatchState
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
 from ..store import read
+from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
 from .assignments import Assignments
 from .decoder import Decoded
@@ -60,6 +61,17 @@ Message = Inbound | Decoded | Interrupted
 
 
 @dataclass(frozen=True, slots=True)
+class LoopFigures:
+    """What the loop itself has to do."""
+
+    messages: int = 0
+    """Those received that wait for the loop."""
+    commits: CommitTimes = CommitTimes()  # noqa: RUF009  (frozen)
+    done: bool = False
+    """Whether the loop ends here: the certificate is all that is left."""
+
+
+@dataclass(frozen=True, slots=True)
 class RunStatus:
     """The state of a run at one moment, for listeners."""
 
@@ -76,6 +88,9 @@ class RunStatus:
     """Rollouts since this orchestrator started."""
     waiting: int
     seconds: float
+    under_way: int = 0
+    """Attempts that workers have been given and that have not ended."""
+    loop: LoopFigures = LoopFigures()
 
 
 class Listener(Protocol):
@@ -287,6 +302,7 @@ class Service:
 
     def _show(self) -> None:
         status = _status(self._ledger, self._state, self._roster, self._outlooks, time.monotonic() - self._started)
+        status = replace(status, loop=LoopFigures(self.inbox.waiting, self._journal.commits, self._done))
         for listener in self._listeners:
             listener.show(status)
 
@@ -322,6 +338,7 @@ def _status(
         state.recorded,
         len(state.waiting),
         seconds,
+        dispatch.under_way(state),
     )
 
 

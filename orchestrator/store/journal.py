@@ -20,6 +20,7 @@ from ...schemas.ids import RolloutId
 from ...schemas.platforms import platform_class
 from . import tables
 from .attempts import AttemptLog
+from .commit_times import CommitTimes
 from .damage import naming_cause
 from .pending import PendingRows
 from .read import read_facts, read_header, read_version
@@ -60,6 +61,8 @@ class Journal:
         self._rows = PendingRows(self._connection)
         self.session = _open_session(self._connection, self._version, origin)
         self.attempts = AttemptLog(self._rows, self._version, self.session)
+        self.commits = CommitTimes()
+        """Of the transactions that wrote."""
 
     @classmethod
     def create(cls, directory: Path, header: Header, origin: Origin = INSTALLED) -> "Journal":
@@ -101,8 +104,11 @@ class Journal:
         before = self._seq
         try:
             yield
+            writes, began = self._rows.waiting or self._connection.in_transaction(), time.perf_counter()
             self._rows.flush()  # the first write begins the transaction: a turn of heartbeats touches no disk
             self._connection.commit()
+            if writes:
+                self.commits = self.commits.with_one(time.perf_counter() - began)
         except BaseException:  # also a signal between two lines: numbers that are not in the database are given again
             self._seq = before
             self._rows.clear()

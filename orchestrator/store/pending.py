@@ -39,6 +39,11 @@ class PendingRows:
         """Add one row; nothing touches the disk yet."""
         self._rows[table].append(row)
 
+    @property
+    def waiting(self) -> bool:
+        """Whether there are rows that have not been written."""
+        return bool(self._rows)
+
     def clear(self) -> None:
         """Drop what has not been written."""
         self._rows.clear()

@@ -109,7 +109,7 @@ def header_alone(directory: Path) -> Header:
 
     """
     with snapshot(directory) as connection:
-        return _header_and_version(connection, directory)[0]
+        return header_and_version(connection, directory)[0]
 
 
 def last_session(directory: Path) -> tuple[str | None, int | None]:
@@ -124,7 +124,7 @@ def last_session(directory: Path) -> tuple[str | None, int | None]:
     return (None, None) if found is None else (one_line(str(found[0])), int(found[1]))
 
 
-def _header_and_version(connection: sqlite3.Connection, directory: Path) -> tuple[Header, int]:
+def header_and_version(connection: sqlite3.Connection, directory: Path) -> tuple[Header, int]:
     """Return the header and the schema version."""
     found = connection.execute(_VERSION).fetchone()
     version = checked_version(directory, found and found[0])
@@ -134,7 +134,7 @@ def _header_and_version(connection: sqlite3.Connection, directory: Path) -> tupl
 
 
 def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
-    header, version = _header_and_version(connection, directory)
+    header, version = header_and_version(connection, directory)
     rollouts = {str(row[0]): int(row[1]) for row in connection.execute(_ROLLOUTS)}
     extended = _last_extensions(connection) if has_table("extensions", version) else {}
     last = {str(row.problem): row for row in _named(connection.execute(_LAST_BOUNDS))}

@@ -57,10 +57,16 @@ def browser() -> Iterator[Browser]:
 
 
 @contextmanager
-def watched(browser: Browser, *, width: int = 1280, scheme: Scheme = "light") -> Iterator[Watched]:
+def watched(
+    browser: Browser, *, width: int = 1280, scheme: Scheme = "light", any_certificate: bool = False
+) -> Iterator[Watched]:
     """Open an empty page whose errors and requests are kept."""
     context = browser.new_context(
-        viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=width < 500, device_scale_factor=1
+        viewport={"width": width, "height": 900},
+        color_scheme=scheme,
+        has_touch=width < 500,
+        device_scale_factor=1,
+        ignore_https_errors=any_certificate,
     )
     context.set_default_timeout(1000 * PATIENCE)
     try:

@@ -9,6 +9,8 @@
 | `/trajectories/...`    | the file of a recorded rollout                                       |
 | `/certificate.json`    | the certificate, once there is one                                   |
 | `/counterexamples.csv` | the rollouts with robustness below 0                                 |
+| `/metrics`             | the numbers of the campaign, for Prometheus                          |
+| `/healthz`, `/readyz`  | whether the page and its run live, and whether they are ready        |
 """
 
 import io
@@ -30,12 +32,16 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from ....schemas.errors import EvidenceError, PerfboundError, one_line
 from ...certificate.files import CERTIFICATE
 from ...run.address import Address
+from ...run.page_access import OPEN, PageAccess
 from ...store import export
 from ...store.files import FOLDER
 from .. import html as document
 from . import files
+from .metrics import CampaignMetrics
+from .run_feed import RunFeed
 from .security import restricted
 from .snapshots import SnapshotCache
+from .watching import watching_routes
 
 MOST_STREAMS = 32
 MOST_FILES = 4
@@ -56,13 +62,20 @@ class ServerLimits:
     files: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(MOST_FILES))
 
 
-def application(directory: Path, snapshots: SnapshotCache, address: Address) -> ASGIApp:
+def application(
+    directory: Path, snapshots: SnapshotCache, address: Address, access: PageAccess = OPEN, feed: RunFeed | None = None
+) -> ASGIApp:
     """Return the application for the campaign in `directory`, served at `address`."""
-    return restricted(campaign_application(directory, snapshots, ServerLimits()), address)
+    return restricted(campaign_application(directory, snapshots, ServerLimits(), feed=feed), address, access)
 
 
-def campaign_application(directory: Path, snapshots: SnapshotCache, limits: ServerLimits, index: str = "") -> Starlette:
-    """Return the application without the checks of a request; `index` is the relative address of an index above it."""
+def campaign_application(
+    directory: Path, snapshots: SnapshotCache, limits: ServerLimits, index: str = "", feed: RunFeed | None = None
+) -> Starlette:
+    """Return the application without the checks of a request; `index` is the relative address of an index above it.
+
+    `feed` is that of the orchestrator whose page this is.
+    """
     web = _Endpoints(directory, snapshots, limits, index)
     routes = [
         Route("/", web.page),
@@ -72,6 +85,7 @@ def campaign_application(directory: Path, snapshots: SnapshotCache, limits: Serv
         Route(f"/{FOLDER}/{{rest:path}}", web.trajectory),
         Route(f"/{CERTIFICATE}", web.certificate),
         Route("/counterexamples.csv", web.counterexamples),
+        *watching_routes(CampaignMetrics(directory, feed), feed),
     ]
     return Starlette(routes=routes, exception_handlers={PerfboundError: _unreadable, 500: web.internal_error})
 

@@ -5,6 +5,8 @@
 | `/`                | the page with all campaigns                                                    |
 | `/campaigns.json`  | `?seen=STAMP`: what changed since that answer, 204 if nothing did; else all    |
 | `/runs/PATH/...`   | the page of the campaign in a folder, with the routes of the page of one       |
+| `/metrics`         | no numbers: those of a campaign are below `/runs/PATH/`                        |
+| `/healthz`, `/readyz` | whether the page lives, and whether it has read the folder                  |
 
 A path is looked up among the campaigns that were found; it is never opened.
 """
@@ -26,26 +28,41 @@ from ....schemas.errors import one_line
 from ...run.address import Address
 from ...run.campaign_index import PREFIX
 from ...run.listing import DEPTH
+from ...run.page_access import OPEN, PageAccess
 from .. import html as document
 from .app import JSON, plain
 from .index_cache import IndexCache
 from .open_campaigns import OpenCampaigns
 from .security import restricted
+from .watching import ALIVE
 
 _SEEN = re.compile("([0-9a-f]{16})-([0-9]{1,9})")
 _OF_OUTER_ROUTE = {"app", "router", "endpoint", "path_params", "route"}
 
 
-def index_application(index: IndexCache, campaigns: OpenCampaigns, address: Address) -> ASGIApp:
+def index_application(
+    index: IndexCache, campaigns: OpenCampaigns, address: Address, access: PageAccess = OPEN
+) -> ASGIApp:
     """Return the application for the campaigns of an index, served at `address`."""
     web = _IndexEndpoints(index)
     routes = [
         Route("/", web.page),
         Route("/campaigns.json", web.changes),
+        Route("/metrics", _no_metrics),
+        Route("/healthz", _alive),
+        Route("/readyz", web.ready),
         Route(f"/{PREFIX}{{rest:path}}", _CampaignPages(index, campaigns)),
     ]
     web_application = Starlette(routes=routes, exception_handlers={500: web.internal_error})
-    return restricted(web_application, address)
+    return restricted(web_application, address, access)
+
+
+async def _no_metrics(_: Request) -> Response:
+    return plain(f"the metrics are those of one campaign; ask for /{PREFIX}FOLDER/metrics", 404)
+
+
+async def _alive(_: Request) -> Response:
+    return plain(ALIVE, 200)
 
 
 class _IndexEndpoints:
@@ -69,6 +86,10 @@ class _IndexEndpoints:
         if seen == self._cache.index.number:
             return Response(status_code=204)
         return Response(self._changes(seen), media_type=JSON)
+
+    async def ready(self, _: Request) -> Response:
+        await self._cache.refreshed()
+        return plain(ALIVE, 200)
 
     def _changes(self, seen: int) -> str:
         found, folder = self._cache.index.since(seen), self._cache.index.folder

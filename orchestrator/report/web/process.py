@@ -1,10 +1,10 @@
 """The process that serves the page of a run: `python -m perfbound...report.web.process SOCKET HOST:PORT DIRECTORY`.
 
-Its stdin is a socket on which the orchestrator sends the state of its workers. At the end of that feed the page shows
-the final state of the campaign and the process ends. The orchestrator prints the lines of its stderr.
+Its stdin is a socket on which the orchestrator sends what guards the page, then again and again the state of the run.
+At the end of that feed the page shows the final state of the campaign and the process ends. The orchestrator prints the
+lines of its stderr.
 """
 
-import json
 import os
 import signal
 import socket
@@ -14,7 +14,9 @@ from pathlib import Path
 
 from ....schemas.errors import one_line
 from ...run.address import Address
-from ..workers import LiveState
+from ...run.feed import read_message
+from ...run.page_access import PageAccess
+from .run_feed import RunFeed
 from .server import Server
 
 NICENESS = 10
@@ -28,16 +30,20 @@ LONGEST = 1024 * 1024
 def serve_run(arguments: list[str]) -> None:
     """Serve until the feed ends."""
     descriptor, address, directory = arguments
-    server = Server(Path(directory), Address.parse(address), _print_line)
-    threading.Thread(target=_follow, args=(socket.socket(fileno=0), server), daemon=True).start()
+    feed = socket.socket(fileno=0)
+    access = PageAccess.from_json(feed.recv(LONGEST))
+    server = Server(Path(directory), Address.parse(address), _print_line, access, RunFeed())
+    threading.Thread(target=_follow, args=(feed, server), daemon=True).start()
     os.nice(NICENESS)  # after the imports: on a busy machine the page would appear late
     server.run([socket.socket(fileno=int(descriptor))])
 
 
 def _follow(feed: socket.socket, server: Server) -> None:
-    """Receive the state of the workers until the feed ends, which it does with the orchestrator, also on kill -9."""
+    """Receive the state of the run until the feed ends, which it does with the orchestrator, also on kill -9."""
     while message := feed.recv(LONGEST):
-        server.snapshots.live = {name: LiveState(*state) for name, state in json.loads(message).items()}
+        figures = read_message(message)
+        server.snapshots.live = figures.workers
+        server.feed.take(figures)
     signal.alarm(DEADLINE)  # the default action of SIGALRM ends the process even if its threads hang
     server.snapshots.live = {}  # without the orchestrator the state of the workers is unknown
     server.snapshots.abandon()

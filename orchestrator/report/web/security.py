@@ -2,7 +2,9 @@
 
 Every web site that a user opens can send requests to a server on the user's machine. A site whose name is changed to
 resolve to this machine (DNS rebinding) could also read the responses of a server that accepts any Host header. This
-one accepts its own names only.
+one accepts its own names only. A page with a token accepts no request without it, under any name.
+
+One path is open to all: a probe knows neither name nor token, and learns no more than whether the page lives.
 """
 
 import os
@@ -13,7 +15,10 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ...run.address import Address
+from ...run.page_access import OPEN, PageAccess
+from .page_token import CookieCheck, TokenCheck
 
+HEALTH = "/healthz"
 LONGEST = 1000
 """Bytes of a path with its query."""
 HEADERS = {
@@ -27,12 +32,22 @@ HEADERS = {
 """Of every response that does not set its own."""
 
 
-def restricted(application: ASGIApp, address: Address) -> ASGIApp:
+def restricted(application: ASGIApp, address: Address, access: PageAccess = OPEN) -> ASGIApp:
     """Return the application behind the checks; it accepts `localhost`, loopback numbers and the host of `address`."""
     host = os.uname().nodename if address.everywhere else address.host
     hosts = ["localhost", "127.0.0.1", "[::1]", f"[{host}]" if ":" in host else host]
+    if access.token is None:
+        guarded: ASGIApp = TrustedHostMiddleware(application, hosts, www_redirect=False)
+    else:
+        logged_in = CookieCheck(application, access.token, address.port, secure=access.tls is not None)
+        browsers = TrustedHostMiddleware(logged_in, hosts, www_redirect=False)
+        guarded = TokenCheck(application, browsers, access.token)
+
+    async def probed(scope: Scope, receive: Receive, send: Send) -> None:
+        await (application if scope["path"] == HEALTH else guarded)(scope, receive, send)
+
     # Outermost: also a refusal must not be framed, cached or read by another site.
-    return _Headers(TrustedHostMiddleware(application, hosts, www_redirect=False))
+    return _Headers(probed)
 
 
 class _Headers:

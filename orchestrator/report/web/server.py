@@ -11,11 +11,13 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ...run.address import Address
 from ...run.campaign_index import CampaignIndex
+from ...run.page_access import OPEN, PageAccess
 from ..collect import Collector
 from .app import application
 from .index_app import index_application
 from .index_cache import IndexCache
 from .open_campaigns import OpenCampaigns
+from .run_feed import RunFeed
 from .snapshots import SnapshotCache
 
 MOST_CONNECTIONS = 128
@@ -28,8 +30,9 @@ SHUTDOWN = 1
 class PageServer(uvicorn.Server):
     """A server of pages; clients get a last snapshot at shutdown, when `close` is called."""
 
-    def __init__(self, web_application: ASGIApp, close: Callable[[], None]) -> None:
+    def __init__(self, web_application: ASGIApp, close: Callable[[], None], access: PageAccess) -> None:
         self._close = close
+        tls = access.tls
         super().__init__(
             uvicorn.Config(
                 web_application,
@@ -45,6 +48,8 @@ class PageServer(uvicorn.Server):
                 proxy_headers=False,
                 limit_concurrency=MOST_CONNECTIONS,
                 timeout_graceful_shutdown=SHUTDOWN,
+                ssl_certfile=tls.certificate if tls else None,
+                ssl_keyfile=tls.key if tls else None,
             )
         )
 
@@ -57,20 +62,34 @@ class PageServer(uvicorn.Server):
 
 
 class Server(PageServer):
-    """The server of the page of the campaign in `directory`; `report` takes every error as one line."""
+    """The server of the page of the campaign in `directory`; `report` takes every error as one line.
 
-    def __init__(self, directory: Path, address: Address, report: Callable[[str], None]) -> None:
+    `feed` is that of the orchestrator whose page this is; None for a page beside it, or without one.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        address: Address,
+        report: Callable[[str], None],
+        access: PageAccess = OPEN,
+        feed: RunFeed | None = None,
+    ) -> None:
         self.snapshots = SnapshotCache(Collector(directory), report)
-        super().__init__(application(directory, self.snapshots, address), self.snapshots.closing.set)
+        self.feed = feed or RunFeed()
+        web_application = application(directory, self.snapshots, address, access, feed)
+        super().__init__(web_application, self.snapshots.closing.set, access)
 
 
 class IndexServer(PageServer):
     """The server of the index of the campaigns below `folder`, and of their pages; `report` as for `Server`."""
 
-    def __init__(self, folder: Path, address: Address, report: Callable[[str], None]) -> None:
+    def __init__(
+        self, folder: Path, address: Address, report: Callable[[str], None], access: PageAccess = OPEN
+    ) -> None:
         campaigns = OpenCampaigns(report)
         self._index = IndexCache(CampaignIndex(folder, report), report)
-        super().__init__(index_application(self._index, campaigns, address), campaigns.close)
+        super().__init__(index_application(self._index, campaigns, address, access), campaigns.close, access)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to serve, and to read the campaigns at once: until a browser is there, many have been read."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from anyio import to_thread
 
 from ....schemas.errors import PerfboundError
+from ...run.feed import LiveState
 from ..collect import Collector
 from ..data import ReportData, to_json
 from ..scenes import without_further
-from ..workers import LiveState
 
 SHORTEST_PAUSE = 1.0
 """Seconds from the end of a refresh to the next one, at least."""

@@ -20,7 +20,8 @@ from perfbound.orchestrator.report import band as surfaces
 from perfbound.orchestrator.report import curves, rollouts
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import Problem, ReportData, to_json
-from perfbound.orchestrator.report.workers import MOST_FAILED, LiveState, WorkerStatistics
+from perfbound.orchestrator.report.workers import MOST_FAILED, WorkerStatistics
+from perfbound.orchestrator.run.feed import LiveState
 from perfbound.orchestrator.run.format import replay_command
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.changes import AttemptOutcome, ChangeReader, Changes, Session

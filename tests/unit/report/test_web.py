@@ -19,8 +19,8 @@ from perfbound.orchestrator.report.rollout_data import RolloutsOfTest
 from perfbound.orchestrator.report.web import app
 from perfbound.orchestrator.report.web import snapshots as snapshots_module
 from perfbound.orchestrator.report.web.snapshots import SnapshotCache
-from perfbound.orchestrator.report.workers import LiveState
 from perfbound.orchestrator.run.address import Address
+from perfbound.orchestrator.run.feed import LiveState
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError

@@ -1,6 +1,5 @@
 """The page of a run, from the side of the orchestrator: address, feed, and isolation of its faults."""
 
-import json
 import os
 import socket
 import time
@@ -13,7 +12,9 @@ from rich.console import Console
 
 from perfbound.orchestrator.run import live_page as live
 from perfbound.orchestrator.run.address import Address, bind
-from perfbound.orchestrator.run.live_page import LivePage, live_page, message
+from perfbound.orchestrator.run.feed import message, read_message
+from perfbound.orchestrator.run.live_page import LivePage, live_page
+from perfbound.orchestrator.run.page_access import PagePlace
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.schemas.errors import PerfboundError
 from tests.campaigns import config
@@ -48,7 +49,7 @@ def test_what_is_no_address(text: str) -> None:
 def test_others_are_let_in_only_when_that_is_said(host: str) -> None:
     if host == "::" and not socket.has_dualstack_ipv6():
         pytest.skip("switch on IPv6: sysctl net.ipv6.conf.all.disable_ipv6=0")
-    with pytest.raises(PerfboundError, match=r"anyone who reaches this address could .* --insecure"):
+    with pytest.raises(PerfboundError, match=r"anyone on the way to this address could .* --insecure"):
         bind(Address(host), insecure=False)
     listening, address = bind(Address(host), insecure=True)
     with listening:
@@ -87,13 +88,14 @@ class _Told(Log):
 
 
 def test_the_page_is_told_what_workers_do(looks: list[bytes]) -> None:
-    workers = [json.loads(look) for look in looks]
+    workers = [read_message(look).workers for look in looks]
     assert workers[0] == {}
     (told,) = {name: known for look in workers for name, known in look.items()}.items()
     name, (state, rollout, heartbeat) = told
     assert name.startswith("worker-0")
     assert state in ("new", "idle", "busy")
     assert rollout is None or rollout.startswith("maximum.")
+    assert heartbeat is not None
     assert BEGAN <= heartbeat <= time.time()
 
 
@@ -115,7 +117,7 @@ def said(page: LivePage) -> list[str]:
 def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[LivePage]:
     monkeypatch.setattr(live, "GRACE", 0.1)
     console = Console(file=StringIO())
-    with live_page(Address(), tmp_path / "run", console, insecure=False) as found:
+    with live_page(PagePlace(), tmp_path / "run", console, insecure=False) as found:
         yield found
 
 

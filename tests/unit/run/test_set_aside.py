@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from perfbound.orchestrator.cli.status import print_status
-from perfbound.orchestrator.run.live_page import message
+from perfbound.orchestrator.run.feed import message
 from perfbound.orchestrator.run.progress import worker_line
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store.journal import Journal
@@ -78,7 +78,7 @@ def test_a_broken_worker_is_named_set_aside_and_changes_nothing(tmp_path: Path) 
     last = seen[-1]
     assert last.workers[name] == "set aside"
     assert f"in trouble: {name}" in worker_line(last, 1.0)
-    assert json.loads(message(last))[name][0] == "set aside"
+    assert json.loads(message(last))["workers"][name][0] == "set aside"
 
 
 def test_a_system_that_does_not_end_costs_two_deadlines_and_is_reported_with_its_start(
