@@ -19,11 +19,11 @@ from ..campaign.admission import check_whole
 from ..campaign.calibration_design import calibration_seed
 from ..campaign.checks import check_new
 from ..campaign.draws import Draws
-from ..campaign.fleet_plan import FleetPlan, PilotFigures, ProblemSize, fleet_plan
+from ..campaign.fleet_plan import NOTHING, FleetPlan, PilotFigures, ProblemSize, fleet_plan
 from ..campaign.plan import Plans, ProblemPlan, plans
 from ..campaign.recheck import Recheck
 from ..campaign.region import Start
-from ..campaign.rehearsal import NearestStart, Rehearsal, expected_tests, rehearsed
+from ..campaign.rehearsal import REPEATED, PilotRollouts, Rehearsal, expected_tests, rehearsed
 from ..campaign.seeds import drawn
 from ..campaign.spot_check import spot_check_plan
 from ..fleet.child import system_spec
@@ -37,8 +37,6 @@ REHEARSAL = 15.0
 """Seconds that a problem is rehearsed at most."""
 NAME = "plan"
 """The place of a problem's name, which no problem has: seeds and starts of a pilot are not those of its campaign."""
-REPEATED = 2
-"""Rollouts of a noisy variant at each start."""
 
 Report = Callable[[str], None]
 """Progress callback: what is being done."""
@@ -68,7 +66,7 @@ def planned(config: CampaignConfig, source: Path, workers: int, report: Report =
     try:
         report(f"pilot of {ROLLOUTS} rollouts")
         pilot = _pilot(header, found, ChildSystem(reference, header.spec, config.deadline, SECONDS))
-        nearest = NearestStart(pilot.starts, pilot.recorded)
+        nearest = PilotRollouts(pilot.starts, pilot.recorded)
         problems = [_size(plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
     except ChildRolloutError as error:
         raise PerfboundError(f"{source}: {error}") from None
@@ -77,7 +75,7 @@ def planned(config: CampaignConfig, source: Path, workers: int, report: Report =
     return fleet_plan(workers, pilot.figures, problems, tuple(_checks(header, found, problems)))
 
 
-def _rehearsal(plan: ProblemPlan, header: Header, pilot: NearestStart, report: Report) -> Rehearsal | None:
+def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: Report) -> Rehearsal | None:
     """Return the rehearsal of a problem; None where the trajectories of the pilot do not allow one."""
     if plan.falsify is not None:  # its tests come from a search
         return None
@@ -90,7 +88,7 @@ def _rehearsal(plan: ProblemPlan, header: Header, pilot: NearestStart, report: R
 
 def _size(plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
     tests, basis = expected_tests(plan, rehearsal)
-    thinking = Guess(0.0, 0.0, 0.0)
+    thinking = NOTHING
     if rehearsal is not None:
         each = [rehearsal.seconds_for(number) for number in (tests.middle, tests.low, tests.high)]
         thinking = Guess(each[0].middle, each[1].low, each[2].high)
@@ -110,7 +108,7 @@ def _checks(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> It
     spot = spot_check_plan(header, found.values())
     if spot is not None:
         starts, most = header.config.spot_check, spot.max_tests
-        words = "one rollout set a start; follow-ups at suspicious ones" if most > starts else "one rollout set a start"
+        words = f"{starts} starts, and follow-ups" if most > starts else f"{starts} starts"
         # In tests of one rollout: a follow-up has fewer of them than the first test at a start.
         low, high = spot.count(starts), spot.count(most)
         yield ProblemSize(SPOT_CHECK, Guess((low + high) / 2, low, high), 1, spot.window * len(spot.rollouts), words)
@@ -149,7 +147,8 @@ def _measured(
     folder: Path,
     begin: float,
 ) -> _Pilot:
-    columns, recorded = tuple(column.name for column in header.spec.columns), []
+    columns = tuple(column.name for column in header.spec.columns)
+    recorded: list[dict[str, list[Trajectory]]] = []
     for request, trajectory, _ in done:
         try:
             check_whole(trajectory, columns, header.config.horizon)
@@ -186,6 +185,5 @@ def _starts(header: Header, found: Plans) -> list[Start]:
     if plan.candidates is None:
         draws = Draws(header, NAME)
         return [draws.start(number) for number in range(count)]
-    # A large list without all of its permutation: the number of candidates may be millions.
     size = plan.candidates.size
     return [point_at(plan.candidates, node) for node in drawn(header, NAME, "", size, min(count, size))]
