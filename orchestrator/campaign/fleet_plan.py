@@ -11,8 +11,8 @@
 | K      | `side_by_side` | rollouts that can run at the same time: sum of w k           | 1    |
 
 The rollouts take at least (sum of n k c) / min(N, K), and each problem n/w rounds one after the other. The loop of the
-orchestrator does the mathematics and takes the results, one at a time. A range goes from all of this at the same time, at
-the fewest tests, to one after the other, at the most tests. Standard library only.
+orchestrator does the mathematics and takes the results, one at a time. A range goes from all of this at the same time,
+at the fewest tests, to one after the other, at the most tests. Standard library only.
 """
 
 import math
