@@ -144,7 +144,7 @@ def fleet_plan(
 ) -> FleetPlan:
     """Return what a campaign needs from `workers` workers."""
     useful = sum(each.side_by_side for each in problems)
-    rollouts = _sum([each.rollouts for each in (*problems, *checks)])
+    rollouts = _added([each.rollouts for each in (*problems, *checks)])
     load = orchestrator_load(workers, pilot, useful)
     files = Guess(
         rollouts.middle * (pilot.size + BLOCK / 2),
@@ -203,11 +203,11 @@ def _phase(workers: int, cost: float, sizes: Sequence[ProblemSize], end: End) ->
     """Return the seconds of problems that run side by side, where everything runs at the same time that can."""
     if not sizes:
         return 0.0
-    rollouts = sum(_at(each.rollouts, end) for each in sizes)
+    rollouts = sum(_end_of_range(each.rollouts, end) for each in sizes)
     at_once = min(workers, sum(each.side_by_side for each in sizes))
     # At best the trip of one result hides behind the rollout of another, and a result is small.
     trip, result = (0.0, RESULT_SECONDS / 3) if end == "low" else (ROUND_TRIP, RESULT_SECONDS)
-    loop = rollouts * result + sum(_at(each.thinking, end) for each in sizes)
+    loop = rollouts * result + sum(_end_of_range(each.thinking, end) for each in sizes)
     longest = max(_rounds(each, workers, cost + trip, end) for each in sizes)
     return max(rollouts * (cost + trip) / at_once, loop, longest)
 
@@ -215,7 +215,7 @@ def _phase(workers: int, cost: float, sizes: Sequence[ProblemSize], end: End) ->
 def _rounds(size: ProblemSize, workers: int, cost: float, end: End) -> float:
     """Return the seconds of one problem alone: its rounds, one after the other, and its mathematics between them."""
     at_once = min(workers, size.side_by_side)
-    return _at(size.tests, end) * size.per_test / at_once * cost + _at(size.thinking, end)
+    return _end_of_range(size.tests, end) * size.per_test / at_once * cost + _end_of_range(size.thinking, end)
 
 
 def _one_after_the_other(workers: int, cost: float, sizes: Sequence[ProblemSize]) -> float:
@@ -253,11 +253,11 @@ def orchestrator_memory(problems: Sequence[ProblemSize], rollouts: Guess) -> Gue
     )
 
 
-def _at(guess: Guess, end: End) -> float:
+def _end_of_range(guess: Guess, end: End) -> float:
     return {"low": guess.low, "middle": guess.middle, "high": guess.high}[end]
 
 
-def _sum(guesses: Sequence[Guess]) -> Guess:
+def _added(guesses: Sequence[Guess]) -> Guess:
     return Guess(
         sum(each.middle for each in guesses), sum(each.low for each in guesses), sum(each.high for each in guesses)
     )

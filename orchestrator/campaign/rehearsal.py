@@ -161,9 +161,9 @@ def expected_tests(plan: ProblemPlan, found: Rehearsal | None) -> tuple[Guess, s
     if found is None or found.verdict not in (None, "converged"):
         return Guess(most, fewest, most), UNKNOWN
     if found.verdict is not None:
-        return _within(found.tests, fewest, most), f"rehearsed: alpha after {found.tests}"
+        return _times_apart(found.tests, fewest, most), f"rehearsed: alpha after {found.tests}"
     if found.tests == most:
-        return _within(most, fewest, most), "rehearsed: the whole budget"
+        return _times_apart(most, fewest, most), "rehearsed: the whole budget"
     ahead = ending(found.course, most=most, alpha=alpha)
     if ahead is None:
         return Guess(most, found.tests / APART, most), UNKNOWN
@@ -171,5 +171,5 @@ def expected_tests(plan: ProblemPlan, found: Rehearsal | None) -> tuple[Guess, s
     return Guess(ahead.middle, low, high), f"forecast after {found.tests} rehearsed tests"
 
 
-def _within(tests: int, fewest: int, most: int) -> Guess:
+def _times_apart(tests: int, fewest: int, most: int) -> Guess:
     return Guess(tests, max(fewest, tests / APART), min(most, tests * APART))

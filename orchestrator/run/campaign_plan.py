@@ -49,7 +49,7 @@ class _Pilot:
     recorded: tuple[dict[str, list[Trajectory]], ...]
 
 
-def planned(config: CampaignConfig, source: Path, workers: int, report: Report = lambda _: None) -> FleetPlan:
+def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Report = lambda _: None) -> FleetPlan:
     """Return what the campaign of a file needs from `workers` workers; nothing is kept of its pilot.
 
     Raises:
@@ -67,12 +67,12 @@ def planned(config: CampaignConfig, source: Path, workers: int, report: Report =
         report(f"pilot of {ROLLOUTS} rollouts")
         pilot = _pilot(header, found, ChildSystem(reference, header.spec, config.deadline, SECONDS))
         nearest = PilotRollouts(pilot.starts, pilot.recorded)
-        problems = [_size(plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
+        problems = [_problem_size(plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
     except ChildRolloutError as error:
         raise PerfboundError(f"{source}: {error}") from None
     except Stopped as stop:
         raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
-    return fleet_plan(workers, pilot.figures, problems, tuple(_checks(header, found, problems)))
+    return fleet_plan(workers, pilot.figures, problems, tuple(_check_sizes(header, found, problems)))
 
 
 def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: Report) -> Rehearsal | None:
@@ -86,16 +86,16 @@ def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: 
         return None
 
 
-def _size(plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
+def _problem_size(plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
     tests, basis = expected_tests(plan, rehearsal)
     thinking = NOTHING
     if rehearsal is not None:
         each = [rehearsal.seconds_for(number) for number in (tests.middle, tests.low, tests.high)]
         thinking = Guess(each[0].middle, each[1].low, each[2].high)
-    return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, _matrix(plan))
+    return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, _matrix_growth(plan))
 
 
-def _matrix(plan: ProblemPlan) -> tuple[int, int]:
+def _matrix_growth(plan: ProblemPlan) -> tuple[int, int]:
     """Return how much the matrices of a method grow with a test: its factor, and its row of all candidates."""
     parts = plan.parts or (plan,)
     kernels = sum(isinstance(each.problem, KernelProblem) for each in parts)
@@ -103,7 +103,7 @@ def _matrix(plan: ProblemPlan) -> tuple[int, int]:
     return (kernels, kernels * candidates) if kernels else (0, 0)
 
 
-def _checks(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> Iterator[ProblemSize]:
+def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> Iterator[ProblemSize]:
     """Yield the closing checks, as far as the campaign file decides them."""
     spot = spot_check_plan(header, found.values())
     if spot is not None:
@@ -125,9 +125,9 @@ def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
         ChildRolloutError: a rollout fails, or would be refused by a campaign.
 
     """
-    starts, requests = _starts(header, found), []
+    starts, requests = _pilot_starts(header, found), []
     for test, start in enumerate(starts):
-        for variant, count in _variants(header, found).items():
+        for variant, count in _pilot_variants(header, found).items():
             for replicate in range(count):
                 place = RolloutId(NAME, test, variant, replicate)
                 seed = calibration_seed(
@@ -137,10 +137,10 @@ def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
     with tempfile.TemporaryDirectory(prefix="perfbound-plan-") as name:
         folder, begin = Path(name), time.time()
         simulate_in_child(system, requests, folder)
-        return _measured(header, starts, list(finished(system, requests, folder)), folder, begin)
+        return _pilot_of(header, starts, list(finished(system, requests, folder)), folder, begin)
 
 
-def _measured(
+def _pilot_of(
     header: Header,
     starts: Sequence[Start],
     done: Sequence[tuple[RolloutRequest, Trajectory, float]],
@@ -173,15 +173,15 @@ def _measured(
     return _Pilot(figures, tuple(starts[: len(whole)]), tuple(whole))
 
 
-def _variants(header: Header, found: Plans) -> dict[str, int]:
+def _pilot_variants(header: Header, found: Plans) -> dict[str, int]:
     """Return the rollouts of each variant at a start of the pilot."""
     used = dict.fromkeys(variant for plan in found.values() for variant in plan.variants)
     return {variant: REPEATED if variant in header.spec.noisy else 1 for variant in used}
 
 
-def _starts(header: Header, found: Plans) -> list[Start]:
+def _pilot_starts(header: Header, found: Plans) -> list[Start]:
     """Return starts of the space, those of the first problem: drawn ones, or candidates at random."""
-    plan, count = next(iter(found.values())), max(1, ROLLOUTS // sum(_variants(header, found).values()))
+    plan, count = next(iter(found.values())), max(1, ROLLOUTS // sum(_pilot_variants(header, found).values()))
     if plan.candidates is None:
         draws = Draws(header, NAME)
         return [draws.start(number) for number in range(count)]

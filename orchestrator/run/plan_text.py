@@ -19,23 +19,28 @@ Row = tuple[str, str, str, str]
 
 def print_plan(found: FleetPlan, name: str, console: Console) -> None:
     """Print the plan of a campaign."""
-    console.print(Text(f"{name} with {_count(found.workers, 'worker')}", "bold"), soft_wrap=True)
+    console.print(Text(f"{name} with {_with_noun(found.workers, 'worker')}", "bold"), soft_wrap=True)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("", "expected", "range"):
         table.add_column(title, justify="left" if not title else "right", no_wrap=True)
     table.add_column("rests on", overflow="fold")
-    for row in rows(found):
+    for row in plan_rows(found):
         table.add_row(*row[:3], Text(row[3], "dim"))
     console.print(table)
-    for line in lines(found):
+    for line in plan_limits(found):
         console.print(Text(line), soft_wrap=True)
 
 
-def rows(found: FleetPlan) -> list[Row]:
+def plan_rows(found: FleetPlan) -> list[Row]:
     """Return the rows of the table."""
     pilot = found.pilot
     return [
-        ("rollouts", _whole(found.rollouts.middle), _range(found.rollouts, _whole), "what follows, added up"),
+        (
+            "rollouts",
+            _whole_number(found.rollouts.middle),
+            _range(found.rollouts, _whole_number),
+            "what follows, added up",
+        ),
         *map(_size_row, (*found.problems, *found.checks)),
         (
             "time",
@@ -72,17 +77,17 @@ def rows(found: FleetPlan) -> list[Row]:
     ]
 
 
-def lines(found: FleetPlan) -> list[str]:
+def plan_limits(found: FleetPlan) -> list[str]:
     """Return what limits the campaign."""
     useful = found.useful_workers
     result = [
-        f"While the problems run, at most {_count(useful, 'rollout')} can run side by side: more workers than that "
+        f"While the problems run, at most {_with_noun(useful, 'rollout')} can run side by side: more workers than that "
         "have nothing to do."
     ]
     if found.useful_in_checks > useful:
         result[0] += f" In the closing checks it is {found.useful_in_checks:,}."
     if found.workers > useful:
-        waiting = _count(found.workers - useful, "worker")
+        waiting = _with_noun(found.workers - useful, "worker")
         result.append(f"{waiting} of {found.workers:,} will wait: a larger `window` or `replicates` gives them work.")
     if found.load.limits:
         result.append(
@@ -99,7 +104,12 @@ def plan_json(found: FleetPlan, name: str) -> str:
 
 def _size_row(size: ProblemSize) -> Row:
     per_test = "" if size.per_test == 1 else f", {size.per_test} a test"
-    return (f"  {size.name}", _whole(size.rollouts.middle), _range(size.rollouts, _whole), f"{size.basis}{per_test}")
+    return (
+        f"  {size.name}",
+        _whole_number(size.rollouts.middle),
+        _range(size.rollouts, _whole_number),
+        f"{size.basis}{per_test}",
+    )
 
 
 def amount(number: float) -> str:
@@ -117,7 +127,7 @@ def _range(guess: Guess, word: Callable[[float], str]) -> str:
     return "" if low == high else f"{low} to {high}"
 
 
-def _whole(number: float) -> str:
+def _whole_number(number: float) -> str:
     return f"{round(number):,}"
 
 
@@ -129,5 +139,5 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.01 else "below 1 %"
 
 
-def _count(number: int, what: str) -> str:
+def _with_noun(number: int, what: str) -> str:
     return f"{number:,} {what}{'' if number == 1 else 's'}"
