@@ -11,13 +11,14 @@
 | K      | `side_by_side` | rollouts that can run at the same time: sum of w k           | 1    |
 
 The rollouts take at least (sum of n k c) / min(N, K), and each problem n/w rounds one after the other. The loop of the
-orchestrator does the mathematics and takes the results, one at a time. A range goes from all of this at the same time, at
-the fewest tests, to one after the other, at the most tests. Standard library only.
+orchestrator does the mathematics and takes the results, one at a time. A range goes from all of this at the same time,
+at the fewest tests, to one after the other, at the most tests. Standard library only.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from ...schemas.values import Guess
 
@@ -37,7 +38,7 @@ BLOCK = 4096
 """Bytes of a block of a file system."""
 REPORT_BYTES = 20_000_000
 """Certificate, manifest and report at most, beside a kilobyte for each rollout."""
-BASE_BYTES = 150_000_000
+BASE_BYTES = 180_000_000
 """Memory of an orchestrator with few rollouts."""
 ROLLOUT_BYTES = 53
 """Memory of the orchestrator for a rollout, see docs/scale.md."""
@@ -47,6 +48,11 @@ FASTER, SLOWER = 0.6, 2.0
 """A rollout in the campaign, in times of the pilot's: on a machine that is idle, or busy."""
 BUSY = 0.7
 """Share of one core from which on the orchestrator limits the campaign."""
+
+
+NOTHING = Guess(0.0, 0.0, 0.0)
+End = Literal["low", "middle", "high"]
+"""Of a range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +79,10 @@ class ProblemSize:
     per_test: int
     window: int
     basis: str
-    thinking: Guess = Guess(0.0, 0.0, 0.0)
+    thinking: Guess = NOTHING
+    """Seconds of its mathematics in all."""
     matrix: tuple[int, int] = (0, 0)
-    """Rows that a test adds to the matrices of the method, at most: (columns that grow with the tests, fixed ones)."""
+    """Numbers that a test adds to the matrices of the method at most: those for each test before it, and the others."""
 
     @property
     def rollouts(self) -> Guess:
@@ -137,7 +144,7 @@ def fleet_plan(
 ) -> FleetPlan:
     """Return what a campaign needs from `workers` workers."""
     useful = sum(each.side_by_side for each in problems)
-    rollouts = _sum([each.rollouts for each in (*problems, *checks)])
+    rollouts = _added([each.rollouts for each in (*problems, *checks)])
     load = orchestrator_load(workers, pilot, useful)
     files = Guess(
         rollouts.middle * (pilot.size + BLOCK / 2),
@@ -187,30 +194,28 @@ def campaign_seconds(
     )
 
 
-def _in_turn(workers: int, pilot: PilotFigures, checks: Sequence[ProblemSize], times: float, end: str) -> list[float]:
+def _in_turn(workers: int, pilot: PilotFigures, checks: Sequence[ProblemSize], times: float, end: End) -> list[float]:
     """Return the seconds of the checks, which come one after the other."""
     return [_phase(workers, times * pilot.seconds, [each], end) for each in checks]
 
 
-def _phase(workers: int, cost: float, sizes: Sequence[ProblemSize], end: str) -> float:
+def _phase(workers: int, cost: float, sizes: Sequence[ProblemSize], end: End) -> float:
     """Return the seconds of problems that run side by side, where everything runs at the same time that can."""
     if not sizes:
         return 0.0
-    rollouts = [getattr(each.rollouts, end) for each in sizes]
+    rollouts = sum(_end_of_range(each.rollouts, end) for each in sizes)
     at_once = min(workers, sum(each.side_by_side for each in sizes))
-    loop = sum(rollouts) * RESULT_SECONDS * (1.0 if end != "low" else 0.3) + sum(
-        getattr(each.thinking, end) for each in sizes
-    )
-    longest = max(_rounds(each, workers, cost, end) for each in sizes)
-    return float(max(sum(rollouts) * (cost + (ROUND_TRIP if end != "low" else 0.0)) / at_once, loop, longest))
+    # At best the trip of one result hides behind the rollout of another, and a result is small.
+    trip, result = (0.0, RESULT_SECONDS / 3) if end == "low" else (ROUND_TRIP, RESULT_SECONDS)
+    loop = rollouts * result + sum(_end_of_range(each.thinking, end) for each in sizes)
+    longest = max(_rounds(each, workers, cost + trip, end) for each in sizes)
+    return max(rollouts * (cost + trip) / at_once, loop, longest)
 
 
-def _rounds(size: ProblemSize, workers: int, cost: float, end: str) -> float:
+def _rounds(size: ProblemSize, workers: int, cost: float, end: End) -> float:
     """Return the seconds of one problem alone: its rounds, one after the other, and its mathematics between them."""
-    tests = getattr(size.tests, end)
     at_once = min(workers, size.side_by_side)
-    trip = ROUND_TRIP if end != "low" else 0.0
-    return float(tests * size.per_test / at_once * (cost + trip) + getattr(size.thinking, end))
+    return _end_of_range(size.tests, end) * size.per_test / at_once * cost + _end_of_range(size.thinking, end)
 
 
 def _one_after_the_other(workers: int, cost: float, sizes: Sequence[ProblemSize]) -> float:
@@ -218,7 +223,7 @@ def _one_after_the_other(workers: int, cost: float, sizes: Sequence[ProblemSize]
     at_once = min(workers, sum(each.side_by_side for each in sizes))
     rollouts = sum(each.rollouts.high for each in sizes)
     shared = rollouts * (cost + 2 * ROUND_TRIP) / at_once
-    longest = max((_rounds(each, workers, cost, "high") for each in sizes), default=0.0)
+    longest = max((_rounds(each, workers, cost + ROUND_TRIP, "high") for each in sizes), default=0.0)
     loop = rollouts * 2 * RESULT_SECONDS + SLOWER * sum(each.thinking.high for each in sizes)
     return max(shared, longest) + loop
 
@@ -243,12 +248,16 @@ def orchestrator_memory(problems: Sequence[ProblemSize], rollouts: Guess) -> Gue
         middle += 8 * each.tests.middle * (grows * each.tests.middle + fixed) / 2
     return Guess(
         BASE_BYTES + middle + ROLLOUT_BYTES * rollouts.middle,
-        0.6 * BASE_BYTES,
+        0.5 * BASE_BYTES,
         1.5 * BASE_BYTES + 2 * largest + 2 * ROLLOUT_BYTES * rollouts.high,
     )
 
 
-def _sum(guesses: Sequence[Guess]) -> Guess:
+def _end_of_range(guess: Guess, end: End) -> float:
+    return {"low": guess.low, "middle": guess.middle, "high": guess.high}[end]
+
+
+def _added(guesses: Sequence[Guess]) -> Guess:
     return Guess(
         sum(each.middle for each in guesses), sum(each.low for each in guesses), sum(each.high for each in guesses)
     )

@@ -19,11 +19,11 @@ from ..campaign.admission import check_whole
 from ..campaign.calibration_design import calibration_seed
 from ..campaign.checks import check_new
 from ..campaign.draws import Draws
-from ..campaign.fleet_plan import FleetPlan, PilotFigures, ProblemSize, fleet_plan
+from ..campaign.fleet_plan import NOTHING, FleetPlan, PilotFigures, ProblemSize, fleet_plan
 from ..campaign.plan import Plans, ProblemPlan, plans
 from ..campaign.recheck import Recheck
 from ..campaign.region import Start
-from ..campaign.rehearsal import NearestStart, Rehearsal, expected_tests, rehearsed
+from ..campaign.rehearsal import REPEATED, PilotRollouts, Rehearsal, expected_tests, rehearsed
 from ..campaign.seeds import drawn
 from ..campaign.spot_check import spot_check_plan
 from ..fleet.child import system_spec
@@ -37,8 +37,6 @@ REHEARSAL = 15.0
 """Seconds that a problem is rehearsed at most."""
 NAME = "plan"
 """The place of a problem's name, which no problem has: seeds and starts of a pilot are not those of its campaign."""
-REPEATED = 2
-"""Rollouts of a noisy variant at each start."""
 
 Report = Callable[[str], None]
 """Progress callback: what is being done."""
@@ -51,7 +49,7 @@ class _Pilot:
     recorded: tuple[dict[str, list[Trajectory]], ...]
 
 
-def planned(config: CampaignConfig, source: Path, workers: int, report: Report = lambda _: None) -> FleetPlan:
+def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Report = lambda _: None) -> FleetPlan:
     """Return what the campaign of a file needs from `workers` workers; nothing is kept of its pilot.
 
     Raises:
@@ -68,16 +66,16 @@ def planned(config: CampaignConfig, source: Path, workers: int, report: Report =
     try:
         report(f"pilot of {ROLLOUTS} rollouts")
         pilot = _pilot(header, found, ChildSystem(reference, header.spec, config.deadline, SECONDS))
-        nearest = NearestStart(pilot.starts, pilot.recorded)
-        problems = [_size(plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
+        nearest = PilotRollouts(pilot.starts, pilot.recorded)
+        problems = [_problem_size(plan, _rehearsal(plan, header, nearest, report)) for plan in found.values()]
     except ChildRolloutError as error:
         raise PerfboundError(f"{source}: {error}") from None
     except Stopped as stop:
         raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
-    return fleet_plan(workers, pilot.figures, problems, tuple(_checks(header, found, problems)))
+    return fleet_plan(workers, pilot.figures, problems, tuple(_check_sizes(header, found, problems)))
 
 
-def _rehearsal(plan: ProblemPlan, header: Header, pilot: NearestStart, report: Report) -> Rehearsal | None:
+def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: Report) -> Rehearsal | None:
     """Return the rehearsal of a problem; None where the trajectories of the pilot do not allow one."""
     if plan.falsify is not None:  # its tests come from a search
         return None
@@ -88,16 +86,16 @@ def _rehearsal(plan: ProblemPlan, header: Header, pilot: NearestStart, report: R
         return None
 
 
-def _size(plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
+def _problem_size(plan: ProblemPlan, rehearsal: Rehearsal | None) -> ProblemSize:
     tests, basis = expected_tests(plan, rehearsal)
-    thinking = Guess(0.0, 0.0, 0.0)
+    thinking = NOTHING
     if rehearsal is not None:
         each = [rehearsal.seconds_for(number) for number in (tests.middle, tests.low, tests.high)]
         thinking = Guess(each[0].middle, each[1].low, each[2].high)
-    return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, _matrix(plan))
+    return ProblemSize(plan.name, tests, len(plan.rollouts), plan.window, basis, thinking, _matrix_growth(plan))
 
 
-def _matrix(plan: ProblemPlan) -> tuple[int, int]:
+def _matrix_growth(plan: ProblemPlan) -> tuple[int, int]:
     """Return how much the matrices of a method grow with a test: its factor, and its row of all candidates."""
     parts = plan.parts or (plan,)
     kernels = sum(isinstance(each.problem, KernelProblem) for each in parts)
@@ -105,12 +103,12 @@ def _matrix(plan: ProblemPlan) -> tuple[int, int]:
     return (kernels, kernels * candidates) if kernels else (0, 0)
 
 
-def _checks(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> Iterator[ProblemSize]:
+def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> Iterator[ProblemSize]:
     """Yield the closing checks, as far as the campaign file decides them."""
     spot = spot_check_plan(header, found.values())
     if spot is not None:
         starts, most = header.config.spot_check, spot.max_tests
-        words = "one rollout set a start; follow-ups at suspicious ones" if most > starts else "one rollout set a start"
+        words = f"{starts} starts, and follow-ups" if most > starts else f"{starts} starts"
         # In tests of one rollout: a follow-up has fewer of them than the first test at a start.
         low, high = spot.count(starts), spot.count(most)
         yield ProblemSize(SPOT_CHECK, Guess((low + high) / 2, low, high), 1, spot.window * len(spot.rollouts), words)
@@ -127,9 +125,9 @@ def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
         ChildRolloutError: a rollout fails, or would be refused by a campaign.
 
     """
-    starts, requests = _starts(header, found), []
+    starts, requests = _pilot_starts(header, found), []
     for test, start in enumerate(starts):
-        for variant, count in _variants(header, found).items():
+        for variant, count in _pilot_variants(header, found).items():
             for replicate in range(count):
                 place = RolloutId(NAME, test, variant, replicate)
                 seed = calibration_seed(
@@ -139,17 +137,18 @@ def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
     with tempfile.TemporaryDirectory(prefix="perfbound-plan-") as name:
         folder, begin = Path(name), time.time()
         simulate_in_child(system, requests, folder)
-        return _measured(header, starts, list(finished(system, requests, folder)), folder, begin)
+        return _pilot_of(header, starts, list(finished(system, requests, folder)), folder, begin)
 
 
-def _measured(
+def _pilot_of(
     header: Header,
     starts: Sequence[Start],
     done: Sequence[tuple[RolloutRequest, Trajectory, float]],
     folder: Path,
     begin: float,
 ) -> _Pilot:
-    columns, recorded = tuple(column.name for column in header.spec.columns), []
+    columns = tuple(column.name for column in header.spec.columns)
+    recorded: list[dict[str, list[Trajectory]]] = []
     for request, trajectory, _ in done:
         try:
             check_whole(trajectory, columns, header.config.horizon)
@@ -174,18 +173,17 @@ def _measured(
     return _Pilot(figures, tuple(starts[: len(whole)]), tuple(whole))
 
 
-def _variants(header: Header, found: Plans) -> dict[str, int]:
+def _pilot_variants(header: Header, found: Plans) -> dict[str, int]:
     """Return the rollouts of each variant at a start of the pilot."""
     used = dict.fromkeys(variant for plan in found.values() for variant in plan.variants)
     return {variant: REPEATED if variant in header.spec.noisy else 1 for variant in used}
 
 
-def _starts(header: Header, found: Plans) -> list[Start]:
+def _pilot_starts(header: Header, found: Plans) -> list[Start]:
     """Return starts of the space, those of the first problem: drawn ones, or candidates at random."""
-    plan, count = next(iter(found.values())), max(1, ROLLOUTS // sum(_variants(header, found).values()))
+    plan, count = next(iter(found.values())), max(1, ROLLOUTS // sum(_pilot_variants(header, found).values()))
     if plan.candidates is None:
         draws = Draws(header, NAME)
         return [draws.start(number) for number in range(count)]
-    # A large list without all of its permutation: the number of candidates may be millions.
     size = plan.candidates.size
     return [point_at(plan.candidates, node) for node in drawn(header, NAME, "", size, min(count, size))]

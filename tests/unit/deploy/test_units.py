@@ -28,7 +28,7 @@ def installed(folder: Path, name: str) -> Path:
 @needs_systemd
 @pytest.mark.parametrize("name", NAMES)
 def test_a_unit_is_accepted_by_systemd(tmp_path: Path, name: str) -> None:
-    command = ["systemd-analyze", "verify", "--man=no", installed(tmp_path, name)]
+    command = ["systemd-analyze", "verify", "--man=no", str(installed(tmp_path, name))]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (found.returncode, found.stderr) == (0, "")
 
@@ -37,7 +37,7 @@ def test_a_unit_is_accepted_by_systemd(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_unit_has_few_rights(tmp_path: Path, name: str) -> None:
     path = installed(tmp_path, name)
-    command = ["systemd-analyze", "security", "--offline=yes", "--no-pager", f"--threshold={EXPOSURE}", path]
+    command = ["systemd-analyze", "security", "--offline=yes", "--no-pager", f"--threshold={EXPOSURE}", str(path)]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout
 
