@@ -3,12 +3,11 @@
 import os
 import random
 import shutil
-import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
+from tests.end_to_end.hosts import no_namespaces
 from tests.faults import deaths, links, machine, nodes, peers, removals, systems
 from tests.faults.scene import Scene
 
@@ -37,18 +36,6 @@ def _no_compiler() -> str:
     return "" if shutil.which("cc") else "needs a C compiler (cc)"
 
 
-@cache
-def _no_namespaces() -> str:
-    if shutil.which("ip") is None or _no_root():
-        return "needs root and ip (iproute2)"
-    name = f"pbprobe{os.getpid()}"
-    made = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False)
-    if made.returncode:
-        return f"needs network namespaces: {made.stderr.strip()}"
-    subprocess.run(["ip", "netns", "del", name], check=True)
-    return ""
-
-
 PLUGIN = ("function",)
 BRIEF = ("brief", "function")
 """For faults that take long, or that hit a campaign anywhere."""
@@ -67,8 +54,8 @@ FAULTS = {
         Fault(links.restart_router, ("function", "slow")),
         Fault(links.router_away, ("slow",)),
         Fault(links.restart_everything, ("slow", "function")),
-        Fault(links.cut_cable, ("slow",), _no_namespaces),
-        Fault(links.cut_and_kill, ("slow",), _no_namespaces),
+        Fault(links.cut_cable, ("slow",), no_namespaces),
+        Fault(links.cut_and_kill, ("slow",), no_namespaces),
         Fault(links.disturb_messages, PLUGIN),
         Fault(machine.fill_disk, PLUGIN, _no_root),
         Fault(machine.slow_disk, PLUGIN, _no_compiler),

@@ -1,8 +1,8 @@
 """Links between the orchestrator and remote workers: a router, a cable, messages in memory."""
 
-import subprocess
 import time
 
+from tests.end_to_end.hosts import ip
 from tests.end_to_end.processes import Process, query
 from tests.faults.scene import Scene
 from tests.faults.verdict import prefix
@@ -74,9 +74,9 @@ def cut_cable(scene: Scene) -> None:
     for moment in scene.moments(scene.chance.choice((1, 2, 3))):
         if scene.reach(moment):
             scene.pause()
-            _ip("-n", cable, "link", "set", cable, "down")
+            ip("-n", cable, "link", "set", cable, "down")
             seconds = scene.pause(*scene.chance.choice(((0.1, 1.5), (2.0, 4.0), (5.5, 8.0))))
-            _ip("-n", cable, "link", "set", cable, "up")
+            ip("-n", cable, "link", "set", cable, "up")
             scene.did(f"cable cut for {seconds:.1f} s")
     scene.finish()
 
@@ -86,13 +86,13 @@ def cut_and_kill(scene: Scene) -> None:
     cable = _cable(scene)
     scene.start()
     if scene.reach(scene.moments(1)[0]):
-        _ip("-n", cable, "link", "set", cable, "down")
+        ip("-n", cable, "link", "set", cable, "down")
         scene.did("cable cut")
         scene.pause(0.0, 4.0)
         scene.kill_orchestrator()
         scene.resume()
         scene.pause(0.0, 6.0)
-        _ip("-n", cable, "link", "set", cable, "up")
+        ip("-n", cable, "link", "set", cable, "up")
         scene.did("cable restored", fault=False)
     scene.finish()
 
@@ -101,20 +101,16 @@ def _cable(scene: Scene) -> str:
     """Put orchestrator and workers into two namespaces with a cable between; return the end of the workers."""
     ours, theirs = f"{prefix(scene)}a", f"{prefix(scene)}b"
     for name in (ours, theirs):
-        _ip("netns", "add", name)
-        scene.undo.append(lambda name=name: _ip("netns", "del", name))  # type: ignore[misc]
-        _ip("-n", name, "link", "set", "lo", "up")
-    _ip("link", "add", ours, "netns", ours, "type", "veth", "peer", "name", theirs, "netns", theirs)
+        ip("netns", "add", name)
+        scene.undo.append(lambda name=name: ip("netns", "del", name))  # type: ignore[misc]
+        ip("-n", name, "link", "set", "lo", "up")
+    ip("link", "add", ours, "netns", ours, "type", "veth", "peer", "name", theirs, "netns", theirs)
     for name, address in ((ours, "10.77.0.1/24"), (theirs, "10.77.0.2/24")):
-        _ip("-n", name, "address", "add", address, "dev", name)
-        _ip("-n", name, "link", "set", name, "up")
+        ip("-n", name, "address", "add", address, "dev", name)
+        ip("-n", name, "link", "set", name, "up")
     scene.remote, scene.host, scene.listening = True, "10.77.0.1", "tcp/10.77.0.1:7447"
     scene.prefix, scene.worker_prefix = (("ip", "netns", "exec", name) for name in (ours, theirs))
     return theirs
-
-
-def _ip(*arguments: str) -> None:
-    subprocess.run(["ip", *arguments], check=True, capture_output=True)
 
 
 def disturb_messages(scene: Scene) -> None:
