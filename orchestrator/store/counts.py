@@ -54,7 +54,7 @@ class CampaignCounts:
     attempts: dict[str, int] = field(default_factory=dict)
     """Attempts that were started, by host, in the order in which the hosts came."""
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
-    """Attempts that ended, by host and a word of `NO_FAILURE` or the kind of the failure, "unknown" in old databases."""
+    """Attempts that ended, by host and a word of `NO_FAILURE` or the kind of failure, "unknown" in old databases."""
 
 
 class CountReader:

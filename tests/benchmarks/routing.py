@@ -79,7 +79,7 @@ class Driver:
 
     def latency(self) -> float:
         """Return the median time in s from a request to its result, with one under way at a time."""
-        found, end = [], time.monotonic() + SECONDS
+        found, end = list[float](), time.monotonic() + SECONDS
         for worker in iter(lambda: next(iter(self.alive)), None):
             if time.monotonic() > end:
                 return statistics.median(found)
