@@ -13,6 +13,8 @@ from .transport import Uplink
 
 Key = tuple[str, int]
 """Rollout and number of an attempt."""
+LONGEST_WAIT = 16.0
+"""Seconds between two deliveries of a result."""
 End = bytes | Failure | Literal["handed_back"]
 """The trajectory's file, or why there is none."""
 
@@ -22,6 +24,8 @@ class _Parcel:
     header: ResultHeader
     payload: bytes
     sent_at: float = float("-inf")
+    wait: float = 0.0
+    """Seconds from `sent_at` to the next delivery."""
 
 
 class Parcels:
@@ -31,6 +35,7 @@ class Parcels:
         self._worker, self._uplink = worker, uplink
         self._lock = threading.Lock()
         self._waiting: dict[Key, _Parcel] = {}
+        self._announced = uplink.orchestrators()
         self.emptied_at = time.monotonic()
         """When the last one was acknowledged."""
 
@@ -61,12 +66,20 @@ class Parcels:
             self._waiting.clear()
 
     def deliver(self, again_after: float) -> None:
-        """Deliver what is new, and again what was delivered so many s ago."""
-        now = time.monotonic()
+        """Deliver what is new, and again what was delivered `again_after` s ago, then after twice as long each time.
+
+        An orchestrator that is busy with a thousand results needs longer than that for each of them, and would get all
+        of them again and again. One that is announced anew, also after a link was down, gets them soon.
+        """
+        now, announced = time.monotonic(), self._uplink.orchestrators()
         with self._lock:
-            late = [parcel for parcel in self._waiting.values() if now - parcel.sent_at >= again_after]
+            if announced != self._announced:
+                self._announced = announced
+                for parcel in self._waiting.values():
+                    parcel.wait = again_after
+            late = [parcel for parcel in self._waiting.values() if now - parcel.sent_at >= parcel.wait]
             for parcel in late:
-                parcel.sent_at = now
+                parcel.sent_at, parcel.wait = now, min(LONGEST_WAIT, max(again_after, 2 * parcel.wait))
         for parcel in late:
             self._uplink.deliver(parcel.header, parcel.payload)
 
