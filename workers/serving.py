@@ -16,7 +16,7 @@ from .ends import EndOptions, gone_since, is_abandoned
 from .failing import fail
 from .stopping import STOPPED, Stopping
 from .transport import ZenohUplink, connect
-from .worker import WorkerProcess
+from .worker import POLL, WorkerProcess
 
 LOOK = 0.02
 """Seconds between two looks for an orchestrator."""
@@ -131,19 +131,20 @@ def _abandoned(
     uplink: ZenohUplink, chosen: str, worker: WorkerProcess, life: Life, *, pinned: bool
 ) -> Callable[[bool], bool]:
     """Return what the worker asks between two rollouts: whether the run goes on without it, or it without the run."""
-    gone = life.last_campaign = time.monotonic()
+    gone = asked = life.last_campaign = time.monotonic()
     # Of a link to the orchestrator itself, its end is that of the orchestrator.
     routed = False
 
     def abandoned(outbox_empty: bool) -> bool:
-        nonlocal gone, routed
+        nonlocal gone, asked, routed
         now, linked = time.monotonic(), uplink.linked
         routed = uplink.routed if linked else routed
         present = any(run == chosen for _, run in uplink.orchestrators())
         if life.is_over:
             worker.leave()
-        if present or not outbox_empty:  # it has just been busy
+        if present or now - asked > 3 * POLL:  # a rollout has just ended
             life.last_campaign = now
+        asked = now
         gone = gone_since(gone, now, present=present or pinned, linked=linked or not routed)
         return life.is_idle_for_too_long or is_abandoned(now - gone, outbox_empty=outbox_empty)
 

@@ -15,6 +15,8 @@ from collections.abc import Callable
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
+import click
+
 from .ends import DELIVERY
 
 if TYPE_CHECKING:
@@ -62,6 +64,8 @@ class Stopping:
             pass
         deadline = time.monotonic() + self._within
         self._asked.set()
+        line = f"what is under way has {self._within:g} s to end; a second SIGTERM ends this worker at once"
+        click.echo(f"perfbound-worker: {line}", err=True)
         if self._worker is not None:
             self._worker.leave()
         self._sleep_until(deadline)
