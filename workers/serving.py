@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import click
@@ -72,16 +73,13 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
     with connect(link.endpoints, link.tls, _waiting(link, life), link.secret) as uplink:
         while True:
             orchestrator, chosen = _choose(uplink, run, link, life, finished)
-            if identity is None and uplink.by_certificate(orchestrator) and name != link.common_name:
-                fail(
-                    f"--name {name}: {' or '.join(link.endpoints)} was started with --allow, so a worker has the "
-                    f"common name of its certificate, here {link.common_name!r}; leave --name out"
-                )
+            check_name = partial(_check_name, link, uplink, orchestrator, None if identity else name)
+            check_name()
             worker = WorkerProcess(started, uplink)
             life.stopping.attend(worker)
             uplink.join(chosen, worker.name, worker.receive)
             try:
-                end = worker.serve(_abandoned(uplink, chosen, worker, life, pinned=run is not None))
+                end = worker.serve(_abandoned(uplink, chosen, worker, life, check_name, pinned=run is not None))
             except RefusedError as error:
                 fail(str(error))
             uplink.leave()
@@ -91,6 +89,15 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
                 if life.ends.until_done and not _to_serve(uplink, run, finished):
                     return 0
             started = keys.fresh_id(name)
+
+
+def _check_name(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name: str | None) -> None:
+    """End the process if its name is not that of its certificate, where it is heard under that one alone."""
+    if name not in (None, link.common_name) and uplink.by_certificate(orchestrator):
+        fail(
+            f"--name {name}: {' or '.join(link.endpoints)} was started with --allow, so a worker has the common name "
+            f"of its certificate, here {link.common_name!r}; leave --name out"
+        )
 
 
 def _waiting(link: LinkOptions, life: Life) -> Callable[[], None]:
@@ -128,7 +135,7 @@ def _choose(uplink: ZenohUplink, run: str | None, link: LinkOptions, life: Life,
 
 
 def _abandoned(
-    uplink: ZenohUplink, chosen: str, worker: WorkerProcess, life: Life, *, pinned: bool
+    uplink: ZenohUplink, chosen: str, worker: WorkerProcess, life: Life, check: Callable[[], None], *, pinned: bool
 ) -> Callable[[bool], bool]:
     """Return what the worker asks between two rollouts: whether the run goes on without it, or it without the run."""
     gone = asked = life.last_campaign = time.monotonic()
@@ -137,6 +144,7 @@ def _abandoned(
 
     def abandoned(outbox_empty: bool) -> bool:
         nonlocal gone, asked, routed
+        check()  # the token of a router may come after that of the orchestrator behind it
         now, linked = time.monotonic(), uplink.linked
         routed = uplink.routed if linked else routed
         present = any(run == chosen for _, run in uplink.orchestrators())

@@ -13,6 +13,8 @@ from tests.end_to_end.processes import Ended, Process, Processes
 
 HUB = "10.78.0.1"
 """The address of the hub, from every host."""
+NAMES = Path("/etc/netns")
+"""Of each namespace, the files that its processes find in /etc."""
 
 
 @cache
@@ -43,8 +45,8 @@ class Host:
     def start(self, *words: str | Path, **environment: str) -> Process:
         """Start a command, as it is typed on this host."""
         program, *arguments = words
-        prefix = ("ip", "netns", "exec", self.namespace, "env", "--chdir", str(self.home))
-        environment = {"XDG_STATE_HOME": str(self.home / "state"), **environment}
+        prefix = ("ip", "netns", "exec", self.namespace, "env", "-u", "XDG_STATE_HOME", "--chdir", str(self.home))
+        environment = {"HOME": str(self.home), **environment}
         return self.processes.start(str(program), *arguments, prefix=prefix, **environment)
 
     def run(self, *words: str | Path, **environment: str) -> Ended:
@@ -53,7 +55,10 @@ class Host:
 
 @contextmanager
 def hosts(processes: Processes, hub: str, *others: str) -> Iterator[dict[str, Host]]:
-    """Make hosts that do not outlive this block; each of `others` has a cable to the hub, which forwards nothing."""
+    """Make hosts that do not outlive this block; each of `others` has a cable to the hub, which forwards nothing.
+
+    All of them know the name of the hub.
+    """
     made: dict[str, Host] = {}
     try:
         for number, name in enumerate((hub, *others)):
@@ -61,6 +66,8 @@ def hosts(processes: Processes, hub: str, *others: str) -> Iterator[dict[str, Ho
             ip("netns", "add", space)
             made[name] = Host(space, home, processes)
             home.mkdir()
+            (NAMES / space).mkdir(parents=True)
+            (NAMES / space / "hosts").write_text(f"127.0.0.1 localhost\n{HUB} {hub}\n")
             ip("-n", space, "link", "set", "lo", "up")
         centre = made[hub].namespace
         ip("-n", centre, "address", "add", f"{HUB}/32", "dev", "lo")
@@ -71,6 +78,7 @@ def hosts(processes: Processes, hub: str, *others: str) -> Iterator[dict[str, Ho
         processes.end()
         for host in made.values():
             ip("netns", "del", host.namespace)
+            shutil.rmtree(NAMES / host.namespace, ignore_errors=True)
 
 
 def _lay_cable(centre: str, space: str, number: int) -> None:

@@ -404,8 +404,8 @@ def test_an_allowed_worker_has_the_name_of_its_certificate(
     named = started.run("perfbound-worker", "--connect", endpoint, *own, "--name", "w2")
     assert named.code == 1
     assert named.fault == (
-        f"perfbound-worker: --name w2: the orchestrator at {endpoint} was started with --allow, so the name of a "
-        "worker is the common name of its certificate, here 'w1'; leave --name out"
+        f"perfbound-worker: --name w2: {endpoint} was started with --allow, so a worker has the common name of its "
+        "certificate, here 'w1'; leave --name out"
     )
     started.start("perfbound-worker", "--connect", endpoint, *own)
     ended = process.wait()
