@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.service import RunStatus
+from perfbound.orchestrator.store import counts
 from perfbound.orchestrator.store.commit_times import EDGES, CommitTimes, cumulative
 from perfbound.orchestrator.store.counts import CampaignCounts, CountReader
 from perfbound.orchestrator.store.journal import Journal
@@ -107,6 +108,16 @@ def test_a_discarded_rollout_leaves_the_counts_as_they_are(watched: tuple[Path, 
         connection.execute("DROP TRIGGER rollouts_no_delete")
         connection.execute("DELETE FROM rollouts WHERE seq = (SELECT max(seq) FROM rollouts)")
     assert reader.read() == before
+
+
+def test_no_query_reads_what_was_read_before(watched: tuple[Path, Watching]) -> None:
+    """Every one of them begins at the last number, as SQLite's plan for it says."""
+    outcomes = counts._OUTCOMES.format(kind=counts._KIND.format(column="kind"))
+    with closing(sqlite3.connect(watched[0] / DATABASE)) as connection:
+        for query in (counts._ROLLOUTS, counts._TESTS, counts._BOUNDS, counts._ATTEMPTS, outcomes):
+            plan = connection.execute(f"EXPLAIN QUERY PLAN {query}", [0] * query.count("?")).fetchall()
+            assert "USING INTEGER PRIMARY KEY (rowid>?)" in plan[0][3], query
+            assert not [step for *_, step in plan if step.startswith("SCAN")], query
 
 
 @pytest.mark.parametrize("name", ["schema-1", "schema-2", "schema-3"])
