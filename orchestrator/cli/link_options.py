@@ -34,13 +34,8 @@ def connect_option(*, text: str) -> Decorator:
 
 def names_option(option: str, kind: str) -> Decorator:
     """Return an option for the common names of certificates of one kind."""
-    return click.option(
-        option,
-        multiple=True,
-        metavar="NAME",
-        help=f"With TLS: accept {kind}, whose certificate has the common name NAME, and nothing that is not named; "
-        "may be repeated.",
-    )
+    text = f"With TLS: let in the {kind} whose certificate has the common name NAME; may be repeated."
+    return click.option(option, multiple=True, metavar="NAME", help=text)
 
 
 def link_options(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -19,9 +19,9 @@ NEWS = 10.0
 def _options(command: Callable[..., Any]) -> Callable[..., Any]:
     options: tuple[Decorator, ...] = (
         *TLS_OPTIONS,
-        names_option("--allow-router", "another router, which passes on everything"),
-        names_option("--allow-orchestrator", "an orchestrator"),
-        names_option("--allow", "a worker, which speaks in its own name alone"),
+        names_option("--allow-router", "router"),
+        names_option("--allow-orchestrator", "orchestrator"),
+        names_option("--allow", "worker"),
         click.option("--insecure", is_flag=True, help="Allow listening beyond this machine without TLS."),
         connect_option(text="Endpoint of another router, with which this one shares all workers"),
         click.option(
@@ -53,12 +53,13 @@ def router(
 ) -> None:
     """Carry the messages between orchestrators and workers, which all connect to this router.
 
-    It stores nothing: it may be stopped and started again while campaigns run.
+    It stores nothing: it may be stopped and started again while campaigns run. With any --allow... it lets in what is
+    named, and nothing else; a worker then speaks and reads in its own name alone.
     """
     from ...schemas.access import router_rules  # noqa: PLC0415
     from ...schemas.certificates import check_role, ends_soon  # noqa: PLC0415
     from ...schemas.errors import LinkError  # noqa: PLC0415
-    from ...schemas.link import asks_for_secret  # noqa: PLC0415
+    from ...schemas.link import asks_for_secret, checked_endpoint  # noqa: PLC0415
     from ...schemas.secret import shared_secret  # noqa: PLC0415
     from ..fleet.router import route  # noqa: PLC0415
     from ..run.systemd import Systemd  # noqa: PLC0415
@@ -67,6 +68,8 @@ def router(
     if rules is not None and files is None:
         raise LinkError("--allow: needs tls/ endpoints, --tls-ca, --tls-certificate and --tls-key")
     if files is not None:
+        for endpoint in endpoints:
+            checked_endpoint("--listen", endpoint, files)
         check_role(files.certificate, "router")
         if end := ends_soon(files.certificate):
             _print(end)

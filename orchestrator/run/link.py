@@ -8,7 +8,7 @@ from typing import Any
 from ...schemas.access import access_rules
 from ...schemas.certificates import check_role, common_name, ends_soon
 from ...schemas.errors import LinkError
-from ...schemas.link import Tls, asks_for_secret
+from ...schemas.link import Tls, asks_for_secret, checked_endpoint
 from ...schemas.secret import shared_secret
 from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
 from .page_access import PagePlace
@@ -68,6 +68,8 @@ class Link:
         """
         access = self.access(local_workers=local_workers)
         if self.tls is not None:
+            for option, endpoint in [("--connect", way) for way in self.routers] or [("--listen", self.endpoint)]:
+                checked_endpoint(option, endpoint, self.tls)
             check_role(self.tls.certificate, "orchestrator")
             if end := ends_soon(self.tls.certificate):
                 print_line(end)

@@ -313,14 +313,27 @@ def test_endpoints_that_cannot_be_used(here: Here) -> None:
             (["tcp/127.0.0.1:0", "--allow", "w1"], "--allow: needs a tls/ endpoint"),
             (
                 ["tls/127.0.0.1:0", "--tls-ca", "a", "--tls-key", "b", "--tls-certificate", "c"],
-                "a: no such file; the TLS options name PEM files",
+                ": no such file; the TLS options name PEM files",
             ),
         ):
             ended = here.run("run", "c.toml", "--listen", *arguments)
             assert ended.code == 1
             assert reason in ended.fault
+            if "--allow" not in arguments:
+                assert reason in here.run("router", "--listen", *arguments).fault
     ended = here.run("run", "c.toml", "--tls-ca", "a")
     assert (ended.code, "belong together" in ended.err) == (2, True)
+    ended = here.run("run", "c.toml", "--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:1")
+    assert (ended.code, "--listen and --connect exclude each other" in ended.err) == (2, True)
+    for arguments, reason in (
+        (["tcp/127.0.0.1"], "--connect 'tcp/127.0.0.1' is not an endpoint"),
+        (["tls/127.0.0.1:1"], "--connect tls/127.0.0.1:1: tls needs --tls-ca"),
+        (["tcp/127.0.0.1:1", "--allow", "w1"], "--allow: the router alone sees the certificates of workers"),
+    ):
+        assert reason in here.run("run", "c.toml", "--connect", *arguments).fault
+    for option in ("--allow", "--allow-orchestrator", "--allow-router"):
+        ended = here.run("router", "--listen", "tcp/127.0.0.1:0", option, "w1")
+        assert "--allow: needs tls/ endpoints" in ended.fault
     assert [path.name for path in here.folder.iterdir()] == ["c.toml"]
 
 
