@@ -13,6 +13,7 @@ from .group import cli
 
 if TYPE_CHECKING:
     from ...schemas.certificates import Role
+    from ..fleet.authority import Order
     from ..run.pki import Issued
 
 PORT = 7447
@@ -83,7 +84,7 @@ def issue_to(
 @pki.command("list")
 @folder_option
 def list_issued(*, folder: Path | None) -> None:
-    """List the issued certificates, each with its end, and the options with which a router lets them in."""
+    """List the issued certificates, each with its end, and the options with which routers let them in."""
     from ...schemas.certificates import time_text  # noqa: PLC0415
     from ..run.pki import issued, pki_folder  # noqa: PLC0415
 
@@ -92,8 +93,8 @@ def list_issued(*, folder: Path | None) -> None:
         verb = "ended at" if each.ended else "ends at"
         hosts = f"   {', '.join(each.order.hosts)}" if each.order.hosts else ""
         click.echo(f"{each.order.role:12} {each.order.name:24} {verb:8} {time_text(each.ends)}{hosts}")
-    allowed = _allow_options(found)
-    click.echo(f"options of a router: {shlex.join(allowed)}" if allowed else "no worker or orchestrator yet")
+    for router in dict.fromkeys(each.order.name for each in found if each.order.role == "router" and not each.ended):
+        click.echo(f"options of the router {router}: {shlex.join(_allow_options(found, router))}")
 
 
 def _instructions(folder: Path, made: "Issued", known: "Sequence[Issued]") -> list[str]:
@@ -114,29 +115,31 @@ def _instructions(folder: Path, made: "Issued", known: "Sequence[Issued]") -> li
         "",
         f"and remove {files[2][1]} here. There:",
         "",
-        *(f"    {shlex.join(line)}" for line in _commands(role, options, known)),
+        *(f"    {shlex.join(line)}" for line in _commands(made.order, options, known)),
     ]
 
 
-def _commands(role: "Role", options: list[str], known: "Sequence[Issued]") -> list[list[str]]:
+def _commands(order: "Order", options: list[str], known: "Sequence[Issued]") -> list[list[str]]:
     """Return the command of the host of a certificate; without a router, an orchestrator has one more."""
     routers = [each.order.hosts[0] for each in known if each.order.role == "router" and not each.ended]
     to_router = ["--connect", f"tls/{_bracketed(routers[-1])}:{PORT}" if routers else f"tls/ROUTER:{PORT}"]
-    listen, allowed = ["--listen", f"tls/0.0.0.0:{PORT}"], _allow_options(known)
-    if role == "worker":
+    interfaces = f"tls/[::]:{PORT}" if order.hosts and ":" in order.hosts[0] else f"tls/0.0.0.0:{PORT}"
+    listen, allowed = ["--listen", interfaces], _allow_options(known, order.name)
+    if order.role == "worker":
         return [["perfbound-worker", *to_router, *options]]
-    if role == "router":
-        return [["perfbound", "router", *listen, *options, *allowed]]
+    if order.role == "router":
+        names = allowed or ["--allow-orchestrator", "ORCHESTRATOR", "--allow", "WORKER"]
+        return [["perfbound", "router", *listen, *options, *names]]
     workers = [part for pair in pairwise(allowed) if pair[0] == "--allow" for part in pair]
     ways = [to_router] if routers else [to_router, [*listen, *workers]]
     return [["perfbound", "orchestrate", "CAMPAIGN.toml", *way, *options] for way in ways]
 
 
-def _allow_options(known: "Sequence[Issued]") -> list[str]:
-    """Return the options by which a router lets the issued workers and orchestrators in."""
-    names = {(each.order.role, each.order.name): each for each in known if not each.ended}
-    option = {"worker": "--allow", "orchestrator": "--allow-orchestrator"}
-    return [part for role, name in names if role in option for part in (option[role], name)]
+def _allow_options(known: "Sequence[Issued]", own: str) -> list[str]:
+    """Return the options by which a router lets the issued names in; `own` is its name."""
+    names = dict.fromkeys((each.order.role, each.order.name) for each in known if not each.ended)
+    option = {"worker": "--allow", "orchestrator": "--allow-orchestrator", "router": "--allow-router"}
+    return [part for role, name in names if name != own for part in (option[role], name)]
 
 
 def _bracketed(host: str) -> str:

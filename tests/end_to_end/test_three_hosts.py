@@ -141,7 +141,7 @@ def with_another_host(site: Site, router: Process, route: Command) -> Process:
     issue, copy, listing = of_page("Another host")
     site.run(issue)
     site.run(copy)
-    allowed = shlex.split(site.run(listing).splitlines()[-1].partition("options of a router: ")[2])
+    allowed = shlex.split(site.run(listing).splitlines()[-1].partition("options of the router gate: ")[2])
     assert allowed == ["--allow-orchestrator", "main", "--allow", "node-1", "--allow", "node-2"]
     router.popen.terminate()
     assert router.wait().code == 0
