@@ -1,4 +1,4 @@
-"""The container images, really built and run: on a base of Debian's packages, since no registry of images is needed then.
+"""The container images, really built and run, on a base of Debian's packages: no registry of images is needed for it.
 
 It takes minutes, root, buildah and debootstrap; each container runs in a change root, as the user of the image.
 """
