@@ -18,7 +18,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-all other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs lock clean
+.PHONY: help setup run test test-all other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs images lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -148,6 +148,14 @@ diagrams: $(INSTALLED)-dev ## Draw the diagrams of docs/architecture.md from tab
 
 docs: $(INSTALLED)-docs ## Build the docs site into build/site; a broken link fails the build
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+
+BUILDER ?= $(firstword $(shell command -v docker podman buildah))
+images: ## Build both container images (BUILDER=docker, podman or buildah; BASE=... for another base with Python 3.11)
+	@test -n "$(BUILDER)" || { echo "no docker, podman or buildah: install one of them" >&2; exit 1; }
+	$(BUILDER) build $(if $(BASE),--build-arg BASE=$(BASE)) --file deploy/Dockerfile --target orchestrator --tag perfbound:$(RELEASE) .
+	$(BUILDER) build $(if $(BASE),--build-arg BASE=$(BASE)) --file deploy/Dockerfile --target worker --tag perfbound-worker:$(RELEASE) .
+
+RELEASE = $(shell sed -n 's/^version = "\(.*\)"$$/\1/p' pyproject.toml)
 
 lock: ## Resolve the dependencies for every Python of this machine; a version stays while pyproject.toml allows it
 	@for version in $(VERSIONS); do \

@@ -5,6 +5,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from ...schemas.campaign import CampaignConfig
@@ -160,13 +161,16 @@ def _pilot_of(
         recorded[request.test].setdefault(request.variant, []).append(trajectory)
     # A slow pilot may have ended within a start.
     whole = [each for each in recorded if each.keys() == recorded[0].keys()]
-    startup, last = done[0][2] - begin, done[-1][2]
-    seconds = (last - done[0][2]) / (len(done) - 1) if len(done) > 1 else startup
+    written = [at for _, _, at in done]
+    startup = max(0.0, written[0] - begin)
+    # The first rollout loads the simulator.
+    each = [max(0.0, after - before) for before, after in pairwise(written)] or [startup]
     sizes = [os.path.getsize(folder / f"{number}.mcap") for number in range(len(done))]
     figures = PilotFigures(
         rollouts=len(done),
-        seconds=max(0.0, seconds),
-        startup=max(0.0, startup),
+        seconds=sum(each) / len(each),
+        fastest=min(each),
+        startup=startup,
         size=sum(sizes) / len(sizes),
         memory=peak_memory(folder),
     )

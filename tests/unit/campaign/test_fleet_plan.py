@@ -6,7 +6,7 @@ from perfbound.orchestrator.campaign import fleet_plan as plans
 from perfbound.orchestrator.campaign.fleet_plan import FleetPlan, PilotFigures, ProblemSize, fleet_plan
 from perfbound.schemas.values import Guess
 
-PILOT = PilotFigures(rollouts=10, seconds=10.0, startup=2.0, size=100_000.0, memory=97_000_000)
+PILOT = PilotFigures(rollouts=10, seconds=10.0, fastest=9.0, startup=2.0, size=100_000.0, memory=97_000_000)
 
 
 def exactly(number: float) -> Guess:
@@ -63,7 +63,7 @@ def test_mathematics_hide_behind_the_rollouts_of_a_wide_window_at_best() -> None
 
 
 def test_the_first_limit_is_the_loop_of_the_orchestrator() -> None:
-    fast = PilotFigures(10, 0.1, 1.0, 1e5, 10**8)
+    fast = PilotFigures(10, 0.1, 0.1, 1.0, 1e5, 10**8)
     few, many = (fleet_plan(workers, fast, [size(window=10_000)], []).load for workers in (10, 1000))
     assert not few.limits
     assert many.limits
@@ -76,7 +76,7 @@ def test_heartbeats_of_idle_workers_are_a_load_as_well() -> None:
 
 
 def test_a_loop_that_limits_sets_the_time() -> None:
-    fast = PilotFigures(10, 0.001, 1.0, 1e5, 10**8)
+    fast = PilotFigures(10, 0.001, 0.001, 1.0, 1e5, 10**8)
     found = fleet_plan(1000, fast, [size(tests=100_000, window=10_000)], [])
     assert found.seconds.middle >= 100_000 * plans.RESULT_SECONDS
 
@@ -101,7 +101,7 @@ def test_the_network_carries_results_and_heartbeats() -> None:
 @pytest.mark.parametrize("workers", [1, 3, 64, 10_000])
 @pytest.mark.parametrize("seconds", [0.0, 0.001, 30.0])
 def test_ranges_are_ordered_and_finite(workers: int, seconds: float) -> None:
-    pilot = PilotFigures(1, seconds, 0.5, 1e3, 10**7)
+    pilot = PilotFigures(1, seconds, seconds / 2, 0.5, 1e3, 10**7)
     problems = [
         ProblemSize("nominal_robustness", Guess(50, 10, 200), 1, 1, "", Guess(1.0, 0.5, 4.0), (1, 2601)),
         ProblemSize("sim_gap", Guess(50, 10, 200), 2, 4, "", Guess(1.0, 0.5, 4.0), (1, 2601)),

@@ -11,7 +11,7 @@ def problem(window: int = 1) -> ProblemSize:
     return ProblemSize("true_risk", Guess(100, 50, 100), 8, window, "rehearsed: the whole budget")
 
 
-PILOT = PilotFigures(10, 10.0, 2.0, 100_000.0, 97_000_000)
+PILOT = PilotFigures(10, 10.0, 9.0, 2.0, 100_000.0, 97_000_000)
 
 
 def test_workers_without_work_are_counted() -> None:
@@ -22,7 +22,7 @@ def test_workers_without_work_are_counted() -> None:
 
 
 def test_the_limit_of_the_orchestrator_is_said() -> None:
-    fast = PilotFigures(10, 0.01, 2.0, 100_000.0, 97_000_000)
+    fast = PilotFigures(10, 0.01, 0.01, 2.0, 100_000.0, 97_000_000)
     assert any("The orchestrator limits" in line for line in plan_limits(fleet_plan(64, fast, [problem(64)], [])))
     assert not any("The orchestrator limits" in line for line in plan_limits(fleet_plan(64, PILOT, [problem(64)], [])))
 
