@@ -1,0 +1,16 @@
+# One worker of the array. It ends with the campaign; warned of its time limit, it finishes or hands back its rollout,
+# and is queued again.
+. "$folder/common.sh"
+
+overdue=0
+watch() {
+  # It is told, but by one message that may get lost.
+  if ended && [ "$((overdue += 1))" -gt 20 ]; then kill -TERM "$child"; fi
+}
+
+! ended || exit 0
+connected "$programs/perfbound-worker" --until-done "${system[@]}" "${tls[@]}"
+code=$?
+! ended || exit 0
+[ -z "$warned" ] || [ "$code" -ne 143 ] || again
+exit "$code"
