@@ -5,6 +5,7 @@ import io
 import itertools
 import json
 import math
+import shlex
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from datetime import date, time
@@ -60,7 +61,8 @@ def file_and_place(path: Path) -> tuple[bytes, str, Beside]:
             data = file.read(MAX_CAMPAIGN_FILE + 1)
     except OSError as error:
         if ".py:" in path.name:
-            raise CampaignError(f"{path}: this is a system; write a campaign file: perfbound init {path}") from None
+            command = f"perfbound init {shlex.quote(str(path))}"
+            raise CampaignError(f"{path}: this is a system; write a campaign file: {command}") from None
         raise CampaignError(f"{path}: {error.strerror}; choose a campaign file, e.g. one of deploy/campaigns") from None
     if len(data) > MAX_CAMPAIGN_FILE:
         raise CampaignError(f"{path}: more than {MAX_CAMPAIGN_FILE} bytes; choose a campaign file")
@@ -126,11 +128,12 @@ def validated(found: dict[str, Any], table: Mapping[str, Any], source: str) -> C
         lines = faults(error, found, one_problem) if listed is None else [listed]
         if not OF_PROBLEM & table.keys() and is_description(table):
             first, *others = lines
-            hint = f"; this file describes a program alone: perfbound init {source} makes a campaign of it"
+            hint = f"; this file describes a program alone: perfbound init {shlex.quote(source)} makes a campaign of it"
             # What a campaign needs in addition is what that command adds.
             lines = [first + hint, *(line for line in others if ": this key is required" not in line)]
         elif any(line.endswith("rkhs_norm: this key is required: a number > 0") for line in lines):
-            lines = [*lines, f"a draft without constants of a kernel: `perfbound calibrate {source}` proposes them"]
+            command = f"perfbound calibrate {shlex.quote(source)}"
+            lines = [*lines, f"a draft without constants of a kernel: `{command}` proposes them"]
         raise CampaignError(*(f"{source}: {line}" for line in lines)) from None
 
 

@@ -1,5 +1,6 @@
 """The reason why a link does not open, found by a TLS handshake: Zenoh reports every refusal as a timeout."""
 
+import shlex
 import socket
 import ssl
 from typing import TYPE_CHECKING
@@ -70,7 +71,7 @@ def _wrong_certificate(error: ssl.SSLCertVerificationError, host: str, tls: "Tls
     if error.verify_code in _HOST:
         return (
             f"does not name {host}; connect to a host that it names, or issue it again with `perfbound pki issue "
-            f"... --host {host}`"
+            f"... --host {shlex.quote(host)}`"
         )
     if error.verify_code in _TIMES:
         return f"{_TIMES[error.verify_code]}, by the clock of this machine; issue a new one there, or fix the clock"

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import shlex
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,9 +26,10 @@ def campaign_lock(directory: Path) -> Iterator[None]:
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         if not _take(descriptor):
+            place = shlex.quote(str(directory))
             raise PerfboundError(
                 f"{directory}: another orchestrator is running this campaign; "
-                f"watch it with `perfbound status {directory}`, or stop it with `perfbound stop {directory}`"
+                f"watch it with `perfbound status {place}`, or stop it with `perfbound stop {place}`"
             )
         stop_request.withdraw_request(directory)  # of before: it was meant for an orchestrator that has ended
         try:
