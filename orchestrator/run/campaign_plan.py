@@ -114,8 +114,8 @@ def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) 
         low, high = spot.count(starts), spot.count(most)
         yield ProblemSize(SPOT_CHECK, Guess((low + high) / 2, low, high), 1, spot.window * len(spot.rollouts), words)
     if Recheck.wanted(header):
-        least, most = sum(each.rollouts.low for each in problems), sum(each.rollouts.high for each in problems)
-        low, high = int(min(header.config.recheck, least)), int(min(header.config.recheck, most))
+        fewest, largest = sum(each.rollouts.low for each in problems), sum(each.rollouts.high for each in problems)
+        low, high = int(min(header.config.recheck, fewest)), int(min(header.config.recheck, largest))
         yield ProblemSize(RECHECK, Guess(high, low, high), 1, high, "fixed by the campaign file")
 
 
