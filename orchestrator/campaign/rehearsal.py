@@ -31,8 +31,8 @@ from .plan import ProblemPlan
 from .region import Start
 from .seeds import first_node
 
-APART = 3.0
-"""A campaign takes at most so many times as many tests as its rehearsal, and no fewer than its inverse."""
+FEWER, MORE = 1 / 3, 5.0
+"""Tests of a campaign, in times of its rehearsal's: a real objective has more structure than ten rollouts show."""
 REPEATED = 2
 """Rollouts of a noisy variant at each start of a pilot."""
 LEAST_RIDGE = 1e-8
@@ -166,10 +166,10 @@ def expected_tests(plan: ProblemPlan, found: Rehearsal | None) -> tuple[Guess, s
         return _times_apart(most, fewest, most), "rehearsed: the whole budget"
     ahead = ending(found.course, most=most, alpha=alpha)
     if ahead is None:
-        return Guess(most, found.tests / APART, most), UNKNOWN
-    low, high = max(fewest, ahead.low / APART), min(most, ahead.high * APART)
+        return Guess(most, found.tests * FEWER, most), UNKNOWN
+    low, high = max(fewest, ahead.low * FEWER), min(most, ahead.high * MORE)
     return Guess(ahead.middle, low, high), f"forecast after {found.tests} rehearsed tests"
 
 
 def _times_apart(tests: int, fewest: int, most: int) -> Guess:
-    return Guess(tests, max(fewest, tests / APART), min(most, tests * APART))
+    return Guess(tests, max(fewest, tests * FEWER), min(most, tests * MORE))

@@ -114,9 +114,9 @@ def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) 
         low, high = spot.count(starts), spot.count(most)
         yield ProblemSize(SPOT_CHECK, Guess((low + high) / 2, low, high), 1, spot.window * len(spot.rollouts), words)
     if Recheck.wanted(header):
-        rollouts = sum(each.rollouts.low for each in problems)
-        count = int(min(header.config.recheck, rollouts))
-        yield ProblemSize(RECHECK, Guess(count, count, count), 1, count, "fixed by the campaign file")
+        fewest, largest = sum(each.rollouts.low for each in problems), sum(each.rollouts.high for each in problems)
+        low, high = int(min(header.config.recheck, fewest)), int(min(header.config.recheck, largest))
+        yield ProblemSize(RECHECK, Guess(high, low, high), 1, high, "fixed by the campaign file")
 
 
 def _pilot(header: Header, found: Plans, system: ChildSystem) -> _Pilot:
