@@ -1,10 +1,11 @@
 """The configuration of the ends of the Zenoh link and of the routers between, in one place so that they agree."""
 
 import ipaddress
+import itertools
 import json
 import re
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 from .base import Model
@@ -80,6 +81,19 @@ def connect_config(endpoints: Sequence[str], tls: Tls | None, secret: bytes | No
             "connect": {"endpoints": list(endpoints), "timeout_ms": 1000, "exit_on_failure": True, "retry": RETRY},
         }
     )
+
+
+def connect_configs(endpoints: Sequence[str], tls: Tls | None, secret: bytes | None = None) -> Iterator[str]:
+    """Return configurations to try in turn, without end: Zenoh opens a session only by way of the first endpoint.
+
+    Once a session is open it finds the others by itself.
+
+    Raises:
+        LinkError: an endpoint is malformed, or a TLS file is missing.
+
+    """
+    ways = [(*endpoints[first:], *endpoints[:first]) for first in range(len(endpoints))]
+    return itertools.cycle([connect_config(way, tls, secret) for way in ways])
 
 
 def router_config(

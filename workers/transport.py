@@ -10,7 +10,7 @@ import zenoh
 
 from ..schemas import keys
 from ..schemas.errors import MessageError
-from ..schemas.link import Tls, connect_config
+from ..schemas.link import Tls, connect_configs
 from ..schemas.messages import Request, ResultHeader, WorkerState
 from ..schemas.sealed import Packet, WorkerEnd
 
@@ -146,11 +146,11 @@ def connect(
         LinkError: the endpoint is malformed or a TLS file is missing.
 
     """
-    config = connect_config(endpoints, tls, secret)
+    configs = connect_configs(endpoints, tls, secret)
     while True:
         try:
             # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.
-            session = zenoh.open(zenoh.Config.from_json5(config))
+            session = zenoh.open(zenoh.Config.from_json5(next(configs)))
             break
         except zenoh.ZError:
             waiting()

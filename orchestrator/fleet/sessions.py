@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 
 from ...schemas.errors import LinkError, PerfboundError
-from ...schemas.link import Tls, connect_config, listen_config, password_line, router_config, with_port
+from ...schemas.link import Tls, connect_configs, listen_config, password_line, router_config, with_port
 from ...schemas.unanswered import no_link
 
 TRIES = 5
@@ -75,14 +75,14 @@ def connected(
 
     """
     try:
-        config = connect_config(endpoints, tls, secret)
+        configs = connect_configs(endpoints, tls, secret)
     except LinkError as error:
         raise PerfboundError(str(error)) from None
     told = time.monotonic()
     while True:
         try:
             # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.
-            return zenoh.open(zenoh.Config.from_json5(config))
+            return zenoh.open(zenoh.Config.from_json5(next(configs)))
         except zenoh.ZError:
             if time.monotonic() - told > REPEAT:
                 print_line(no_link(endpoints, "orchestrator", tls))

@@ -52,7 +52,7 @@ class Site:
 
     def worker(self, *endpoints: str) -> tuple[ZenohUplink, list[Request]]:
         received: list[Request] = []
-        uplink = self._stack.enter_context(connect(endpoints, None, no_waiting, SECRET))
+        uplink = self._stack.enter_context(connect(endpoints, None, lambda: None, SECRET))
         eventually(lambda: len(uplink.orchestrators()) == 1)
         uplink.join(RUN, WORKER, received.append)
         return uplink, received
@@ -81,11 +81,12 @@ def site() -> Iterator[Site]:
 
 
 def test_a_router_that_is_restarted_is_heard_of_and_its_worker_comes_back(site: Site) -> None:
-    place = f"tcp/127.0.0.1:{free_port()}"
+    """Also where another endpoint that they know never answers."""
+    place, nobody = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
     _, ends = site.router(place)
-    transport = site.orchestrator(place)
+    transport = site.orchestrator(nobody, place)
     assert site.next(RouterToken).alive
-    uplink, received = site.worker(place)
+    uplink, received = site.worker(place, nobody)
     assert site.next(Token).alive
     assert uplink.linked
     ends.close()

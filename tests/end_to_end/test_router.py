@@ -1,0 +1,43 @@
+"""A router as users start it: several campaigns and workers behind it, its lines, and its end."""
+
+import signal
+
+from tests.campaigns import with_few_checks
+from tests.end_to_end.processes import Processes, wait_for
+from tests.sharing import free_port
+
+
+def test_two_campaigns_share_a_router_and_its_workers(started: Processes) -> None:
+    folder = started.folder
+    campaign = with_few_checks(folder / "c.toml", "test-function")
+    assert started.run("perfbound", "run", campaign, "--out", folder / "local", "--workers", "1").code == 0
+    nobody, endpoint = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    ways = ("--connect", nobody, "--connect", endpoint)
+    # The campaign is there before its router, and its workers try a router that is not there.
+    early = started.start("perfbound", "orchestrate", campaign, "--out", folder / "early", *ways)
+    worker = started.start("perfbound-worker", *ways, "--until-done", "--idle-exit", "60")
+    wait_for(lambda: f"no answer from {endpoint} yet; check the address, and that the router runs" in early.err)
+    router = started.start("perfbound", "router", "--listen", endpoint)
+    late = started.start("perfbound", "run", campaign, "--out", folder / "late", "--workers", "1", *ways)
+    assert (early.wait().code, late.wait().code) == (0, 0)
+    assert worker.wait().code == 0
+    names = ("certificate.json", "manifest.sha256")
+    calm = [(folder / "local" / name).read_bytes() for name in names]
+    for run in ("early", "late"):
+        assert [(folder / run / name).read_bytes() for name in names] == calm
+    router.popen.send_signal(signal.SIGTERM)
+    ended = router.wait()
+    assert ended.code == 0
+    assert ended.err.splitlines()[0] == f"router: listening at {endpoint}"
+
+
+def test_a_router_of_another_user_is_one_line(started: Processes) -> None:
+    """Of this machine, which has another secret."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    campaign = with_few_checks(started.folder / "c.toml", "test-function")
+    started.start("perfbound", "router", "--listen", endpoint, PERFBOUND_SECRET="a secret of somebody else")
+    refused = started.start(
+        "perfbound", "orchestrate", campaign, "--out", started.folder / "run", "--connect", endpoint
+    )
+    wait_for(lambda: f"something listens at {endpoint}, but refuses this orchestrator: start both as" in refused.err)
+    assert not (started.folder / "run").exists(), "nothing is created before the way is open"
