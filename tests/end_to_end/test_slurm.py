@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.end_to_end.cluster import Cluster, cluster, missing
-from tests.end_to_end.processes import Processes, query, recorded, wait_for, write_campaign
+from tests.end_to_end.processes import Processes, processes, query, recorded, wait_for, write_campaign
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 WORKERS = 4
@@ -48,13 +48,15 @@ def test_an_array_of_workers_behind_a_router_gives_the_same_certificate(
     check_end(started, slurm, submitted(started, slurm, started.folder / "c.toml"))
 
 
-@pytest.fixture
-def longer(started: Processes) -> tuple[Path, bytes]:
+@pytest.fixture(scope="module")
+def longer(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
     """A campaign with time to disturb it, and its certificate without trouble."""
-    campaign = write_campaign(started.folder / "c.toml", max_tests="24")
-    ended = started.run("perfbound", "run", campaign, "--out", "calm")
+    folder = tmp_path_factory.mktemp("longer")
+    campaign = write_campaign(folder / "c.toml", max_tests="24")
+    with processes(folder) as found:
+        ended = found.run("perfbound", "run", campaign, "--out", "run")
     assert ended.code == 0, ended.err
-    return campaign, (started.folder / "calm" / "certificate.json").read_bytes()
+    return campaign, (folder / "run" / "certificate.json").read_bytes()
 
 
 def test_killed_and_queued_again_they_give_the_same_certificate(
