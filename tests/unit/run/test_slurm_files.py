@@ -182,6 +182,61 @@ def test_without_secret_and_certificates_no_job_starts(tmp_path: Path) -> None:
     assert (ended.returncode, ended.stderr) == (1, "PERFBOUND_SECRET: not set; submit the jobs where it is\n")
 
 
+SBATCH = """#!/bin/bash
+echo "sbatch $*" >>"$SEEN"
+number=$(wc -l <"$SEEN")
+[ "$number" -lt "$FAILS" ] || exit 1
+echo "$((number + 40));cluster"
+"""
+
+
+def submit(folder: Path, fails: int = 99, queue: str = "") -> "subprocess.CompletedProcess[str]":
+    """Run the submission, with commands that write down what they get in the place of Slurm's."""
+    for name, text in job_files(replace(OPTIONS, folder=folder)).items():
+        (folder / name).write_text(text)
+    bin_folder = folder / "bin"
+    bin_folder.mkdir(exist_ok=True)
+    texts = {
+        "sbatch": SBATCH,
+        "scancel": '#!/bin/bash\necho "scancel $*" >>"$SEEN"\n',
+        "squeue": "#!/bin/bash\n" + queue,
+    }
+    for name, text in texts.items():
+        (bin_folder / name).write_text(text)
+        (bin_folder / name).chmod(0o755)
+    (folder / "seen").write_text("")
+    environment = {"PATH": f"{bin_folder}:{os.environ['PATH']}", "SEEN": str(folder / "seen"), "FAILS": str(fails)}
+    return subprocess.run(["bash", folder / "submit.sh"], env=environment, capture_output=True, text=True, check=False)
+
+
+def test_each_job_starts_once_the_one_before_runs(tmp_path: Path) -> None:
+    (tmp_path / "ended").write_text("1")
+    ended = submit(tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines()[:3] == ["router 41", "orchestrator 42", "workers 43"]
+    assert (tmp_path / "seen").read_text().splitlines() == [
+        "sbatch --parsable router.sh",
+        "sbatch --parsable --dependency=after:41 orchestrator.sh",
+        "sbatch --parsable --dependency=after:42 workers.sh",
+    ]
+    assert (tmp_path / "submitted").read_text() == "41,42,43\n"
+    assert not (tmp_path / "ended").exists(), "a note of an earlier submission would end the jobs"
+
+
+def test_where_one_job_is_refused_the_others_are_withdrawn(tmp_path: Path) -> None:
+    ended = submit(tmp_path, fails=3)
+    assert ended.returncode == 1
+    assert (tmp_path / "seen").read_text().splitlines()[-1] == "scancel 41 42"
+    assert not (tmp_path / "submitted").exists()
+
+
+def test_a_campaign_is_not_submitted_twice(tmp_path: Path) -> None:
+    assert submit(tmp_path).returncode == 0
+    again = submit(tmp_path, queue="echo 42")
+    assert (again.returncode, again.stderr) == (1, "jobs of this campaign are in the queue already: 41,42,43\n")
+    assert (tmp_path / "seen").read_text() == ""
+
+
 CAMPAIGN = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 
 
