@@ -18,7 +18,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-all other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs images lock clean
+.PHONY: help setup slurm run test test-all other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs images lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -43,6 +43,9 @@ $(INSTALLED)-%: $(INSTALLED) ;
 setup: $(INSTALLED) ## Make the virtual environment with the locked versions (PYTHON=python3.12)
 
 mujoco: $(INSTALLED)-mujoco ## Add MuJoCo to it, for deploy/examples/cartpole
+
+slurm: ## Install Debian's Slurm for the tests with a cluster of one node, which are skipped without it; as root
+	apt-get install --yes --no-install-recommends slurmctld slurmd slurm-client
 
 run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORKERS=...); continues where it stopped
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \

@@ -93,13 +93,15 @@ def job_name(campaign: str, job: str) -> str:
 def job_files(options: SlurmOptions) -> dict[str, str]:
     """Return file name and content of every job file."""
     submit = ["#!/bin/bash", "set -eu", "", _assigned("folder", options.folder), _assigned("jobs", options.jobs), ""]
-    found = {SHARED: _template(SHARED), SUBMIT: "\n".join((*submit, _template(SUBMIT)))}
+    found = {SHARED: _published(SHARED), SUBMIT: "\n".join((*submit, _published(SUBMIT)))}
     for job in options.jobs:
-        found[f"{job}.sh"] = "\n".join((*_head(options, job), "", *_values(options, job), "", _template(f"{job}.sh")))
+        found[f"{job}.sh"] = "\n".join(
+            (*_directives(options, job), "", *_variables(options, job), "", _published(f"{job}.sh"))
+        )
     return found
 
 
-def _head(options: SlurmOptions, job: str) -> list[str]:
+def _directives(options: SlurmOptions, job: str) -> list[str]:
     array = job == WORKERS
     lines: list[tuple[str, str | int | None]] = [
         ("job-name", job_name(options.name, job)),
@@ -119,7 +121,7 @@ def _head(options: SlurmOptions, job: str) -> list[str]:
     return ["#!/bin/bash", *given, "#SBATCH --requeue"]
 
 
-def _values(options: SlurmOptions, job: str) -> list[str]:
+def _variables(options: SlurmOptions, job: str) -> list[str]:
     values: dict[str, str | Path | Sequence[str]] = {
         "folder": options.folder,
         "campaign": options.campaign,
@@ -165,5 +167,5 @@ def tls_files(folder: Path, role: str) -> dict[str, Path]:
     return {option: there / name for option, name in names.items()}
 
 
-def _template(name: str) -> str:
+def _published(name: str) -> str:
     return (files(__package__) / "slurm" / name).read_text()

@@ -17,7 +17,11 @@ fi
 code=$?
 case "$code" in
   130 | 143) ;; # by a signal: it continues when this job runs again
-  *) note ended "$code" ;;
+  *)
+    # Killed, as this shell may be in a moment: then it is the job that was killed, and not the program for its memory.
+    [ "$code" -le 128 ] || sleep 10
+    note ended "$code"
+    ;;
 esac
 [ -z "$warned" ] || [ "$code" -ne 143 ] || again
 exit "$code"

@@ -1,0 +1,47 @@
+#!/bin/bash
+#SBATCH --job-name=segway-paper-orchestrator
+#SBATCH --ntasks=1
+#SBATCH --cpus-per-task=1
+#SBATCH --mem=2G
+#SBATCH --time=4:00:00
+#SBATCH --partition=long
+#SBATCH --output=%x-%j.log
+#SBATCH --open-mode=append
+#SBATCH --signal=B:USR1@120
+#SBATCH --requeue
+
+folder=/home/ada/slurm/segway-paper
+programs=/home/ada/venv/bin
+secret=/home/ada/.local/state/perfbound/secret
+tls=()
+router=''
+campaign=/home/ada/segway-paper.toml
+directory=/home/ada/runs/segway-paper
+
+# Decides and records: the one job that writes the run directory. Killed, or warned of its time limit, it continues from
+# its database when it is queued again.
+. "$folder/common.sh"
+
+watch() {
+  if [ -n "$warned" ] && [ "$((SECONDS - warned))" -ge 60 ]; then
+    kill -TERM "$child" # it drains no longer: what is under way is simulated again
+  fi
+}
+
+! ended || exit 0
+if [ -e "$directory/campaign.db" ]; then
+  connected "$programs/perfbound" resume "$directory" --workers 0 --drain "${tls[@]}"
+else
+  connected "$programs/perfbound" orchestrate "$campaign" --out "$directory" --drain "${tls[@]}"
+fi
+code=$?
+case "$code" in
+  130 | 143) ;; # by a signal: it continues when this job runs again
+  *)
+    # Killed, as this shell may be in a moment: then it is the job that was killed, and not the program for its memory.
+    [ "$code" -le 128 ] || sleep 10
+    note ended "$code"
+    ;;
+esac
+[ -z "$warned" ] || [ "$code" -ne 143 ] || again
+exit "$code"

@@ -1,0 +1,48 @@
+#!/bin/bash
+#SBATCH --job-name=segway-paper-router
+#SBATCH --ntasks=1
+#SBATCH --cpus-per-task=1
+#SBATCH --mem=2G
+#SBATCH --time=4:00:00
+#SBATCH --partition=long
+#SBATCH --output=%x-%j.log
+#SBATCH --open-mode=append
+#SBATCH --signal=B:USR1@120
+#SBATCH --requeue
+
+folder=/home/ada/slurm/segway-paper
+programs=/home/ada/venv/bin
+secret=/home/ada/.local/state/perfbound/secret
+tls=()
+
+# Carries the messages: orchestrator and workers connect to it, and need no open port. It stores nothing, and may be
+# killed and queued again while the campaign runs.
+. "$folder/common.sh"
+
+host=$(hostname)
+if [ "${#tls[@]}" -gt 0 ]; then protocol=tls open=(); else protocol=tcp open=(--insecure); fi
+
+watch() {
+  if ended; then
+    sleep 5 # for the last message: that the campaign is finished
+    kill -TERM "$child"
+  fi
+}
+
+! ended || exit 0
+# On the same node at the same port, if that is possible: then all others simply connect again.
+port=$(endpoint)
+case "$port" in
+  "$protocol/$host:"*) port=${port##*:} ;;
+  *) port= ;;
+esac
+for _ in 1 2 3 4 5; do
+  port=${port:-$((20000 + RANDOM % 10000))}
+  note endpoint "$protocol/$host:$port"
+  supervise "$programs/perfbound" router --listen "$protocol/0.0.0.0:$port" "${open[@]}" "${tls[@]}"
+  code=$?
+  [ "$code" -eq 1 ] || break
+  port= # perhaps that of another program
+done
+[ -z "$warned" ] || again
+exit "$code"

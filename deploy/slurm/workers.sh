@@ -1,0 +1,36 @@
+#!/bin/bash
+#SBATCH --job-name=segway-paper-workers
+#SBATCH --array=1-64
+#SBATCH --ntasks=1
+#SBATCH --cpus-per-task=1
+#SBATCH --mem=2G
+#SBATCH --time=4:00:00
+#SBATCH --partition=long
+#SBATCH --output=%x-%A_%a.log
+#SBATCH --open-mode=append
+#SBATCH --signal=B:USR1@120
+#SBATCH --requeue
+
+folder=/home/ada/slurm/segway-paper
+programs=/home/ada/venv/bin
+secret=/home/ada/.local/state/perfbound/secret
+tls=()
+router=''
+system=()
+
+# One worker of the array. It ends with the campaign; warned of its time limit, it finishes or hands back its rollout,
+# and is queued again.
+. "$folder/common.sh"
+
+overdue=0
+watch() {
+  # It is told, but by one message that may get lost.
+  if ended && [ "$((overdue += 1))" -gt 20 ]; then kill -TERM "$child"; fi
+}
+
+! ended || exit 0
+connected "$programs/perfbound-worker" --until-done "${system[@]}" "${tls[@]}"
+code=$?
+! ended || exit 0
+[ -z "$warned" ] || [ "$code" -ne 143 ] || again
+exit "$code"

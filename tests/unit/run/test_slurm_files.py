@@ -1,0 +1,265 @@
+"""The job files for Slurm: what is published, what a shell makes of hostile names, and what is refused."""
+
+import os
+import re
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from perfbound.orchestrator.cli import slurm
+from perfbound.orchestrator.run.slurm_files import (
+    ORCHESTRATOR,
+    ROUTER,
+    WORKERS,
+    SlurmOptions,
+    job_files,
+    job_name,
+    missing_files,
+)
+from perfbound.schemas.errors import PerfboundError
+
+EXAMPLE = Path(__file__).parents[3] / "deploy" / "slurm"
+HOME = Path("/home/ada")
+OPTIONS = SlurmOptions(
+    "segway-paper",
+    HOME / "segway-paper.toml",
+    HOME / "runs" / "segway-paper",
+    HOME / "slurm" / "segway-paper",
+    HOME / "venv" / "bin",
+    64,
+    secret=HOME / ".local" / "state" / "perfbound" / "secret",
+    partition="long",
+)
+HOSTILE = (
+    "; touch HIT;",
+    "$(touch HIT)",
+    "`touch HIT`",
+    "' ; touch HIT ; '",
+    '" ; touch HIT ; "',
+    "a  b *",
+    "--export=ALL",
+    "#SBATCH --uid=0",
+    "%j %x \\",
+    "naïve ∀",
+)
+
+
+def test_the_example_is_what_the_command_writes() -> None:
+    """`python -m tests.unit.run.test_slurm_files` writes it anew."""
+    assert {path.name: path.read_text() for path in EXAMPLE.glob("*.sh")} == job_files(OPTIONS)
+
+
+def head(text: str) -> list[str]:
+    """Return the lines that sbatch reads: those before the first command."""
+    found = []
+    for line in text.splitlines():
+        if line and not line.startswith("#"):
+            break
+        found.append(line)
+    return [line for line in found if line.startswith("#SBATCH")]
+
+
+@pytest.mark.parametrize("name", [*HOSTILE, "line\nbreak\n#SBATCH --uid=0", "../../etc", "", "x" * 5000])
+def test_no_name_of_a_campaign_reaches_a_line_of_slurm(name: str) -> None:
+    for job in (ROUTER, ORCHESTRATOR, WORKERS):
+        found = job_name(name, job)
+        assert re.fullmatch(r"[A-Za-z0-9_.-]{1,80}", found)
+    plain, odd = (job_files(replace(OPTIONS, name=each)) for each in ("campaign", name))
+    for file in plain:
+        kept = [[line for line in head(each[file]) if "--job-name=" not in line] for each in (plain, odd)]
+        assert kept[0] == kept[1]
+        assert sum("--job-name=" in line for line in head(odd[file])) == sum(
+            "--job-name=" in line for line in head(plain[file])
+        )
+
+
+def program(folder: Path, name: str) -> None:
+    """Write a program that prints its arguments, one a line."""
+    path = folder / name
+    path.write_text('#!/bin/bash\nprintf "%s\\n" "${0##*/}" "$@" >>"$SEEN"\n')
+    path.chmod(0o755)
+
+
+@pytest.mark.parametrize("hostile", HOSTILE)
+def test_a_shell_takes_every_value_as_it_is(tmp_path: Path, hostile: str) -> None:
+    """The files are run, with programs that print their arguments in the place of ours."""
+    (tmp_path / "home").mkdir()
+    home = tmp_path / "home" / hostile
+    for folder in ("bin", "jobs", "tls"):
+        (home / folder).mkdir(parents=True)
+    for name in ("perfbound", "perfbound-worker"):
+        program(home / "bin", name)
+    (home / "secret").write_text("a secret of the test")
+    options = SlurmOptions(
+        hostile,
+        home / "c.toml",
+        home / "run",
+        home / "jobs",
+        home / "bin",
+        2,
+        secret=home / "secret",
+        tls=home / "tls",
+        router=f"tls/{'r' * 5}:7447",
+        system=("--system", f"{home}/cars.py:cars"),
+    )
+    for name, text in job_files(options).items():
+        (home / "jobs" / name).write_text(text)
+    seen: dict[str, list[str]] = {}
+    for job in (WORKERS, ORCHESTRATOR):
+        out = tmp_path / f"{job}.seen"
+        done = subprocess.run(
+            ["bash", home / "jobs" / f"{job}.sh"],
+            cwd=tmp_path,
+            env={"PATH": os.environ["PATH"], "SEEN": str(out)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        seen[job] = out.read_text().splitlines()
+    assert not list(tmp_path.rglob("HIT"))
+
+    def tls(role: str) -> list[str]:
+        names = {"ca": "ca.pem", "certificate": f"{role}.pem", "key": f"{role}-key.pem"}
+        return [part for key, name in names.items() for part in (f"--tls-{key}", f"{home}/tls/{role}/{name}")]
+
+    assert seen[WORKERS] == [
+        *("perfbound-worker", "--until-done", "--system", f"{home}/cars.py:cars"),
+        *(*tls("worker"), "--connect", "tls/rrrrr:7447"),
+    ]
+    assert seen[ORCHESTRATOR] == [
+        *("perfbound", "orchestrate", f"{home}/c.toml", "--out", f"{home}/run", "--drain"),
+        *(*tls("orchestrator"), "--connect", "tls/rrrrr:7447"),
+    ]
+    assert (home / "jobs" / "ended").read_text() == "0\n"
+    assert len(missing_files(options)) == 6
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("partition", "long --uid=0"),
+        ("partition", "long\n#SBATCH --uid=0"),
+        ("account", "$(id)"),
+        ("time", "4 hours"),
+        ("time", "infinite;"),
+        ("memory", "2G "),
+        ("memory", "-1"),
+    ],
+)
+def test_what_sbatch_would_not_take_as_one_word_is_refused(option: str, value: str) -> None:
+    with pytest.raises(PerfboundError, match=f"--{option}"):
+        replace(OPTIONS, **{option: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("text", ["30", "0:30", "4:00:00", "2-0", "2-12:30", "14-00:00:00"])
+def test_times_of_slurm_are_taken(text: str) -> None:
+    assert f"#SBATCH --time={text}" in job_files(replace(OPTIONS, time=text))["workers.sh"]
+
+
+@pytest.mark.parametrize("place", ["campaign", "directory", "folder", "programs", "secret", "tls"])
+def test_a_path_with_a_line_break_is_refused(place: str) -> None:
+    with pytest.raises(PerfboundError, match="not printed"):
+        replace(OPTIONS, **{place: Path("/home/ada\n#SBATCH --uid=0")})  # type: ignore[arg-type]
+
+
+def test_with_a_router_elsewhere_there_is_no_job_for_one() -> None:
+    found = job_files(replace(OPTIONS, router="tcp/login:7447"))
+    assert sorted(found) == ["common.sh", "orchestrator.sh", "submit.sh", "workers.sh"]
+    assert "jobs=(orchestrator workers)" in found["submit.sh"]
+
+
+def test_without_secret_and_certificates_no_job_starts(tmp_path: Path) -> None:
+    options = replace(OPTIONS, folder=tmp_path, secret=None)
+    for name, text in job_files(options).items():
+        (tmp_path / name).write_text(text)
+    ended = subprocess.run(
+        ["bash", tmp_path / "workers.sh"], env={"PATH": os.environ["PATH"]}, capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (1, "PERFBOUND_SECRET: not set; submit the jobs where it is\n")
+
+
+SBATCH = """#!/bin/bash
+echo "sbatch $*" >>"$SEEN"
+number=$(wc -l <"$SEEN")
+[ "$number" -lt "$FAILS" ] || exit 1
+echo "$((number + 40));cluster"
+"""
+
+
+def submit(folder: Path, fails: int = 99, queue: str = "") -> "subprocess.CompletedProcess[str]":
+    """Run the submission, with commands that write down what they get in the place of Slurm's."""
+    for name, text in job_files(replace(OPTIONS, folder=folder)).items():
+        (folder / name).write_text(text)
+    bin_folder = folder / "bin"
+    bin_folder.mkdir(exist_ok=True)
+    texts = {
+        "sbatch": SBATCH,
+        "scancel": '#!/bin/bash\necho "scancel $*" >>"$SEEN"\n',
+        "squeue": "#!/bin/bash\n" + queue,
+    }
+    for name, text in texts.items():
+        (bin_folder / name).write_text(text)
+        (bin_folder / name).chmod(0o755)
+    (folder / "seen").write_text("")
+    environment = {"PATH": f"{bin_folder}:{os.environ['PATH']}", "SEEN": str(folder / "seen"), "FAILS": str(fails)}
+    return subprocess.run(["bash", folder / "submit.sh"], env=environment, capture_output=True, text=True, check=False)
+
+
+def test_each_job_starts_once_the_one_before_runs(tmp_path: Path) -> None:
+    (tmp_path / "ended").write_text("1")
+    ended = submit(tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines()[:3] == ["router 41", "orchestrator 42", "workers 43"]
+    assert (tmp_path / "seen").read_text().splitlines() == [
+        "sbatch --parsable router.sh",
+        "sbatch --parsable --dependency=after:41 orchestrator.sh",
+        "sbatch --parsable --dependency=after:42 workers.sh",
+    ]
+    assert (tmp_path / "submitted").read_text() == "41,42,43\n"
+    assert not (tmp_path / "ended").exists(), "a note of an earlier submission would end the jobs"
+
+
+def test_where_one_job_is_refused_the_others_are_withdrawn(tmp_path: Path) -> None:
+    ended = submit(tmp_path, fails=3)
+    assert ended.returncode == 1
+    assert (tmp_path / "seen").read_text().splitlines()[-1] == "scancel 41 42"
+    assert not (tmp_path / "submitted").exists()
+
+
+def test_a_campaign_is_not_submitted_twice(tmp_path: Path) -> None:
+    assert submit(tmp_path).returncode == 0
+    again = submit(tmp_path, queue="echo 42")
+    assert (again.returncode, again.stderr) == (1, "jobs of this campaign are in the queue already: 41,42,43\n")
+    assert (tmp_path / "seen").read_text() == ""
+
+
+CAMPAIGN = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
+
+
+def test_a_dry_run_writes_and_submits_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("PERFBOUND_SECRET", raising=False)
+    folder = tmp_path / "jobs"
+    arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(folder), "--dry-run"]
+    found = CliRunner().invoke(slurm.slurm, arguments)
+    assert found.output == f"written to {folder}; submit with: bash {folder}/submit.sh\n"
+    assert "#SBATCH --array=1-3\n" in (folder / "workers.sh").read_text()
+    assert f"secret={tmp_path}/state/perfbound/secret\n" in (folder / "workers.sh").read_text()
+    assert (tmp_path / "state" / "perfbound" / "secret").stat().st_mode & 0o077 == 0
+
+
+def test_certificates_that_are_not_there_are_named(tmp_path: Path) -> None:
+    arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path), "--tls", str(tmp_path), "--dry-run"]
+    found = CliRunner().invoke(slurm.slurm, arguments)
+    assert str(found.exception).startswith(f"--tls: {tmp_path}/router/ca.pem: no such file")
+
+
+if __name__ == "__main__":
+    EXAMPLE.mkdir(exist_ok=True)
+    for file, content in job_files(OPTIONS).items():
+        (EXAMPLE / file).write_text(content)
