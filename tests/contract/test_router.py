@@ -1,8 +1,9 @@
 """Routers between orchestrator and workers: what the orchestrator hears of them, and whom they let in."""
 
 import queue
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 
 import pytest
 
@@ -62,8 +63,9 @@ class Site:
         late = patience()
         while not late():
             uplink.report(a_state(WORKER))
-            with suppress(queue.Empty):
-                if isinstance(self.heard.get(timeout=0.1), Heartbeat):
+            time.sleep(0.05)
+            while not self.heard.empty():
+                if isinstance(self.heard.get(), Heartbeat):
                     return
         raise TimeoutError("no heartbeat comes through")
 
