@@ -35,7 +35,7 @@ class Parcels:
         self._worker, self._uplink = worker, uplink
         self._lock = threading.Lock()
         self._waiting: dict[Key, _Parcel] = {}
-        self._announced = uplink.orchestrators()
+        self._announced: list[tuple[str, str]] | None = None
         self.emptied_at = time.monotonic()
         """When the last one was acknowledged."""
 
@@ -76,7 +76,7 @@ class Parcels:
             if announced != self._announced:
                 self._announced = announced
                 for parcel in self._waiting.values():
-                    parcel.wait = again_after
+                    parcel.wait = min(parcel.wait, again_after)
             late = [parcel for parcel in self._waiting.values() if now - parcel.sent_at >= parcel.wait]
             for parcel in late:
                 parcel.sent_at, parcel.wait = now, min(LONGEST_WAIT, max(again_after, 2 * parcel.wait))
