@@ -32,7 +32,7 @@ class TokenCheck:
         if given is not None:
             # No web site knows the token, so the host by which a program reaches this page does not matter.
             right = given[: len(_BEARER)].lower() == _BEARER and equal(given[len(_BEARER) :], self._token)
-            answer = self._application if right else _refused(WRONG, 403)
+            answer = self._application if right else _token_refused(WRONG, 403)
         await answer(scope, receive, send)
 
 
@@ -55,7 +55,7 @@ class CookieCheck:
             return self._exchange(request)
         if equal(request.cookies.get(self._name, ""), self._value):
             return self._application
-        return _refused(MISSING, 401) if given is None else _refused(WRONG, 403)
+        return _token_refused(MISSING, 401) if given is None else _token_refused(WRONG, 403)
 
     def _exchange(self, request: Request) -> Response:
         """Return a redirect to the same address without the token."""
@@ -80,6 +80,6 @@ def equal(given: str, right: str) -> bool:
     return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), right.encode())
 
 
-def _refused(text: str, status: int) -> Response:
+def _token_refused(text: str, status: int) -> Response:
     """Return one sentence, and nothing else."""
     return PlainTextResponse(text, status, headers={"WWW-Authenticate": "Bearer"} if status == 401 else None)
