@@ -73,7 +73,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
     with connect(link.endpoints, link.tls, _waiting(link, life), link.secret) as uplink:
         while True:
             orchestrator, chosen = _choose(uplink, run, link, life, finished)
-            check_name = partial(_check_name, link, uplink, orchestrator, None if identity else name)
+            check_name = partial(_check_own_name, link, uplink, orchestrator, None if identity else name)
             check_name()
             worker = WorkerProcess(started, uplink)
             life.stopping.attend(worker)
@@ -91,7 +91,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
             started = keys.fresh_id(name)
 
 
-def _check_name(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name: str | None) -> None:
+def _check_own_name(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name: str | None) -> None:
     """End the process if its name is not that of its certificate, where it is heard under that one alone."""
     if name not in (None, link.common_name) and uplink.by_certificate(orchestrator):
         fail(
