@@ -2,7 +2,7 @@
 
 import ipaddress
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -19,7 +19,6 @@ Role = Literal["worker", "orchestrator", "router"]
 ROLES: tuple[Role, ...] = get_args(Role)
 UNIT = "perfbound "
 """Before the role, in the organisational unit of a certificate that `perfbound pki` has issued."""
-SOON = timedelta(days=2)
 FIX = "fix the TLS options"
 
 
@@ -76,19 +75,6 @@ def check_valid(path: str) -> None:
 
     """
     check_time(path, read_certificates(path)[0])
-
-
-def ends_soon(path: str) -> str:
-    """Return the line for a certificate that ends soon; empty if there is time.
-
-    Raises:
-        LinkError: it is no certificate.
-
-    """
-    end = read_certificates(path)[0].not_valid_after_utc
-    if end - datetime.now(UTC) > SOON:
-        return ""
-    return f"{path}: this certificate ends at {time_text(end)}, and the links close then; issue a new one before"
 
 
 def check_role(path: str, *roles: Role) -> None:

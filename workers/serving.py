@@ -3,7 +3,6 @@
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import click
@@ -19,6 +18,8 @@ from .stopping import STOPPED, Stopping
 from .transport import ZenohUplink, connect
 from .worker import POLL, WorkerProcess
 
+UNLINKED = 10.0
+"""Seconds between two lines of a worker whose link has ended while it serves a run."""
 LOOK = 0.02
 """Seconds between two looks for an orchestrator."""
 
@@ -73,13 +74,13 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
     with connect(link.endpoints, link.tls, _waiting(link, life), link.secret) as uplink:
         while True:
             orchestrator, chosen = _choose(uplink, run, link, life, finished)
-            check_name = partial(_check_name, link, uplink, orchestrator, None if identity else name)
-            check_name()
+            check = _link_checks(link, uplink, orchestrator, None if identity else name)
+            check()
             worker = WorkerProcess(started, uplink)
             life.stopping.attend(worker)
             uplink.join(chosen, worker.name, worker.receive)
             try:
-                end = worker.serve(_abandoned(uplink, chosen, worker, life, check_name, pinned=run is not None))
+                end = worker.serve(_abandoned(uplink, chosen, worker, life, check, pinned=run is not None))
             except RefusedError as error:
                 fail(str(error))
             uplink.leave()
@@ -91,13 +92,27 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
             started = keys.fresh_id(name)
 
 
-def _check_name(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name: str | None) -> None:
-    """End the process if its name is not that of its certificate, where it is heard under that one alone."""
-    if name not in (None, link.common_name) and uplink.by_certificate(orchestrator):
-        fail(
-            f"--name {name}: {' or '.join(link.endpoints)} was started with --allow, so a worker has the common name "
-            f"of its certificate, here {link.common_name!r}; leave --name out"
-        )
+def _link_checks(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name: str | None) -> Callable[[], None]:
+    """Return what a worker examines while it serves a run: its name, and the reason why its link does not come back."""
+    told = time.monotonic()
+
+    def check() -> None:
+        nonlocal told
+        # Not only before it joins: the token of a router may come after that of the orchestrator behind it.
+        if name not in (None, link.common_name) and uplink.by_certificate(orchestrator):
+            fail(
+                f"--name {name}: {' or '.join(link.endpoints)} was started with --allow, so a worker has the common "
+                f"name of its certificate, here {link.common_name!r}; leave --name out"
+            )
+        if uplink.linked:
+            told = time.monotonic()
+        elif time.monotonic() - told > UNLINKED:
+            if link.tls:
+                check_valid(link.tls.certificate)  # the link is closed when it ends
+            click.echo(f"perfbound-worker: {no_link(link.endpoints, 'worker', link.tls)}", err=True)
+            told = time.monotonic()
+
+    return check
 
 
 def _waiting(link: LinkOptions, life: Life) -> Callable[[], None]:
@@ -144,7 +159,6 @@ def _abandoned(
 
     def abandoned(outbox_empty: bool) -> bool:
         nonlocal gone, asked, routed
-        check()  # the token of a router may come after that of the orchestrator behind it
         now, linked = time.monotonic(), uplink.linked
         routed = uplink.routed if linked else routed
         present = any(run == chosen for _, run in uplink.orchestrators())
@@ -152,7 +166,8 @@ def _abandoned(
             worker.leave()
         if present or now - asked > 3 * POLL:  # a rollout has just ended
             life.last_campaign = now
-        asked = now
+        check()
+        asked = time.monotonic()  # after the check, which may take seconds
         gone = gone_since(gone, now, present=present or pinned, linked=linked or not routed)
         return life.is_idle_for_too_long or is_abandoned(now - gone, outbox_empty=outbox_empty)
 

@@ -57,11 +57,12 @@ def router(
     named, and nothing else; a worker then speaks and reads in its own name alone.
     """
     from ...schemas.access import router_rules  # noqa: PLC0415
-    from ...schemas.certificates import check_role, ends_soon  # noqa: PLC0415
+    from ...schemas.certificates import check_role  # noqa: PLC0415
     from ...schemas.errors import LinkError  # noqa: PLC0415
     from ...schemas.link import asks_for_secret, checked_endpoint  # noqa: PLC0415
     from ...schemas.secret import shared_secret  # noqa: PLC0415
     from ..fleet.router import route  # noqa: PLC0415
+    from ..run.certificate_end import end_announced  # noqa: PLC0415
     from ..run.systemd import Systemd  # noqa: PLC0415
 
     files, rules = tls_of(**tls), router_rules(allow, allow_orchestrator, allow_router)
@@ -71,14 +72,15 @@ def router(
         for endpoint in endpoints:
             checked_endpoint("--listen", endpoint, files)
         check_role(files.certificate, "router")
-        if end := ends_soon(files.certificate):
-            _print(end)
     secret = shared_secret(loopback=all(map(asks_for_secret, endpoints)))
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     systemd, told = Systemd(), ""
-    with route(endpoints, routers, files, insecure=insecure, secret=secret, access=rules) as opened:
+    with (
+        route(endpoints, routers, files, insecure=insecure, secret=secret, access=rules) as opened,
+        end_announced(None if files is None else files.certificate, _print),
+    ):
         _print(f"router: listening at {', '.join(opened.endpoints)}")
         systemd.ready(f"listening at {', '.join(opened.endpoints)}")
         while not ended.wait(NEWS):

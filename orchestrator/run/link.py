@@ -1,16 +1,17 @@
 """The link of an orchestrator to its workers: an endpoint of its own, or routers in between."""
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from ...schemas.access import access_rules
-from ...schemas.certificates import check_role, common_name, ends_soon
+from ...schemas.certificates import check_role, common_name
 from ...schemas.errors import LinkError
 from ...schemas.link import Tls, asks_for_secret, checked_endpoint
 from ...schemas.secret import shared_secret
 from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
+from .certificate_end import end_announced
 from .page_access import PagePlace
 
 
@@ -59,7 +60,8 @@ class Link:
             )
         return access_rules(self.allow, own)
 
-    def opened(self, *, local_workers: bool, print_line: Callable[[str], None]) -> AbstractContextManager[Transport]:
+    @contextmanager
+    def opened(self, *, local_workers: bool, print_line: Callable[[str], None]) -> Iterator[Transport]:
         """Open the way to the workers; a router that does not answer is waited for.
 
         Raises:
@@ -71,11 +73,12 @@ class Link:
             for option, endpoint in [("--connect", way) for way in self.routers] or [("--listen", self.endpoint)]:
                 checked_endpoint(option, endpoint, self.tls)
             check_role(self.tls.certificate, "orchestrator")
-            if end := ends_soon(self.tls.certificate):
-                print_line(end)
         if self.routers:
-            return connect_to_router(self.routers, self.tls, self.secret(), print_line, grace=self.grace)
-        return listen(self.endpoint, self.tls, insecure=self.insecure, secret=self.secret(), access=access)
+            link = connect_to_router(self.routers, self.tls, self.secret(), print_line, grace=self.grace)
+        else:
+            link = listen(self.endpoint, self.tls, insecure=self.insecure, secret=self.secret(), access=access)
+        with link as transport, end_announced(None if self.tls is None else self.tls.certificate, print_line):
+            yield transport
 
     def ways(self, listening: str) -> tuple[str, ...]:
         """Return the endpoints that workers connect to; `listening` is the one of this process, where it has one."""

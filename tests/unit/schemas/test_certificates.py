@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.serialization import BestAvailableEncryption
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perfbound.schemas.certificates import check_host, check_link_files, check_role, common_name, ends_soon
+from perfbound.schemas.certificates import check_host, check_link_files, check_role, common_name
 from perfbound.schemas.errors import LinkError
 from perfbound.schemas.link import Tls
 from tests.fakes.certificates import DAY, Site, now
@@ -221,10 +221,3 @@ def test_the_common_name_of_a_certificate(tmp_path: Path) -> None:
     for wrong in (path, tmp_path):
         assert "not the PEM file of a certificate" in fault(partial(common_name, str(wrong)))
     assert "no such file" in fault(lambda: common_name(str(tmp_path / "missing")))
-
-
-@pytest.mark.parametrize(("days", "soon"), [(1, True), (3, False)])
-def test_a_certificate_that_ends_soon_is_announced(site: Site, days: int, soon: bool) -> None:
-    line = ends_soon(site.tls("main", "orchestrator", days=days).certificate)
-    assert bool(line) is soon
-    assert not line or f"ends at {now() + days * DAY:%Y-%m-%d}" in line
