@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from perfbound.orchestrator.cli import slurm
+from perfbound.orchestrator.cli import slurm  # noqa: F401  (it adds the command)
+from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.run.slurm_files import (
     ORCHESTRATOR,
     ROUTER,
@@ -246,7 +247,7 @@ def test_a_dry_run_writes_and_submits_nothing(tmp_path: Path, monkeypatch: pytes
     monkeypatch.delenv("PERFBOUND_SECRET", raising=False)
     folder = tmp_path / "jobs"
     arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(folder), "--dry-run"]
-    found = CliRunner().invoke(slurm.slurm, arguments)
+    found = CliRunner().invoke(cli, ["slurm", *arguments])
     assert found.output == f"written to {folder}; submit with: bash {folder}/submit.sh\n"
     assert "#SBATCH --array=1-3\n" in (folder / "workers.sh").read_text()
     assert f"secret={tmp_path}/state/perfbound/secret\n" in (folder / "workers.sh").read_text()
@@ -255,7 +256,7 @@ def test_a_dry_run_writes_and_submits_nothing(tmp_path: Path, monkeypatch: pytes
 
 def test_certificates_that_are_not_there_are_named(tmp_path: Path) -> None:
     arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path), "--tls", str(tmp_path), "--dry-run"]
-    found = CliRunner().invoke(slurm.slurm, arguments)
+    found = CliRunner().invoke(cli, ["slurm", *arguments])
     assert str(found.exception).startswith(f"--tls: {tmp_path}/router/ca.pem: no such file")
 
 
