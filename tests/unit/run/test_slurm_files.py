@@ -21,6 +21,8 @@ from perfbound.orchestrator.run.slurm_files import (
     missing_files,
 )
 from perfbound.schemas.errors import PerfboundError
+from tests.end_to_end.processes import wait_for
+from tests.patience import PATIENCE
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "slurm"
 HOME = Path("/home/ada")
@@ -236,6 +238,29 @@ def test_a_campaign_is_not_submitted_twice(tmp_path: Path) -> None:
     again = submit(tmp_path, queue="echo 42")
     assert (again.returncode, again.stderr) == (1, "jobs of this campaign are in the queue already: 41,42,43\n")
     assert (tmp_path / "seen").read_text() == ""
+
+
+def test_when_the_router_has_moved_the_others_connect_to_its_new_place(tmp_path: Path) -> None:
+    (tmp_path / "bin").mkdir()
+    worker = tmp_path / "bin" / "perfbound-worker"
+    worker.write_text('#!/bin/bash\necho "${!#}" >>"$SEEN"\n[ "${!#}" = tcp/new:2 ] || exec sleep 1000\n')
+    worker.chmod(0o755)
+    (tmp_path / "secret").write_text("a secret of the test")
+    options = replace(OPTIONS, folder=tmp_path, programs=tmp_path / "bin", secret=tmp_path / "secret")
+    for name, text in job_files(options).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "endpoint").write_text("tcp/old:1\n")
+    seen = tmp_path / "seen"
+    environment = {"PATH": os.environ["PATH"], "SEEN": str(seen)}
+    with subprocess.Popen(["bash", tmp_path / "workers.sh"], env=environment, stderr=subprocess.DEVNULL) as job:
+        try:
+            wait_for(seen.exists)
+            (tmp_path / "moved").write_text("tcp/new:2\n")
+            (tmp_path / "moved").replace(tmp_path / "endpoint")
+            assert job.wait(PATIENCE) == 0
+        finally:
+            job.kill()
+    assert seen.read_text() == "tcp/old:1\ntcp/new:2\n"
 
 
 CAMPAIGN = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
