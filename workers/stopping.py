@@ -53,7 +53,7 @@ class Stopping:
         """Let the signal reach `worker`, also if it has arrived already."""
         self._worker = worker
         if self.asked:
-            worker.leave()
+            worker.leave(by_signal=True)
 
     def _begin(self, number: int, _frame: FrameType | None) -> None:
         """Have a second signal end the programs as well, where the main thread comes to it."""
@@ -67,7 +67,7 @@ class Stopping:
         line = f"what is under way has {self._within:g} s to end; a second SIGTERM ends this worker at once"
         click.echo(f"perfbound-worker: {line}", err=True)
         if self._worker is not None:
-            self._worker.leave()
+            self._worker.leave(by_signal=True)
         self._sleep_until(deadline)
         if self._worker is not None:
             self._worker.hand_back()

@@ -38,6 +38,8 @@ RESEND = 1.0
 """Seconds between two deliveries of a result that is not acknowledged."""
 POLL, POLL_AT_END = 1.0, 0.1
 """Seconds between two questions whether the run is over for this worker, and while it leaves."""
+SIGNAL_TIME = 0.1
+"""Seconds in which a signal that ends a program of the system reaches this worker as well."""
 DISMISSAL = 3.0
 """Seconds in which an orchestrator answers a worker that leaves; there may be none, or none that has admitted it."""
 
@@ -60,6 +62,7 @@ class WorkerProcess:
         self._progress: tuple[Key | None, int] = (None, 0)
         self._closed = self._finished = self._dismissed = False
         self._leaving_since: float | None = None
+        self._signalled = threading.Event()
         self._changed = threading.Event()
         self._systems = {name: each.identities for name, each in usable().items() if isinstance(each, SystemSpec)}
 
@@ -85,8 +88,10 @@ class WorkerProcess:
                 self._drop()
                 self._inbox.put(None)
 
-    def leave(self) -> None:
+    def leave(self, *, by_signal: bool = False) -> None:
         """Take nothing more: end with the rollout under way, and its result; any thread may call it, also again."""
+        if by_signal:
+            self._signalled.set()
         if self._leaving_since is None:
             self._leaving_since = time.monotonic()
             self._changed.set()
@@ -164,7 +169,9 @@ class WorkerProcess:
             self._finish(assign)
             return
         spent = {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.monotonic() - wall}
-        self._outbox.add(assign, found, **spent)
+        # A scheduler ends the programs of a system by the same signal, and their ends are no failures of the system.
+        ended = isinstance(found, Failure) and found.kind == "system" and self._signalled.wait(SIGNAL_TIME)
+        self._outbox.add(assign, "handed_back" if ended else found, **spent)
         self._finish(assign)
         self._outbox.deliver(RESEND)
 

@@ -37,12 +37,21 @@ note() {
   printf '%s\n' "$2" >"$folder/.$1.$$" && mv -f -- "$folder/.$1.$$" "$folder/$1"
 }
 
+# Whether the router has come back on another node, because its own was lost.
+place=
+moved() {
+  local now
+  now=$(endpoint)
+  [ -n "$place" ] && [ -n "$now" ] && [ "$now" != "$place" ]
+}
+
 # supervise PROGRAM [ARGUMENT ...]: run it until it ends, call `watch` every second, and return its exit code.
 supervise() {
   local code
   "$@" &
   child=$!
   while [ -n "$(jobs -rp)" ]; do
+    if moved; then kill -KILL "$child"; fi # no message of it can arrive any more
     watch
     sleep 1
   done
@@ -52,10 +61,10 @@ supervise() {
   return "$code"
 }
 
-# connected PROGRAM [ARGUMENT ...]: supervise it with --connect and the endpoint of the router. When the router comes
-# back on another node, because its own was lost, the program is ended and started again.
+# connected PROGRAM [ARGUMENT ...]: supervise it with --connect and the endpoint of the router, and start it again with
+# the new one when the router has moved.
 connected() {
-  local place code
+  local code
   while [ -z "$warned" ]; do
     place=$(endpoint)
     if [ -z "$place" ]; then
@@ -65,7 +74,7 @@ connected() {
     fi
     supervise "$@" --connect "$place"
     code=$?
-    [ "$(endpoint)" != "$place" ] || return "$code"
+    moved || return "$code"
   done
   return 143
 }

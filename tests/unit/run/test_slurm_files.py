@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from perfbound.orchestrator.cli import slurm
+from perfbound.orchestrator.cli import slurm  # noqa: F401  (it adds the command)
+from perfbound.orchestrator.cli.group import cli
 from perfbound.orchestrator.run.slurm_files import (
     ORCHESTRATOR,
     ROUTER,
@@ -20,6 +21,8 @@ from perfbound.orchestrator.run.slurm_files import (
     missing_files,
 )
 from perfbound.schemas.errors import PerfboundError
+from tests.end_to_end.processes import wait_for
+from tests.patience import PATIENCE
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "slurm"
 HOME = Path("/home/ada")
@@ -237,6 +240,29 @@ def test_a_campaign_is_not_submitted_twice(tmp_path: Path) -> None:
     assert (tmp_path / "seen").read_text() == ""
 
 
+def test_when_the_router_has_moved_the_others_connect_to_its_new_place(tmp_path: Path) -> None:
+    (tmp_path / "bin").mkdir()
+    worker = tmp_path / "bin" / "perfbound-worker"
+    worker.write_text('#!/bin/bash\necho "${!#}" >>"$SEEN"\n[ "${!#}" = tcp/new:2 ] || exec sleep 1000\n')
+    worker.chmod(0o755)
+    (tmp_path / "secret").write_text("a secret of the test")
+    options = replace(OPTIONS, folder=tmp_path, programs=tmp_path / "bin", secret=tmp_path / "secret")
+    for name, text in job_files(options).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "endpoint").write_text("tcp/old:1\n")
+    seen = tmp_path / "seen"
+    environment = {"PATH": os.environ["PATH"], "SEEN": str(seen)}
+    with subprocess.Popen(["bash", tmp_path / "workers.sh"], env=environment, stderr=subprocess.DEVNULL) as job:
+        try:
+            wait_for(seen.exists)
+            (tmp_path / "moved").write_text("tcp/new:2\n")
+            (tmp_path / "moved").replace(tmp_path / "endpoint")
+            assert job.wait(PATIENCE) == 0
+        finally:
+            job.kill()
+    assert seen.read_text() == "tcp/old:1\ntcp/new:2\n"
+
+
 CAMPAIGN = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"
 
 
@@ -246,7 +272,7 @@ def test_a_dry_run_writes_and_submits_nothing(tmp_path: Path, monkeypatch: pytes
     monkeypatch.delenv("PERFBOUND_SECRET", raising=False)
     folder = tmp_path / "jobs"
     arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(folder), "--dry-run"]
-    found = CliRunner().invoke(slurm.slurm, arguments)
+    found = CliRunner().invoke(cli, ["slurm", *arguments])
     assert found.output == f"written to {folder}; submit with: bash {folder}/submit.sh\n"
     assert "#SBATCH --array=1-3\n" in (folder / "workers.sh").read_text()
     assert f"secret={tmp_path}/state/perfbound/secret\n" in (folder / "workers.sh").read_text()
@@ -255,7 +281,7 @@ def test_a_dry_run_writes_and_submits_nothing(tmp_path: Path, monkeypatch: pytes
 
 def test_certificates_that_are_not_there_are_named(tmp_path: Path) -> None:
     arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path), "--tls", str(tmp_path), "--dry-run"]
-    found = CliRunner().invoke(slurm.slurm, arguments)
+    found = CliRunner().invoke(cli, ["slurm", *arguments])
     assert str(found.exception).startswith(f"--tls: {tmp_path}/router/ca.pem: no such file")
 
 

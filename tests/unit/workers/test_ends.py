@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
+from perfbound.schemas.errors import SimulationError
 from perfbound.schemas.messages import Ack, Assign, Release, Request, ResultHeader, RunFinished, WorkerState
 from perfbound.workers import worker as module
 from perfbound.workers.ends import (
@@ -179,6 +180,31 @@ def test_without_an_orchestrator_a_worker_leaves_all_the_same(monkeypatch: pytes
     running = Running(Wire())
     running.worker.leave()
     assert running.ended() == "left"
+
+
+@pytest.mark.parametrize("by_signal", [True, False])
+def test_what_fails_as_the_signal_comes_is_handed_back(monkeypatch: pytest.MonkeyPatch, *, by_signal: bool) -> None:
+    """A scheduler sends it to every process of a job, also to the programs of a system."""
+    begun, ends = threading.Event(), threading.Event()
+
+    def failing(*_: object) -> bytes:
+        begun.set()
+        ends.wait(PATIENCE)
+        raise SimulationError("pendulum was ended by SIGTERM")
+
+    monkeypatch.setattr(module, "run_request_on", failing)
+    monkeypatch.setattr(module, "requested_system", lambda _: None)
+    wire = Wire()
+    running = Running(wire)
+    running.worker.receive(assign := an_assign(0))
+    assert begun.wait(PATIENCE)
+    ends.set()
+    running.worker.leave(by_signal=by_signal)
+    until(lambda: wire.results)
+    acknowledged(running.worker, assign)
+    running.worker.receive(Release())
+    assert running.ended() == "left"
+    assert {each.outcome for each in wire.results} == {"handed_back" if by_signal else "failed"}
 
 
 def test_a_rollout_is_handed_back_once_and_its_result_is_dropped(begun: threading.Event) -> None:
