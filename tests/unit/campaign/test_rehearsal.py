@@ -29,8 +29,8 @@ def trajectory(height: float) -> Trajectory:
 
 
 def pilot(noise: float = 0.01) -> PilotRollouts:
-    recorded = [
-        {variant: [trajectory(value(start) + sign * noise) for sign in (-1, 1)] for variant in SPEC.variants}
+    recorded: list[dict[str, list[Trajectory]]] = [
+        {str(variant): [trajectory(value(start) + sign * noise) for sign in (-1, 1)] for variant in SPEC.variants}
         for start in STARTS
     ]
     return PilotRollouts(STARTS, recorded)
