@@ -23,11 +23,10 @@ from ...schemas.problem_models import KernelProblem
 from ...schemas.trajectory import Floats, Trajectory
 from ...schemas.values import MARKED, Guess, Observation, Verdict, distance_after
 from ..mathematics.gp.kernels import scaled
-from .forecast import FEWEST
 from .methods import kernel, method
 from .observation import Observer
 from .outlook import CoursePoint, ending
-from .plan import ProblemPlan
+from .plan import ProblemPlan, value_range
 from .region import Start
 from .seeds import first_node
 
@@ -97,13 +96,15 @@ class _KernelSurface:
         ridge = max(self._sd**2 / plan.replicates / problem.rkhs_norm**2, LEAST_RIDGE)
         values = np.array([one.y for one in found]) - self._prior
         self._weights = np.linalg.solve(gram + ridge * np.eye(len(gram)), values)
+        low, high = value_range(plan)
+        self._ends = -np.inf if low is None else low, np.inf if high is None else high
         self._random = np.random.default_rng(0)
 
     def observation(self, start: Start) -> Observation:
         """Return an observation at a start."""
         distances = np.linalg.norm(self._points - scaled(np.array([start]), self._kernel.axes), axis=1)
         mean = self._prior + float(self._kernel(distances) @ self._weights)
-        each = mean + self._sd * self._random.standard_normal(self._replicates)
+        each = np.clip(mean + self._sd * self._random.standard_normal(self._replicates), *self._ends)
         return Observation(float(each.mean()), tuple(each.tolist()))
 
 
@@ -156,20 +157,19 @@ def expected_tests(plan: ProblemPlan, found: Rehearsal | None) -> tuple[Guess, s
         return Guess(most, 1, most), "its budget; a counterexample ends it earlier"
     if alpha is None:
         return Guess(most, most, most), "fixed by the campaign file"
-    fewest = min(FEWEST, most)
     # Invented values may contradict the constants; the real ones may not.
     if found is None or found.verdict not in (None, "converged"):
-        return Guess(most, fewest, most), UNKNOWN
+        return Guess(most, 1, most), UNKNOWN
     if found.verdict is not None:
-        return _times_apart(found.tests, fewest, most), f"rehearsed: alpha after {found.tests}"
+        return _times_apart(found.tests, most), f"rehearsed: alpha after {found.tests}"
     if found.tests == most:
-        return _times_apart(most, fewest, most), "rehearsed: the whole budget"
+        return _times_apart(most, most), "rehearsed: the whole budget"
     ahead = ending(found.course, most=most, alpha=alpha)
     if ahead is None:
         return Guess(most, found.tests * FEWER, most), UNKNOWN
-    low, high = max(fewest, ahead.low * FEWER), min(most, ahead.high * MORE)
+    low, high = max(1, ahead.low * FEWER), min(most, ahead.high * MORE)
     return Guess(ahead.middle, low, high), f"forecast after {found.tests} rehearsed tests"
 
 
-def _times_apart(tests: int, fewest: int, most: int) -> Guess:
-    return Guess(tests, max(fewest, tests * FEWER), min(most, tests * MORE))
+def _times_apart(tests: int, most: int) -> Guess:
+    return Guess(tests, max(1, tests * FEWER), min(most, tests * MORE))

@@ -35,7 +35,7 @@ ROLLOUTS = 10
 SECONDS = 60.0
 """No rollout of the pilot starts later than this."""
 REHEARSAL = 15.0
-"""Seconds that a problem is rehearsed at most."""
+"""Seconds of processor time that a problem is rehearsed at most; other work on the machine does not count."""
 NAME = "plan"
 """The place of a problem's name, which no problem has: seeds and starts of a pilot are not those of its campaign."""
 
@@ -82,7 +82,7 @@ def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: 
         return None
     report(f"rehearsal of {plan.name}")
     try:
-        return rehearsed(plan, header, pilot, time=time.monotonic, most=REHEARSAL)
+        return rehearsed(plan, header, pilot, time=time.process_time, most=REHEARSAL)
     except (ValueError, ArithmeticError):
         return None
 
