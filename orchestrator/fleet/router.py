@@ -18,7 +18,7 @@ CHANNEL = 4096
 """Tokens that may wait for the thread that counts them."""
 MOST = 20_000
 """Tokens that are counted: anyone whom the link lets in may declare some."""
-NAMES = {"router": "other routers", "orchestrator": "orchestrators", "worker": "workers"}
+NAMES = {"router": "other router", "orchestrator": "orchestrator", "worker": "worker"}
 """What connects, by its word in a key."""
 
 
@@ -40,7 +40,7 @@ class Router:
     def connected(self) -> str:
         """How many of each kind there are, behind this router and those that it is linked with."""
         counts = Counter(self._alive.copy().values())
-        return ", ".join(f"{counts[kind]} {name}" for kind, name in NAMES.items())
+        return ", ".join(f"{counts[kind]} {name}{'' if counts[kind] == 1 else 's'}" for kind, name in NAMES.items())
 
     def close(self) -> None:
         """Withdraw the token, and close the links."""

@@ -128,10 +128,10 @@ def test_a_router_counts_what_it_is_connected_with(site: Site) -> None:
     second, ends = site.router(routers=first.endpoints)
     site.orchestrator(*first.endpoints)
     site.worker(*second.endpoints)
-    eventually(lambda: first.connected == "1 other routers, 1 orchestrators, 1 workers")
+    eventually(lambda: first.connected == "1 other router, 1 orchestrator, 1 worker")
     eventually(lambda: second.connected == first.connected)
     ends.close()
-    eventually(lambda: first.connected == "0 other routers, 1 orchestrators, 0 workers")
+    eventually(lambda: first.connected == "0 other routers, 1 orchestrator, 0 workers")
 
 
 def test_a_token_without_the_secret_is_no_router(site: Site) -> None:
