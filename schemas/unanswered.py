@@ -52,7 +52,9 @@ def no_orchestrator(endpoints: Sequence[str], run: str | None, *, strangers: boo
         older = "an orchestrator of an older version has none: install the same version on both"
         return f"the orchestrator at {place} does not know the secret of this worker: {both_ways()}; {older}"
     which = f"run {run}" if run else "any run"
-    allowed = f"; one, or a router, that was started with --allow must list {common_name!r}" if common_name else ""
+    allowed = (
+        f"; if one runs, it or the router was started with --allow and must list {common_name!r}" if common_name else ""
+    )
     return f"connected to {place}, waiting for an orchestrator of {which}{allowed}"
 
 

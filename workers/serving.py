@@ -56,6 +56,8 @@ class Life:
     def check(self) -> None:
         """End the process if it is time, while it serves no campaign."""
         if self.is_over:
+            if not self.stopping.asked:
+                click.echo("perfbound-worker: the time of --max-hours is over", err=True)
             sys.exit(STOPPED if self.stopping.asked else 0)
         if self.is_idle_for_too_long:
             if not self.served:

@@ -69,8 +69,8 @@ class Stopping:
         if self._worker is not None:
             self._worker.leave(by_signal=True)
         self._sleep_until(deadline)
-        if self._worker is not None:
-            self._worker.hand_back()
+        if self._worker is not None and (rollout := self._worker.hand_back()) is not None:
+            click.echo(f"perfbound-worker: {rollout} is handed back", err=True)
         self._sleep_until(time.monotonic() + DELIVERY)
         self._exit()
 

@@ -97,14 +97,16 @@ class WorkerProcess:
             self._changed.set()
             self._inbox.put(None)
 
-    def hand_back(self) -> None:
-        """Give the rollout under way back to the orchestrator; what this process still computes of it is dropped."""
+    def hand_back(self) -> str | None:
+        """Give the rollout under way back to the orchestrator, and return its name; its computation is dropped."""
         assign = self._accepted
-        if assign is not None and key_of(assign) not in self._outbox:
-            self._drop()
-            self._outbox.add(assign, "handed_back")
-            self._outbox.deliver(RESEND)
-            self._changed.set()
+        if assign is None or key_of(assign) in self._outbox:
+            return None
+        self._drop()
+        self._outbox.add(assign, "handed_back")
+        self._outbox.deliver(RESEND)
+        self._changed.set()
+        return assign.request.rollout
 
     @property
     def has_left(self) -> bool:

@@ -286,8 +286,9 @@ def _router(
 
 
 def _watch_link(session: zenoh.Session, closing: threading.Event, grace: float, sink: Sink) -> None:
-    """Report when the link to the router ends, and when another one is there."""
+    """Report that there is a link to a router, when it ends, and when another one is there."""
     up = True
+    sink(Linked(time.monotonic(), grace, up))
     while not closing.wait(LINK_PERIOD):
         if (now := bool(session.info.routers_zid())) != up:
             up = now

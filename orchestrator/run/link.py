@@ -84,6 +84,12 @@ class Link:
         """Return the endpoints that workers connect to; `listening` is the one of this process, where it has one."""
         return self.routers or (listening,)
 
+    def options_elsewhere(self) -> list[str]:
+        """Return what a worker on another machine needs beside the endpoint, its files in capitals."""
+        if self.tls is None:
+            return []
+        return ["--tls-ca", "CA", "--tls-certificate", "CERTIFICATE", "--tls-key", "KEY"]
+
     def worker_options(self) -> list[str]:
         """Return the options with which local workers connect."""
         if self.tls is None:

@@ -6,6 +6,9 @@ from ..fleet import events
 from ..fleet.transport import Linked, RouterToken
 from .format import duration
 
+UNSEEN = 10.0
+"""Seconds for the token of a router, which comes with the link."""
+
 
 class Routers:
     """The routers that one run knows."""
@@ -14,6 +17,8 @@ class Routers:
         self._print_line = print_line
         self._known: set[str] = set()
         self._down_since: float | None = None
+        self._expected_since: float | None = None
+        """When a link was found up behind which no router has shown itself yet."""
 
     def take(self, message: RouterToken | Linked) -> events.RouterChanged | events.LinkChanged:
         """Take a change, and return its event."""
@@ -22,6 +27,7 @@ class Routers:
             return events.LinkChanged(message.at, message.grace, message.up)
         if message.alive:
             self._known.add(message.router)
+            self._expected_since = None
         elif message.router in self._known:
             self._known.remove(message.router)
             # Without its own link the orchestrator sees no router; the line of the link says so.
@@ -29,7 +35,17 @@ class Routers:
                 self._print_line(f"a router has ended: workers behind it have {duration(message.grace)} to return")
         return events.RouterChanged(message.at, message.grace)
 
+    def remind(self, now: float) -> None:
+        """Print once that no router shows itself; called every tick."""
+        if self._expected_since is not None and now - self._expected_since > UNSEEN:
+            self._expected_since = None
+            self._print_line(
+                "connected, but no router of perfbound shows itself: one that was started with --allow... must list "
+                "the common name of this certificate as --allow-orchestrator"
+            )
+
     def _say(self, message: Linked) -> None:
+        self._expected_since = message.at if message.up and not self._known else None
         if not message.up:
             self._down_since = message.at
             self._print_line("the link to the router is down: no worker is given up until it is there again")

@@ -231,6 +231,7 @@ class Service:
         for news in self._fleet.tend() if self._fleet is not None else ():
             self._print_line(news)
         self._lines.summarise()
+        self._routers.remind(now)
         # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.
         # Neither is the time in which its result is decoded.
         self._events.append(events.Tick(min(now, self._results.undecided_since)))

@@ -284,7 +284,7 @@ def _conduct(
             fleet.start()
         else:
             line = [part for way in link.ways(transport.endpoint) for part in ("--connect", way)]
-            line = ["perfbound-worker", *line, *child.system_options(options.system)]
+            line = ["perfbound-worker", *line, *link.options_elsewhere(), *child.system_options(options.system)]
             console.print(Text(f"waiting for workers: {shlex.join(line)}"), soft_wrap=True)
         # The numerics take seconds to load: only now, while the workers start.
         from ..campaign import closing_checks, consistency, forecast, scope  # noqa: PLC0415
