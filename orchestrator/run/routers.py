@@ -35,14 +35,15 @@ class Routers:
                 self._print_line(f"a router has ended: workers behind it have {duration(message.grace)} to return")
         return events.RouterChanged(message.at, message.grace)
 
-    def remind(self, now: float) -> None:
-        """Print once that no router shows itself; called every tick."""
-        if self._expected_since is not None and now - self._expected_since > UNSEEN:
-            self._expected_since = None
-            self._print_line(
-                "connected, but no router of perfbound shows itself: one that was started with --allow... must list "
-                "the common name of this certificate as --allow-orchestrator"
-            )
+    def reminder(self, now: float) -> tuple[str, ...]:
+        """Return the line that no router shows itself, once; called every tick."""
+        if self._expected_since is None or now - self._expected_since <= UNSEEN:
+            return ()
+        self._expected_since = None
+        return (
+            "connected, but no router of perfbound shows itself: one that was started with --allow... must list "
+            "the common name of this certificate as --allow-orchestrator",
+        )
 
     def _say(self, message: Linked) -> None:
         self._expected_since = message.at if message.up and not self._known else None

@@ -228,10 +228,9 @@ class Service:
     def _tick(self, now: float) -> None:
         self._next_tick = now + TICK
         self._journal.check_place()  # at once, and not after a week of rollouts that nothing keeps
-        for news in self._fleet.tend() if self._fleet is not None else ():
+        for news in (*(self._fleet.tend() if self._fleet is not None else ()), *self._routers.reminder(now)):
             self._print_line(news)
         self._lines.summarise()
-        self._routers.remind(now)
         # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.
         # Neither is the time in which its result is decoded.
         self._events.append(events.Tick(min(now, self._results.undecided_since)))

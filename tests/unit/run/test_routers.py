@@ -34,9 +34,8 @@ def test_the_own_link_has_lines_of_its_own() -> None:
 def test_a_router_that_shows_nothing_does_not_let_this_orchestrator_in() -> None:
     routers, lines = log()
     assert routers.take(Linked(1.0, 30.0, up=True)) == LinkChanged(1.0, 30.0, up=True)
-    for now in (5.0, 11.0, 11.1, 30.0):
-        routers.remind(now)
-    (line,) = lines
+    (line,) = [line for now in (5.0, 11.0, 11.1, 30.0) for line in routers.reminder(now)]
+    assert lines == []
     assert line.startswith("connected, but no router of perfbound shows itself: one that was started with --allow")
 
 
@@ -44,8 +43,7 @@ def test_a_router_that_shows_itself_is_no_news() -> None:
     routers, lines = log()
     routers.take(Linked(1.0, 30.0, up=True))
     routers.take(RouterToken(1.2, 30.0, "a", alive=True))
-    routers.remind(30.0)
-    assert lines == []
+    assert (routers.reminder(30.0), lines) == ((), [])
 
 
 def test_a_token_that_ends_without_having_been_there_is_no_news() -> None:
