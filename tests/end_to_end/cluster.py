@@ -6,6 +6,7 @@ Without a daemon for authentication, which only a test may do.
 import os
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ CredType=cred/none
 SlurmUser=root
 SlurmdUser=root
 StateSaveLocation={folder}/state
-SlurmdSpoolDir={folder}/spool
+SlurmdSpoolDir={spool}
 SlurmctldPidFile={folder}/slurmctld.pid
 SlurmdPidFile={folder}/slurmd.pid
 SlurmctldLogFile={folder}/slurmctld.log
@@ -84,8 +85,8 @@ class Cluster:
 
     def jobs(self) -> dict[str, tuple[str, str]]:
         """Return state and reason of every job in the queue."""
-        lines = [line.split("|") for line in self.ask("squeue", "--noheader", "--array", "--format=%i|%T|%r").split()]
-        return {job: (state, reason) for job, state, reason in lines}
+        lines = self.ask("squeue", "--noheader", "--array", "--format=%i|%T|%r").splitlines()
+        return {job: (state, reason) for job, state, reason in (line.split("|", 2) for line in lines)}
 
     def hurry(self) -> None:
         """Start at once what Slurm would start two minutes after it was queued again."""
@@ -107,10 +108,14 @@ class Cluster:
 def cluster(started: Processes) -> Iterator[Cluster]:
     """Start a cluster, whose end is that of its first process."""
     folder = started.folder / "cluster"
-    for each in ("state", "spool"):
-        (folder / each).mkdir(parents=True)
-    configuration = folder / "slurm.conf"
-    configuration.write_text(CONFIGURATION.format(folder=folder))
+    (folder / "state").mkdir(parents=True)
+    with tempfile.TemporaryDirectory(prefix="pb") as spool:  # of its sockets, whose paths have 108 characters at most
+        configuration = folder / "slurm.conf"
+        configuration.write_text(CONFIGURATION.format(folder=folder, spool=spool))
+        yield from _started(folder, configuration)
+
+
+def _started(folder: Path, configuration: Path) -> Iterator[Cluster]:
     environment = {**os.environ, "SLURM_CONF": str(configuration)}
     namespaces = ("--net", "--pid", "--fork", "--kill-child", "--mount-proc", "--uts")
     with (folder / "log").open("wb") as log:

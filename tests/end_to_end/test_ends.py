@@ -19,6 +19,7 @@ def slow(x, *, seed, horizon, progress):
     child = subprocess.Popen(["sleep", "100"])
     child.terminate()  # which a signal mask of its parent would block
     child.wait(50)
+    open(os.environ["PACE"] + ".begun", "w").close()
     if kind == "native":  # one long call, without progress
         time.sleep(float(seconds))
     for step in range(int(float(seconds) * 100) if kind == "steps" else 0):
@@ -133,7 +134,8 @@ def test_after_its_hours_a_worker_finishes_what_is_under_way(started: Processes,
 def test_a_signal_lets_a_short_rollout_end(started: Processes, slow: Slow, kind: str) -> None:
     orchestrator, endpoint = slow(f"3 {kind}")
     one = worker(started, endpoint)
-    wait_for(lambda: is_busy(started))
+    # Not only assigned: what has not begun is handed back at once.
+    wait_for((started.folder / "pace.begun").exists)
     one.popen.terminate()
     assert one.wait().code == STOPPED, one.err
     assert "recorded" in outcomes(started)
