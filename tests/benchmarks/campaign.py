@@ -6,6 +6,7 @@ import time
 
 from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, listen
 from perfbound.schemas.keys import fresh_id
+from perfbound.schemas.secret import shared_secret
 from tests.benchmarks.report import Row
 from tests.benchmarks.runs import Cost, conduct
 
@@ -65,7 +66,7 @@ def worker_ready() -> float:
         if isinstance(message, Heartbeat):
             times.append(message.at)
 
-    with listen("tcp/127.0.0.1:0") as transport:
+    with listen("tcp/127.0.0.1:0", secret=shared_secret(loopback=True)) as transport:
         transport.start(fresh_id("bench"), note)
         start = time.monotonic()
         process = subprocess.Popen(
