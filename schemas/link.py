@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 from .base import Model
-from .certificates import check_host, check_link_files
+from .certificates import Role, check_host, check_link_files, check_role
 from .errors import LinkError
 from .messages import MAX_RESULT
 from .seal import link_password
@@ -73,7 +73,7 @@ def connect_config(endpoints: Sequence[str], tls: Tls | None, secret: bytes | No
 
     """
     for endpoint in endpoints:
-        checked_endpoint("--connect", endpoint, tls)
+        _checked_endpoint("--connect", endpoint, tls)
     return json.dumps(
         {
             **_common(tls, ("connect",), None if secret is None else _user(secret)),
@@ -115,7 +115,7 @@ def router_config(
     for endpoint in endpoints:
         _check_accepting(endpoint, tls, insecure=insecure)
     for endpoint in routers:
-        checked_endpoint("--connect", endpoint, tls)
+        _checked_endpoint("--connect", endpoint, tls)
     user = None if passwords is None or secret is None else {**_user(secret), "dictionary_file": passwords}
     node = _accepting(tls, ("listen", "connect") if routers else ("listen",), user, access)
     _check_hosts(endpoints, tls)
@@ -137,6 +137,18 @@ def _user(secret: bytes) -> dict[str, str]:
 def password_line(secret: bytes) -> str:
     """Return the content of Zenoh's file of passwords."""
     return f"{USER}:{link_password(secret)}\n"
+
+
+def check_own(option: str, endpoints: Sequence[str], tls: Tls, role: Role) -> None:
+    """Check that the endpoints of a side fit its TLS options, and that its certificate is for its role.
+
+    Raises:
+        LinkError: they do not, or it is for another one.
+
+    """
+    for endpoint in endpoints:
+        _checked_endpoint(option, endpoint, tls)
+    check_role(tls.certificate, role)
 
 
 def split(endpoint: str) -> tuple[str, str]:
@@ -211,7 +223,7 @@ def asks_for_secret(endpoint: str) -> bool:
     return found is not None and found["protocol"] not in ENCRYPTED and is_loopback(found["host"].strip("[]"))
 
 
-def checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str, str]:
+def _checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str, str]:
     """Return protocol and host of an endpoint that fits the TLS options.
 
     Raises:
@@ -230,7 +242,7 @@ def checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str, 
 
 
 def _check_accepting(endpoint: str, tls: Tls | None, *, insecure: bool) -> None:
-    protocol, host = checked_endpoint("--listen", endpoint, tls)
+    protocol, host = _checked_endpoint("--listen", endpoint, tls)
     if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
         raise LinkError(
             f"--listen {endpoint}: anyone who reaches this address could feed the campaign; "

@@ -96,10 +96,10 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
 
 def _link_checks(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name: str | None) -> Callable[[], None]:
     """Return what a worker examines while it serves a run: its name, and the reason why its link does not come back."""
-    told = time.monotonic()
+    printed_at = time.monotonic()
 
     def check() -> None:
-        nonlocal told
+        nonlocal printed_at
         # Not only before it joins: the token of a router may come after that of the orchestrator behind it.
         if name not in (None, link.common_name) and uplink.by_certificate(orchestrator):
             fail(
@@ -107,12 +107,12 @@ def _link_checks(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name
                 f"name of its certificate, here {link.common_name!r}; leave --name out"
             )
         if uplink.linked:
-            told = time.monotonic()
-        elif time.monotonic() - told > UNLINKED:
+            printed_at = time.monotonic()
+        elif time.monotonic() - printed_at > UNLINKED:
             if link.tls:
                 check_valid(link.tls.certificate)  # the link is closed when it ends
             click.echo(f"perfbound-worker: {no_link(link.endpoints, 'worker', link.tls)}", err=True)
-            told = time.monotonic()
+            printed_at = time.monotonic()
 
     return check
 

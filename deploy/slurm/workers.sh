@@ -24,7 +24,7 @@ system=()
 
 overdue=0
 watch() {
-  # It is told, but by one message that may get lost.
+  # The orchestrator says so, but by one message that may get lost.
   if ended && [ "$((overdue += 1))" -gt 20 ]; then kill -TERM "$child"; fi
 }
 

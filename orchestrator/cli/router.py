@@ -57,9 +57,8 @@ def router(
     named, and nothing else; a worker then speaks and reads in its own name alone.
     """
     from ...schemas.access import router_rules  # noqa: PLC0415
-    from ...schemas.certificates import check_role  # noqa: PLC0415
     from ...schemas.errors import LinkError  # noqa: PLC0415
-    from ...schemas.link import asks_for_secret, checked_endpoint  # noqa: PLC0415
+    from ...schemas.link import asks_for_secret, check_own  # noqa: PLC0415
     from ...schemas.secret import shared_secret  # noqa: PLC0415
     from ..fleet.router import route  # noqa: PLC0415
     from ..run.certificate_end import end_announced  # noqa: PLC0415
@@ -69,14 +68,12 @@ def router(
     if rules is not None and files is None:
         raise LinkError("--allow: needs tls/ endpoints, --tls-ca, --tls-certificate and --tls-key")
     if files is not None:
-        for endpoint in endpoints:
-            checked_endpoint("--listen", endpoint, files)
-        check_role(files.certificate, "router")
+        check_own("--listen", endpoints, files, "router")
     secret = shared_secret(loopback=all(map(asks_for_secret, endpoints)))
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    systemd, told = Systemd(), ""
+    systemd, printed = Systemd(), ""
     with (
         route(endpoints, routers, files, insecure=insecure, secret=secret, access=rules) as opened,
         end_announced(None if files is None else files.certificate, _print),
@@ -84,8 +81,8 @@ def router(
         _print(f"router: listening at {', '.join(opened.endpoints)}")
         systemd.ready(f"listening at {', '.join(opened.endpoints)}")
         while not ended.wait(NEWS):
-            if (now := opened.connected) != told:
-                told = now
+            if (now := opened.connected) != printed:
+                printed = now
                 _print(f"router: {now}")
             systemd.alive(now)
         systemd.stopping()

@@ -78,15 +78,15 @@ def connected(
         configs = connect_configs(endpoints, tls, secret)
     except LinkError as error:
         raise PerfboundError(str(error)) from None
-    told = time.monotonic()
+    printed_at = time.monotonic()
     while True:
         try:
             # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.
             return zenoh.open(zenoh.Config.from_json5(next(configs)))
         except zenoh.ZError:
-            if time.monotonic() - told > REPEAT:
+            if time.monotonic() - printed_at > REPEAT:
                 print_line(no_link(endpoints, "orchestrator", tls))
-                told = time.monotonic()
+                printed_at = time.monotonic()
             time.sleep(PAUSE)
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...schemas.access import access_rules
-from ...schemas.certificates import check_role, common_name
+from ...schemas.certificates import common_name
 from ...schemas.errors import LinkError
-from ...schemas.link import Tls, asks_for_secret, checked_endpoint
+from ...schemas.link import Tls, asks_for_secret, check_own
 from ...schemas.secret import shared_secret
 from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
 from .certificate_end import end_announced
@@ -70,9 +70,8 @@ class Link:
         """
         access = self.access(local_workers=local_workers)
         if self.tls is not None:
-            for option, endpoint in [("--connect", way) for way in self.routers] or [("--listen", self.endpoint)]:
-                checked_endpoint(option, endpoint, self.tls)
-            check_role(self.tls.certificate, "orchestrator")
+            option = "--connect" if self.routers else "--listen"
+            check_own(option, self.routers or (self.endpoint,), self.tls, "orchestrator")
         if self.routers:
             link = connect_to_router(self.routers, self.tls, self.secret(), print_line, grace=self.grace)
         else:
