@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -71,6 +71,10 @@ class Process:
 
     def children(self) -> list[psutil.Process]:
         return psutil.Process(self.pid).children(recursive=True)
+
+    def children_with(self, word: str) -> list[psutil.Process]:
+        """Return the children with the argument `word`."""
+        return [each for each in self.children() if word in arguments(each)]
 
     def end(self) -> None:
         """Kill the process and what it started."""
@@ -148,6 +152,13 @@ def write_campaign(path: Path, **changes: str) -> Path:
 
 ROLLOUTS = 24
 """Of the small campaign: 8 nominal ones, and 8 pairs for the gap."""
+
+
+def arguments(process: psutil.Process) -> list[str]:
+    """Return the command line of a process; none, if it ended between its listing and this look at it."""
+    with suppress(psutil.Error):
+        return process.cmdline()
+    return []
 
 
 def wait_for(condition: Callable[[], object], patience: float = PATIENCE) -> None:

@@ -2,20 +2,16 @@
 
 import json
 import signal
-import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
-import psutil
 import pytest
 
 from perfbound.schemas.campaign_file import load_campaign
 from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.problem_models import KrigingProblem, RigorousProblem
-from tests.end_to_end.processes import Processes, contents, processes
+from tests.end_to_end.processes import Processes, contents, processes, wait_for
 from tests.end_to_end.test_wheel import ROOT
-from tests.patience import patience
 
 CARS = ROOT / "deploy" / "examples" / "cars" / "cars.py"
 SYSTEMS = """import time
@@ -189,19 +185,9 @@ def test_a_rollout_that_fails_is_named(folder: Processes) -> None:
     assert made <= {"log-0/out", "log-0/err"}
 
 
-def is_pilot(process: psutil.Process) -> bool:
-    # A process of the start may end between its listing and this look at it.
-    with suppress(psutil.Error):
-        return "pilot" in " ".join(process.cmdline())
-    return False
-
-
 def test_ctrl_c_leaves_no_file_and_no_process(folder: Processes) -> None:
     process = folder.start("perfbound", "calibrate", "slow.toml")
-    late = patience()
-    while not any(map(is_pilot, process.children())):
-        assert not late()
-        time.sleep(0.05)
+    wait_for(lambda: process.children_with("pilot"))
     started = process.children()
     process.signal_group(signal.SIGINT)
     ended = process.wait()

@@ -63,7 +63,7 @@ def url_of(process: Process) -> str:
 
 
 def child_of(process: Process) -> psutil.Process:
-    (found,) = [each for each in process.children() if "perfbound.orchestrator.report.web.process" in each.cmdline()]
+    (found,) = process.children_with("perfbound.orchestrator.report.web.process")
     return found
 
 

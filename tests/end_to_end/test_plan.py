@@ -128,7 +128,7 @@ def test_a_fault_is_one_line(started: Processes, system: str, keys: str, fault: 
 
 def test_a_signal_ends_the_pilot(started: Processes) -> None:
     process = started.start("perfbound", "plan", campaign(started, "slow"))
-    wait_for(lambda: any("pilot" in each.cmdline() for each in process.children()))
+    wait_for(lambda: process.children_with("pilot"))
     children = process.children()
     process.popen.send_signal(signal.SIGTERM)
     ended = process.wait()

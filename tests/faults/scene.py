@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 
 from perfbound.orchestrator.store import lock
-from tests.end_to_end.processes import Ended, Process, Processes, recorded, wait_for
+from tests.end_to_end.processes import Ended, Process, Processes, arguments, recorded, wait_for
 from tests.faults.subjects import Subject
 from tests.patience import PATIENCE
 from tests.sharing import free_port
@@ -111,7 +111,7 @@ class Scene:
         if not self.orchestrator.running:
             return []
         with suppress(psutil.NoSuchProcess):
-            return [each for each in self.orchestrator.children() if "serve" in _line(each)]
+            return self.orchestrator.children_with("serve")
         return []
 
     def reach(self, count: int) -> bool:
@@ -209,11 +209,5 @@ class Scene:
         for process in psutil.process_iter():
             with suppress(OSError, psutil.Error):
                 if mark in Path(f"/proc/{process.pid}/environ").read_bytes().split(b"\0"):
-                    found[process.pid] = _line(process)
+                    found[process.pid] = " ".join(arguments(process))
         return found
-
-
-def _line(process: psutil.Process) -> str:
-    with suppress(psutil.Error):
-        return " ".join(process.cmdline())
-    return ""
