@@ -12,7 +12,7 @@ from ...schemas.campaign_file import load_description
 from ...schemas.errors import CampaignError, PerfboundError, one_line
 from ...schemas.meant import meant
 from ...schemas.system import SystemSpec
-from .family import GRACE, STACK_WRITER, end_family, place_of_stack, without_stack
+from .family import GRACE, STACK_WRITER, end_family, held_signals, place_of_stack, without_stack
 
 CHILD_TIMEOUT = 120.0
 """Seconds that a child may take to answer."""
@@ -92,16 +92,19 @@ def ask(
     """
     # -P: a module of the current directory must not replace an installed one.
     line = [sys.executable, "-P", *STACK_WRITER, "-m", "perfbound.workers", command, *arguments]
-    child = subprocess.Popen(
-        line,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-    )
-    with child:
+    with (
+        held_signals() as release,
+        subprocess.Popen(
+            line,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+        ) as child,
+    ):
         try:
+            release()
             output, errors = _outputs(child, limit, steps)
         except subprocess.TimeoutExpired:
             end_family(child, stack=True)

@@ -4,7 +4,9 @@ import os
 import re
 import signal
 import subprocess
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ...schemas.places import own_place
@@ -16,6 +18,33 @@ STACK_WRITER = ("-X", "faulthandler")
 _STACK = re.compile(r"^(?:Current thread|Thread) .*?(?=^$|\Z|^Thread |^Current thread )", re.MULTILINE | re.DOTALL)
 _FRAME = re.compile(r'^  File "(.+)", line (\d+) in', re.MULTILINE)
 """A line of Python's fault handler; the innermost frame comes first."""
+
+
+@contextmanager
+def held_signals() -> Iterator[Callable[[], None]]:
+    """Hold SIGINT and SIGTERM back until the function that this yields is called, or the block ends.
+
+    A handler that raises while a child starts would leave a child that nobody knows, and so nobody ends.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None  # only the main thread runs handlers
+        return
+    came: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _frame: came.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+
+    def release() -> None:
+        while before:
+            signal.signal(*before.popitem())
+        if came:
+            signal.raise_signal(came.pop())
+
+    try:
+        yield release
+    finally:
+        release()
 
 
 def descendants(pid: int) -> list[int]:

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from ...schemas.system_check import ChildRun, Measured, Trial
 from .child import CHILD_TIMEOUT
-from .family import GRACE, STACK_WRITER, end_family, place_of_stack, without_stack
+from .family import GRACE, STACK_WRITER, end_family, held_signals, place_of_stack, without_stack
 
 POLL = 0.1
 """Seconds between two looks whether a silent child has ended."""
@@ -36,6 +36,7 @@ def measure_in_child(
         tempfile.TemporaryFile() as asked,
         tempfile.TemporaryFile() as printed,
         tempfile.TemporaryFile() as errors,
+        held_signals() as release,
     ):
         asked.write(TypeAdapter(tuple[Trial, ...]).dump_json(tuple(trials)))
         asked.seek(0)
@@ -53,6 +54,7 @@ def measure_in_child(
         )
         try:
             os.close(writing)
+            release()
             answers = _Answers(reading, process)
             hung = _collect(answers, len(trials), limit, done)
             whole = len(answers.found) > len(trials)  # a thread that still runs may keep it from ending

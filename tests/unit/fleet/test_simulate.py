@@ -1,16 +1,20 @@
 """One rollout in a child process: its limit of time, what a hang and a stop leave, and the text of each end."""
 
+import os
 import re
 import signal
 import subprocess
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from perfbound.orchestrator.fleet.child import HangError, ask, system_spec
 from perfbound.orchestrator.fleet.family import place_of_stack
+from perfbound.orchestrator.fleet.measure import measure_in_child
 from perfbound.orchestrator.fleet.simulate import LIMIT, WantedRollout, simulate_to
 from perfbound.schemas.errors import CampaignError, PerfboundError, Stopped
 
@@ -140,6 +144,39 @@ def test_a_stop_says_what_was_ended(folder: Path, hung: Callable[[BaseException]
     assert stopped.value.state.startswith("the rollout of hangs at x = 0.5, seed 7 was ended after ")
     assert stopped.value.state.endswith(" s, nothing was written")
     wait_for(lambda: gone(pid(folder)))
+
+
+def measured() -> object:
+    return measure_in_child([], [], limit=2.0, done=lambda: None)
+
+
+@pytest.mark.parametrize("starts", [partial(ask, "systems"), measured])
+def test_a_stop_while_a_child_starts_ends_the_child(
+    starts: Callable[[], object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin, begun = subprocess.Popen.__init__, []
+
+    def begins(child: subprocess.Popen[str], *arguments: Any, **options: Any) -> None:
+        begin(child, *arguments, **options)
+        os.kill(child.pid, signal.SIGSTOP)  # it cannot end by itself
+        begun.append(child.pid)
+        signal.raise_signal(signal.SIGTERM)
+
+    def stop(number: int, _frame: object) -> None:
+        raise Stopped(number)
+
+    monkeypatch.setattr(subprocess.Popen, "__init__", begins)
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        with pytest.raises(Stopped):
+            starts()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    left = [each for each in begun if not gone(each)]
+    for each in left:
+        os.kill(each, signal.SIGKILL)
+    assert begun
+    assert not left
 
 
 def test_the_end_of_a_process_is_named_with_its_code_and_what_it_printed_is_not_its_reason(folder: Path) -> None:
