@@ -106,7 +106,7 @@ NOT_SLOW := -m "not slow"
 PROCESSES := tests/end_to_end tests/faults
 WITHOUT := -n 3 --dist loadfile tests $(addprefix --ignore=,$(PROCESSES))
 AT_ONCE ?= 3
-WITH := -n $(AT_ONCE) --dist loadgroup $(PROCESSES)
+WITH := -n $(AT_ONCE) --dist loadfile $(PROCESSES)
 unit: $(INSTALLED)-dev build/node/.installed build/backend/.installed ## Tests, with real workers, Zenoh and PyBullet
 	$(BIN)/python -m pytest $(WITHOUT) --durations=10 $(NOT_SLOW)
 	$(BIN)/python -m pytest $(WITH) --durations=10 $(NOT_SLOW)

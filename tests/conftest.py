@@ -8,6 +8,8 @@ from collections.abc import Generator
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 
 from tests.fuzz import amount
 from tests.missing import MISSING, for_want_of_pybullet
@@ -42,3 +44,15 @@ def pytest_make_collect_report(
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if amount.CHOSEN:
         terminalreporter.write_line(f"{amount.made():,} random inputs at the borders")
+
+
+class FilesAndFaultRuns(LoadFileScheduling):  # type: ignore[misc]  # xdist has no types
+    """The tests of a file run in one process, since they share what is costly to make; fault runs share nothing."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return nodeid if nodeid.startswith("tests/faults/") else super()._split_scope(nodeid)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadFileScheduling | None:
+    return FilesAndFaultRuns(config, log) if config.getoption("dist") == "loadfile" else None

@@ -9,8 +9,6 @@ from tests import sharing
 from tests.end_to_end import processes
 from tests.end_to_end.processes import Processes
 
-HERE = Path(__file__).parent
-
 
 @pytest.fixture(autouse=True, scope="session")
 def interruptible() -> None:
@@ -37,10 +35,3 @@ def run_calmly(folder: Path) -> None:
     with processes.processes(folder) as found:
         ended = found.run("perfbound", "run", processes.write_campaign(folder / "c.toml"), "--out", folder / "run")
     assert ended.code == 0, ended.err
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """With `--dist loadgroup`, one process runs the tests of a file here: they share what is costly to make."""
-    for item in items:
-        if item.path.parent == HERE:
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
