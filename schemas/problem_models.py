@@ -1,6 +1,6 @@
 """The keys of a problem in a campaign file, by method: unit, range and meaning of each."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -47,6 +47,9 @@ class Linearised(Model):
 
 class _Problem(Model):
     """The keys of every problem."""
+
+    bound_at_end: ClassVar[bool] = False
+    """Whether a bound is claimed for the test alone at which the problem ends."""
 
     name: ProblemName = Field(description="which objective")
     sense: Sense | None = Field(default=None, description="follows from the name; may be left out")
@@ -109,6 +112,7 @@ class _KernelProblem(_BallProblem, _OptimisedProblem):
 class PaperProblem(_KernelProblem):
     """Algorithm 1 of the paper, as printed."""
 
+    bound_at_end: ClassVar[bool] = True
     method: Literal["paper"] = Field(description="Algorithm 1 as printed")
     c: float = Field(gt=0, description="margin for the noise of the last observation; unit of the objective")
     noise_scale: float = Field(
@@ -183,6 +187,7 @@ class RigorousProblem(_KernelProblem):
 class KrigingProblem(_BallProblem, _PlannedProblem):
     """A bound over a box from weighted sums of rollouts, at starts that follow from the budget."""
 
+    bound_at_end: ClassVar[bool] = True
     delta: float = Field(default=0.05, gt=0, lt=1, description="failure probability of the bound")
     method: Literal["kriging"] = Field(description="weighted sums of bounded rollouts on a box")
     linearised: Linearised | None = Field(

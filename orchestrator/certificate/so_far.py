@@ -10,7 +10,6 @@ from typing import Any
 
 from ...schemas.certificate import Assumption, Predicate
 from ...schemas.facts import Header
-from ...schemas.problem_models import KrigingProblem, PaperProblem
 from ...schemas.verdict import CampaignVerdict, Violations
 from ..campaign.account import Account
 from ..campaign.bounded import bounded_accounts
@@ -122,8 +121,7 @@ class AuditSoFar:
         method = self.ledger.methods.get(account.plan.key)
         if isinstance(method, SampleMethod):
             return all(method.found(place) is not None for place in range(len(account.plan.claims)))
-        # Their bounds are about the test at which they end.
-        return last.stopped_by is not None or not isinstance(problem, PaperProblem | KrigingProblem)
+        return last.stopped_by is not None or not problem.bound_at_end
 
 
 def _as_ended(account: Account) -> Account:
@@ -138,7 +136,7 @@ def _as_ended(account: Account) -> Account:
 
 def claims_nothing_yet(header: Header) -> str:
     """Return the sentence on a campaign that has no bound so far."""
-    fixed = [each.method for each in header.config.problems if isinstance(each, PaperProblem | KrigingProblem)]
+    fixed = [each.method for each in header.config.problems if each.bound_at_end]
     if fixed:
         return f"Method {fixed[0]} claims nothing before its last test."
     return "Nothing is proven yet: too few tests have ended."

@@ -213,8 +213,7 @@ class ProblemCollector:
         """Return the probability of the current bound; None where there is no valid one."""
         if last is None or last.stopped_by == "refuted":
             return None
-        # Method paper claims its bound only for the test at which it stops.
-        if self.problem.method == "paper" and last.stopped_by is None:
+        if self.problem.bound_at_end and last.stopped_by is None:
             return None
         return self._method.probability
 

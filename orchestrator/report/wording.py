@@ -102,7 +102,7 @@ def _problem_bound(problem: Problem, *, several: bool) -> str:
         return f"{problem.name}: its assumptions are refuted, so its bound is worth nothing."
     if problem.bound is None:
         return f"{problem.name}: no bound yet."
-    if problem.probability is None:  # method paper before it stops
+    if problem.probability is None:  # its method claims a bound at its end alone
         would_be = typeset(f"{quantity} {sense} {outward(problem.bound, sense)}")
         return (
             f"{problem.name}: not yet a bound. Method {problem.method} claims one only where it stops; if its budget "

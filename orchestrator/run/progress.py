@@ -129,7 +129,9 @@ class Plain:
             name = "F" if problem.method == "paper" else "upper - lower"
             end = f"; {ENDS[progress.stopped_by]}" if progress.stopped_by else ""
             distance = "" if alpha is None else f"{name} {figure(away)} (alpha {alpha:g}), "
-            self.print_line(f"{problem.name}: test {progress.tests}, {distance}bound so far {figure(bound, 3)}{end}")
+            early = problem.bound_at_end and not end
+            words = "with this budget the bound would be" if early and bound is not None else "bound so far"
+            self.print_line(f"{problem.name}: test {progress.tests}, {distance}{words} {figure(bound, 3)}{end}")
             return
         self._json.line(
             "problem ended" if progress.stopped_by else "progress",

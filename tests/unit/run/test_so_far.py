@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from perfbound.orchestrator.cli.status import print_status, status_object
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.expected import RolloutCounts, expected, expected_verdict
+from perfbound.orchestrator.run.progress import PLAIN_PERIOD, Plain
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.run.so_far import Pace, SoFarListener
 from perfbound.orchestrator.run.so_far_text import bar_words, holding_rows, left_words, refutation_line
@@ -272,6 +274,20 @@ def test_where_nothing_is_proven_it_says_so(tmp_path: Path, config: CampaignConf
     found, _ = shown(tmp_path)
     assert (found.verdict, found.bound, found.reasons) == ("NOT SHOWN", None, (words,))
     assert holding_rows(found)[0].bound == "nothing yet"
+    assert "with probability" not in Collector(tmp_path).refresh().now, "the page agrees"
+
+
+def test_a_bound_of_a_method_with_a_fixed_budget_is_no_bound_so_far(tmp_path: Path) -> None:
+    cut(tmp_path, *CASES["kriging"][:2], after=50)
+    page = Collector(tmp_path).refresh()
+    assert page.problems[0].bound is not None
+    assert page.now.startswith("robustness: not yet a bound. Method kriging claims one only where it stops; if its bud")
+    stream = StringIO()
+    lines = Plain(Console(file=stream, width=300))
+    lines._last -= PLAIN_PERIOD
+    with replayed(tmp_path) as ledger:
+        lines.show(status_of(ledger, seconds=0.0, recorded=50))
+    assert ", with this budget the bound would be -" in stream.getvalue()
 
 
 @pytest.mark.parametrize(("key", "then"), [("continue", "the campaign continues"), ("stop", "robustness ends here")])
