@@ -1,7 +1,6 @@
 """Zenoh sessions: of an orchestrator that listens, of one behind a router, and of a router."""
 
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -11,15 +10,11 @@ import zenoh
 
 from ...schemas.errors import LinkError, PerfboundError
 from ...schemas.link import Tls, connect_configs, listen_config, password_line, router_config, with_port
-from ...schemas.unanswered import no_link
+from ...schemas.opening import LinkLines, first_opened
 
 TRIES = 5
 """Free ports that are tried where the endpoint names none."""
 IN_USE = "Address already in use"
-PAUSE = 0.3
-"""Seconds between two attempts to open a link, each of which takes a second where nothing answers."""
-REPEAT = 5.0
-"""Seconds between two lines that no link opens."""
 
 
 def listening(
@@ -78,16 +73,14 @@ def connected(
         configs = connect_configs(endpoints, tls, secret)
     except LinkError as error:
         raise PerfboundError(str(error)) from None
-    printed_at = time.monotonic()
-    while True:
-        try:
-            # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.
-            return zenoh.open(zenoh.Config.from_json5(next(configs)))
-        except zenoh.ZError:
-            if time.monotonic() - printed_at > REPEAT:
-                print_line(no_link(endpoints, "orchestrator", tls))
-                printed_at = time.monotonic()
-            time.sleep(PAUSE)
+    lines = LinkLines(endpoints, "orchestrator", tls, print_line)
+    session = first_opened(configs, _open, zenoh.ZError, lines.down)
+    lines.up()
+    return session
+
+
+def _open(config: str) -> zenoh.Session:
+    return zenoh.open(zenoh.Config.from_json5(config))
 
 
 def _listening_at(
@@ -100,7 +93,7 @@ def _listening_at(
         try:
             configured(endpoints)  # its faults first: to choose a port needs a well-formed endpoint
             chosen = [with_port(endpoint) for endpoint in endpoints]
-            return zenoh.open(zenoh.Config.from_json5(configured(chosen))), chosen
+            return _open(configured(chosen)), chosen
         except LinkError as error:
             raise PerfboundError(str(error)) from None
         except zenoh.ZError as error:
