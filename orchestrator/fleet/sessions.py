@@ -1,6 +1,8 @@
 """Zenoh sessions: of an orchestrator that listens, of one behind a router, and of a router."""
 
+import math
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -11,6 +13,7 @@ import zenoh
 from ...schemas.errors import LinkError, PerfboundError
 from ...schemas.link import Tls, connect_configs, listen_config, password_line, router_config, with_port
 from ...schemas.opening import LinkLines, first_opened
+from ...schemas.unanswered import no_link
 
 TRIES = 5
 """Free ports that are tried where the endpoint names none."""
@@ -61,20 +64,30 @@ def routing(
 
 
 def connected(
-    endpoints: Sequence[str], tls: Tls | None, secret: bytes | None, print_line: Callable[[str], None]
+    endpoints: Sequence[str],
+    tls: Tls | None,
+    secret: bytes | None,
+    print_line: Callable[[str], None],
+    patience: float = math.inf,
 ) -> zenoh.Session:
-    """Return a session with the first router that answers, and wait until one does.
+    """Return a session with the first router that answers, and wait `patience` s for it.
 
     Raises:
-        PerfboundError: an endpoint is malformed, or a TLS file is missing.
+        PerfboundError: an endpoint is malformed, a TLS file is missing, or no router answers for so long.
 
     """
     try:
         configs = connect_configs(endpoints, tls, secret)
     except LinkError as error:
         raise PerfboundError(str(error)) from None
-    lines = LinkLines(endpoints, "orchestrator", tls, print_line)
-    session = first_opened(configs, _open, zenoh.ZError, lines.down)
+    lines, end = LinkLines(endpoints, "orchestrator", tls, print_line), time.monotonic() + patience
+
+    def waiting() -> None:
+        if time.monotonic() > end:
+            raise PerfboundError(no_link(endpoints, "orchestrator", tls))
+        lines.down()
+
+    session = first_opened(configs, _open, zenoh.ZError, waiting)
     lines.up()
     return session
 
