@@ -11,15 +11,19 @@ from ..schemas import keys
 from ..schemas.certificates import check_valid
 from ..schemas.errors import RefusedError
 from ..schemas.link import Tls
-from ..schemas.unanswered import no_link, no_orchestrator
+from ..schemas.opening import LinkLines
+from ..schemas.reminder import Reminder
+from ..schemas.unanswered import no_orchestrator
 from .ends import EndOptions, gone_since, is_abandoned
 from .failing import fail
 from .stopping import STOPPED, Stopping
 from .transport import ZenohUplink, connect
 from .worker import POLL, WorkerProcess
 
-UNLINKED = 10.0
-"""Seconds between two lines of a worker whose link has ended while it serves a run."""
+UNSERVED = 10.0
+"""Seconds without an orchestrator until the first line."""
+CERTIFICATE_PERIOD = 10.0
+"""Seconds between two readings of the own certificate, while there is no link or no orchestrator."""
 LOOK = 0.02
 """Seconds between two looks for an orchestrator."""
 
@@ -73,10 +77,17 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
 
     """
     started, finished = identity or keys.fresh_id(name), set[str]()
-    with connect(link.endpoints, link.tls, _waiting(link, life), link.secret) as uplink:
+    lines = LinkLines(link.endpoints, "worker", link.tls, _print_line)
+
+    def waiting() -> None:
+        life.check()
+        lines.down()
+
+    with connect(link.endpoints, link.tls, waiting, link.secret) as uplink:
+        lines.up()
         while True:
             orchestrator, chosen = _choose(uplink, run, link, life, finished)
-            check = _link_checks(link, uplink, orchestrator, None if identity else name)
+            check = _link_checks(link, lines, uplink, orchestrator, None if identity else name)
             check()
             worker = WorkerProcess(started, uplink)
             life.stopping.attend(worker)
@@ -94,12 +105,13 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
             started = keys.fresh_id(name)
 
 
-def _link_checks(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name: str | None) -> Callable[[], None]:
+def _link_checks(
+    link: LinkOptions, lines: LinkLines, uplink: ZenohUplink, orchestrator: str, name: str | None
+) -> Callable[[], None]:
     """Return what a worker examines while it serves a run: its name, and the reason why its link does not come back."""
-    printed_at = time.monotonic()
+    check_certificate = _certificate_check(link.tls)
 
     def check() -> None:
-        nonlocal printed_at
         # Not only before it joins: the token of a router may come after that of the orchestrator behind it.
         if name not in (None, link.common_name) and uplink.by_certificate(orchestrator):
             fail(
@@ -107,27 +119,27 @@ def _link_checks(link: LinkOptions, uplink: ZenohUplink, orchestrator: str, name
                 f"name of its certificate, here {link.common_name!r}; leave --name out"
             )
         if uplink.linked:
-            printed_at = time.monotonic()
-        elif time.monotonic() - printed_at > UNLINKED:
-            if link.tls:
-                check_valid(link.tls.certificate)  # the link is closed when it ends
-            click.echo(f"perfbound-worker: {no_link(link.endpoints, 'worker', link.tls)}", err=True)
-            printed_at = time.monotonic()
+            lines.up()
+        else:
+            check_certificate()
+            lines.down()
 
     return check
 
 
-def _waiting(link: LinkOptions, life: Life) -> Callable[[], None]:
-    last = time.monotonic()
+def _certificate_check(tls: Tls | None) -> Callable[[], None]:
+    """Return what ends a worker whose certificate has ended, since its link is closed then; for frequent calls."""
+    rhythm = Reminder(CERTIFICATE_PERIOD, now=time.monotonic(), most=CERTIFICATE_PERIOD)
 
-    def waiting() -> None:
-        nonlocal last
-        life.check()
-        if time.monotonic() - last > 5:
-            click.echo(f"perfbound-worker: {no_link(link.endpoints, 'worker', link.tls)}", err=True)
-            last = time.monotonic()
+    def check() -> None:
+        if tls is not None and rhythm.is_due(time.monotonic()):
+            check_valid(tls.certificate)
 
-    return waiting
+    return check
+
+
+def _print_line(line: str) -> None:
+    click.echo(f"perfbound-worker: {line}", err=True)
 
 
 def _to_serve(uplink: ZenohUplink, run: str | None, finished: set[str]) -> list[tuple[str, str]]:
@@ -136,18 +148,17 @@ def _to_serve(uplink: ZenohUplink, run: str | None, finished: set[str]) -> list[
 
 
 def _choose(uplink: ZenohUplink, run: str | None, link: LinkOptions, life: Life, finished: set[str]) -> tuple[str, str]:
-    last = time.monotonic()
+    reminder, check_certificate = Reminder(UNSERVED, now=time.monotonic()), _certificate_check(link.tls)
     while not (found := _to_serve(uplink, run, finished)):
         life.check()
-        if time.monotonic() - last > 10:
-            last = time.monotonic()
-            if link.tls:
-                check_valid(link.tls.certificate)  # its link is closed when it ends
-            line = no_orchestrator(link.endpoints, run, strangers=uplink.strangers, common_name=link.common_name)
-            click.echo(f"perfbound-worker: {line}", err=True)
+        check_certificate()
+        if reminder.is_due(time.monotonic()):
+            _print_line(no_orchestrator(link.endpoints, run, strangers=uplink.strangers, common_name=link.common_name))
         time.sleep(LOOK)
     life.check()
     life.served = True
+    if reminder.printed:
+        _print_line(f"found the orchestrator of run {found[0][1]}")
     return found[0]
 
 

@@ -1,7 +1,6 @@
 """The worker's side of the protocol; the only importer of zenoh in this package."""
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -12,10 +11,10 @@ from ..schemas import keys
 from ..schemas.errors import MessageError
 from ..schemas.link import Tls, connect_configs
 from ..schemas.messages import Request, ResultHeader, WorkerState
+from ..schemas.opening import first_opened
 from ..schemas.sealed import Packet, WorkerEnd
 
 Receiver = Callable[[Request], None]
-OPEN_PERIOD = 0.3
 
 
 class Uplink(Protocol):
@@ -147,14 +146,7 @@ def connect(
 
     """
     configs = connect_configs(endpoints, tls, secret)
-    while True:
-        try:
-            # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.
-            session = zenoh.open(zenoh.Config.from_json5(next(configs)))
-            break
-        except zenoh.ZError:
-            waiting()
-            time.sleep(OPEN_PERIOD)
+    session = first_opened(configs, lambda config: zenoh.open(zenoh.Config.from_json5(config)), zenoh.ZError, waiting)
     uplink = None
     try:
         uplink = ZenohUplink(session, secret)

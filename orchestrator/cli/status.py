@@ -90,6 +90,11 @@ def status_object(directory: Path) -> dict[str, Any]:
             for problem, each in zip(config.problems, found.problems, strict=True)
         ],
         "rollouts_per_second": found.rate,
+        "attempts": {
+            "without_result": found.failures,
+            "failed_in_system": found.system_failures,
+            "handed_back": found.handed_back,
+        },
         "resume": None if certificate is not None or running else resume_command(directory),
     }
 
@@ -137,9 +142,10 @@ def _work(progress: CampaignProgress, *, running: bool) -> list[str]:
         counts = ", ".join(f"{count} {kind}" for kind, count in progress.opinions.items())
         lines.append(f"results: {counts} (`perfbound export DIR opinions` lists them)")
     of_system = f" ({progress.system_failures} failed in the system)" if progress.system_failures else ""
+    handed_back = f"; {_number(progress.handed_back, 'attempt')} handed back" if progress.handed_back else ""
     lines.append(
         f"{progress.rate:.1f} rollouts/s in the last minute of work; {_number(progress.failures, 'attempt')} without a "
-        f"result{of_system}; {_number(progress.sessions, 'start')} of the orchestrator"
+        f"result{of_system}{handed_back}; {_number(progress.sessions, 'start')} of the orchestrator"
     )
     return lines
 

@@ -179,6 +179,16 @@ class Requeue:
 
 
 @dataclass(frozen=True, slots=True)
+class OftenHandedBack:
+    """Report that a rollout is handed back again and again, the last time by `worker`; it is tried all the same."""
+
+    rollout: RolloutId
+    times: int
+    worker: str
+    host: str
+
+
+@dataclass(frozen=True, slots=True)
 class Dismiss:
     """Tell a worker that leaves that it gets nothing more."""
 
@@ -258,6 +268,7 @@ Action = (
     | Record
     | Acknowledge
     | Requeue
+    | OftenHandedBack
     | Dismiss
     | Fail
     | GiveUp

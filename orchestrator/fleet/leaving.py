@@ -1,15 +1,20 @@
 """A worker that ends: it gets nothing more, and what it hands back waits for another one at once.
 
 That counts against nobody: the reason lies in no rollout, worker or host, but in a scheduler or a person that ends the
-process. The worker is `shunned` without its attempt; it never reports idle again, and is dismissed as soon as nothing
-can be on the way to it.
+process. So a rollout is handed back as often as workers end; from `OFTEN` times on that is reported, once. The worker
+is `shunned` without its attempt; it never reports idle again, and is dismissed as soon as nothing can be on the way to
+it.
 """
 
 from dataclasses import replace
 
-from .events import Acknowledge, Action, Dismiss, HandedBack, Reported, Requeue
+from .events import Acknowledge, Action, Dismiss, HandedBack, OftenHandedBack, Reported, Requeue
 from .opinions import queued_again
 from .state import DispatchState, Worker
+
+OFTEN = 10
+"""Times that one rollout is handed back until that is reported: if every second attempt met the end of its worker by
+chance, one rollout in a thousand would be; most of the time its workers live too short for it."""
 
 
 def report_leaving(state: DispatchState, event: Reported, worker: Worker) -> tuple[DispatchState, tuple[Action, ...]]:
@@ -29,7 +34,16 @@ def hand_back(state: DispatchState, event: HandedBack) -> tuple[DispatchState, t
     if rollout not in state.open:
         return state, (acknowledge,)
     # In front, as after a failure; unless it waits or is simulated already, as when this is a repeat.
-    return queued_again(state, rollout), (Requeue(event.worker, event.attempt), acknowledge)
+    state, often = _counted(state, event) if state.is_undecided(rollout) else (state, ())
+    return queued_again(state, rollout), (Requeue(event.worker, event.attempt), acknowledge, *often)
+
+
+def _counted(state: DispatchState, event: HandedBack) -> tuple[DispatchState, tuple[OftenHandedBack, ...]]:
+    rollout = event.attempt.rollout
+    known = replace(state.open[rollout], handed_back=state.open[rollout].handed_back + 1)
+    state, times = replace(state, open={**state.open, rollout: known}), known.handed_back
+    often = (OftenHandedBack(rollout, times, event.worker, state.host(event.worker)),) if times == OFTEN else ()
+    return state, often
 
 
 def _without_attempt(state: DispatchState, event: Reported | HandedBack, worker: Worker) -> DispatchState:

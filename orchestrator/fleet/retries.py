@@ -54,6 +54,8 @@ class Open:
     """Whether it needs a second opinion."""
     opinions: tuple[Opinion, ...] = ()
     poisoned: bool = False
+    handed_back: int = 0
+    """Attempts that ended because their workers did."""
 
     def rank(self, worker: str, host: str) -> int:
         """Return how much a worker shares with those that failed or shall be avoided: the lowest comes first."""

@@ -1,5 +1,6 @@
 """Zenoh sessions: of an orchestrator that listens, of one behind a router, and of a router."""
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,15 +12,12 @@ import zenoh
 
 from ...schemas.errors import LinkError, PerfboundError
 from ...schemas.link import Tls, connect_configs, listen_config, password_line, router_config, with_port
+from ...schemas.opening import LinkLines, first_opened
 from ...schemas.unanswered import no_link
 
 TRIES = 5
 """Free ports that are tried where the endpoint names none."""
 IN_USE = "Address already in use"
-PAUSE = 0.3
-"""Seconds between two attempts to open a link, each of which takes a second where nothing answers."""
-REPEAT = 5.0
-"""Seconds between two lines that no link opens."""
 
 
 def listening(
@@ -66,28 +64,36 @@ def routing(
 
 
 def connected(
-    endpoints: Sequence[str], tls: Tls | None, secret: bytes | None, print_line: Callable[[str], None]
+    endpoints: Sequence[str],
+    tls: Tls | None,
+    secret: bytes | None,
+    print_line: Callable[[str], None],
+    patience: float = math.inf,
 ) -> zenoh.Session:
-    """Return a session with the first router that answers, and wait until one does.
+    """Return a session with the first router that answers, and wait `patience` s for it.
 
     Raises:
-        PerfboundError: an endpoint is malformed, or a TLS file is missing.
+        PerfboundError: an endpoint is malformed, a TLS file is missing, or no router answers for so long.
 
     """
     try:
         configs = connect_configs(endpoints, tls, secret)
     except LinkError as error:
         raise PerfboundError(str(error)) from None
-    printed_at = time.monotonic()
-    while True:
-        try:
-            # A bounded open in a loop: Zenoh's own endless one ignores Ctrl-C.
-            return zenoh.open(zenoh.Config.from_json5(next(configs)))
-        except zenoh.ZError:
-            if time.monotonic() - printed_at > REPEAT:
-                print_line(no_link(endpoints, "orchestrator", tls))
-                printed_at = time.monotonic()
-            time.sleep(PAUSE)
+    lines, end = LinkLines(endpoints, "orchestrator", tls, print_line), time.monotonic() + patience
+
+    def waiting() -> None:
+        if time.monotonic() > end:
+            raise PerfboundError(no_link(endpoints, "orchestrator", tls))
+        lines.down()
+
+    session = first_opened(configs, _open, zenoh.ZError, waiting)
+    lines.up()
+    return session
+
+
+def _open(config: str) -> zenoh.Session:
+    return zenoh.open(zenoh.Config.from_json5(config))
 
 
 def _listening_at(
@@ -100,7 +106,7 @@ def _listening_at(
         try:
             configured(endpoints)  # its faults first: to choose a port needs a well-formed endpoint
             chosen = [with_port(endpoint) for endpoint in endpoints]
-            return zenoh.open(zenoh.Config.from_json5(configured(chosen))), chosen
+            return _open(configured(chosen)), chosen
         except LinkError as error:
             raise PerfboundError(str(error)) from None
         except zenoh.ZError as error:

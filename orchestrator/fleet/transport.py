@@ -1,5 +1,6 @@
 """The orchestrator's side of the protocol."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -226,16 +227,17 @@ def connect_to_router(
     print_line: Callable[[str], None],
     *,
     grace: float = ROUTER_GRACE,
+    patience: float = math.inf,
 ) -> Iterator[ZenohTransport]:
-    """Open a Zenoh session with the first router of `endpoints` that answers, and wait until one does.
+    """Open a Zenoh session with the first router of `endpoints` that answers, and wait `patience` s for it.
 
     Workers have `grace` s to return after a router has come or gone, or the link to it.
 
     Raises:
-        PerfboundError: an endpoint is malformed, or a TLS file is missing.
+        PerfboundError: an endpoint is malformed, a TLS file is missing, or no router answers for so long.
 
     """
-    session = sessions.connected(endpoints, tls, secret, print_line)
+    session = sessions.connected(endpoints, tls, secret, print_line, patience)
     with _closed(ZenohTransport(session, endpoints[0], secret, grace=grace)) as transport:
         yield transport
 

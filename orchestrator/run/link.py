@@ -1,5 +1,6 @@
 """The link of an orchestrator to its workers: an endpoint of its own, or routers in between."""
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -61,11 +62,13 @@ class Link:
         return access_rules(self.allow, own)
 
     @contextmanager
-    def opened(self, *, local_workers: bool, print_line: Callable[[str], None]) -> Iterator[Transport]:
-        """Open the way to the workers; a router that does not answer is waited for.
+    def opened(
+        self, *, local_workers: bool, print_line: Callable[[str], None], patience: float = math.inf
+    ) -> Iterator[Transport]:
+        """Open the way to the workers; a router that does not answer is waited for, at most `patience` s.
 
         Raises:
-            PerfboundError: an endpoint cannot be used.
+            PerfboundError: an endpoint cannot be used, or no router answers for so long.
 
         """
         access = self.access(local_workers=local_workers)
@@ -73,7 +76,9 @@ class Link:
             option = "--connect" if self.routers else "--listen"
             check_own(option, self.routers or (self.endpoint,), self.tls, "orchestrator")
         if self.routers:
-            link = connect_to_router(self.routers, self.tls, self.secret(), print_line, grace=self.grace)
+            link = connect_to_router(
+                self.routers, self.tls, self.secret(), print_line, grace=self.grace, patience=patience
+            )
         else:
             link = listen(self.endpoint, self.tls, insecure=self.insecure, secret=self.secret(), access=access)
         with link as transport, end_announced(None if self.tls is None else self.tls.certificate, print_line):

@@ -35,6 +35,7 @@ from ..store.rows import existing
 from .directory import check_vacant, claimed
 from .link import Link
 from .live_page import LivePage, live_page
+from .report_finished import report_finished
 from .revision import revision
 from .systemd import Systemd
 
@@ -105,6 +106,8 @@ def start_campaign(
 def resume_campaign(directory: Path, options: RunOptions, console: Console, max_tests: int | None = None) -> bool:
     """Continue a campaign from its database; return False for a finished one, which is left as it is.
 
+    Workers that may wait for a finished one at the link get a report of its end.
+
     With `max_tests` a finished campaign that ended by its budget gets this larger one, and continues.
 
     Raises:
@@ -120,6 +123,7 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
         give_budget(directory, options, console, max_tests)
     if files.read(directory) is not None:
         console.print(Text(f"{directory}: finished already"), soft_wrap=True)
+        report_finished(directory, options.link, lambda line: console.print(Text(line), soft_wrap=True))
         return False
     link = options.link
     with (

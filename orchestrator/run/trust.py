@@ -19,7 +19,12 @@ MOST_NAMED = 5
 
 
 def note(
-    action: events.SetAside | events.TakeBack | events.Compared | events.Outvoted | events.Requeue,
+    action: events.SetAside
+    | events.TakeBack
+    | events.Compared
+    | events.Outvoted
+    | events.Requeue
+    | events.OftenHandedBack,
     log: AttemptLog,
     print_line: Callable[[str], None],
 ) -> None:
@@ -35,6 +40,12 @@ def note(
             log.opinion("outvoted", attempt, worker, digest)
         case events.Requeue(worker, attempt):
             log.ended(attempt, worker, HANDED_BACK)
+        case events.OftenHandedBack(rollout, times, worker, host):
+            where = f"{worker} on {one_line(host)}" if host else worker
+            print_line(
+                f"{rollout} was handed back {times} times, last by {where}: its workers are stopped before it ends; "
+                "give them more time (--max-hours, --stop-within, the limit of the scheduler), or check that host"
+            )
         case events.TakeBack(place):
             log.set_aside(place.kind, place.name, 0.0, "")
 

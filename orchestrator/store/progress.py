@@ -13,7 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from ...schemas.errors import one_line
-from ...schemas.facts import NO_FAILURE, RECORDED, Header
+from ...schemas.facts import HANDED_BACK, NO_FAILURE, RECORDED, Header
 from ...schemas.values import MARKED, Bound, ProblemProgress, distance_after
 from .readonly import snapshot
 from .rows import (
@@ -44,6 +44,7 @@ _MARKED = json.dumps([tests - 1 for tests in sorted(MARKED)])
 _EXTENSIONS = "SELECT seq, number, budgets FROM extensions ORDER BY seq"
 _WORKERS = "SELECT worker, count(*), max(ended) FROM outcomes WHERE outcome = ? GROUP BY worker ORDER BY worker"
 _FAILURES = "SELECT count(*) FROM outcomes WHERE outcome NOT IN (?, ?, ?)"
+_HANDED_BACK = "SELECT count(*) FROM outcomes WHERE outcome = ?"
 _SYSTEM_FAILURES = "SELECT count(*) FROM outcomes WHERE kind = 'system'"
 _RECENT = "SELECT ended FROM outcomes WHERE outcome = ? ORDER BY rowid DESC LIMIT ?"
 _SET_ASIDE = """
@@ -80,6 +81,8 @@ class CampaignProgress:
     failures: int
     system_failures: int | None
     """Failures of the system among them; None if the database does not tell."""
+    handed_back: int
+    """Attempts that workers gave back because they were stopped; none of them is a failure."""
     sessions: int
     pauses: tuple[Pauses, ...]
     opinions: dict[str, int]
@@ -150,6 +153,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         tuple((str(row[0]), int(row[1]), float(row[2])) for row in connection.execute(_WORKERS, [RECORDED])),
         int(connection.execute(_FAILURES, NO_FAILURE).fetchone()[0]),
         connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
+        int(connection.execute(_HANDED_BACK, [HANDED_BACK]).fetchone()[0]),
         int(connection.execute(_SESSIONS).fetchone()[0]),
         _pauses(connection) if has_table("set_aside", version) else (),
         dict(connection.execute(_OPINIONS).fetchall()) if has_table("opinions", version) else {},

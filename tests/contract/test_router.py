@@ -110,6 +110,15 @@ def test_a_router_that_is_restarted_is_heard_of_and_its_worker_comes_back(site: 
     eventually(lambda: len(received) == 1)
 
 
+def test_a_router_that_does_not_answer_ends_a_patience() -> None:
+    nobody = f"tcp/127.0.0.1:{free_port()}"
+    with (
+        pytest.raises(PerfboundError, match=f"no answer from {nobody} yet; check the address"),
+        connect_to_router([nobody], None, SECRET, no_lines, patience=0.0),
+    ):
+        pass
+
+
 def test_another_router_takes_over(site: Site) -> None:
     first, ends = site.router()
     second, _ = site.router(routers=first.endpoints)

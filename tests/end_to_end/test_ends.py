@@ -1,12 +1,16 @@
 """The ends of workers: when the campaign is finished, when there is none, when their time is over, and by SIGTERM."""
 
+import json
 import signal
+import socket
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from perfbound.workers.stopping import STOPPED
 from tests.end_to_end.processes import Process, Processes, query, recorded, under_way, wait_for
+from tests.sharing import free_port
 
 SYSTEM = """
 import os, subprocess, time
@@ -106,6 +110,45 @@ def test_workers_end_with_the_campaign(started: Processes, slow: Slow) -> None:
     assert outcomes(started) == {"recorded"}
 
 
+KILLED = """
+import os, signal
+from perfbound.orchestrator.cli import main
+from perfbound.orchestrator.run.service import Service
+
+Service.report_end = lambda self: os.kill(os.getpid(), signal.SIGKILL)  # with the certificate, before the report of it
+main()
+"""
+
+
+@pytest.mark.parametrize("way", ["--listen", "--connect"])
+def test_workers_end_though_the_orchestrator_was_killed_before_its_report(started: Processes, way: str) -> None:
+    (started.folder / "slow.py").write_text(SYSTEM)
+    (started.folder / "c.toml").write_text(CAMPAIGN.format(tests=4))
+    (started.folder / "pace").write_text("0.01 steps")
+    endpoint, directory = f"tcp/127.0.0.1:{free_port()}", started.folder / "run"
+    if way == "--connect":
+        started.start("perfbound", "router", "--listen", endpoint)
+    arguments = ("orchestrate", "c.toml", "--out", "run", way, endpoint)
+    killed = started.start("python", "-c", KILLED, *arguments, PACE=pace_file(started))
+    workers = [worker(started, endpoint, "--until-done") for _ in range(2)]
+    assert killed.wait().code == -signal.SIGKILL, killed.err
+    certificate = (directory / "certificate.json").read_bytes()
+    assert all(each.running for each in workers)
+    resumed = started.run("perfbound", "resume", directory, way, endpoint)
+    assert resumed.code == 0, resumed.err
+    assert f"{directory}: finished already\nreporting that to its workers for 10 s\n" in resumed.err
+    assert [each.wait().code for each in workers] == [0, 0]
+    assert (directory / "certificate.json").read_bytes() == certificate
+
+
+def test_a_finished_campaign_waits_for_no_router_and_needs_no_endpoint(started: Processes, calm: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        ended = started.run("perfbound", "resume", calm, "--listen", endpoint)
+    assert ended.code == 0
+    assert f"its workers get no report of that: --listen {endpoint}: this endpoint is in use" in ended.err
+
+
 def test_without_a_campaign_a_worker_ends_with_an_error(started: Processes) -> None:
     ended = started.run("perfbound-worker", "--connect", "tcp/127.0.0.1:9", "--until-done", "--idle-exit", "0.5")
     assert ended.code == 1
@@ -156,7 +199,11 @@ def test_a_long_rollout_is_handed_back_and_counts_against_nobody(started: Proces
         assert len(query(directory, "SELECT * FROM outcomes WHERE outcome = 'handed back'")) >= number
     assert outcomes(started) == {"handed back"}
     assert not query(directory, "SELECT * FROM set_aside")
-    assert "; 0 attempts without a result;" in started.run("perfbound", "status", directory).out
+    handed_back = len(query(directory, "SELECT * FROM outcomes"))
+    status = started.run("perfbound", "status", directory).out
+    assert f"; 0 attempts without a result; {handed_back} attempts handed back; " in status
+    counts = json.loads(started.run("perfbound", "status", directory, "--json").out)["attempts"]
+    assert counts == {"without_result": 0, "failed_in_system": 0, "handed_back": handed_back}
     finish(started, orchestrator, endpoint)
 
 

@@ -21,6 +21,7 @@ def test_two_campaigns_share_a_router_and_its_workers(started: Processes) -> Non
     late = started.start("perfbound", "run", campaign, "--out", folder / "late", "--workers", "1", *ways)
     assert (early.wait().code, late.wait().code) == (0, 0)
     assert worker.wait().code == 0
+    assert early.err.count(f"connected to {nobody} or {endpoint}\n") == 1
     names = ("certificate.json", "manifest.sha256")
     calm = [(folder / "local" / name).read_bytes() for name in names]
     for run in ("early", "late"):

@@ -28,6 +28,7 @@ from perfbound.orchestrator.fleet.events import (
     HandedBack,
     HandOut,
     LinkChanged,
+    OftenHandedBack,
     Poison,
     Record,
     Reported,
@@ -44,6 +45,7 @@ from perfbound.orchestrator.fleet.events import (
     WorkerDown,
     WorkerUp,
 )
+from perfbound.orchestrator.fleet.leaving import OFTEN
 from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.schemas.failure import Failure
@@ -303,6 +305,19 @@ def test_handing_back_never_poisons_a_rollout_and_never_sets_a_worker_aside() ->
     state, actions = after(*events, *up("last", 100))
     assert actions == [Start("last", first(R[0], 4 * LIMITS.max_attempts))]
     assert (state.standings, state.open[R[0]].failures) == ({}, ())
+
+
+def test_a_rollout_that_is_handed_back_again_and_again_is_reported_once() -> None:
+    state, reports = after(want(R[0], R[1]))[0], []
+    for number in range(1, 3 * OFTEN):
+        name = f"w{number}"
+        back = handed_back(R[0], number, worker=name, at=number)
+        # The second one is a repeat, because the acknowledgement was lost.
+        for event in (*up(name, number), back, back, leaving(name, number), WorkerDown(number, name)):
+            state, actions = step(state, event)
+            reports += [(number, each) for each in actions if isinstance(each, OftenHandedBack)]
+    assert reports == [(OFTEN, OftenHandedBack(R[0], OFTEN, f"w{OFTEN}", ""))]
+    assert R[0] in state.waiting, "the campaign continues"
 
 
 def test_a_repeated_hand_back_is_acknowledged_and_starts_nothing_twice() -> None:

@@ -1,0 +1,68 @@
+"""The tries until a link opens, and the lines while there is none."""
+
+import itertools
+
+import pytest
+
+from perfbound.schemas import opening
+from perfbound.schemas.opening import LinkLines, first_opened
+from perfbound.schemas.reminder import MOST, Reminder
+
+
+def test_lines_about_a_state_that_lasts_become_rare() -> None:
+    reminder = Reminder(5.0, now=100.0)
+    assert not reminder.printed
+    hour = [now - 100 for now in range(100, 3700) if reminder.is_due(now)]
+    assert hour[:3] == [5, 15, 35]
+    assert {later - earlier for earlier, later in itertools.pairwise(hour[6:])} == {MOST}
+    assert len(hour) < 20, "a fleet of a thousand workers writes them all into one log"
+    assert reminder.printed
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [0.0]
+    monkeypatch.setattr("perfbound.schemas.opening.time.monotonic", lambda: now[0])
+    monkeypatch.setattr(opening, "no_link", lambda endpoints, side, _tls: f"{side}: none at {endpoints[0]}")
+    return now
+
+
+def test_a_link_that_is_back_is_one_line_if_its_absence_was_one(clock: list[float]) -> None:
+    printed: list[str] = []
+    lines = LinkLines(["tcp/a:1", "tcp/b:1"], "worker", None, printed.append)
+    lines.up()
+    for clock[0] in (1000.0, 1004.0):
+        lines.down()
+    lines.up()
+    assert printed == [], "a short break"
+    for clock[0] in (2000.0, 2005.0, 2005.1, 2014.9, 2015.0):
+        lines.down()
+    for _ in range(2):
+        lines.up()
+    assert printed == [*2 * ["worker: none at tcp/a:1"], "connected to tcp/a:1 or tcp/b:1"]
+    for clock[0] in (3000.0, 3005.0):
+        lines.down()
+    assert printed[3:] == ["worker: none at tcp/a:1"], "the next break begins anew"
+
+
+def test_each_endpoint_is_tried_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "PAUSE", 0.0)
+    tried: list[str] = []
+
+    def open_session(config: str) -> str:
+        tried.append(config)
+        if len(tried) < 4:
+            raise KeyError(config)
+        return config.upper()
+
+    waits: list[int] = []
+    assert first_opened(itertools.cycle("ab"), open_session, KeyError, lambda: waits.append(len(tried))) == "B"
+    assert (tried, waits) == (["a", "b", "a", "b"], [1, 2, 3])
+
+
+def test_a_side_may_end_between_two_tries() -> None:
+    def end() -> None:
+        raise SystemExit(3)
+
+    with pytest.raises(SystemExit):
+        first_opened(itertools.repeat("a"), lambda _: 1 // 0, ZeroDivisionError, end)
