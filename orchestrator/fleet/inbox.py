@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _Replaceable:
     """The place of a message that a newer one with the same key replaces while it waits."""
 
     at: float
@@ -47,7 +47,7 @@ class Inbox(Generic[T]):
     """A queue between reader threads and one loop; tokens are never dropped before `MESSAGES` wait."""
 
     def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[T | _Place] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[T | _Replaceable] = queue.SimpleQueue()
         self._newest: dict[Hashable, T] = {}
         self._waiting: Counter[str] = Counter()
         self._lock = threading.Lock()
@@ -72,7 +72,7 @@ class Inbox(Generic[T]):
             self._waiting[worker] += 1
             if key is not None:
                 self._newest[key] = message
-        self._queue.put(message if key is None else _Place(getattr(message, "at", 0.0), key))
+        self._queue.put(message if key is None else _Replaceable(getattr(message, "at", 0.0), key))
 
     @property
     def waiting(self) -> int:
@@ -84,7 +84,7 @@ class Inbox(Generic[T]):
         entry = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
         self.complete = getattr(entry, "at", 0.0)
         with self._lock:
-            message = self._newest.pop(entry.key) if isinstance(entry, _Place) else entry
+            message = self._newest.pop(entry.key) if isinstance(entry, _Replaceable) else entry
             worker = getattr(message, "worker", None)
             if worker is not None:
                 self._waiting[worker] -= 1

@@ -27,8 +27,8 @@ class Fixture:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.wire, self.clock = Wire(), Clock()
         monkeypatch.setattr(module, "time", self.clock)
-        monkeypatch.setattr(self.wire, "orchestrators", lambda: self.seen)
         self.seen = [("first", "run")]
+        monkeypatch.setattr(self.wire, "orchestrators", lambda: self.seen)
         self.heartbeats = Heartbeats(self.wire, HEARTBEAT)
 
     def times(self, seconds: float, early: float = 0.0) -> list[float]:
