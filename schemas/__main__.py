@@ -8,7 +8,17 @@ from pydantic import BaseModel, TypeAdapter
 from .campaign import CampaignConfig
 from .campaign_defaults import file_schema
 from .certificate import Certificate
-from .messages import Ack, Assign, Cancel, Refuse, Release, ResultHeader, RunFinished, WorkerState
+from .messages import (
+    Ack,
+    Assign,
+    Cancel,
+    HeartbeatInterval,
+    Refuse,
+    Release,
+    ResultHeader,
+    RunFinished,
+    WorkerState,
+)
 from .reference import page
 from .rollout import RolloutRequest
 from .system import SystemSpec
@@ -26,6 +36,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "refuse": Refuse,
     "release": Release,
     "finished": RunFinished,
+    "heartbeat-interval": HeartbeatInterval,
     "worker-state": WorkerState,
     "result-header": ResultHeader,
 }

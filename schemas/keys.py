@@ -3,7 +3,7 @@
     perfbound/<run>/live/worker/<worker>                      liveliness token of a worker
     perfbound/<run>/live/orchestrator/<orchestrator>          liveliness token of the orchestrator
     perfbound/router/<router>                                 liveliness token of a router
-    perfbound/<run>/request/<worker>                          assign, cancel, ack, refuse, release, finished
+    perfbound/<run>/request/<worker>                          assign, cancel, ack, refuse, release, finished, interval
     perfbound/<run>/up/<worker>/state                         heartbeat
     perfbound/<run>/up/<worker>/result/<rollout>/<attempt>    evidence
 

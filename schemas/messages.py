@@ -73,11 +73,21 @@ class RunFinished(Model):
     type: Literal["finished"] = "finished"
 
 
-Request = Assign | Cancel | Ack | Refuse | Release | RunFinished
+class HeartbeatInterval(Model):
+    """Send heartbeats at this interval from now on, and one on each change as before.
+
+    A worker that does not know this message goes on as before, and so does one that gets none.
+    """
+
+    type: Literal["heartbeat_interval"] = "heartbeat_interval"
+    seconds: float = Field(ge=0.1, le=600)
+
+
+Request = Assign | Cancel | Ack | Refuse | Release | RunFinished | HeartbeatInterval
 
 
 class WorkerState(Model):
-    """Heartbeat: every half second, and on change."""
+    """Heartbeat: every half second or at the interval that the orchestrator has told, and on change."""
 
     protocol: ProtocolNumber
     version: Word

@@ -10,12 +10,14 @@ from typing import Literal
 from ..schemas import __version__
 from ..schemas.errors import PerfboundError, RefusedError
 from ..schemas.failure import Failure, FailureKind
+from ..schemas.heartbeats import HEARTBEAT
 from ..schemas.messages import (
     MAX_RESULT,
     PROTOCOL,
     Ack,
     Assign,
     Cancel,
+    HeartbeatInterval,
     Refuse,
     Release,
     Request,
@@ -27,13 +29,13 @@ from ..schemas.ranges import within_steps
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
 from .faults import fault_text
+from .heartbeats import Heartbeats
 from .parcels import Key, Parcels, key_of
 from .simulate import requested_system, run_request_on
 from .systems import usable
 from .systems.base import Cancelled
 from .transport import Uplink
 
-HEARTBEAT = 0.5
 RESEND = 1.0
 """Seconds between two deliveries of a result that is not acknowledged."""
 POLL, POLL_AT_END = 1.0, 0.1
@@ -55,7 +57,7 @@ class WorkerProcess:
         self._uplink = uplink
         self._inbox: queue.SimpleQueue[Assign | Refuse | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._outbox = Parcels(name, uplink)
+        self._outbox, self._heartbeats = Parcels(name, uplink), Heartbeats(uplink, HEARTBEAT)
         self._accepted: Assign | None = None
         self._cancelled: Key | None = None
         self._interrupted: Key | None = None
@@ -77,6 +79,8 @@ class WorkerProcess:
                 self._outbox.acknowledge((message.rollout, message.attempt))
                 if self._leaving_since is not None:
                     self._changed.set()  # the next heartbeat asks for the dismissal
+            case HeartbeatInterval():
+                self._heartbeats.interval = message.seconds
             case Refuse():
                 self._inbox.put(message)
             case Release():
@@ -216,10 +220,13 @@ class WorkerProcess:
 
     def _beat(self) -> None:
         while not self._closed:
-            self._uplink.report(self._state())
+            changed = self._changed.is_set()
+            if changed:  # not cleared otherwise: it may be set between the two lines
+                self._changed.clear()
+            if self._heartbeats.due(at_once=changed or self._leaving_since is not None):
+                self._uplink.report(self._state())
             self._outbox.deliver(RESEND)
             self._changed.wait(HEARTBEAT)
-            self._changed.clear()
 
     def _state(self) -> WorkerState:
         current = self._accepted

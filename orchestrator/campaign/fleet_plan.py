@@ -20,14 +20,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from ...schemas.heartbeats import heartbeat_interval
 from ...schemas.values import Guess
 
 RESULT_SECONDS = 1.8e-3
-"""CPU time of the orchestrator for a result of 100 kB, see docs/scale.md."""
+"""CPU time of the orchestrator's loop for a result of 100 kB, see docs/scale.md."""
+RESULT_LOAD = 4.0e-3
+"""CPU time of all threads of the orchestrator for a result of 100 kB over a link, see docs/scale.md."""
 HEARTBEAT_SECONDS = 105e-6
 """CPU time of the orchestrator for a heartbeat, in the transport and in the loop, see docs/scale.md."""
-HEARTBEATS = 2.0
-"""Of a worker in a second."""
 MESSAGE = 300
 """Bytes of a heartbeat, or of an assignment, on the wire."""
 ROUND_TRIP = 0.01
@@ -142,12 +143,12 @@ class FleetPlan:
 
 
 def fleet_plan(
-    workers: int, pilot: PilotFigures, problems: Sequence[ProblemSize], checks: Sequence[ProblemSize]
+    workers: int, pilot: PilotFigures, problems: Sequence[ProblemSize], checks: Sequence[ProblemSize], hung_after: float
 ) -> FleetPlan:
-    """Return what a campaign needs from `workers` workers."""
+    """Return what a campaign needs from `workers` workers; `hung_after` in s limits the time between two heartbeats."""
     useful = sum(each.side_by_side for each in problems)
     rollouts = _added([each.rollouts for each in (*problems, *checks)])
-    load = orchestrator_load(workers, pilot, useful)
+    load = orchestrator_load(workers, pilot, useful, hung_after)
     files = Guess(
         rollouts.middle * (pilot.size + BLOCK / 2),
         rollouts.low * pilot.size * 0.8,
@@ -170,7 +171,7 @@ def fleet_plan(
             files.high + rollouts.high * (2 * DATABASE_BYTES + 1000) + REPORT_BYTES,
         ),
         memory=orchestrator_memory(problems, rollouts),
-        network=rate * (pilot.size + 2 * MESSAGE) + HEARTBEATS * MESSAGE * workers,
+        network=rate * (pilot.size + 2 * MESSAGE) + MESSAGE * load.heartbeats_per_second,
         load=load,
     )
 
@@ -230,11 +231,11 @@ def _one_after_the_other(workers: int, cost: float, sizes: Sequence[ProblemSize]
     return max(shared, longest) + loop
 
 
-def orchestrator_load(workers: int, pilot: PilotFigures, useful: int) -> Load:
+def orchestrator_load(workers: int, pilot: PilotFigures, useful: int, hung_after: float) -> Load:
     """Return the load of the orchestrator while the problems run."""
     rate = min(workers, useful) / max(pilot.seconds + ROUND_TRIP, 1e-6)
-    beats = HEARTBEATS * workers
-    return Load(rate * RESULT_SECONDS, beats * HEARTBEAT_SECONDS, rate, beats)
+    beats = workers / heartbeat_interval(workers, hung_after)
+    return Load(rate * RESULT_LOAD, beats * HEARTBEAT_SECONDS, rate, beats)
 
 
 def orchestrator_memory(problems: Sequence[ProblemSize], rollouts: Guess) -> Guess:

@@ -1,13 +1,16 @@
 """What has been received and not been handled yet: bounded, so that no peer fills the memory.
 
 Nothing here blocks a reader thread, since heartbeats and tokens of other workers may wait behind it: what is above a
-limit is dropped. Results are delivered again until they are acknowledged, and heartbeats follow one another.
+limit is dropped. Results are delivered again until they are acknowledged, and heartbeats follow one another: of either
+only the newest one waits, in the place of the first, so that a loop with much to do does not fall behind by repeats.
 """
 
 import queue
 import threading
 import weakref
 from collections import Counter
+from collections.abc import Hashable
+from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from ...schemas.errors import MessageError
@@ -31,23 +34,45 @@ class _Sent(Protocol):
 T = TypeVar("T")
 
 
+@dataclass(frozen=True, slots=True)
+class _Replaceable:
+    """The place of a message that a newer one with the same key replaces while it waits."""
+
+    at: float
+    """Of the first one."""
+    key: Hashable
+
+
 class Inbox(Generic[T]):
     """A queue between reader threads and one loop; tokens are never dropped before `MESSAGES` wait."""
 
     def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[T] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[T | _Replaceable] = queue.SimpleQueue()
+        self._newest: dict[Hashable, T] = {}
         self._waiting: Counter[str] = Counter()
         self._lock = threading.Lock()
+        self.complete = 0.0
+        """Time up to which the messages taken are all that came, as far as that is known; 0 if it is not."""
 
     def put(self, message: T) -> None:
-        """Add a message, or drop it; those of the program itself, without a worker, always find a place."""
-        worker = getattr(message, "worker", None)
-        if worker is not None:
-            with self._lock:
-                if self._waiting[worker] >= MESSAGES_OF_WORKER or self._queue.qsize() >= MESSAGES:
-                    return
-                self._waiting[worker] += 1
-        self._queue.put(message)
+        """Add a message, or drop it; those of the program itself, without a worker, always find a place.
+
+        One with a key, its attribute `replaces`, takes the place of the one with the same key that waits.
+        """
+        worker, key = getattr(message, "worker", None), getattr(message, "replaces", None)
+        if worker is None:
+            self._queue.put(message)
+            return
+        with self._lock:
+            if key in self._newest:
+                self._newest[key] = message
+                return
+            if self._waiting[worker] >= MESSAGES_OF_WORKER or self._queue.qsize() >= MESSAGES:
+                return
+            self._waiting[worker] += 1
+            if key is not None:
+                self._newest[key] = message
+        self._queue.put(message if key is None else _Replaceable(getattr(message, "at", 0.0), key))
 
     @property
     def waiting(self) -> int:
@@ -56,10 +81,12 @@ class Inbox(Generic[T]):
 
     def get(self, timeout: float) -> T:
         """Return the next message, at once if `timeout` in s is not positive; raises `queue.Empty`."""
-        message = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
-        worker = getattr(message, "worker", None)
-        if worker is not None:
-            with self._lock:
+        entry = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
+        self.complete = getattr(entry, "at", 0.0)
+        with self._lock:
+            message = self._newest.pop(entry.key) if isinstance(entry, _Replaceable) else entry
+            worker = getattr(message, "worker", None)
+            if worker is not None:
                 self._waiting[worker] -= 1
                 if self._waiting[worker] <= 0:
                     del self._waiting[worker]

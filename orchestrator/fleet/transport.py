@@ -46,6 +46,11 @@ class Heartbeat:
     worker: str
     state: WorkerState
 
+    @property
+    def replaces(self) -> tuple[str, ...]:
+        """Key of what the newest one replaces: a heartbeat says all that those before it said."""
+        return (self.worker,)
+
 
 @dataclass(frozen=True, slots=True, weakref_slot=True)
 class Result:
@@ -55,6 +60,11 @@ class Result:
     worker: str
     header: ResultHeader
     payload: bytes
+
+    @property
+    def replaces(self) -> tuple[str, ...]:
+        """Key of what a repeat replaces; no other peer has the proof."""
+        return (self.worker, self.header.rollout, str(self.header.attempt), self.header.proof)
 
     @property
     def attempt(self) -> Attempt:

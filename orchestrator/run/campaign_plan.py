@@ -73,7 +73,8 @@ def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Re
         raise PerfboundError(f"{source}: {error}") from None
     except Stopped as stop:
         raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
-    return fleet_plan(workers, pilot.figures, problems, tuple(_check_sizes(header, found, problems)))
+    checks = tuple(_check_sizes(header, found, problems))
+    return fleet_plan(workers, pilot.figures, problems, checks, config.hung_after)
 
 
 def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: Report) -> Rehearsal | None:

@@ -1,9 +1,9 @@
 """The messages of a turn: they leave after its commit, so that no worker acts on what a crash could undo."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from ...schemas.ids import Attempt
-from ...schemas.messages import Ack, Assign, Cancel, Refuse, Release, Request, RunFinished
+from ...schemas.messages import Ack, Assign, Cancel, HeartbeatInterval, Refuse, Release, Request, RunFinished
 from ...schemas.rollout import RolloutRequest
 from ..fleet import events
 from ..fleet.transport import Transport
@@ -39,6 +39,10 @@ class Outbox:
     def refuse(self, worker: str, reason: str) -> None:
         """Send a worker away."""
         self._waiting.append((worker, Refuse(reason=reason)))
+
+    def set_intervals(self, intervals: Mapping[str, float]) -> None:
+        """Tell workers the seconds between their heartbeats."""
+        self._waiting += [(worker, HeartbeatInterval(seconds=each)) for worker, each in intervals.items()]
 
     def report_end(self, workers: Iterable[str]) -> None:
         """Report at once that the campaign has its certificate."""

@@ -9,6 +9,7 @@ from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 from ...schemas import __version__
+from ...schemas.heartbeats import HEARTBEAT, heartbeat_interval, is_near
 from ...schemas.ids import Attempt, RolloutId
 from ...schemas.messages import PROTOCOL, WorkerState
 from ...schemas.platforms import ANY
@@ -27,6 +28,8 @@ class WorkerRecord:
     refused: bool = False
     last_heartbeat: float = 0.0
     """Time of the last heartbeat, by the monotonic clock."""
+    interval: float = HEARTBEAT
+    """Seconds between its heartbeats, as it was told."""
 
 
 LIVING = 10_000
@@ -53,7 +56,7 @@ class Roster:
             return ()
         record = self.records.setdefault(message.worker, WorkerRecord())
         self._living += message.alive - record.alive
-        record.alive = message.alive
+        record.alive, record.interval = message.alive, HEARTBEAT  # as a worker does that has lost its orchestrator
         self._remember(message.worker, alive=message.alive)
         if record.state is not None:
             # The record outlives the token: after a partition the same process returns, perhaps with its result.
@@ -99,6 +102,14 @@ class Roster:
         """Return the last heartbeat of an admitted worker; None for every other one."""
         record = self.records.get(worker)
         return record.state if record is not None else None
+
+    def new_intervals(self, hung_after: float) -> dict[str, float]:
+        """Return the admitted workers whose heartbeats are to have another interval from now on, in s, with it."""
+        wanted = heartbeat_interval(self._living, hung_after)
+        found = [name for name in self.living if not is_near(self.records[name].interval, wanted)]
+        for name in found:
+            self.records[name].interval = wanted
+        return dict.fromkeys(found, wanted)
 
     @property
     def living(self) -> list[str]:

@@ -231,10 +231,10 @@ class Service:
         for news in (*(self._fleet.tend() if self._fleet is not None else ()), *self._routers.reminder(now)):
             self._print_line(news)
         self._lines.summarise()
-        # `now` is the end of the last wait for messages, not the present: what came since is no silence of a worker.
-        # Neither is the time in which its result is decoded.
+        # The end of the last wait for messages: neither what came since nor the decoding of a result is silence.
         self._events.append(events.Tick(min(now, self._results.undecided_since)))
         self._settle()
+        self._outbox.set_intervals(self._roster.new_intervals(self._state.limits.hung_after))
         self._show()
 
     def _settle(self) -> None:
@@ -317,8 +317,8 @@ def _received(inbox: Inbox[Message], tick: float) -> tuple[list[Message], float]
             messages.append(inbox.get(wait))
         except queue.Empty:
             return messages, now + wait
-    # The inbox may contain more: time is complete only up to the last message taken, and a signal has no time.
-    return messages, messages[-1].at if not isinstance(messages[-1], Interrupted) else 0.0
+    # The inbox may contain more: time is complete only up to the place of the last message taken.
+    return messages, inbox.complete
 
 
 def _status(

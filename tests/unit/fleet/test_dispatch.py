@@ -49,6 +49,7 @@ from perfbound.orchestrator.fleet.leaving import OFTEN
 from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.schemas.failure import Failure
+from perfbound.schemas.heartbeats import heartbeat_interval
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.fakes.invariants import check_invariants
 
@@ -508,6 +509,24 @@ def test_a_worker_that_does_not_heed_a_cancel_is_given_up(history: list[Event]) 
     assert GiveUp("w") not in step(state, Tick(19.9))[1]
     assert GiveUp("w") in step(state, Tick(20))[1]
     assert GiveUp("w") not in step(step(state, idle(at=11))[0], Tick(20))[1]
+
+
+@pytest.mark.parametrize("workers", [1, 1000, 10_000])
+@pytest.mark.parametrize("lost", [0, 2], ids=["all arrive", "two of three are lost"])
+def test_heartbeats_of_a_large_fleet_keep_a_worker_and_find_a_hung_one_in_time(workers: int, lost: int) -> None:
+    hung_after = LIMITS.hung_after
+    interval = heartbeat_interval(workers, hung_after)
+    state, _ = after(*up(), want(R[0]), busy(R[0]))
+    hangs_at = 12 * interval + 0.1
+    for number in range(1, int((hangs_at + 3 * hung_after) / 0.25)):
+        at = number * 0.25
+        if at % interval == 0 and (at / interval) % (lost + 1) == 0:
+            state, _ = step(state, busy(R[0], at=at, progress=int(1000 * min(at, hangs_at))))
+        state, actions = step(state, Tick(at))
+        if actions:
+            break
+    assert GiveUp("w") in actions
+    assert hangs_at < at <= hangs_at + (lost + 1) * interval + hung_after + 0.25
 
 
 def test_progress_keeps_a_worker() -> None:

@@ -8,9 +8,9 @@ import pytest
 
 from perfbound.orchestrator.fleet import inbox as module
 from perfbound.orchestrator.fleet.inbox import Budget, Inbox
-from perfbound.orchestrator.fleet.transport import Garbage, Inbound, Result, Token
+from perfbound.orchestrator.fleet.transport import Garbage, Heartbeat, Inbound, Result, Token
 from perfbound.schemas.errors import MessageError
-from perfbound.schemas.messages import ResultHeader
+from perfbound.schemas.messages import PROTOCOL, ResultHeader, WorkerState
 
 HEADER = ResultHeader(rollout="maximum.0.true.0", attempt=1, worker="w", outcome="done", sha256="a" * 64)
 
@@ -51,6 +51,84 @@ def test_a_signal_always_finds_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
     inbox: Inbox[object] = Inbox()
     inbox.put("a signal")
     assert inbox.get(0.0) == "a signal"
+
+
+def a_heartbeat(at: float, worker: str, progress: int) -> Heartbeat:
+    state = WorkerState(
+        protocol=PROTOCOL, version="1", worker=worker, host="h", pid=1, systems={}, state="busy", progress=progress
+    )
+    return Heartbeat(at, worker, state)
+
+
+def test_of_the_heartbeats_of_a_worker_the_newest_waits_in_the_place_of_the_first() -> None:
+    inbox: Inbox[Inbound] = Inbox()
+    for number in range(1000):
+        inbox.put(a_heartbeat(number, "a", number))
+        inbox.put(a_heartbeat(number + 0.5, "b", number))
+    inbox.put(Token(1000.0, "c", alive=True))
+    inbox.put(a_heartbeat(1001.0, "a", 1001))
+    assert inbox.waiting == 3
+    assert taken(inbox) == [
+        a_heartbeat(1001.0, "a", 1001),
+        a_heartbeat(999.5, "b", 999),
+        Token(1000.0, "c", alive=True),
+    ]
+    inbox.put(a_heartbeat(1002.0, "a", 1002))
+    assert taken(inbox) == [a_heartbeat(1002.0, "a", 1002)], "what was taken is not replaced"
+    assert (inbox._newest, inbox._waiting) == ({}, {})
+
+
+def test_time_is_complete_up_to_the_place_of_a_heartbeat_not_up_to_its_replacement() -> None:
+    """Behind it may wait the progress of a worker that would count as hung."""
+    inbox: Inbox[Inbound] = Inbox()
+    inbox.put(a_heartbeat(1.0, "a", 1))
+    inbox.put(a_heartbeat(2.0, "b", 1))
+    inbox.put(a_heartbeat(90.0, "a", 2))
+    assert (inbox.get(0.0).at, inbox.complete) == (90.0, 1.0)
+    assert (inbox.get(0.0).at, inbox.complete) == (2.0, 2.0)
+
+
+def test_a_repeat_of_a_result_that_waits_is_dropped_and_another_result_is_not() -> None:
+    inbox: Inbox[Inbound] = Inbox()
+    result, repeat = (Result(at, "w", HEADER, b"x") for at in (1.0, 2.0))
+    others = [
+        Result(3.0, "v", HEADER, b"x"),
+        Result(3.0, "w", HEADER.model_copy(update={"attempt": 2}), b"x"),
+        Result(3.0, "w", HEADER.model_copy(update={"proof": "b" * 64}), b"x"),
+    ]
+    for each in (result, *others, repeat):
+        inbox.put(each)
+    found = taken(inbox)
+    assert len(found) == 4
+    assert found[0] is repeat
+    inbox.put(result)
+    assert taken(inbox) == [result], "it may have been refused"
+
+
+def test_a_flood_of_heartbeats_takes_one_place() -> None:
+    inbox: Inbox[Inbound] = Inbox()
+    for number in range(10_000):
+        inbox.put(a_heartbeat(number, "flood", number))
+    inbox.put(Garbage(0.0, "flood", "x"))
+    assert [type(each) for each in taken(inbox)] == [Heartbeat, Garbage]
+
+
+def test_readers_and_the_loop_lose_no_worker() -> None:
+    """Whatever the order, the last heartbeat of each worker arrives."""
+    inbox: Inbox[Inbound] = Inbox()
+    newest: dict[str, float] = {}
+
+    def read(worker: str) -> None:
+        for number in range(2000):
+            inbox.put(a_heartbeat(number, worker, number))
+
+    threads = [threading.Thread(target=read, args=(f"w{number}",)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads) or inbox.waiting:
+        newest.update({each.worker: each.at for each in taken(inbox) if isinstance(each, Heartbeat)})
+    assert newest == {f"w{number}": 1999 for number in range(4)}
+    assert (inbox._newest, inbox._waiting) == ({}, {})
 
 
 def test_results_count_until_nothing_holds_them() -> None:

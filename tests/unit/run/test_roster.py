@@ -7,6 +7,7 @@ from perfbound.orchestrator.fleet.transport import Heartbeat, Token
 from perfbound.orchestrator.run import roster as module
 from perfbound.orchestrator.run.roster import Roster
 from perfbound.schemas import __version__
+from perfbound.schemas.heartbeats import HEARTBEAT, MOST
 from perfbound.schemas.messages import PROTOCOL, WorkerState
 from perfbound.schemas.platforms import ANY
 from perfbound.workers.systems import load_system
@@ -86,3 +87,39 @@ def test_living_workers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(roster.records) == 5
     roster.token(Token(0.0, "w0", alive=False))
     assert appear(roster, "late")
+
+
+def test_a_fleet_that_has_grown_is_told_its_interval_once() -> None:
+    roster = Roster(SPEC, ANY)
+    few = int(MOST * HEARTBEAT)
+    for number in range(few):
+        appear(roster, f"w{number}")
+    assert roster.new_intervals(60.0) == {}
+    appear(roster, "one-more")
+    assert roster.new_intervals(60.0) == dict.fromkeys(roster.living, 2 * HEARTBEAT)
+    assert len(roster.living) == few + 1
+    assert roster.new_intervals(60.0) == {}
+    appear(roster, "late")
+    assert roster.new_intervals(60.0) == {"late": 2 * HEARTBEAT}
+
+
+def test_a_worker_that_was_away_is_told_again_and_one_that_is_not_admitted_never() -> None:
+    roster = Roster(SPEC, ANY)
+    for number in range(int(MOST * HEARTBEAT) + 5):
+        appear(roster, f"w{number}")
+    roster.token(Token(0.0, "silent", alive=True))
+    assert "silent" not in roster.new_intervals(60.0)
+    roster.token(Token(1.0, "w0", alive=False))
+    assert roster.new_intervals(60.0) == {}
+    roster.token(Token(2.0, "w0", alive=True))
+    assert roster.new_intervals(60.0) == {"w0": 2 * HEARTBEAT}
+
+
+def test_a_fleet_that_has_become_small_has_the_interval_of_before_again() -> None:
+    roster = Roster(SPEC, ANY)
+    for number in range(4 * int(MOST)):
+        appear(roster, f"w{number}")
+    assert set(roster.new_intervals(60.0).values()) == {4.0}
+    for number in range(1, 4 * int(MOST)):
+        roster.token(Token(1.0, f"w{number}", alive=False))
+    assert roster.new_intervals(60.0) == {"w0": HEARTBEAT}

@@ -7,7 +7,17 @@ from collections.abc import Callable
 import pytest
 
 from perfbound.schemas.errors import SimulationError
-from perfbound.schemas.messages import Ack, Assign, Release, Request, ResultHeader, RunFinished, WorkerState
+from perfbound.schemas.messages import (
+    Ack,
+    Assign,
+    Cancel,
+    HeartbeatInterval,
+    Release,
+    Request,
+    ResultHeader,
+    RunFinished,
+    WorkerState,
+)
 from perfbound.workers import worker as module
 from perfbound.workers.ends import (
     IDLE_EXIT,
@@ -156,6 +166,22 @@ def test_a_busy_worker_ends_with_its_run_and_delivers_nothing(begun: threading.E
     assert begun.wait(PATIENCE)
     running.worker.receive(RunFinished())
     assert (running.ended(), wire.results) == ("finished", [])
+
+
+def test_an_attempt_begins_and_ends_with_a_heartbeat_whatever_the_interval(begun: threading.Event) -> None:
+    """An assignment that no heartbeat confirms is sent again, and an idle worker waits for none."""
+    wire = Wire()
+    running = Running(wire)
+    running.worker.receive(HeartbeatInterval(seconds=600.0))
+    until(lambda: wire.states)
+    running.worker.receive(assign := an_assign(0))
+    assert begun.wait(PATIENCE)
+    until(lambda: wire.states[-1].attempt == assign.attempt)
+    running.worker.receive(Cancel(rollout=assign.request.rollout, attempt=assign.attempt))
+    until(lambda: wire.states[-1].state == "idle")
+    running.worker.leave()
+    until(lambda: wire.states[-1].leaving)
+    running.worker.receive(Release())
 
 
 def test_a_worker_that_leaves_waits_for_its_dismissal(monkeypatch: pytest.MonkeyPatch) -> None:
