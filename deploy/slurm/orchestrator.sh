@@ -28,13 +28,28 @@ watch() {
   fi
 }
 
-! ended || exit 0
-if [ -e "$directory/campaign.db" ]; then
-  connected "$programs/perfbound" resume "$directory" --workers 0 --drain "${tls[@]}"
-else
-  connected "$programs/perfbound" orchestrate "$campaign" --out "$directory" --drain "${tls[@]}"
-fi
-code=$?
+orchestrate() {
+  if [ -e "$directory/campaign.db" ]; then
+    connected "$programs/perfbound" resume "$directory" --workers 0 --drain "${tls[@]}"
+  else
+    connected "$programs/perfbound" orchestrate "$campaign" --out "$directory" --drain "${tls[@]}"
+  fi
+}
+
+# Whether another orchestrator has the run directory: that of this job before, on a node that Slurm has lost sight of.
+locked() { [ -d "$directory" ] && ! flock --nonblock --shared "$directory" true; }
+
+code=1
+until [ "$code" -ne 1 ]; do
+  if locked; then
+    echo "$directory: another orchestrator is running this campaign; waiting for its end" >&2
+    while locked && [ -z "$warned" ]; do sleep 1; done
+  fi
+  ! ended || exit 0
+  orchestrate
+  code=$?
+  locked || break # it may finish the campaign, or end as well: to find it is no failure
+done
 case "$code" in
   130 | 143) ;; # by a signal: it continues when this job runs again
   *)

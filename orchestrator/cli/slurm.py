@@ -1,5 +1,6 @@
 """`perfbound slurm`: the jobs of a campaign on a cluster, written as files and submitted."""
 
+import os
 import shlex
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from ...schemas.atomic import write_whole
 from ...schemas.errors import PerfboundError
 from .early import check_campaign
 from .group import RUN_DIRECTORY, cli
@@ -77,9 +79,8 @@ def slurm(
 
 def _write(folder: Path, texts: dict[str, str]) -> None:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
-            (folder / name).write_text(text)
+            write_whole(folder / name, os.fsencode(text))  # jobs in the queue may read them now
     except OSError as error:
         raise PerfboundError(f"{folder}: {error.strerror}; choose another --folder") from None
 

@@ -20,10 +20,12 @@ SHARED, SUBMIT = "common.sh", "submit.sh"
 WORD = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.,-]{0,99}")
 """A partition, an account, or a quality of service."""
 TIME = re.compile(r"[0-9]{1,3}(-[0-9]{1,2}(:[0-9]{2}){0,2}|(:[0-9]{2}){1,2})?")
-"""Minutes, H:MM, H:MM:SS or DAYS-H[:MM[:SS]] with two digits behind each colon."""
+"""Minutes, MM:SS, H:MM:SS or DAYS-H[:MM[:SS]] with two digits behind each colon; 0 is no limit."""
 MEMORY = re.compile(r"[1-9][0-9]{0,8}[KMGT]?")
 WARNING = 120
 """Seconds before its time limit at which Slurm warns a job: a rollout under way ends, and the job is queued again."""
+LEAST_TIME = WARNING + 60
+"""Seconds of a time limit with which a job comes to work: Slurm sends the warning up to a minute early."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,7 @@ class SlurmOptions:
         """Refuse what a line #SBATCH could not take.
 
         Raises:
-            PerfboundError: a word, a time or a size is not one, or a path has a line break.
+            PerfboundError: a word, a time or a size is not one, the time is too short, or a path has a line break.
 
         """
         for option, text, form in (
@@ -69,6 +71,11 @@ class SlurmOptions:
         ):
             if text is not None and not form.fullmatch(text):
                 raise PerfboundError(f"{option} {text!r}: not a word that sbatch takes; see `man sbatch`")
+        if 0 < seconds_of(self.time) <= LEAST_TIME:
+            raise PerfboundError(
+                f"--time {self.time}: too short, since Slurm warns a job {WARNING} s before its time limit, which then "
+                f"ends and is queued again; choose more than {LEAST_TIME // 60} minutes"
+            )
         for path in (self.campaign, self.directory, self.folder, self.programs, self.secret, self.tls):
             # Of a shell file every line is read on its own by sbatch, which would find #SBATCH at its beginning.
             if path is not None and not str(path).isprintable():
@@ -78,6 +85,19 @@ class SlurmOptions:
     def jobs(self) -> tuple[str, ...]:
         """The jobs in the order in which they are submitted."""
         return JOBS if self.router is None else (ORCHESTRATOR, WORKERS)
+
+
+def seconds_of(limit: str) -> int:
+    """Return the seconds of a time limit as sbatch reads it.
+
+    >>> [seconds_of(limit) for limit in ("30", "4:00", "4:00:00", "2-12", "2-12:30")]
+    [1800, 240, 14400, 216000, 217800]
+    """
+    days, dash, rest = limit.rpartition("-")
+    parts = [int(part) for part in rest.split(":")]
+    # Hours come first behind days, and before two further parts; else minutes.
+    hours, minutes, seconds = [*([] if dash or len(parts) == 3 else [0]), *parts, 0, 0][:3]
+    return ((int(days or 0) * 24 + hours) * 60 + minutes) * 60 + seconds
 
 
 def job_name(campaign: str, job: str) -> str:

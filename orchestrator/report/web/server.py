@@ -7,7 +7,7 @@ from pathlib import Path
 
 import uvicorn
 from starlette.types import ASGIApp
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 from ...run.address import Address
 from ...run.campaign_index import CampaignIndex
@@ -21,8 +21,8 @@ from .run_feed import RunFeed
 from .snapshots import SnapshotCache
 
 MOST_CONNECTIONS = 128
-FIRST_REQUEST = 10.0
-"""Seconds in which a client must complete its first request."""
+COMPLETE_REQUEST = 10.0
+"""Seconds in which a client must complete a request; at most twice as long behind another one."""
 SHUTDOWN = 1
 """Seconds in which clients may read the last snapshot."""
 
@@ -98,12 +98,24 @@ class IndexServer(PageServer):
 
 
 class _ImpatientProtocol(H11Protocol):
-    """HTTP that drops a connection without a request: idle ones would use up `MOST_CONNECTIONS`."""
+    """HTTP that drops a connection on which no request is completed: idle ones would use up `MOST_CONNECTIONS`.
+
+    A response under way may take its time.
+    """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self.loop.call_later(FIRST_REQUEST, self._drop_if_idle)
+        self._check_later()
 
-    def _drop_if_idle(self) -> None:
-        if self.cycle is None:
+    def _check_later(self) -> None:
+        self.loop.call_later(COMPLETE_REQUEST, self._drop_if_idle, self.cycle)
+
+    def _drop_if_idle(self, before: RequestResponseCycle | None) -> None:
+        if self.transport.is_closing():
+            return
+        answered = before is None or before.response_complete
+        # For the first request, for a further one, or for the body of an answered one uvicorn waits without a limit.
+        if answered and self.cycle is before:
             self.transport.abort()
+        else:
+            self._check_later()

@@ -32,9 +32,13 @@ endpoint() {
   fi
 }
 
-# note NAME TEXT: write a note, which others read whole or not at all.
+# note NAME TEXT: write a note, which others read whole or not at all. Where the disk is full they would wait for it in
+# vain, or believe an older one: it is written as soon as there is room.
 note() {
-  printf '%s\n' "$2" >"$folder/.$1.$$" && mv -f -- "$folder/.$1.$$" "$folder/$1"
+  until printf '%s\n' "$2" >"$folder/.$1.$$" && mv -f -- "$folder/.$1.$$" "$folder/$1"; do
+    echo "$folder/$1: cannot be written; make room, it is tried again" >&2
+    sleep 5
+  done
 }
 
 # Whether the router has come back on another node, because its own was lost.

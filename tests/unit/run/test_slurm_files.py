@@ -2,6 +2,7 @@
 
 import os
 import re
+import resource
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from perfbound.orchestrator.run.slurm_files import (
     job_name,
     missing_files,
 )
+from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.schemas.errors import PerfboundError
 from tests.end_to_end.processes import wait_for
 from tests.patience import PATIENCE
@@ -158,7 +160,14 @@ def test_what_sbatch_would_not_take_as_one_word_is_refused(option: str, value: s
         replace(OPTIONS, **{option: value})  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("text", ["30", "0:30", "4:00:00", "2-0", "2-12:30", "14-00:00:00"])
+@pytest.mark.parametrize("text", ["1", "3", "0:30", "3:00", "0:03:00", "00:00:59"])
+def test_a_job_does_not_end_before_it_has_begun_to_work(text: str) -> None:
+    """Slurm warns 120 s before the limit, up to a minute early; a warned job ends, and is queued again, without end."""
+    with pytest.raises(PerfboundError, match=f"--time {text}: too short"):
+        replace(OPTIONS, time=text)
+
+
+@pytest.mark.parametrize("text", ["0", "4", "30", "30:00", "0:04:00", "4:00:00", "2-0", "2-12:30", "14-00:00:00"])
 def test_times_of_slurm_are_taken(text: str) -> None:
     assert f"#SBATCH --time={text}" in job_files(replace(OPTIONS, time=text))["workers.sh"]
 
@@ -240,6 +249,125 @@ def test_a_campaign_is_not_submitted_twice(tmp_path: Path) -> None:
     assert (tmp_path / "seen").read_text() == ""
 
 
+def test_a_queue_that_cannot_be_asked_may_have_the_jobs(tmp_path: Path) -> None:
+    assert submit(tmp_path).returncode == 0
+    (tmp_path / "endpoint").write_text("tcp/node:1\n")
+    fault = "slurm_load_jobs error: Unable to contact slurm controller (connect failure)"
+    again = submit(tmp_path, queue=f"echo '{fault}' >&2; exit 1")
+    assert (again.returncode, again.stdout) == (1, "")
+    assert again.stderr.startswith(f"squeue: {fault}; jobs of this campaign may be in the queue")
+    assert (tmp_path / "seen").read_text() == ""
+    assert (tmp_path / "endpoint").exists(), "jobs that run read it"
+
+
+def test_jobs_that_slurm_has_forgotten_have_ended(tmp_path: Path) -> None:
+    assert submit(tmp_path).returncode == 0
+    again = submit(tmp_path, queue="echo 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1")
+    assert again.returncode == 0, again.stderr
+    assert len((tmp_path / "seen").read_text().splitlines()) == 3
+
+
+def test_of_two_submissions_at_once_one_is_refused(tmp_path: Path) -> None:
+    """The first one is in the middle when the second one begins."""
+    assert submit(tmp_path).returncode == 0
+    (tmp_path / "submitted").unlink()
+    environment = {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "SEEN": str(tmp_path / "seen"), "FAILS": "99"}
+    (tmp_path / "bin" / "squeue").write_text("#!/bin/bash\necho 41\n")
+    (tmp_path / "bin" / "sbatch").write_text(
+        SBATCH.replace("number=", f'while [ ! -e "{tmp_path}/go" ]; do sleep 0.05; done\nnumber=')
+    )
+    (tmp_path / "seen").write_text("")
+    runs = []
+    for number in range(2):
+        words = ["bash", str(tmp_path / "submit.sh")]
+        runs.append(subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        if number == 0:
+            wait_for(lambda: (tmp_path / "seen").read_text() != "")
+    wait_for(lambda: second_waits(runs[1].pid) or len((tmp_path / "seen").read_text().splitlines()) > 1)
+    (tmp_path / "go").touch()
+    errors = [run.communicate(timeout=PATIENCE)[1] for run in runs]
+    assert [run.returncode for run in runs] == [0, 1], errors
+    assert errors[1] == "jobs of this campaign are in the queue already: 41,42,43\n"
+    assert len((tmp_path / "seen").read_text().splitlines()) == 3
+
+
+def second_waits(pid: int) -> bool:
+    """Whether a process waits for a child that is `flock`."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return any(Path(f"/proc/{child}/comm").read_text() == "flock\n" for child in children)
+
+
+def test_a_submission_that_is_killed_is_known(tmp_path: Path) -> None:
+    killing = '[ "$*" != "--parsable --dependency=after:41 orchestrator.sh" ] || kill -KILL "$PPID"'
+    assert submit(tmp_path).returncode == 0
+    (tmp_path / "submitted").unlink()
+    (tmp_path / "bin" / "sbatch").write_text(SBATCH.replace("number=", f"{killing}\nnumber="))
+    (tmp_path / "seen").write_text("")
+    environment = {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "SEEN": str(tmp_path / "seen"), "FAILS": "99"}
+    ended = subprocess.run(["bash", tmp_path / "submit.sh"], env=environment, capture_output=True, check=False)
+    assert ended.returncode == -9
+    again = submit(tmp_path, queue="echo 41")
+    assert (again.returncode, again.stderr) == (1, "jobs of this campaign are in the queue already: 41\n")
+
+
+def job(folder: Path, name: str, **programs: str) -> "subprocess.Popen[str]":
+    """Start a job, with programs that are shell texts in the place of ours."""
+    bin_folder = folder / "bin"
+    bin_folder.mkdir()
+    for program, text in programs.items():
+        (bin_folder / program.replace("_", "-")).write_text(f"#!/bin/bash\n{text}\n")
+        (bin_folder / program.replace("_", "-")).chmod(0o755)
+    (folder / "secret").write_text("a secret of the test")
+    options = replace(
+        OPTIONS, folder=folder, directory=folder / "run", programs=bin_folder, secret=folder / "secret", router=None
+    )
+    for file, text in job_files(options).items():
+        (folder / file).write_text(text)
+    environment = {"PATH": f"{bin_folder}:{os.environ['PATH']}", "SEEN": str(folder / "seen"), "HOME": str(folder)}
+    words = ["bash", str(folder / f"{name}.sh")]
+    return subprocess.Popen(words, env=environment, cwd=folder, stderr=subprocess.PIPE, text=True)
+
+
+FULL_ONCE = """for last; do :; done
+[ -e "$SEEN.$(basename "$last")" ] || { touch "$SEEN.$(basename "$last")"; exit 1; }
+exec /bin/mv "$@"
+"""
+
+
+def test_where_a_router_cannot_write_its_endpoint_it_tries_again(tmp_path: Path) -> None:
+    """A full disk: without the note all jobs would wait for it until their time limits, in vain."""
+    with job(tmp_path, ROUTER, mv=FULL_ONCE, perfbound='cp "$HOME/endpoint" "$SEEN"') as router:
+        _, fault = router.communicate(timeout=PATIENCE)
+    assert router.returncode == 0, fault
+    assert re.fullmatch(r"tcp/.+:[0-9]+\n", (tmp_path / "seen").read_text())
+    assert fault == f"{tmp_path}/endpoint: cannot be written; make room, it is tried again\n"
+
+
+def test_the_end_of_a_campaign_is_noted_as_soon_as_there_is_room(tmp_path: Path) -> None:
+    (tmp_path / "endpoint").write_text("tcp/node:1\n")
+    with job(tmp_path, ORCHESTRATOR, mv=FULL_ONCE, perfbound="exit 0") as orchestrator:
+        _, fault = orchestrator.communicate(timeout=PATIENCE)
+    assert orchestrator.returncode == 0, fault
+    assert (tmp_path / "ended").read_text() == "0\n"
+
+
+def test_an_orchestrator_waits_for_one_that_slurm_has_lost_sight_of(tmp_path: Path) -> None:
+    """Queued again while it still runs elsewhere: the campaign has not failed."""
+    (tmp_path / "endpoint").write_text("tcp/node:1\n")
+    (tmp_path / "run").mkdir()
+    locked = 'flock --nonblock --conflict-exit-code 1 "$HOME/run" true || exit\necho "$1" >"$SEEN"'
+    with campaign_lock(tmp_path / "run"):
+        orchestrator = job(tmp_path, ORCHESTRATOR, perfbound=locked)
+        assert orchestrator.stderr is not None
+        line = f"{tmp_path}/run: another orchestrator is running this campaign; waiting for its end\n"
+        assert orchestrator.stderr.readline() == line
+        (tmp_path / "run" / "campaign.db").touch()
+    with orchestrator:
+        assert orchestrator.wait(PATIENCE) == 0
+    assert (tmp_path / "ended").read_text() == "0\n"
+    assert (tmp_path / "seen").read_text() == "resume\n"
+
+
 def test_when_the_router_has_moved_the_others_connect_to_its_new_place(tmp_path: Path) -> None:
     (tmp_path / "bin").mkdir()
     worker = tmp_path / "bin" / "perfbound-worker"
@@ -277,6 +405,23 @@ def test_a_dry_run_writes_and_submits_nothing(tmp_path: Path, monkeypatch: pytes
     assert "#SBATCH --array=1-3\n" in (folder / "workers.sh").read_text()
     assert f"secret={tmp_path}/state/perfbound/secret\n" in (folder / "workers.sh").read_text()
     assert (tmp_path / "state" / "perfbound" / "secret").stat().st_mode & 0o077 == 0
+
+
+def test_on_a_full_disk_the_files_of_jobs_in_the_queue_stay_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PERFBOUND_SECRET", "a secret of the test")
+    arguments = ["slurm", str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path), "--dry-run"]
+    assert CliRunner().invoke(cli, arguments).exit_code == 0
+    before = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, hard))  # Python ignores the signal that comes with it
+    try:
+        found = CliRunner().invoke(cli, arguments)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
+    assert isinstance(found.exception, PerfboundError), found.output
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
 
 
 def test_certificates_that_are_not_there_are_named(tmp_path: Path) -> None:

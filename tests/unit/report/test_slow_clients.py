@@ -1,0 +1,90 @@
+"""Clients of a live page that keep a connection without use: they are dropped, so that others find a free one."""
+
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from perfbound.orchestrator.report.web import server as server_module
+from perfbound.orchestrator.report.web.server import Server
+from perfbound.orchestrator.run.address import Address
+from perfbound.orchestrator.run.page_access import OPEN, PageAccess, PagePlace, opened
+from perfbound.schemas.campaign_file import parse_campaign
+from tests.campaigns import FOLDER, UNCHECKED
+from tests.fakes.inmemory import campaign
+from tests.patience import PATIENCE
+
+PROGRESS = 0.3
+HEALTH = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
+SLOW = {
+    "nothing": [],
+    "half a request": [HEALTH],
+    "half of a second request": [HEALTH + b"\r\n", b"GET "],
+    "a request without the end of its body": [HEALTH + b"Content-Length: 1000\r\n\r\n", b"x"],
+    "a request without the end of its chunk": [HEALTH + b"Transfer-Encoding: chunked\r\n\r\n", b"5\r\n"],
+    "a refused request without the end of its body": [
+        b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n\r\n",
+        b"x",
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run directory of a finished campaign."""
+    directory = tmp_path_factory.mktemp("slow") / "run"
+    text = (FOLDER / "test-function.toml").read_bytes()
+    campaign(directory, parse_campaign(text, "test", resolution=5, max_tests=3, replicates=2, **UNCHECKED))
+    return directory
+
+
+@pytest.fixture(params=[False, True], ids=["open", "with a token"])
+def port(directory: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[int]:
+    """The port of a page."""
+    monkeypatch.setattr(server_module, "COMPLETE_REQUEST", PROGRESS)
+    place = PagePlace(Address.parse("127.0.0.1:0"), with_token=request.param)
+    listening, address, access = opened(place, insecure=False)
+    assert (access == OPEN) != request.param
+    yield from _served(directory, listening, address, access)
+
+
+def _served(directory: Path, listening: socket.socket, address: Address, access: PageAccess) -> Iterator[int]:
+    server = Server(directory, address, print, access)
+    thread = threading.Thread(target=server.run, args=([listening],))
+    thread.start()
+    yield address.port
+    server.should_exit = True
+    thread.join(PATIENCE)
+
+
+def ends(client: socket.socket) -> bool:
+    """Whether the server closes a connection, of which all is read."""
+    try:
+        while client.recv(65536):
+            pass
+    except ConnectionResetError:
+        pass
+    return True
+
+
+@pytest.mark.parametrize("sent", SLOW.values(), ids=list(SLOW))
+def test_a_client_that_does_not_go_on_is_dropped(port: int, sent: list[bytes]) -> None:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as client:
+        for number, each in enumerate(sent):
+            if number:
+                assert client.recv(65536).startswith(b"HTTP/1.1 ")
+            client.sendall(each)
+        assert ends(client)
+
+
+@pytest.mark.parametrize("port", [False], indirect=True)
+def test_a_stream_without_a_change_stays_open(port: int) -> None:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as client:
+        client.sendall(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        while b"\n\n" not in client.recv(65536).partition(b"data: ")[2]:
+            pass
+        client.settimeout(4 * PROGRESS)
+        with pytest.raises(TimeoutError):
+            ends(client)
