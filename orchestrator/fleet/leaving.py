@@ -34,11 +34,11 @@ def hand_back(state: DispatchState, event: HandedBack) -> tuple[DispatchState, t
     if rollout not in state.open:
         return state, (acknowledge,)
     # In front, as after a failure; unless it waits or is simulated already, as when this is a repeat.
-    state, often = _counted(state, event) if state.is_undecided(rollout) else (state, ())
+    state, often = _with_hand_back(state, event) if state.is_undecided(rollout) else (state, ())
     return queued_again(state, rollout), (Requeue(event.worker, event.attempt), acknowledge, *often)
 
 
-def _counted(state: DispatchState, event: HandedBack) -> tuple[DispatchState, tuple[OftenHandedBack, ...]]:
+def _with_hand_back(state: DispatchState, event: HandedBack) -> tuple[DispatchState, tuple[OftenHandedBack, ...]]:
     rollout = event.attempt.rollout
     known = replace(state.open[rollout], handed_back=state.open[rollout].handed_back + 1)
     state, times = replace(state, open={**state.open, rollout: known}), known.handed_back

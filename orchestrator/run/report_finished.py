@@ -37,12 +37,12 @@ def report_finished(directory: Path, link: Link, print_line: Callable[[str], Non
     try:
         with link.opened(local_workers=False, print_line=print_line, patience=ROUTER_PATIENCE) as transport:
             print_line(f"reporting that to its workers for {duration(RETURN)}")
-            report(transport, run, RETURN)
+            tell_workers(transport, run, RETURN)
     except PerfboundError as error:
         print_line(f"its workers get no report of that: {error}")
 
 
-def report(transport: Transport, run: str, seconds: float) -> None:
+def tell_workers(transport: Transport, run: str, seconds: float) -> None:
     """Report the end of `run` to every worker that sends a heartbeat within these seconds."""
     inbox: queue.SimpleQueue[Inbound] = queue.SimpleQueue()
     end = time.monotonic() + seconds
