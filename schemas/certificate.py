@@ -187,6 +187,20 @@ class CertifiedRegions(Model):
     sha256: str = Field(description="digest of `regions.csv`")
 
 
+class RiskAtStart(Model):
+    """The risk of the robustness at the named start of a refuted bound, from fresh rollouts there.
+
+    The refuted bound is one of an expectation below the risk, so that it says nothing of the risk itself. The bounds
+    hold together, at the level of the spot check, after any number of rollouts.
+    """
+
+    status: Literal["below", "not decided"] = Field(description="whether the risk is shown to be below `limit`")
+    rollouts: int = Field(description="fresh ones at this start; not among those of the spot check")
+    mean: float = Field(description="upper bound of the expectation")
+    deviation: float = Field(description="lower bound of the standard deviation")
+    risk: float = Field(description="upper bound of the risk, from these two")
+
+
 class SpotCheckedProblem(Model):
     """The finding of the spot check for the bound of one problem; `limit` is that bound, in its sense."""
 
@@ -206,6 +220,11 @@ class SpotCheckedProblem(Model):
         default=None,
         exclude_if=lambda name: name is None,
         description="whose bound is tested; null for that of the whole specification",
+    )
+    risk: RiskAtStart | None = Field(
+        default=None,
+        exclude_if=lambda risk: risk is None,
+        description="at `start`, where the bound is one of a risk with noise, is refuted, and tests were left",
     )
 
     @property

@@ -1,6 +1,6 @@
-"""The closing checks of a campaign: spot check, shrinking, then the recheck, each if the campaign has it."""
+"""The closing checks of a campaign: spot check, risk, shrinking, then the recheck, each if the campaign has it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from ...schemas.facts import Header, first_link
 from ...schemas.ids import RECHECK, RolloutId, closing_check
@@ -13,11 +13,14 @@ from .observation import Observer
 from .plan import ProblemPlan
 from .recheck import Recheck
 from .recorded import Recorded
+from .risk_check import RiskCheck
 from .series import Series
 from .shrink import Shrink
 from .spot_check import SpotCheck, SpotSeries, spot_check_plan
 
-Check = SpotCheck | Shrink | Recheck
+Check = SpotCheck | RiskCheck | Shrink | Recheck
+Begins = Callable[[str], bool]
+"""Whether a check begins that campaigns of an earlier perfbound do not have, by the name of its series."""
 
 
 class ClosingChecks:
@@ -34,6 +37,7 @@ class ClosingChecks:
         self._header, self._accounts, self._methods = header, accounts, methods
         self._observer, self._recorded = observer, recorded
         self.spot_check: SpotCheck | None = None
+        self.risk_check: RiskCheck | None = None
         self.shrink: Shrink | None = None
         self.recheck: Recheck | None = None
         self._rechecks: dict[str, Recheck] = {}
@@ -42,7 +46,7 @@ class ClosingChecks:
 
     def extend(self) -> None:
         """Begin anew after an extension: what a check has shown of earlier bounds is no test of later ones."""
-        self.spot_check = self.recheck = None
+        self.spot_check = self.risk_check = self.recheck = None
         self._extensions += 1
 
     @property
@@ -54,7 +58,7 @@ class ClosingChecks:
             return f"the {self.recheck.name} found a rollout that does not follow from its seed"
         return None
 
-    def next(self, reached: state.State, series: Mapping[str, Series]) -> tuple[Check, Series] | None:
+    def next(self, reached: state.State, series: Mapping[str, Series], begins: Begins) -> tuple[Check, Series] | None:
         """Begin the next check of a campaign whose series have all stopped; None after the last one."""
         header = self._header
         # In this order: a recheck repeats rollouts of the spot check as well.
@@ -62,6 +66,9 @@ class ClosingChecks:
             tested = bounded_accounts(self._accounts, self._methods)
             self.spot_check = SpotCheck(header, tested, self._observer, self._recorded, self._extensions)
             return self.spot_check, SpotSeries(first_link(header, self.spot_check.name))
+        if (risk := self._risk_check(series)) is not None and begins(risk.name):
+            self.risk_check = risk
+            return risk, Series(first_link(header, risk.name))
         if self.recheck is None and self.shrink is None and (shrink := self._shrink()) is not None:
             self.shrink = shrink
             return shrink, Series(first_link(header, Shrink.name))
@@ -76,6 +83,13 @@ class ClosingChecks:
             self._rechecks[self.recheck.name] = self.recheck
             return self.recheck, Series(first_link(header, self.recheck.name))
         return None
+
+    def _risk_check(self, series: Mapping[str, Series]) -> RiskCheck | None:
+        """Return the check that follows the spot check; None where that has left nothing to decide, or is past."""
+        spot = self.spot_check
+        if spot is None or self.risk_check is not None or self.recheck is not None:
+            return None
+        return RiskCheck.of(self._header, spot, len(series[spot.name].observations), self._extensions)
 
     def _shrink(self) -> Shrink | None:
         """Return the bisection of the counterexample; None without one, and where nothing is left to try."""

@@ -64,6 +64,11 @@ class Observer:
             self._scored[trajectory] = found
         return found
 
+    def robustness_of(self, plan: ProblemPlan, trajectory: Trajectory) -> float | None:
+        """Return the robustness that a problem is about: where it has a requirement, of that one."""
+        part = self if plan.requirement is None else self._parts.get(plan.requirement, self)
+        return part.robustness(trajectory)
+
     def check(self, plan: ProblemPlan, key: tuple[str, int], trajectory: Trajectory, others: Others) -> None:
         """Compute what one rollout contributes to an observation, alone and with the other one of its pairs.
 

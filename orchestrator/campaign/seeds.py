@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.facts import Header
-from ...schemas.ids import RECHECK, SPOT_CHECK, RolloutId, check_of_extension
+from ...schemas.ids import RECHECK, RISK_CHECK, SPOT_CHECK, RolloutId, check_of_extension
 from ...schemas.ranges import SEED_BITS
 
 Floats = NDArray[np.float64]
@@ -68,8 +68,12 @@ def _short_seed(header: Header, rollout: RolloutId) -> int:
 def _numbered(series: list[str], tests: int, rollout: RolloutId) -> int:
     """Return the number of a test among all tests of the `series`, each of which has so many before any extension."""
     name, extensions = check_of_extension(rollout.problem) or (rollout.problem, 0)
+    test = rollout.test
+    if name == RISK_CHECK:
+        # It has what the spot check left of its tests: those from the end, so that other numbers stay as they were.
+        name, test = SPOT_CHECK, tests - 1 - test
     # The spot check after an extension goes on where the one before it ended.
-    test = extensions * tests + rollout.test
+    test += extensions * tests
     if test < tests:
         return series.index(name) * tests + test
     # Behind all of these: a number that a campaign had without extension stays as it was.

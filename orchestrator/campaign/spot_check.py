@@ -70,7 +70,7 @@ class SpotCheck:
         # budgets would see the same starts.
         self.name = of_extension(SPOT_CHECK, extensions)
         self.level = LEVEL / 2**extensions
-        self._header, self._observer, self._recorded = header, observer, recorded
+        self._header, self.observer, self._recorded = header, observer, recorded
         self._plans = [account.plan for account in accounts.values() if math.isfinite(_limit(account))]
         plan = spot_check_plan(header, self._plans, self.name)
         assert plan is not None, "`wanted` was asked"
@@ -134,7 +134,7 @@ class SpotCheck:
         for plan in self._plans:
             if rollout.variant in plan.variants:
                 paired = replace(plan, replicates=self._replicates, shared=frozenset(plan.variants) - noisy)
-                self._observer.check(paired, rollout[2:], trajectory, used)
+                self.observer.check(paired, rollout[2:], trajectory, used)
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:
         """Take an observation; the check ends with its budget, or when no start is suspicious."""
@@ -166,10 +166,10 @@ class SpotCheck:
         }
         # Algorithm 1 observes a sample risk, which one rollout has not: its mean is not below the risk that is claimed.
         if plan.objective.risk and plan.problem.method == "paper":
-            found = self._observer.robustness(used["true", 0])
+            found = self.observer.robustness(used["true", 0])
             assert found is not None, "a risk is one of the robustness"
             return -found
-        value = self._observer.observe(replace(plan, replicates=1), used).y
+        value = self.observer.observe(replace(plan, replicates=1), used).y
         low, high = value_range(plan)
         # The paper clips no gap; where the expectation of a gap is at most its bound, so is that of the clipped one.
         return value if low is None or high is None else min(max(value, low), high)

@@ -7,6 +7,7 @@ from ...schemas import certificate as document
 from ..campaign.ledger import Ledger
 from ..campaign.objectives import mean
 from ..campaign.plan import ProblemPlan
+from ..campaign.risk_check import RiskCheck
 from ..campaign.spot_check import SpotCheck, SpotSeries, tested_variant
 from ..mathematics.bounds.predictable import CvarSequence, sample_quantile
 from ..mathematics.bounds.rounding import round_up
@@ -37,7 +38,7 @@ def spot_check(ledger: Ledger) -> document.SpotCheck | None:
         failures=failures,
         failure_probability=None if failures is None else clopper_pearson_upper(failures, starts, check.level),
         most_starts=_most_starts(ledger, check, robustness) if robustness else None,
-        problems=tuple(_problem(check, plan, found) for plan, found in check.findings()),
+        problems=tuple(_problem(check, plan, found, ledger.closing.risk_check) for plan, found in check.findings()),
     )
 
 
@@ -73,7 +74,9 @@ def _mean_of_most(
     return bound.lower() if bound.lower() > clip[0] else None
 
 
-def _problem(check: SpotCheck, plan: ProblemPlan, found: SpotFinding) -> document.SpotCheckedProblem:
+def _problem(
+    check: SpotCheck, plan: ProblemPlan, found: SpotFinding, risk: RiskCheck | None
+) -> document.SpotCheckedProblem:
     hypothesis = check.hypotheses[plan.key]
     return document.SpotCheckedProblem(
         name=plan.name,
@@ -87,6 +90,20 @@ def _problem(check: SpotCheck, plan: ProblemPlan, found: SpotFinding) -> documen
         wealth=None if found.wealth is None else float(f"{found.wealth:.{DIGITS}g}"),
         undecided=found.undecided,
         requirement=plan.requirement,
+        risk=None if risk is None else _risk(risk, plan.key),
+    )
+
+
+def _risk(check: RiskCheck, key: str) -> document.RiskAtStart | None:
+    named = check.finding(key)
+    if named is None:
+        return None
+    return document.RiskAtStart(
+        status="below" if named.is_below else "not decided",
+        rollouts=named.bound.count,
+        mean=named.bound.mean,
+        deviation=named.bound.deviation,
+        risk=named.bound.upper,
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK, closing_check
+from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
 from ...schemas.problem_models import Problem
 from ...schemas.requirements import alpha_of
 from ...schemas.values import ProblemProgress
@@ -58,6 +58,7 @@ def progress_table(
     for name, progress in (closing or {}).items():
         most = {
             SPOT_CHECK: config.spot_check + config.spot_check_followups,
+            RISK_CHECK: config.spot_check_followups,
             SHRINK: config.falsify.shrink_tests if config.falsify else 0,
             RECHECK: config.recheck,
         }[closing_check(name) or name]

@@ -27,7 +27,7 @@ from sqlalchemy import Connection
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import PROBABILITIES
 from ...schemas.facts import NO_FAILURE, RECORDED, Header
-from ...schemas.ids import RECHECK, SHRINK, SPOT_CHECK, closing_check
+from ...schemas.ids import RECHECK, RISK_CHECK, SHRINK, SPOT_CHECK, closing_check
 from ...schemas.problem_models import Problem
 from ...schemas.problems import replicates_are_robustness
 from ...schemas.requirements import parts_of
@@ -294,7 +294,8 @@ def _objectives(header: Header) -> dict[str, tuple[str, str]]:
         for problem in header.config.problems
     }
     same = set(found.values())
-    return {SPOT_CHECK: next(iter(same)) if len(same) == 1 else ("", ""), RECHECK: ("", ""), SHRINK: ("", "")} | found
+    tested = next(iter(same)) if len(same) == 1 else ("", "")
+    return {SPOT_CHECK: tested, RISK_CHECK: tested, RECHECK: ("", ""), SHRINK: ("", "")} | found
 
 
 def _starts(header: Header) -> tuple[ExportColumn, ...]:
