@@ -52,7 +52,8 @@ class RiskCheck:
         self.name = of_extension(RISK_CHECK, extensions)
         self.named = tuple(named)
         self._header, self._observer, self._starts = header, spot.observer, spot.starts
-        rollouts = tuple(("true", replicate) for replicate in range(header.config.spot_replicates))
+        (self._variant,) = self.named[0].plan.variants  # that of every risk
+        rollouts = tuple((self._variant, replicate) for replicate in range(header.config.spot_replicates))
         self.plan = state.Plan(self.name, min(WINDOW, budget), budget, rollouts)
 
     @classmethod
@@ -73,7 +74,7 @@ class RiskCheck:
 
     def observation(self, series: Series, test: int, trajectories: Trajectories) -> ObservationFact:
         """Return minus the robustness for every refuted bound, for each replicate; y is the first one."""
-        ordered = [trajectories["true", replicate] for replicate in range(len(self.plan.rollouts))]
+        ordered = [trajectories[self._variant, replicate] for replicate in range(len(self.plan.rollouts))]
         with naming(f"{self.name}, test {test}", UNOBSERVABLE):
             values = tuple(-self._robustness(named, each) for each in ordered for named in self.named)
         found = Observation(values[0], values)
@@ -121,6 +122,5 @@ def _named(spot: SpotCheck) -> list[NamedRisk]:
 
 
 def _is_linearised(plan: ProblemPlan) -> bool:
-    """Whether the bounded variable has an expectation that may be below the risk: without weight it is the mean."""
-    through = plan.problem.observed_through is not None
-    return plan.objective.risk and plan.problem.method != "paper" and through and plan.risk_weight > 0
+    """Whether the variable that is bounded, and tested, has an expectation below the risk and is not the robustness."""
+    return plan.objective.risk and plan.problem.method != "paper" and plan.problem.observed_through is not None

@@ -90,7 +90,9 @@ class Simulators(Puppets):
             self.interrupt()
         units = {column.name: column.unit for column in self._columns}
         try:
-            trajectory = Trajectory(tuple(units), np.array([[0.0, self._function(request)]]))
+            value = self._function(request)
+            samples = [[time, value] for time in dict.fromkeys((0.0, request.horizon))]
+            trajectory = Trajectory(tuple(units), np.array(samples))
         except (SimulationError, ValueError) as error:
             failed = ResultHeader(
                 rollout=request.rollout,
@@ -126,9 +128,10 @@ def simulate(
     noisy: bool,
     stop: Stop = lambda _: False,
     workers: int = WORKERS,
+    system: SystemSpec | None = None,
 ) -> str | None:
     """Run or resume a campaign; return the text of its certificate, None if it was stopped."""
-    system = spec(noisy=noisy)
+    system = system or spec(noisy=noisy)
     check_against(config, system, "test")
     resumed = (directory / DATABASE).exists()
     directory.mkdir(parents=True, exist_ok=True)

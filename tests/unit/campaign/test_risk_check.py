@@ -1,0 +1,210 @@
+"""The risk at a start where a bound of it is refuted: decided by fresh rollouts, and in no campaign without one."""
+
+import json
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perfbound.orchestrator.campaign import closing_checks
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.text import check_sentences, outward
+from perfbound.orchestrator.run import service
+from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.journal import Journal
+from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.certificate import Predicate, SpotCheckedProblem
+from perfbound.schemas.facts import RolloutFact
+from perfbound.schemas.rollout import RolloutRequest
+from perfbound.schemas.system import SystemSpec
+from tests.fakes.simulators import noise, robustness, simulate, spec, verified
+
+CLIP = (-0.05, 0.75)
+RISK: dict[str, Any] = {
+    "name": "true_risk",
+    "method": "rigorous",
+    "alpha": 1e-3,
+    "rkhs_norm": 0.2,
+    "prior_mean": -0.6,
+    "noise_scale": 0.2,
+    "kernel": {"nu": 2.5, "length_scale": 1.0},
+    "linearised": {"centre": 0.7, "spread": 0.05},
+}
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.fsync", lambda _: None)
+    monkeypatch.setattr(service, "TICK", 0.01)
+
+
+def system(*, seed_bits: int = 53) -> SystemSpec:
+    return spec(noisy=True).model_copy(update={"variants": ("true",), "noisy": ("true",), "seed_bits": seed_bits})
+
+
+def a_campaign(**changes: Any) -> CampaignConfig:
+    found: dict[str, Any] = {"clip": CLIP, "risk_weight": 1.0, "horizon": 1.0, "max_tests": 6, "window": 2}
+    return robustness(RISK, **found | {"spot_check": 8, "spot_check_followups": 300, "recheck": 3} | changes)
+
+
+def with_hole(mean: float) -> Callable[[RolloutRequest], float]:
+    """Return values with a risk of .68, and of `mean` - .02 in a third of the box, which no test of the bound sees."""
+
+    def value(request: RolloutRequest) -> float:
+        unseen = request.x[0] > 0.6 and not request.rollout.startswith(("true_risk.", "robustness."))
+        return float(np.clip((mean if unseen else 0.7) + 0.02 * noise(request.seed), *CLIP))
+
+    return value
+
+
+DEEP = with_hole(0.1)
+"""The bound of some .4 is false of the risk as well."""
+ODD = with_hole(0.5)
+"""The bound is false of E[X], which is .07 in the hole, and true of the risk, which is .48."""
+
+
+def run(directory: Path, function: Any, config: CampaignConfig | None = None, **also: Any) -> Predicate:
+    simulate(directory, config or a_campaign(), function, noisy=True, **{"system": system(), **also})
+    found = files.read(directory)
+    assert found is not None
+    return found.predicate
+
+
+def checked(found: Predicate) -> SpotCheckedProblem:
+    assert found.spot_check is not None
+    (problem,) = found.spot_check.problems
+    return problem
+
+
+def edited(directory: Path, change: Callable[[dict[str, Any]], object]) -> list[str]:
+    """Return the checks that fail after a change of the record in the certificate."""
+    place = directory / files.CERTIFICATE
+    text = place.read_text()
+    document = json.loads(text)
+    change(document["predicate"]["spot_check"]["problems"][0])
+    place.write_text(json.dumps(document, sort_keys=True, indent=1) + "\n")
+    failed = verified(directory)
+    place.write_text(text)
+    return failed
+
+
+def rollouts_of(directory: Path) -> dict[str, list[RolloutFact]]:
+    found: dict[str, list[RolloutFact]] = {}
+    with read.reading(directory) as connection:
+        for fact in read.read_facts(connection):
+            if isinstance(fact, RolloutFact):
+                found.setdefault(fact.rollout.problem, []).append(fact)
+    return found
+
+
+def test_a_risk_below_the_bound_is_said_with_every_rollout(tmp_path: Path) -> None:
+    found = run(tmp_path, DEEP)
+    problem, (claim,) = checked(found), found.claims
+    assert (problem.status, claim.refuted) == ("refuted", ("rkhs_norm/true_risk",))
+    risk = problem.risk
+    assert risk is not None
+    assert risk.status == "below"
+    assert 0.08 < risk.risk < problem.limit == claim.bound
+    assert risk.risk == pytest.approx(risk.mean - risk.deviation, abs=2e-9)
+    assert 5 < risk.rollouts <= 20
+    with closing(Journal.open(tmp_path)) as journal:
+        ledger = Ledger(tmp_path, journal)
+        ledger.replay()
+        series = ledger.series["risk_check"]
+        named = {ledger.closing.spot_check.starts[node] for node in series.nodes} if ledger.closing.spot_check else ()
+    assert named == {problem.start}
+    assert len(series.observations) == risk.rollouts
+    assert found.spot_check is not None
+    assert found.spot_check.rollouts.true == problem.rollouts
+    below = f"below the bound {outward(problem.limit, '>=')}, by {risk.rollouts} further rollouts: the claim is false"
+    assert below in " ".join(check_sentences(found))
+    assert not verified(tmp_path)
+
+
+def test_a_risk_that_keeps_the_bound_is_not_said_to_be_below(tmp_path: Path) -> None:
+    found = run(tmp_path, ODD)
+    problem = checked(found)
+    assert problem.status == "refuted"
+    assert problem.risk is not None
+    assert problem.risk.status == "not decided"
+    assert problem.risk.rollouts == 308 - problem.rollouts > 0
+    assert problem.limit < 0.48 < problem.risk.risk
+    sentences = " ".join(check_sentences(found))
+    assert "the claim has lost its grounds; whether the risk itself is below" in sentences
+    assert f"is not decided by {problem.risk.rollouts} further rollouts" in sentences
+    assert not verified(tmp_path)
+
+
+def test_workers_and_stops_change_no_byte(tmp_path: Path) -> None:
+    def stop(request: RolloutRequest) -> bool:
+        return request.rollout.startswith("risk_check.4.")
+
+    run(tmp_path / "one", DEEP, workers=1)
+    run(tmp_path / "five", DEEP, workers=5)
+    assert simulate(tmp_path / "cut", a_campaign(), DEEP, noisy=True, system=system(), stop=stop) is None
+    run(tmp_path / "cut", DEEP)
+    texts = {(tmp_path / name / files.CERTIFICATE).read_bytes() for name in ("one", "five", "cut")}
+    assert len(texts) == 1
+
+
+def test_without_a_refuted_risk_there_is_no_record(tmp_path: Path) -> None:
+    assert checked(run(tmp_path / "kept", with_hole(0.7))).risk is None
+    assert "risk_check" not in rollouts_of(tmp_path / "kept")
+    (problem,) = json.loads((tmp_path / "kept" / files.CERTIFICATE).read_text())["predicate"]["spot_check"]["problems"]
+    assert "risk" not in problem
+
+
+def test_a_refuted_mean_needs_no_further_rollout(tmp_path: Path) -> None:
+    mean = {key: value for key, value in RISK.items() if key != "linearised"} | {"name": "robustness"}
+    found = checked(run(tmp_path, DEEP, a_campaign(problems=[mean])))
+    assert found.status == "refuted"
+    assert found.start is not None
+    assert "risk_check" not in rollouts_of(tmp_path)
+
+
+def test_a_campaign_of_before_stays_what_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(request: RolloutRequest) -> bool:
+        return request.rollout.startswith("recheck.")
+
+    with monkeypatch.context() as before:
+        before.setattr(closing_checks.RiskCheck, "of", lambda *_: None)
+        run(tmp_path / "whole", DEEP)
+        for name, config in (("cut", a_campaign()), ("short", a_campaign(recheck=0))):
+            simulate(tmp_path / name, config, DEEP, noisy=True, system=system(), stop=stop)
+    text = (tmp_path / "whole" / files.CERTIFICATE).read_bytes()
+    assert checked(run(tmp_path / "whole", DEEP)).risk is None
+    assert (tmp_path / "whole" / files.CERTIFICATE).read_bytes() == text
+    assert not (tmp_path / "cut" / files.CERTIFICATE).exists()
+    run(tmp_path / "cut", DEEP)
+    assert (tmp_path / "cut" / files.CERTIFICATE).read_bytes() == text
+    assert checked(run(tmp_path / "short", DEEP, a_campaign(recheck=0))).risk is None
+    assert [verified(tmp_path / name) for name in ("whole", "cut", "short")] == [[], [], []]
+
+
+def test_verify_finds_an_edited_record(tmp_path: Path) -> None:
+    run(tmp_path, ODD)
+    assert edited(tmp_path, lambda problem: None) == []
+    for change in ({"status": "below"}, {"rollouts": 9}, {"mean": 0.3}, {"deviation": 0.4}, {"risk": 0.2}):
+        assert "spot check" in edited(tmp_path, lambda problem, change=change: problem["risk"].update(change)), change
+    assert "spot check" in edited(tmp_path, lambda problem: problem.pop("risk"))
+
+
+def test_seeds_of_few_bits_differ_from_all_others(tmp_path: Path) -> None:
+    run(tmp_path, DEEP, system=system(seed_bits=31))
+    found = rollouts_of(tmp_path)
+    seeds = [fact.seed for name, facts in found.items() if name != "recheck" for fact in facts]
+    assert len(found["risk_check"]) > 5
+    assert len(set(seeds)) == len(seeds)
+    assert not verified(tmp_path)
+
+
+def test_without_tests_left_nothing_is_decided(tmp_path: Path) -> None:
+    whole = checked(run(tmp_path / "whole", DEEP))
+    budget = whole.rollouts - 8
+    found = checked(run(tmp_path / "spent", DEEP, a_campaign(spot_check_followups=budget)))
+    assert found.rollouts <= whole.rollouts
+    assert found.risk is None
