@@ -59,7 +59,7 @@ class RiskCheck:
     @classmethod
     def of(cls, header: Header, spot: SpotCheck, spent: int, extensions: int = 0) -> "RiskCheck | None":
         """Return the check that follows a spot check of so many tests; None where nothing is to be decided, or left."""
-        named = list(_named(spot))
+        named = _refuted_risks(spot)
         budget = spot.plan.max_tests - spent
         return cls(header, spot, named, budget, extensions) if named and budget > 0 else None
 
@@ -110,7 +110,7 @@ class RiskCheck:
         return found
 
 
-def _named(spot: SpotCheck) -> list[NamedRisk]:
+def _refuted_risks(spot: SpotCheck) -> list[NamedRisk]:
     """Return the refuted bounds of a risk by way of X, each with its start; a refuted mean needs no further rollout."""
     found = []
     for plan, finding in spot.findings():

@@ -90,11 +90,11 @@ def _problem(
         wealth=None if found.wealth is None else float(f"{found.wealth:.{DIGITS}g}"),
         undecided=found.undecided,
         requirement=plan.requirement,
-        risk=None if risk is None else _risk(risk, plan.key),
+        risk=None if risk is None else _risk_at_start(risk, plan.key),
     )
 
 
-def _risk(check: RiskCheck, key: str) -> document.RiskAtStart | None:
+def _risk_at_start(check: RiskCheck, key: str) -> document.RiskAtStart | None:
     named = check.finding(key)
     if named is None:
         return None

@@ -111,7 +111,7 @@ class Run(_Shown):
     def closing_checks(self) -> Table:
         """A row for each test of the closing checks, as in `tests`.
 
-        `problem` is `spot_check`, `shrink` or `recheck`; after an extension `spot_check_b` and `recheck_b`.
+        `problem` is `spot_check`, `risk_check`, `shrink` or `recheck`; after an extension `spot_check_b` and so on.
         """
         return _of_series(self.table("tests"), closing=True)
 

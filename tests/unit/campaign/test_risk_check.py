@@ -208,3 +208,21 @@ def test_without_tests_left_nothing_is_decided(tmp_path: Path) -> None:
     found = checked(run(tmp_path / "spent", DEEP, a_campaign(spot_check_followups=budget)))
     assert found.rollouts <= whole.rollouts
     assert found.risk is None
+
+
+def test_each_refuted_requirement_has_its_own_rollouts(tmp_path: Path) -> None:
+    requirements = [{"name": "whole", "formula": "value >= 0"}, {"name": "half", "formula": "value >= 0.1"}]
+    config = a_campaign(specification=None, specifications=requirements, spot_check_followups=600)
+    found = run(tmp_path, DEEP, config)
+    assert found.spot_check is not None
+    problems = {each.requirement: each for each in found.spot_check.problems}
+    assert {each.status for each in problems.values()} == {"refuted"}
+    risks = [each.risk for each in problems.values() if each.risk is not None]
+    assert [each.status for each in risks] == ["below"] * 2
+    shared = problems["whole"].start == problems["half"].start
+    recorded = len({fact.rollout.test for fact in rollouts_of(tmp_path)["risk_check"]})
+    assert recorded >= (max if shared else sum)(each.rollouts for each in risks)
+    # The robustness of the second one is .1 lower.
+    assert risks[1].mean < risks[0].mean
+    assert sum("the claim is false" in each for each in check_sentences(found)) == 2
+    assert not verified(tmp_path)
