@@ -19,7 +19,6 @@ from ...schemas.certificate import (
     Predicate,
     ProblemResult,
     Recheck,
-    RiskAtStart,
     SpotCheck,
     SpotCheckedProblem,
 )
@@ -31,7 +30,7 @@ from ..campaign.clip import SAME, floored, is_vacuous
 from .assumption_text import print_list
 from .console_lines import hanging, heading, plain_line
 from .counterexample import DIGITS, counterexample_words
-from .refutation_text import refutation_sentence
+from .refutation_text import refutation_sentence, risk_sentence
 from .region_text import region_sentences
 
 QUANTITIES: dict[Quantity, str] = {
@@ -318,9 +317,8 @@ def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
     yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
     for each in spot.problems:
         yield f"Bound of {each.key}: {_spot_finding(each, 1 / spot.level)}."
-        if each.risk is not None and each.start is not None:
-            start = ", ".join(f"{value:.6g}" for value in each.start)
-            yield f"Risk of {each.key} at its start ({start}): {_risk_finding(each.risk, each.limit)}."
+        if each.risk is not None:
+            yield risk_sentence(each, each.risk, outward(each.risk.risk, "<="), outward(each.limit, ">="))
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")
         violate = f"{spot.failures} of {spot.starts} rollouts at fresh starts violate the specification"
@@ -338,17 +336,6 @@ def _spot_finding(found: SpotCheckedProblem, refuting: float) -> str:
     left = f"; at {found.undecided} starts they are too few to tell" if found.undecided else ""
     return (
         f"{refuted}evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts, {refuting:g} would refute{left}"
-    )
-
-
-def _risk_finding(found: RiskAtStart, limit: float) -> str:
-    """Return whether the risk itself is below a bound that is refuted."""
-    risk, required = outward(found.risk, "<="), outward(limit, ">=")
-    if found.status == "below":
-        return f"at most {risk}, below the bound {required}, by {found.rollouts} further rollouts: the claim is false"
-    return (
-        f"the claim has lost its grounds; whether the risk itself is below the bound {required} is not decided by "
-        f"{found.rollouts} further rollouts (it is at most {risk})"
     )
 
 
