@@ -3,14 +3,15 @@
 import json
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.campaign import closing_checks
 from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.campaign.risk_check import RiskCheck
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import check_sentences, outward
 from perfbound.orchestrator.run import service
@@ -92,6 +93,10 @@ def edited(directory: Path, change: Callable[[dict[str, Any]], object]) -> list[
     return failed
 
 
+def with_risk(change: dict[str, Any], problem: dict[str, Any]) -> None:
+    problem["risk"].update(change)
+
+
 def rollouts_of(directory: Path) -> dict[str, list[RolloutFact]]:
     found: dict[str, list[RolloutFact]] = {}
     with read.reading(directory) as connection:
@@ -171,7 +176,7 @@ def test_a_campaign_of_before_stays_what_it_was(tmp_path: Path, monkeypatch: pyt
         return request.rollout.startswith("recheck.")
 
     with monkeypatch.context() as before:
-        before.setattr(closing_checks.RiskCheck, "of", lambda *_: None)
+        before.setattr(RiskCheck, "of", lambda *_: None)
         run(tmp_path / "whole", DEEP)
         for name, config in (("cut", a_campaign()), ("short", a_campaign(recheck=0))):
             simulate(tmp_path / name, config, DEEP, noisy=True, system=system(), stop=stop)
@@ -189,7 +194,7 @@ def test_verify_finds_an_edited_record(tmp_path: Path) -> None:
     run(tmp_path, ODD)
     assert edited(tmp_path, lambda problem: None) == []
     for change in ({"status": "below"}, {"rollouts": 9}, {"mean": 0.3}, {"deviation": 0.4}, {"risk": 0.2}):
-        assert "spot check" in edited(tmp_path, lambda problem, change=change: problem["risk"].update(change)), change
+        assert "spot check" in edited(tmp_path, partial(with_risk, change)), change
     assert "spot check" in edited(tmp_path, lambda problem: problem.pop("risk"))
 
 
