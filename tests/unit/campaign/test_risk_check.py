@@ -15,7 +15,7 @@ from perfbound.orchestrator.campaign.risk_check import RiskCheck
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import check_sentences, outward
 from perfbound.orchestrator.run import service
-from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store import export, read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.certificate import Predicate, SpotCheckedProblem
@@ -122,6 +122,10 @@ def test_a_risk_below_the_bound_is_said_with_every_rollout(tmp_path: Path) -> No
         series = ledger.series["risk_check"]
         named = {ledger.closing.spot_check.starts[node] for node in series.nodes} if ledger.closing.spot_check else ()
     assert named == {problem.start}
+    header, rows = export.table_rows(tmp_path, "tests")
+    observation = [column.name for column in header].index("observation")
+    exported = [row[observation] for row in rows if row[0] == "risk_check" and row[observation] is not None]
+    assert exported == pytest.approx([0.1] * risk.rollouts, abs=0.1)
     assert len(series.observations) == risk.rollouts
     assert found.spot_check is not None
     assert found.spot_check.rollouts.true == problem.rollouts
