@@ -1,5 +1,6 @@
 """The risk at a start where a bound of it is refuted: decided by fresh rollouts, and in no campaign without one."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from contextlib import closing
@@ -235,3 +236,18 @@ def test_each_refuted_requirement_has_its_own_rollouts(tmp_path: Path) -> None:
     assert risks[1].mean < risks[0].mean
     assert sum("the claim is false" in each for each in check_sentences(found)) == 2
     assert not verified(tmp_path)
+
+
+@pytest.mark.parametrize(("recheck", "check"), [(3, "requests"), (0, "chain")])
+def test_verify_finds_a_check_that_was_removed(tmp_path: Path, recheck: int, check: str) -> None:
+    run(tmp_path, DEEP, a_campaign(recheck=recheck))
+    manifest, place = tmp_path / files.MANIFEST, tmp_path / files.CERTIFICATE
+    left = "".join(line for line in manifest.read_text().splitlines(keepends=True) if "risk_check" not in line)
+    manifest.write_text(left)
+    document = json.loads(place.read_text())
+    sha256 = hashlib.sha256(left.encode()).hexdigest()
+    document["predicate"]["evidence"] |= {"manifest_sha256": sha256, "rollouts": len(left.splitlines())}
+    document["subject"][0]["digest"]["sha256"] = sha256
+    del document["predicate"]["spot_check"]["problems"][0]["risk"]
+    place.write_text(json.dumps(document, sort_keys=True, indent=1) + "\n")
+    assert check in verified(tmp_path)
