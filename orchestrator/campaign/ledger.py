@@ -60,10 +60,7 @@ class Ledger:
         follow: Follow | None = None,
         begins: Begins = lambda _: True,
     ) -> None:
-        """Begin with no fact; where a campaign is decided again `follow` takes the place of the methods' choice.
-
-        `begins` then says which checks it has that those of an earlier perfbound have not.
-        """
+        """Begin with no fact; `follow` chooses, and `begins` checks, where a campaign is decided again."""
         self.header = header = store.header
         self.config: CampaignConfig = header.config
         self.plans = plans(header.config, header.spec)
@@ -84,8 +81,7 @@ class Ledger:
         self.recorded = Recorded(directory, store)
         self.closing = ClosingChecks(header, self.accounts, self.methods, self.observer, self.recorded)
         self._files: FileStore = files or evidence.Batch()
-        self._template = header.template
-        self._restoration = Restoration(directory)
+        self._template, self._restoration = header.template, Restoration(directory)
         self._requests: dict[RolloutId, RolloutRequest] = {}
 
     @property
