@@ -60,7 +60,7 @@ class Ledger:
         follow: Follow | None = None,
         begins: Begins = lambda _: True,
     ) -> None:
-        """Begin with no fact; `follow` chooses, and `begins` checks, where a campaign is decided again."""
+        """Begin with no fact; of a campaign that is decided again `follow` has the tests, `begins` the later checks."""
         self.header = header = store.header
         self.config: CampaignConfig = header.config
         self.plans = plans(header.config, header.spec)
