@@ -35,6 +35,7 @@ from .poison import poison_text
 from .results import Results
 from .review import Review
 from .roster import Roster, WorkerRecord
+from .router_link import RouterLink
 from .routers import Routers
 from .trust import failures_before, note, still_aside
 
@@ -81,7 +82,7 @@ class RunStatus:
     closing: Mapping[str, ProblemProgress]
     """The closing checks that have begun, by name."""
     workers: Mapping[str, str]
-    """Name of every worker, and its phase, or "set aside"."""
+    """Name of every worker, and its phase, "set aside", or "out of reach" while the link to the router is down."""
     known: Mapping[str, WorkerRecord]
     """The last messages of the workers, by name; it changes under the reader."""
     recorded: int
@@ -91,6 +92,8 @@ class RunStatus:
     under_way: int = 0
     """Attempts that workers have been given and that have not ended."""
     loop: LoopFigures = LoopFigures()
+    link: RouterLink | None = None
+    """To the router; None without one."""
 
 
 class Listener(Protocol):
@@ -301,7 +304,7 @@ class Service:
             listener.print_line(line)
 
     def _show(self) -> None:
-        status = _status(self._ledger, self._state, self._roster, self._outlooks, time.monotonic() - self._started)
+        status = _status(self._ledger, self._state, self._roster, self._routers, self._outlooks, self._started)
         status = replace(status, loop=LoopFigures(self.inbox.waiting, self._journal.commits, self._done))
         for listener in self._listeners:
             listener.show(status)
@@ -322,8 +325,9 @@ def _received(inbox: Inbox[Message], tick: float) -> tuple[list[Message], float]
 
 
 def _status(
-    ledger: Ledger, state: DispatchState, roster: Roster, outlooks: PlannedOutlooks, seconds: float
+    ledger: Ledger, state: DispatchState, roster: Roster, routers: Routers, outlooks: PlannedOutlooks, started: float
 ) -> RunStatus:
+    now = time.monotonic()
     return RunStatus(
         ledger.config,
         {
@@ -337,14 +341,20 @@ def _status(
         roster.records,
         state.recorded,
         len(state.waiting),
-        seconds,
+        now - started,
         dispatch.under_way(state),
+        link=routers.link(now),
     )
 
 
 def _phases(state: DispatchState) -> dict[str, str]:
     aside = out_of_favour(state, time.monotonic())
-    return {name: "set aside" if name in aside else worker.phase for name, worker in state.workers.items()}
+    # Without a link nothing is known of a worker, and nothing is wrong with it.
+    gone = "gone" if state.linked else "out of reach"
+    return {
+        name: "set aside" if name in aside else gone if worker.phase == "gone" else worker.phase
+        for name, worker in state.workers.items()
+    }
 
 
 def _dispatch_limits(file: CampaignConfig) -> Limits:
