@@ -304,7 +304,7 @@ class Service:
             listener.print_line(line)
 
     def _show(self) -> None:
-        status = _status(self._ledger, self._state, self._roster, self._routers, self._outlooks, self._started)
+        status = _status(self._ledger, self._state, self._roster, self._routers, self._outlooks, started=self._started)
         status = replace(status, loop=LoopFigures(self.inbox.waiting, self._journal.commits, self._done))
         for listener in self._listeners:
             listener.show(status)
@@ -325,7 +325,7 @@ def _received(inbox: Inbox[Message], tick: float) -> tuple[list[Message], float]
 
 
 def _status(
-    ledger: Ledger, state: DispatchState, roster: Roster, routers: Routers, outlooks: PlannedOutlooks, started: float
+    ledger: Ledger, state: DispatchState, roster: Roster, routers: Routers, outlooks: PlannedOutlooks, *, started: float
 ) -> RunStatus:
     now = time.monotonic()
     return RunStatus(
