@@ -22,7 +22,7 @@ from ..fleet.choice import out_of_favour
 from ..fleet.inbox import Inbox
 from ..fleet.limits import Limits
 from ..fleet.processes import Fleet
-from ..fleet.state import DispatchState
+from ..fleet.state import DispatchState, Worker
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
 from ..store import read
 from ..store.commit_times import CommitTimes
@@ -43,6 +43,8 @@ TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
 TURN = 64
 """Messages in one transaction at most; about 100 ms of work."""
+UNNOTICED = 1.0
+"""Seconds in which a worker without its token is shown as before: that a link is down is found after its tokens."""
 NOTHING: Mapping[RolloutId, Any] = {}
 ADOPTION = 2.5
 """Seconds after a restart in which busy workers report and outboxes drain, before anything is assigned."""
@@ -348,13 +350,21 @@ def _status(
 
 
 def _phases(state: DispatchState) -> dict[str, str]:
-    aside = out_of_favour(state, time.monotonic())
-    # Without a link nothing is known of a worker, and nothing is wrong with it.
-    gone = "gone" if state.linked else "out of reach"
+    now = time.monotonic()
+    aside = out_of_favour(state, now)
     return {
-        name: "set aside" if name in aside else gone if worker.phase == "gone" else worker.phase
+        name: "set aside" if name in aside else _shown_phase(state, worker, now)
         for name, worker in state.workers.items()
     }
+
+
+def _shown_phase(state: DispatchState, worker: Worker, now: float) -> str:
+    if worker.phase != "gone":
+        return worker.phase
+    # Without a link nothing is known of a worker, and nothing is wrong with it.
+    if not state.linked:
+        return "out of reach"
+    return worker.resumes_as if now - worker.gone_at < UNNOTICED else "gone"
 
 
 def _dispatch_limits(file: CampaignConfig) -> Limits:

@@ -1,5 +1,6 @@
 """Routers in the log of a run, and what the dispatch machine hears of them."""
 
+import time
 from dataclasses import replace
 
 from perfbound.orchestrator.fleet.events import LinkChanged, RouterChanged
@@ -60,9 +61,13 @@ def test_a_link_that_is_down_is_in_the_line_of_the_workers_and_in_no_estimate() 
 
 
 def test_while_the_link_is_down_gone_workers_are_out_of_reach() -> None:
-    state = DispatchState(Limits(), workers={"a": Worker("gone"), "b": Worker("idle")})
+    now = time.monotonic()
+    gone = Worker("gone", resumes_as="busy", gone_at=now - 2)
+    state = DispatchState(Limits(), workers={"a": gone, "b": Worker("idle")})
     assert _phases(state) == {"a": "gone", "b": "idle"}
     assert _phases(replace(state, linked=False)) == {"a": "out of reach", "b": "idle"}
+    just_now = replace(state, workers={"a": replace(gone, gone_at=now + 60)})
+    assert _phases(just_now) == {"a": "busy"}, "the end of the link may be the next message"
 
 
 def test_a_router_that_shows_nothing_does_not_let_this_orchestrator_in() -> None:
