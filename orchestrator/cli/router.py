@@ -1,6 +1,7 @@
 """`perfbound router`: carries the messages between orchestrators and workers that all connect to it."""
 
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -70,13 +71,18 @@ def router(
     if files is not None:
         check_own("--listen", endpoints, files, "router")
     secret = shared_secret(loopback=all(map(asks_for_secret, endpoints)))
-    ended = threading.Event()
+    ended, expired = threading.Event(), threading.Event()
+
+    def expire() -> None:
+        expired.set()
+        ended.set()
+
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     systemd, printed = Systemd(), ""
     with (
         route(endpoints, routers, files, insecure=insecure, secret=secret, access=rules) as opened,
-        end_announced(None if files is None else files.certificate, _print),
+        end_announced(None if files is None else files.certificate, _print, expire),
     ):
         _print(f"router: listening at {', '.join(opened.endpoints)}")
         systemd.ready(f"listening at {', '.join(opened.endpoints)}")
@@ -86,6 +92,9 @@ def router(
                 _print(f"router: {now}")
             systemd.alive(now)
         systemd.stopping()
+    if expired.is_set():
+        # No link may stay open, and whatever starts this process again gives it the certificate that is there then.
+        sys.exit(1)
 
 
 def _print(line: str) -> None:

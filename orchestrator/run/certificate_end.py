@@ -4,18 +4,23 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from functools import partial
 
 from ...schemas.certificates import read_certificates, time_text
 
 SOON = timedelta(days=2)
 """Before the end, a line says that it comes."""
+AFTER = timedelta(seconds=1)
+"""After the end nothing opens; within its second a link that Zenoh has just closed may open again, and then stays."""
 
 
 @contextmanager
-def end_announced(path: str | None, print_line: Callable[[str], None]) -> Iterator[None]:
+def end_announced(
+    path: str | None, print_line: Callable[[str], None], at_end: Callable[[], None] = lambda: None
+) -> Iterator[None]:
     """Print a line when the certificate in a file ends soon, and one when it has ended, while the block runs.
 
-    Without a file there is nothing to print.
+    `at_end` is called, on another thread, when no link can open any more. Without a file there is nothing to do.
 
     Raises:
         LinkError: it is no certificate.
@@ -25,14 +30,13 @@ def end_announced(path: str | None, print_line: Callable[[str], None]) -> Iterat
         yield
         return
     end = read_certificates(path)[0].not_valid_after_utc
-    lines = (
-        (end - SOON, f"{path}: this certificate ends at {time_text(end)}, and the links close then; issue a new one"),
-        (end, f"{path}: this certificate has ended, and no link opens any more; start again with a new one"),
-    )
+    soon = f"{path}: this certificate ends at {time_text(end)}, and the links close then; issue a new one"
+    over = f"{path}: this certificate has ended, and no link opens any more; start again with a new one"
+    events = ((end - SOON, partial(print_line, soon)), (end, partial(print_line, over)), (end + AFTER, at_end))
     now = datetime.now(UTC)
     timers = [
-        threading.Timer(min(max((moment - now).total_seconds(), 0.0), threading.TIMEOUT_MAX), print_line, [line])
-        for moment, line in lines
+        threading.Timer(min(max((moment - now).total_seconds(), 0.0), threading.TIMEOUT_MAX), act)
+        for moment, act in events
     ]
     try:
         for timer in timers:

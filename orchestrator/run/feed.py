@@ -7,11 +7,12 @@ import json
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..store.commit_times import CommitTimes
+from .router_link import RouterLink
 
 if TYPE_CHECKING:
     from .service import RunStatus
@@ -36,7 +37,7 @@ class RunFigures:
     """Unix time."""
     workers: Mapping[str, LiveState]
     phases: Mapping[str, int]
-    """Number of workers by phase, "set aside" among them."""
+    """Number of workers by phase, "set aside" and "out of reach" among them."""
     waiting: int
     """Rollouts without a worker."""
     under_way: int
@@ -46,6 +47,8 @@ class RunFigures:
     commits: CommitTimes
     done: bool
     """Whether only the certificate is left."""
+    link: RouterLink | None = None
+    """To the router; None without one."""
 
 
 def figures_of(status: "RunStatus") -> RunFigures:
@@ -58,7 +61,8 @@ def figures_of(status: "RunStatus") -> RunFigures:
         rollout = known.state.rollout if known and known.state and state == "busy" else None
         workers[name] = LiveState(state, rollout, known.last_heartbeat + to_unix if known else None)
     loop, phases = status.loop, dict(Counter(status.workers.values()))
-    return RunFigures(now, workers, phases, status.waiting, status.under_way, loop.messages, loop.commits, loop.done)
+    figures = RunFigures(now, workers, phases, status.waiting, status.under_way, loop.messages, loop.commits, loop.done)
+    return replace(figures, link=status.link)
 
 
 def message(status: "RunStatus") -> bytes:
@@ -70,5 +74,6 @@ def read_message(message: bytes) -> RunFigures:
     """Return what a message of the feed says."""
     found = json.loads(message)
     workers = {name: LiveState(*state) for name, state in found.pop("workers").items()}
-    commits = found.pop("commits")
-    return RunFigures(workers=workers, commits=CommitTimes(tuple(commits["numbers"]), commits["seconds"]), **found)
+    commits, link = found.pop("commits"), found.pop("link")
+    times = CommitTimes(tuple(commits["numbers"]), commits["seconds"])
+    return RunFigures(workers=workers, commits=times, link=link and RouterLink(**link), **found)

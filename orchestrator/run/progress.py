@@ -3,6 +3,8 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -17,6 +19,7 @@ from ...schemas.values import ProblemProgress
 from ..campaign.outlook import outlook_lines, remaining_tests
 from .format import ENDS, duration, figure
 from .json_lines import JsonLines
+from .router_link import is_down
 from .service import RunStatus
 from .so_far_table import so_far_view
 from .so_far_text import refutation_line, so_far_line
@@ -54,7 +57,7 @@ class Terminal:
         rate, config = self._rate.of(status), status.config
         running = sum(each.stopped_by is None for each in status.problems.values())
         rows = [
-            (each, _time_left(config, problem, each, rate / max(1, running)))
+            (each, "-" if is_down(status.link) else _time_left(config, problem, each, rate / max(1, running)))
             for problem, each in zip(config.problems, status.problems.values(), strict=True)
         ]
         lines = [*outlook_lines(config, list(status.problems.values())), worker_line(status, rate)]
@@ -156,7 +159,10 @@ class Plain:
             self.print_line(worker_line(status, rate))
         else:
             phases = dict(sorted(status.workers.items()))
-            self._json.line("workers", workers=phases, rollouts=status.recorded, rollouts_per_second=round(rate, 2))
+            numbers: dict[str, Any] = {"rollouts": status.recorded, "rollouts_per_second": round(rate, 2)}
+            if status.link is not None:
+                numbers["router_link"] = asdict(status.link)
+            self._json.line("workers", workers=phases, **numbers)
 
 
 class SystemdStatus:
@@ -200,6 +206,9 @@ def worker_line(status: RunStatus, rate: float) -> str:
     busy = sum(1 for phase in status.workers.values() if phase in ("sent", "busy"))
     trouble = [name for name, phase in status.workers.items() if phase in ("shunned", "gone", "set aside")]
     text = f"workers {len(status.workers)} ({busy} busy), {rate:.1f} rollouts/s, {duration(status.seconds)} so far"
+    if status.link is not None and status.link.down_for is not None:
+        away = sum(1 for phase in status.workers.values() if phase == "out of reach")
+        text += f", the link to the router has been down for {duration(status.link.down_for)}, {away} out of reach"
     return text + (f", in trouble: {', '.join(trouble)}" if trouble else "")
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from ..fleet import events
 from ..fleet.transport import Linked, RouterToken
 from .format import duration
+from .router_link import RouterLink
 
 UNSEEN = 10.0
 """Seconds for the token of a router, which comes with the link."""
@@ -16,6 +17,8 @@ class Routers:
     def __init__(self, print_line: Callable[[str], None]) -> None:
         self._print_line = print_line
         self._known: set[str] = set()
+        self._is_linked = False
+        """Whether this run has, or had, a link to a router."""
         self._down_since: float | None = None
         self._expected_since: float | None = None
         """When a link was found up behind which no router has shown itself yet."""
@@ -35,6 +38,12 @@ class Routers:
                 self._print_line(f"a router has ended: workers behind it have {duration(message.grace)} to return")
         return events.RouterChanged(message.at, message.grace)
 
+    def link(self, now: float) -> RouterLink | None:
+        """Return the link to the router; None without one."""
+        if not self._is_linked:
+            return None
+        return RouterLink(None if self._down_since is None else now - self._down_since, len(self._known))
+
     def reminder(self, now: float) -> tuple[str, ...]:
         """Return the line that no router shows itself, once; called every tick."""
         if self._expected_since is None or now - self._expected_since <= UNSEEN:
@@ -46,6 +55,7 @@ class Routers:
         )
 
     def _say(self, message: Linked) -> None:
+        self._is_linked = True
         self._expected_since = message.at if message.up and not self._known else None
         if not message.up:
             self._down_since = message.at

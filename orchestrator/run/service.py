@@ -22,7 +22,7 @@ from ..fleet.choice import out_of_favour
 from ..fleet.inbox import Inbox
 from ..fleet.limits import Limits
 from ..fleet.processes import Fleet
-from ..fleet.state import DispatchState
+from ..fleet.state import DispatchState, Worker
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
 from ..store import read
 from ..store.commit_times import CommitTimes
@@ -35,6 +35,7 @@ from .poison import poison_text
 from .results import Results
 from .review import Review
 from .roster import Roster, WorkerRecord
+from .router_link import RouterLink
 from .routers import Routers
 from .trust import failures_before, note, still_aside
 
@@ -42,6 +43,8 @@ TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
 TURN = 64
 """Messages in one transaction at most; about 100 ms of work."""
+UNNOTICED = 1.0
+"""Seconds in which a worker without its token is shown as before: that a link is down is found after its tokens."""
 NOTHING: Mapping[RolloutId, Any] = {}
 ADOPTION = 2.5
 """Seconds after a restart in which busy workers report and outboxes drain, before anything is assigned."""
@@ -81,7 +84,7 @@ class RunStatus:
     closing: Mapping[str, ProblemProgress]
     """The closing checks that have begun, by name."""
     workers: Mapping[str, str]
-    """Name of every worker, and its phase, or "set aside"."""
+    """Name of every worker, and its phase, "set aside", or "out of reach" while the link to the router is down."""
     known: Mapping[str, WorkerRecord]
     """The last messages of the workers, by name; it changes under the reader."""
     recorded: int
@@ -91,6 +94,8 @@ class RunStatus:
     under_way: int = 0
     """Attempts that workers have been given and that have not ended."""
     loop: LoopFigures = LoopFigures()
+    link: RouterLink | None = None
+    """To the router; None without one."""
 
 
 class Listener(Protocol):
@@ -301,7 +306,7 @@ class Service:
             listener.print_line(line)
 
     def _show(self) -> None:
-        status = _status(self._ledger, self._state, self._roster, self._outlooks, time.monotonic() - self._started)
+        status = _status(self._ledger, self._state, self._roster, self._routers, self._outlooks, started=self._started)
         status = replace(status, loop=LoopFigures(self.inbox.waiting, self._journal.commits, self._done))
         for listener in self._listeners:
             listener.show(status)
@@ -322,8 +327,9 @@ def _received(inbox: Inbox[Message], tick: float) -> tuple[list[Message], float]
 
 
 def _status(
-    ledger: Ledger, state: DispatchState, roster: Roster, outlooks: PlannedOutlooks, seconds: float
+    ledger: Ledger, state: DispatchState, roster: Roster, routers: Routers, outlooks: PlannedOutlooks, *, started: float
 ) -> RunStatus:
+    now = time.monotonic()
     return RunStatus(
         ledger.config,
         {
@@ -337,14 +343,28 @@ def _status(
         roster.records,
         state.recorded,
         len(state.waiting),
-        seconds,
+        now - started,
         dispatch.under_way(state),
+        link=routers.link(now),
     )
 
 
 def _phases(state: DispatchState) -> dict[str, str]:
-    aside = out_of_favour(state, time.monotonic())
-    return {name: "set aside" if name in aside else worker.phase for name, worker in state.workers.items()}
+    now = time.monotonic()
+    aside = out_of_favour(state, now)
+    return {
+        name: "set aside" if name in aside else _shown_phase(state, worker, now)
+        for name, worker in state.workers.items()
+    }
+
+
+def _shown_phase(state: DispatchState, worker: Worker, now: float) -> str:
+    if worker.phase != "gone":
+        return worker.phase
+    # Without a link nothing is known of a worker, and nothing is wrong with it.
+    if not state.linked:
+        return "out of reach"
+    return worker.resumes_as if now - worker.gone_at < UNNOTICED else "gone"
 
 
 def _dispatch_limits(file: CampaignConfig) -> Limits:

@@ -20,6 +20,7 @@ from ..store.export_tables import robustness_unit
 from ..store.robustness import read_values, read_violations
 from ..store.so_far import write_so_far
 from .expected import RolloutCounts, expected, expected_verdict
+from .router_link import is_down
 from .service import RunStatus
 
 PERIOD = 2.0
@@ -95,7 +96,8 @@ class SoFarListener:
         if self._holding is None or now < self._next:
             return
         self._next = now + PERIOD
-        found = self._found(status, rate, *self._holding)
+        # No time is left to estimate while nothing can arrive.
+        found = self._found(status, 0.0 if is_down(status.link) else rate, *self._holding)
         write_so_far(self._directory, found)
         self._output.so_far(found)
 

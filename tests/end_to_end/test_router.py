@@ -1,9 +1,11 @@
 """A router as users start it: several campaigns and workers behind it, its lines, and its end."""
 
 import signal
+from datetime import timedelta
 
 from tests.campaigns import with_few_checks
 from tests.end_to_end.processes import Processes, wait_for
+from tests.fakes.certificates import DAY, Site
 from tests.sharing import free_port
 
 
@@ -30,6 +32,17 @@ def test_two_campaigns_share_a_router_and_its_workers(started: Processes) -> Non
     ended = router.wait()
     assert ended.code == 0
     assert ended.err.splitlines()[0] == f"router: listening at {endpoint}"
+
+
+def test_a_router_ends_with_its_certificate(started: Processes) -> None:
+    """Zenoh closes its links then, but one that opens again in that second stays open."""
+    site, endpoint = Site(started.folder / "site"), f"tls/127.0.0.1:{free_port()}"
+    tls = site.tls("router", "router", "127.0.0.1", at=timedelta(seconds=15) - DAY, days=1)
+    files = ("--tls-ca", tls.ca, "--tls-certificate", tls.certificate, "--tls-key", tls.key)
+    ended = started.run("perfbound", "router", "--listen", endpoint, *files)
+    assert ended.code == 1
+    assert ended.err.splitlines()[0] == f"router: listening at {endpoint}"
+    assert "this certificate has ended, and no link opens any more; start again with a new one" in ended.last_line
 
 
 def test_a_router_of_another_user_is_one_line(started: Processes) -> None:

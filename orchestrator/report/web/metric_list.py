@@ -97,6 +97,16 @@ METRICS = (
     ),
     DeclaredMetric("perfbound_workers", "gauge", ("phase",), "run", "Workers by phase."),
     DeclaredMetric(
+        "perfbound_router_link_up",
+        "gauge",
+        (),
+        "run",
+        "1 while the orchestrator has a link to a router, else 0; only where it connects to one.",
+    ),
+    DeclaredMetric(
+        "perfbound_routers", "gauge", (), "run", "Routers that the orchestrator sees; only where it connects to one."
+    ),
+    DeclaredMetric(
         "perfbound_queue_messages", "gauge", (), "run", "Messages of workers that the loop has received and not taken."
     ),
     DeclaredMetric(

@@ -38,7 +38,7 @@ from .watched import ClaimNow, Watched, WatchedCampaign
 
 PAUSE = 1.0
 """Seconds between two readings of the database at least, however many ask."""
-PHASES = (*get_args(WorkerPhase), "set aside")
+PHASES = (*get_args(WorkerPhase), "set aside", "out of reach")
 Samples = Mapping[tuple[str, ...], float]
 """Value by the values of the labels, in the order of the declaration."""
 
@@ -120,11 +120,14 @@ def samples(watched: Watched) -> dict[str, Samples]:
 
 def samples_of_run(figures: RunFigures) -> dict[str, Samples]:
     """Return the values that the orchestrator of a run sends, by metric, but for the times of its commits."""
+    link = figures.link
     return {
         "perfbound_rollouts_open": {("waiting",): figures.waiting, ("under_way",): figures.under_way},
         "perfbound_workers": {(phase,): figures.phases.get(phase, 0) for phase in PHASES},
         "perfbound_queue_messages": {(): figures.messages},
         "perfbound_loop_timestamp_seconds": {(): figures.at},
+        "perfbound_router_link_up": {} if link is None else {(): float(link.down_for is None)},
+        "perfbound_routers": {} if link is None else {(): link.routers},
     }
 
 

@@ -28,6 +28,7 @@ from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.address import Address
 from perfbound.orchestrator.run.feed import RunFigures, read_message
 from perfbound.orchestrator.run.feed import message as feed_message
+from perfbound.orchestrator.run.router_link import RouterLink
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.store.commit_times import CommitTimes
 from perfbound.orchestrator.store.counts import CampaignCounts
@@ -116,7 +117,7 @@ def fed(figures: RunFigures = FIGURES) -> RunFeed:
 def test_every_declared_metric_appears_with_its_type_labels_and_text(watched: tuple[Path, list[str]]) -> None:
     """And no other one."""
     directory, texts = watched
-    metric = CampaignMetrics(directory, fed())
+    metric = CampaignMetrics(directory, fed(replace(FIGURES, link=RouterLink(None, 2))))
     ahead = Expected(
         share=0.5,
         by_budget=False,
@@ -196,6 +197,11 @@ def test_what_only_a_run_knows(watched: tuple[Path, list[str]]) -> None:
     assert value(found, "perfbound_rollouts_open", state="waiting") == 7
     assert value(found, "perfbound_rollouts_open", state="under_way") == 2
     assert value(found, "perfbound_queue_messages") == 1
+    assert not [name for name, _ in found if "router" in name], "this run has none"
+    for link, up in ((RouterLink(None, 2), 1), (RouterLink(3.5, 0), 0)):
+        behind = numbers(text_of(directory, fed(replace(FIGURES, link=link))))
+        assert value(behind, "perfbound_router_link_up") == up
+        assert value(behind, "perfbound_routers") == link.routers
     assert value(found, "perfbound_loop_timestamp_seconds") == 1.8e9
     assert value(found, "perfbound_commit_seconds_bucket", le="0.001") == 0
     assert value(found, "perfbound_commit_seconds_bucket", le="0.0025") == 1
@@ -347,6 +353,9 @@ def test_what_a_run_sends_is_what_its_page_gets(monkeypatch: pytest.MonkeyPatch)
     found = read_message(feed_message(status))
     assert (found.phases, found.waiting, found.under_way, found.done) == ({"sent": 2, "set aside": 1}, 4, 6, False)
     assert {name: each.state for name, each in found.workers.items()} == {"a": "busy", "b": "set aside", "c": "busy"}
+    assert found.link is None
+    link = RouterLink(3.5, 0)
+    assert read_message(feed_message(replace(status, link=link))).link == link
     many = replace(status, workers={f"worker-{number:06}-0123456789abcdef": "busy" for number in range(20_000)})
     sent = feed_message(many)
     assert len(sent) < 200_000, "the kernel takes no more"

@@ -1,12 +1,14 @@
 """Lines about the end of a certificate while a link is open."""
 
 import queue
+import threading
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
 
 from perfbound.orchestrator.run.certificate_end import end_announced
+from perfbound.schemas.certificates import read_certificates
 from tests.fakes.certificates import DAY, Site, now
 from tests.patience import PATIENCE
 
@@ -25,7 +27,10 @@ def test_a_certificate_that_ends_soon_is_announced(tmp_path: Path, days: int) ->
 def test_the_end_itself_is_announced(tmp_path: Path) -> None:
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
     tls = Site(tmp_path).tls("main", "orchestrator", at=timedelta(seconds=2) - DAY, days=1)
-    with end_announced(tls.certificate, lines.put):
+    over = threading.Event()
+    with end_announced(tls.certificate, lines.put, over.set):
+        assert over.wait(PATIENCE)
+        assert now() >= read_certificates(tls.certificate)[0].not_valid_after_utc
         found = {lines.get(timeout=PATIENCE) for _ in range(2)}
     assert any("has ended, and no link opens any more; start again with a new one" in line for line in found)
 

@@ -1,8 +1,17 @@
 """Routers in the log of a run, and what the dispatch machine hears of them."""
 
+import time
+from dataclasses import replace
+
 from perfbound.orchestrator.fleet.events import LinkChanged, RouterChanged
+from perfbound.orchestrator.fleet.limits import Limits
+from perfbound.orchestrator.fleet.state import DispatchState, Worker
 from perfbound.orchestrator.fleet.transport import Linked, RouterToken
+from perfbound.orchestrator.run.progress import worker_line
+from perfbound.orchestrator.run.router_link import RouterLink
 from perfbound.orchestrator.run.routers import Routers
+from perfbound.orchestrator.run.service import RunStatus, _phases
+from tests.campaigns import config
 
 
 def log() -> tuple[Routers, list[str]]:
@@ -29,6 +38,36 @@ def test_the_own_link_has_lines_of_its_own() -> None:
         "the link to the router is down: no worker is given up until it is there again",
         "the link to the router is there again after 20 s",
     ]
+
+
+def test_a_link_that_is_down_is_in_the_line_of_the_workers_and_in_no_estimate() -> None:
+    routers, _ = log()
+    assert routers.link(0.0) is None, "an orchestrator that listens has no router"
+    routers.take(Linked(1.0, 30.0, up=True))
+    routers.take(RouterToken(1.0, 30.0, "a", alive=True))
+    up = routers.link(2.0)
+    assert up == RouterLink(None, 1)
+    routers.take(Linked(10.0, 30.0, up=False))
+    routers.take(RouterToken(10.0, 30.0, "a", alive=False))
+    down = routers.link(22.0)
+    assert down == RouterLink(12.0, 0)
+    workers = {"a": "out of reach", "b": "out of reach", "c": "set aside"}
+    status = RunStatus(config("test-function"), {}, {}, workers, {}, 0, 0, 30.0, link=down)
+    assert worker_line(status, 0.0) == (
+        "workers 3 (0 busy), 0.0 rollouts/s, 30 s so far, the link to the router has been down for 12 s, "
+        "2 out of reach, in trouble: c"
+    )
+    assert "link" not in worker_line(replace(status, link=up), 0.0)
+
+
+def test_while_the_link_is_down_gone_workers_are_out_of_reach() -> None:
+    now = time.monotonic()
+    gone = Worker("gone", resumes_as="busy", gone_at=now - 2)
+    state = DispatchState(Limits(), workers={"a": gone, "b": Worker("idle")})
+    assert _phases(state) == {"a": "gone", "b": "idle"}
+    assert _phases(replace(state, linked=False)) == {"a": "out of reach", "b": "idle"}
+    just_now = replace(state, workers={"a": replace(gone, gone_at=now + 60)})
+    assert _phases(just_now) == {"a": "busy"}, "the end of the link may be the next message"
 
 
 def test_a_router_that_shows_nothing_does_not_let_this_orchestrator_in() -> None:

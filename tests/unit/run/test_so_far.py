@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.run.expected import RolloutCounts, expected, expected_verdict
 from perfbound.orchestrator.run.progress import PLAIN_PERIOD, Plain
+from perfbound.orchestrator.run.router_link import RouterLink
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.run.so_far import Pace, SoFarListener
 from perfbound.orchestrator.run.so_far_text import bar_words, holding_rows, left_words, refutation_line
@@ -168,6 +170,20 @@ def test_at_the_end_it_agrees_with_the_certificate(tmp_path: Path, name: str) ->
 def cut(directory: Path, config: CampaignConfig, function: Any, after: int, *, noisy: bool = True) -> None:
     count = iter(range(1, 10**6))
     assert simulate(directory, config, function, noisy=noisy, stop=lambda _: next(count) == after) is None
+
+
+def test_without_a_link_to_the_router_no_time_is_expected(tmp_path: Path) -> None:
+    cut(tmp_path, a_rigorous_one(max_tests=60), quiet, after=120)
+    output = Output()
+    with replayed(tmp_path) as ledger:
+        listener = SoFarListener(tmp_path, ledger, output)
+        listener.show(status_of(ledger, seconds=0.0, recorded=0))
+        for link in (RouterLink(None, 1), RouterLink(3.0, 0)):
+            listener._next = 0.0
+            listener.show(replace(status_of(ledger, seconds=10.0, recorded=10), link=link))
+    up, down = output.found[1:]
+    assert up.expected.seconds is not None
+    assert down.expected == up.expected.model_copy(update={"seconds": None})
 
 
 def test_before_the_end_it_says_what_would_hold_and_what_is_expected(tmp_path: Path) -> None:
