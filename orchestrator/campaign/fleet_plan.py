@@ -100,7 +100,7 @@ class ProblemSize:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """The share of a core that the loop of the orchestrator needs while the problems run."""
+    """The share of a core that the orchestrator needs while the problems run."""
 
     results: float
     heartbeats: float

@@ -238,9 +238,10 @@ def _is_adoptable(state: DispatchState, attempt: Attempt) -> bool:
 
 
 def _deliver(state: DispatchState, event: Delivered) -> Outcome:
-    acknowledge = Acknowledge(event.worker, event.attempt)
+    acknowledge, rollout = Acknowledge(event.worker, event.attempt), event.attempt.rollout
+    is_held = _holds(state, event.worker, event.attempt)
     state = _release(state, event.worker, event.attempt)
-    failed, is_open = event.failure, event.attempt.rollout in state.open
+    failed, is_open = event.failure, rollout in state.open
     # Late, but evidence all the same: if another attempt was recorded, the system does not repeat with its seed.
     if failed is not None and (is_open or failed.kind == "system"):
         state, actions = _fail(state, event.worker, event.attempt, failed, event.at)
@@ -252,16 +253,23 @@ def _deliver(state: DispatchState, event: Delivered) -> Outcome:
     if not opinion.counts:
         return state, (*opinion.actions, acknowledge)
     # The first valid result counts, whichever attempt it is of: equal requests give equal bytes.
-    state, cancels = _cancel_others(state, event.attempt.rollout, event.at)
-    state = _close_rollouts(state, frozenset({event.attempt.rollout}))
+    if is_held:  # a rollout is on one worker or waits: a search through both would be a quarter of a large fleet's loop
+        state, cancels = _close(state, frozenset({rollout})), tuple[Action, ...]()
+    else:
+        state, cancels = _cancel_others(state, rollout, event.at)
+        state = _close_rollouts(state, frozenset({rollout}))
     state, back = clear(replace(state, recorded=state.recorded + 1), event.worker, event.at)
     return state, (*opinion.actions, Record(event.worker, event.attempt), acknowledge, *cancels, *back)
 
 
+def _holds(state: DispatchState, name: str, attempt: Attempt) -> bool:
+    return name in state.workers and state.workers[name].attempt == attempt
+
+
 def _release(state: DispatchState, name: str, attempt: Attempt) -> DispatchState:
-    worker = state.workers.get(name)
-    if worker is None or worker.attempt != attempt:
+    if not _holds(state, name, attempt):
         return state  # a result of an attempt before the present one
+    worker = state.workers[name]
     if worker.phase == "gone":  # the result was on the way when the token disappeared
         return _put(state, name, replace(worker, attempt=None, resumes_as="idle"))
     return _put(state, name, Worker("idle", host=worker.host))
@@ -366,10 +374,15 @@ def _assign(state: DispatchState, at: float) -> Outcome:
 
 
 def _close_rollouts(state: DispatchState, rollouts: frozenset[RolloutId]) -> DispatchState:
+    waiting = tuple(each for each in state.waiting if each not in rollouts)
+    return replace(_close(state, rollouts), waiting=waiting)
+
+
+def _close(state: DispatchState, rollouts: frozenset[RolloutId]) -> DispatchState:
     left = dict(state.open)  # a copy costs a tenth of a comprehension
     for rollout in rollouts:
         left.pop(rollout, None)
-    return replace(state, open=left, waiting=tuple(each for each in state.waiting if each in left))
+    return replace(state, open=left)
 
 
 def _put(state: DispatchState, name: str, worker: Worker) -> DispatchState:
