@@ -76,9 +76,11 @@ def issue_to(
     written, made = authority.issue_files(place, checked_order(name, role, hosts), days, out)
     for line in _instructions(written, made, authority.issued(place)):
         click.echo(line)
-    if (tree := work_tree(written)) is not None:
-        warning = f"{written}: is in the git work tree {tree}, and its private key may be committed; move it elsewhere"
-        click.echo(f"perfbound: {one_line(warning)}", err=True)
+    for path, key in ((written, "its private key"), (place, "the authority's key")):
+        # Also of an authority that was made outside, and is in a work tree since.
+        if (tree := work_tree(path)) is not None:
+            warning = f"{path}: is in the git work tree {tree}, and {key} may be committed; move it elsewhere"
+            click.echo(f"perfbound: {one_line(warning)}", err=True)
 
 
 @pki.command("list")

@@ -6,13 +6,14 @@ import click
 
 from .campaigns import campaign_argument
 from .group import cli, output_console
+from .slurm import MOST_WORKERS
 from .stderr import STDERR
 
 
 @cli.command("plan")
 @campaign_argument
 @click.option(
-    "--workers", type=click.IntRange(1, 100_000), default=2, show_default=True, help="Workers of the campaign."
+    "--workers", type=click.IntRange(1, MOST_WORKERS), default=2, show_default=True, help="Workers of the campaign."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object; times in s, sizes in bytes.")
 def plan_command(*, campaign: Path, workers: int, as_json: bool) -> None:

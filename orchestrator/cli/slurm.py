@@ -14,6 +14,7 @@ from .early import check_campaign
 from .group import RUN_DIRECTORY, cli
 
 MOST_WORKERS = 10_000
+"""An orchestrator takes no more of them."""
 
 
 @cli.command()

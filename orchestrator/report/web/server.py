@@ -1,9 +1,11 @@
 """The uvicorn server of live pages: its configuration, its limits on connections, its shutdown."""
 
 import asyncio
+import errno
 import socket
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from starlette.types import ASGIApp
@@ -23,6 +25,7 @@ from .snapshots import SnapshotCache
 MOST_CONNECTIONS = 128
 COMPLETE_REQUEST = 10.0
 """Seconds in which a client must complete a request; at most twice as long behind another one."""
+_TOO_MANY = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 SHUTDOWN = 1
 """Seconds in which clients may read the last snapshot."""
 
@@ -30,8 +33,10 @@ SHUTDOWN = 1
 class PageServer(uvicorn.Server):
     """A server of pages; clients get a last snapshot at shutdown, when `close` is called."""
 
-    def __init__(self, web_application: ASGIApp, close: Callable[[], None], access: PageAccess) -> None:
-        self._close = close
+    def __init__(
+        self, web_application: ASGIApp, close: Callable[[], None], access: PageAccess, report: Callable[[str], None]
+    ) -> None:
+        self._close, self._report, self._crowded = close, report, False
         tls = access.tls
         super().__init__(
             uvicorn.Config(
@@ -47,11 +52,25 @@ class PageServer(uvicorn.Server):
                 server_header=False,
                 proxy_headers=False,
                 limit_concurrency=MOST_CONNECTIONS,
+                backlog=MOST_CONNECTIONS,
                 timeout_graceful_shutdown=SHUTDOWN,
                 ssl_certfile=tls.certificate if tls else None,
                 ssl_keyfile=tls.key if tls else None,
             )
         )
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to serve."""
+        asyncio.get_running_loop().set_exception_handler(self._loop_fault)
+        await super().startup(sockets)
+
+    def _loop_fault(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        # asyncio reports this one, with a traceback, for every connection that it cannot take, again and again.
+        if getattr(context.get("exception"), "errno", None) not in _TOO_MANY:
+            loop.default_exception_handler(context)
+        elif not self._crowded:
+            self._crowded = True
+            self._report("more connections than this process may open files; further ones have to wait")
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Release the port, then let the streams send the last snapshot."""
@@ -78,7 +97,7 @@ class Server(PageServer):
         self.snapshots = SnapshotCache(Collector(directory), report)
         self.feed = feed or RunFeed()
         web_application = application(directory, self.snapshots, address, access, feed)
-        super().__init__(web_application, self.snapshots.closing.set, access)
+        super().__init__(web_application, self.snapshots.closing.set, access, report)
 
 
 class IndexServer(PageServer):
@@ -89,7 +108,7 @@ class IndexServer(PageServer):
     ) -> None:
         campaigns = OpenCampaigns(report)
         self._index = IndexCache(CampaignIndex(folder, report), report)
-        super().__init__(index_application(self._index, campaigns, address, access), campaigns.close, access)
+        super().__init__(index_application(self._index, campaigns, address, access), campaigns.close, access, report)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to serve, and to read the campaigns at once: until a browser is there, many have been read."""
@@ -105,7 +124,10 @@ class _ImpatientProtocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._check_later()
+        if len(self.connections) > 2 * MOST_CONNECTIONS:
+            transport.abort()  # up to there a client is told why; files stay free for the database
+        else:
+            self._check_later()
 
     def _check_later(self) -> None:
         self.loop.call_later(COMPLETE_REQUEST, self._drop_if_idle, self.cycle)

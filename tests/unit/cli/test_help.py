@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from perfbound.orchestrator.cli import entry  # noqa: F401  (it adds the commands)
 from perfbound.orchestrator.cli.group import cli
+from perfbound.orchestrator.run.roster import LIVING
 from perfbound.workers.cli import group, serve
 
 
@@ -48,3 +49,13 @@ def test_a_misspelt_word_of_the_command_line_is_named_with_the_one_that_was_mean
     found = CliRunner().invoke(cli, line.replace("DIR", str(tmp_path)).split())
     assert found.exit_code == 2
     assert meant in found.stderr
+
+
+@pytest.mark.parametrize("command", ["plan", "slurm"])
+def test_no_command_counts_on_more_workers_than_an_orchestrator_takes(command: str) -> None:
+    refused, taken = (
+        CliRunner().invoke(cli, [command, "no-such.toml", "--workers", str(number)]) for number in (LIVING + 1, LIVING)
+    )
+    assert refused.exit_code == 2
+    assert f"is not in the range 1<=x<={LIVING}" in refused.output
+    assert "no-such.toml" in str(taken.exception)

@@ -1,8 +1,12 @@
 """Clients of a live page that keep a connection without use: they are dropped, so that others find a free one."""
 
+import resource
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -13,6 +17,7 @@ from perfbound.orchestrator.run.address import Address
 from perfbound.orchestrator.run.page_access import OPEN, PageAccess, PagePlace, opened
 from perfbound.schemas.campaign_file import parse_campaign
 from tests.campaigns import FOLDER, UNCHECKED
+from tests.end_to_end.processes import wait_for
 from tests.fakes.inmemory import campaign
 from tests.patience import PATIENCE
 
@@ -88,3 +93,34 @@ def test_a_stream_without_a_change_stays_open(port: int) -> None:
         client.settimeout(4 * PROGRESS)
         with pytest.raises(TimeoutError):
             ends(client)
+
+
+def test_more_connections_than_files_are_one_line(directory: Path, tmp_path: Path) -> None:
+    """The event loop itself would print a traceback for each of them, thousands of times a second."""
+    shown = tmp_path / "shown"
+    words = [sys.executable, "-m", "perfbound.orchestrator", "web", str(directory), "--web", "127.0.0.1:0"]
+
+    def fewer_files() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (100, 100))
+
+    with (
+        shown.open("wb") as file,
+        subprocess.Popen(words, stdout=file, stderr=file, preexec_fn=fewer_files) as page,  # noqa: PLW1509
+        ExitStack() as clients,
+    ):
+        try:
+            wait_for(lambda: "/\n" in shown.read_text())
+            port = int(shown.read_text().rpartition(":")[2].strip("/\n"))
+            for _ in range(150):
+                clients.enter_context(socket.create_connection(("127.0.0.1", port)))
+            wait_for(lambda: shown.read_text().count("\n") > 1)
+            clients.close()
+            with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as client:
+                client.sendall(HEALTH + b"\r\n")
+                assert client.recv(65536).startswith(b"HTTP/1.1 200 ")
+        finally:
+            page.terminate()
+    assert shown.read_text().splitlines()[1:] == [
+        "more connections than this process may open files; further ones have to wait",
+        "perfbound: the live page has ended",
+    ]

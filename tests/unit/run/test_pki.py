@@ -201,6 +201,17 @@ def test_a_private_key_in_a_git_work_tree_is_warned_about(home: Path, tmp_path: 
     assert result.stderr.startswith(f"perfbound: {tmp_path / 'project' / 'node-1'}: is in the git work tree ")
 
 
+def test_an_authority_that_has_come_into_a_git_work_tree_is_warned_about(home: Path, tmp_path: Path) -> None:
+    """It was made outside of any; then the folder around it was put under version control."""
+    (home.parent / ".git").mkdir()
+    result = command("issue", "node-1", "--worker", "--out", tmp_path / "elsewhere")
+    assert result.exit_code == 0
+    assert result.stderr == (
+        f"perfbound: {home}: is in the git work tree {home.parent}, and the authority's key may be committed; move it "
+        "elsewhere\n"
+    )
+
+
 def test_wrong_usage(home: Path) -> None:
     assert command("issue", "node-1").exit_code == 2
     for days in (0, 398):
