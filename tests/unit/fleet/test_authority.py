@@ -19,21 +19,23 @@ from perfbound.schemas.errors import AuthorityError, LinkError
 from tests.fakes.certificates import now
 
 TEXTS = st.text("abz019-._A/$* \n'\"", max_size=70) | st.from_regex(authority.HOST, fullmatch=True)
+NOW = now()
+"""One moment for all: between two readings of the clock a second may end."""
 
 
 def issued(role: Role, *hosts: str, days: int = 30) -> x509.Certificate:
-    signer = authority.new_authority(now(), 365)
-    return authority.issue_certificate(signer, checked_order("a-name", role, hosts), now(), days)[0]
+    signer = authority.new_authority(NOW, 365)
+    return authority.issue_certificate(signer, checked_order("a-name", role, hosts), NOW, days)[0]
 
 
 def test_the_authority_signs_certificates_and_no_authorities() -> None:
-    certificate = authority.new_authority(now(), 365).certificate
+    certificate = authority.new_authority(NOW, 365).certificate
     basic = certificate.extensions.get_extension_for_class(x509.BasicConstraints)
     assert (basic.critical, basic.value) == (True, x509.BasicConstraints(ca=True, path_length=0))
     usage = certificate.extensions.get_extension_for_class(x509.KeyUsage)
     assert (usage.critical, usage.value.key_cert_sign, usage.value.crl_sign) == (True, True, True)
     assert not usage.value.digital_signature
-    assert certificate.not_valid_after_utc == now() + timedelta(days=365)
+    assert certificate.not_valid_after_utc == NOW + timedelta(days=365)
     certificate.verify_directly_issued_by(certificate)
 
 
@@ -52,7 +54,7 @@ def test_a_certificate_is_for_its_role(role: Role, uses: list[x509.ObjectIdentif
     assert found.get_extension_for_class(x509.BasicConstraints).value == x509.BasicConstraints(False, None)
     assert found.get_extension_for_class(x509.KeyUsage).value.digital_signature
     assert role_of(certificate) == role
-    assert certificate.not_valid_after_utc - now() == timedelta(days=30)
+    assert certificate.not_valid_after_utc - NOW == timedelta(days=30)
     if hosts is None:
         with pytest.raises(x509.ExtensionNotFound):
             found.get_extension_for_class(x509.SubjectAlternativeName)
@@ -70,11 +72,11 @@ def test_hosts_are_names_and_addresses() -> None:
 
 
 def test_no_certificate_outlives_its_authority() -> None:
-    signer = authority.new_authority(now(), 10)
+    signer = authority.new_authority(NOW, 10)
     with pytest.raises(AuthorityError, match=r"--days 30: the authority itself ends at .*; choose --days 10 or less"):
-        authority.issue_certificate(signer, Order("a", "worker"), now(), 30)
+        authority.issue_certificate(signer, Order("a", "worker"), NOW, 30)
     with pytest.raises(AuthorityError, match=r"make a new one with `perfbound pki init --folder`"):
-        authority.issue_certificate(signer, Order("a", "worker"), now() + timedelta(days=10), 1)
+        authority.issue_certificate(signer, Order("a", "worker"), NOW + timedelta(days=10), 1)
 
 
 @given(TEXTS)
