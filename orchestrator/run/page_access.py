@@ -7,8 +7,11 @@ import secrets
 import socket
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
+from ...schemas.certificates import MOST, check_valid
 from ...schemas.errors import PerfboundError
+from ...schemas.outside import exposed, read_with_status
 from ...schemas.secret import WEB_VARIABLE
 from .address import Address, bind
 
@@ -105,8 +108,7 @@ def _check_certificate(tls: PageTls) -> None:
 
     for option, path in (("--web-tls-certificate", tls.certificate), ("--web-tls-key", tls.key)):
         try:
-            with open(path, "rb"):
-                pass
+            _, status = read_with_status(Path(path), MOST)
         except OSError as error:
             raise PerfboundError(f"{option} {path}: {error.strerror}") from None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -119,3 +121,6 @@ def _check_certificate(tls: PageTls) -> None:
             f"--web-tls-certificate {tls.certificate}, --web-tls-key {tls.key}: no certificate with its unencrypted "
             f"key in PEM ({reason}); choose a pair that belongs together"
         ) from None
+    if exposed(status):  # of the key, the last one
+        raise PerfboundError(f"--web-tls-key {tls.key}: others can read this private key; run `chmod 600` on it")
+    check_valid(tls.certificate)  # no browser would open the page, and no Prometheus read its metrics

@@ -1,11 +1,13 @@
 """Routers between orchestrator and workers: what the orchestrator hears of them, and whom they let in."""
 
+import json
 import queue
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 
 import pytest
+import zenoh
 
 from perfbound.orchestrator.fleet.router import Router, route
 from perfbound.orchestrator.fleet.transport import (
@@ -17,9 +19,10 @@ from perfbound.orchestrator.fleet.transport import (
     ZenohTransport,
     connect_to_router,
 )
+from perfbound.schemas import keys
 from perfbound.schemas.access import router_rules
 from perfbound.schemas.errors import LinkError, PerfboundError
-from perfbound.schemas.link import LOCAL, Tls
+from perfbound.schemas.link import LOCAL, Tls, connect_config
 from perfbound.schemas.messages import Ack, Request
 from perfbound.workers.transport import ZenohUplink, connect
 from tests.contract.test_access import certificate  # noqa: F401
@@ -221,6 +224,38 @@ def test_behind_a_router_a_worker_speaks_in_its_own_name_alone(guarded: Guarded)
     assert guarded.next(Heartbeat).state == a_state(WORKER)
     transport.send(WORKER, Ack(rollout="maximum.0.true.0", attempt=1))
     eventually(lambda: len(received) == 1)
+
+
+@pytest.mark.parametrize("mode", ["client", "peer", "router"])
+def test_with_the_certificate_of_a_worker_no_kind_of_node_has_more_rights(guarded: Guarded, mode: str) -> None:
+    """The rules are of the certificate: what connects may call itself a router, and speak for all keys."""
+    transport, received, read = guarded.leads("lead"), list[Request](), list[str]()
+    ours = guarded.works("a")
+    eventually(lambda: len(ours.orchestrators()) == 1)
+    ours.join(RUN, WORKER, received.append)
+    assert guarded.next(Token).worker == WORKER
+    config = json.loads(connect_config(guarded.endpoints, guarded.made("b"))) | {"mode": mode}
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as hostile:
+        tokens = [
+            hostile.liveliness().declare_token(key)
+            for key in (keys.live_router("0-x"), keys.live_orchestrator("f" * 16, "0-x"), keys.live_worker(RUN, "a-9"))
+        ]
+        wide = (keys.request_key(RUN, "*"), f"{keys.ROOT}/**", "**")
+        subscribers = [
+            hostile.declare_subscriber(key, lambda sample: read.append(str(sample.payload.to_string())))
+            for key in (keys.state_key(RUN, "*"), *wide)
+        ]
+        for key in (keys.state_key(RUN, WORKER), keys.state_key(RUN, "*"), keys.request_key(RUN, WORKER), *wide):
+            hostile.put(key, "of a stranger")
+        ours.report(a_state(WORKER))
+        assert guarded.next(Heartbeat).state == a_state(WORKER)
+        transport.send(WORKER, Ack(rollout="maximum.0.true.0", attempt=1))
+        eventually(lambda: len(received) == 1)
+        # What it sends reaches itself, and is all that it reads.
+        assert set(read) <= {"of a stranger"}
+        assert len(ours.orchestrators()) == 1
+        assert guarded.heard.empty()
+        del tokens, subscribers
 
 
 @pytest.mark.parametrize("name", ["a", "stranger"])

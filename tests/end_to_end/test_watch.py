@@ -197,6 +197,7 @@ def pem(started: Processes, authority: trustme.CA) -> tuple[str, ...]:
     certificate, key = started.folder / "page.pem", started.folder / "page.key"
     found.cert_chain_pems[0].write_to_path(certificate)
     found.private_key_pem.write_to_path(key)
+    key.chmod(0o600)
     return "--web-tls-certificate", str(certificate), "--web-tls-key", str(key)
 
 

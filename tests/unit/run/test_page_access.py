@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from perfbound.orchestrator.run.address import Address
 from perfbound.orchestrator.run.page_access import OPEN, PageAccess, PagePlace, PageTls, opened
 from perfbound.schemas.errors import PerfboundError
+from tests.fakes.certificates import DAY, Site
 
 EVERYWHERE = Address("0.0.0.0", 0)
 TOKEN = "a-token.of_this~TEST"
@@ -25,6 +26,7 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> PageTls:
     found = trustme.CA().issue_cert("localhost", "127.0.0.1")
     found.cert_chain_pems[0].write_to_path(folder / "page.pem")
     found.private_key_pem.write_to_path(folder / "page.key")
+    (folder / "page.key").chmod(0o600)
     return PageTls(str(folder / "page.pem"), str(folder / "page.key"))
 
 
@@ -74,6 +76,23 @@ def test_a_token_that_cannot_be_sent_is_refused(token: str) -> None:
     with pytest.raises(PerfboundError, match=r"PERFBOUND_WEB_TOKEN: a token has .*; choose one with") as caught:
         opened(PagePlace(token=token), insecure=True)
     assert token == "" or token not in str(caught.value)
+
+
+def test_a_key_that_others_can_read_is_refused(tls: PageTls) -> None:
+    Path(tls.key).chmod(0o644)
+    try:
+        with pytest.raises(PerfboundError, match=r"--web-tls-key .*page\.key: others can read this private key"):
+            opened(PagePlace(tls=tls), insecure=False)
+    finally:
+        Path(tls.key).chmod(0o600)
+
+
+@pytest.mark.parametrize(("begins", "words"), [(-9, "this certificate ended at"), (9, "is valid from")])
+def test_a_certificate_out_of_its_time_is_refused(tmp_path: Path, begins: int, words: str) -> None:
+    """Browsers would not open the page, and only in their own words say why."""
+    found = Site(tmp_path).tls("page", "router", "localhost", at=begins * DAY, days=3)
+    with pytest.raises(PerfboundError, match=rf"page\.pem: .*{words}"):
+        opened(PagePlace(tls=PageTls(found.certificate, found.key)), insecure=False)
 
 
 def test_certificates_that_cannot_be_used_are_refused_before_anything_listens(tls: PageTls, tmp_path: Path) -> None:
