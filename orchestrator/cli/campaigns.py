@@ -149,8 +149,8 @@ def resume(
     from ..run import session  # noqa: PLC0415
 
     key = signing.load_key(sign) if sign else None
-    with resumable(directory):
-        options = session.RunOptions(workers, link_of(**link), drain, system)
+    options = session.RunOptions(workers, link_of(**link), drain, system)
+    with resumable(directory, options=options.resume_options):
         resumed = session.resume_campaign(directory, options, STDERR.console, max_tests)
         _finish(directory, key, strict=strict, on_finish=on_finish, report=resumed)
 
@@ -174,8 +174,8 @@ def _run_new(
 
     directory = out or Path("runs") / config.name
     at_end = {name: options.pop(name) for name in ("strict", "on_finish")}
-    with resumable(directory):
-        settings = session.RunOptions(workers, link_of(**options), drain)
+    settings = session.RunOptions(workers, link_of(**options), drain)
+    with resumable(directory, options=settings.resume_options):
         session.start_campaign(config, campaign, directory, settings, STDERR.console)
         _finish(directory, key, **at_end, report=True)
 

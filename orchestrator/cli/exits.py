@@ -1,10 +1,11 @@
 """The ways in which a command ends early."""
 
 import os
+import shlex
 import signal
 import sqlite3
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -15,13 +16,14 @@ from .stderr import STDERR
 
 
 @contextmanager
-def resumable(directory: Path, again: str | None = None) -> Iterator[None]:
-    """Name the command that continues a campaign which ends early: `again`, or `perfbound resume`."""
+def resumable(directory: Path, again: str | None = None, *, options: Sequence[str] = ()) -> Iterator[None]:
+    """Name the command that continues a campaign which ends early: `again`, or `perfbound resume` with `options`."""
     from ..run.format import resume_command  # noqa: PLC0415
 
     def remedy(first: str = "") -> str:
         there = again or os.path.exists(directory / "campaign.db")  # Path.exists raises if the name is too long
-        return f"{first}continue with: {again or resume_command(directory)}" if there else "nothing was started"
+        command = again or " ".join([resume_command(directory), shlex.join(options)]).rstrip()
+        return f"{first}continue with: {command}" if there else "nothing was started"
 
     try:
         yield

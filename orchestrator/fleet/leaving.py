@@ -47,4 +47,5 @@ def _with_hand_back(state: DispatchState, event: HandedBack) -> tuple[DispatchSt
 
 
 def _without_attempt(state: DispatchState, event: Reported | HandedBack, worker: Worker) -> DispatchState:
-    return replace(state, workers={**state.workers, event.worker: worker.shunned(event.at)})
+    leaving = replace(worker.shunned(event.at), leaving=True)
+    return replace(state, workers={**state.workers, event.worker: leaving})

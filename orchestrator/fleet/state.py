@@ -22,6 +22,8 @@ class Worker:
     phase: WorkerPhase = "new"
     attempt: Attempt | None = None
     host: str = ""
+    leaving: bool = False
+    """Whether it has said that it ends, and gets nothing more."""
     resumes_as: WorkerPhase = "idle"
     """Its phase if its token comes back; of a `gone` worker alone."""
     gone_at: float = NEVER

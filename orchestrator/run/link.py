@@ -4,12 +4,13 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from ...schemas.access import access_rules
 from ...schemas.certificates import common_name
 from ...schemas.errors import LinkError
-from ...schemas.link import Tls, asks_for_secret, check_own
+from ...schemas.link import LOCAL, Tls, asks_for_secret, check_own
 from ...schemas.secret import shared_secret
 from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
 from .certificate_end import end_announced
@@ -30,6 +31,19 @@ class Link:
     """Endpoints of routers, of which one is used at a time; then nothing listens here."""
     grace: float = ROUTER_GRACE
     """Seconds for workers to return after a router has come or gone."""
+
+    @property
+    def options(self) -> list[str]:
+        """The options of a command that waits for the same workers; none where no other machine can be meant."""
+        if not self.routers and self.endpoint == LOCAL:
+            return []
+        pairs = [("--connect", each) for each in self.routers] or [("--listen", self.endpoint)]
+        pairs += [("--allow", each) for each in self.allow]
+        if (tls := self.tls) is not None:
+            pairs += [("--tls-ca", tls.ca), ("--tls-certificate", tls.certificate), ("--tls-key", tls.key)]
+        if self.grace != ROUTER_GRACE:
+            pairs.append(("--grace", f"{self.grace:g}"))
+        return [*chain.from_iterable(pairs), *(["--insecure"] if self.insecure else [])]
 
     def secret(self) -> bytes | None:
         """Return the secret that workers must know.

@@ -355,6 +355,7 @@ def _phases(state: DispatchState) -> dict[str, str]:
     return {
         name: "set aside" if name in aside else _shown_phase(state, worker, now)
         for name, worker in state.workers.items()
+        if not worker.leaving  # it is no part of the fleet any more, and its end is no trouble
     }
 
 

@@ -73,6 +73,12 @@ class RunOptions:
     own: OwnSystem | None = None
     """The system where this process alone has it; `workers`, `link` and `system` are then not used."""
 
+    @property
+    def resume_options(self) -> list[str]:
+        """The options with which `perfbound resume` waits for the same workers; none where all are local."""
+        ways = self.link.options
+        return ["--workers", str(self.workers), *ways] if ways else []
+
 
 def start_campaign(
     config: CampaignConfig, source: Path, directory: Path, options: RunOptions, console: Console

@@ -345,6 +345,14 @@ def test_a_worker_with_an_assignment_on_the_way_is_not_dismissed() -> None:
     assert after(*sent, handed_back(R[0]), leaving())[1] == [Dismiss("w")]
 
 
+def test_a_worker_that_has_left_is_known_as_such_also_without_its_token() -> None:
+    for last in (handed_back(R[0]), done(R[0])):
+        state, _ = after(*up(), want(R[0]), busy(R[0]), last, leaving())
+        assert state.workers["w"].leaving
+        assert step(state, WorkerDown(2, "w"))[0].workers["w"].leaving
+    assert not after(*up(), want(R[0]), busy(R[0]), WorkerDown(2, "w"))[0].workers["w"].leaving
+
+
 def test_what_a_lost_worker_hands_back_changes_nothing_of_its_successor() -> None:
     lost: list[Event] = [*up("a"), want(R[0]), busy(R[0], worker="a"), WorkerDown(1, "a"), Tick(4), *up("b", 4)]
     state, actions = after(*lost, handed_back(R[0], worker="a", at=5))

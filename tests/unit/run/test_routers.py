@@ -70,6 +70,12 @@ def test_while_the_link_is_down_gone_workers_are_out_of_reach() -> None:
     assert _phases(just_now) == {"a": "busy"}, "the end of the link may be the next message"
 
 
+def test_a_worker_that_has_left_is_no_trouble() -> None:
+    left = Worker("gone", leaving=True, resumes_as="shunned")
+    state = DispatchState(Limits(), workers={"a": left, "b": replace(left, phase="shunned"), "c": Worker("shunned")})
+    assert _phases(state) == {"c": "shunned"}
+
+
 def test_a_router_that_shows_nothing_does_not_let_this_orchestrator_in() -> None:
     routers, lines = log()
     assert routers.take(Linked(1.0, 30.0, up=True)) == LinkChanged(1.0, 30.0, up=True)
