@@ -1,4 +1,7 @@
-"""The times at which a line is printed again while what it is about lasts."""
+"""The lines about a state that lasts, and the times at which they are printed again."""
+
+import time
+from collections.abc import Callable
 
 MOST = 300.0
 """Seconds between two lines of one reminder at most: those of a thousand workers are then three lines a second."""
@@ -27,3 +30,25 @@ class Reminder:
         self._pause = min(2 * self._pause, self._most)
         self._due, self.printed = now + self._pause, True
         return True
+
+
+class StateLines:
+    """The lines about a state: `line()` while it lasts, ever more rarely, and `over` once it has ended.
+
+    The first line comes `first` s after the state was seen first. Not thread-safe.
+    """
+
+    def __init__(self, line: Callable[[], str], over: str, print_line: Callable[[str], None], *, first: float) -> None:
+        self._line, self._over, self._print_line, self._first = line, over, print_line, first
+        self._reminder: Reminder | None = None
+
+    def see(self, *, lasts: bool) -> None:
+        """Take whether the state is there, and print what is due; `line` may take seconds."""
+        if lasts:
+            self._reminder = self._reminder or Reminder(self._first, now=time.monotonic())
+            if self._reminder.is_due(time.monotonic()):
+                self._print_line(self._line())
+            return
+        if self._reminder is not None and self._reminder.printed:
+            self._print_line(self._over)
+        self._reminder = None

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import click
@@ -11,9 +12,9 @@ from ..schemas import keys
 from ..schemas.certificates import check_valid
 from ..schemas.errors import RefusedError
 from ..schemas.link import Tls
-from ..schemas.opening import LinkLines
-from ..schemas.reminder import Reminder
-from ..schemas.unanswered import no_orchestrator
+from ..schemas.opening import UNLINKED
+from ..schemas.reminder import Reminder, StateLines
+from ..schemas.unanswered import no_link, no_orchestrator
 from .ends import EndOptions, gone_since, is_abandoned
 from .failing import fail
 from .stopping import STOPPED, Stopping
@@ -36,6 +37,11 @@ class LinkOptions(NamedTuple):
     secret: bytes | None
     common_name: str
     """Of the certificate of this worker, if it has one."""
+
+    @property
+    def connected(self) -> str:
+        """The line that the link is there."""
+        return f"connected to {' or '.join(self.endpoints)}"
 
 
 class Life:
@@ -77,18 +83,23 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
 
     """
     started, finished = identity or keys.fresh_id(name), set[str]()
-    lines = LinkLines(link.endpoints, "worker", link.tls, _print_line)
+    is_local = identity is not None
+    lines = StateLines(
+        partial(no_link, link.endpoints, "worker", link.tls), link.connected, _print_line, first=UNLINKED
+    )
 
     def waiting() -> None:
         life.check()
-        lines.down()
+        lines.see(lasts=True)
 
     with connect(link.endpoints, link.tls, waiting, link.secret) as uplink:
-        lines.up()
+        lines.see(lasts=False)
         while True:
             orchestrator, chosen = _choose(uplink, run, link, life, finished)
-            check = _link_checks(link, lines, uplink, orchestrator, None if identity else name)
+            check = _link_checks(link, uplink, orchestrator, chosen, None if is_local else name)
             check()
+            if not is_local:
+                _print_line(f"serves run {chosen}")
             worker = WorkerProcess(started, uplink)
             life.stopping.attend(worker)
             uplink.join(chosen, worker.name, worker.receive)
@@ -98,6 +109,8 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
                 fail(str(error))
             uplink.leave()
             if end == "finished":
+                if not is_local:
+                    _print_line(f"run {chosen} is finished")
                 # Its token may stay for a while; a new orchestrator of this run has another name.
                 finished |= {each for each, served in uplink.orchestrators() if served == chosen}
                 if life.ends.until_done and not _to_serve(uplink, run, finished):
@@ -106,10 +119,19 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
 
 
 def _link_checks(
-    link: LinkOptions, lines: LinkLines, uplink: ZenohUplink, orchestrator: str, name: str | None
+    link: LinkOptions, uplink: ZenohUplink, orchestrator: str, run: str, name: str | None
 ) -> Callable[[], None]:
-    """Return what a worker examines while it serves a run: its name, and the reason why its link does not come back."""
+    """Return what a worker examines while it serves a run: its name, its link, its orchestrator."""
     check_certificate = _certificate_check(link.tls)
+
+    def reason() -> str:
+        return f"the link is down; {no_link(link.endpoints, 'worker', link.tls)}"
+
+    def absence() -> str:
+        return no_orchestrator(link.endpoints, run, strangers=uplink.strangers, common_name=link.common_name)
+
+    down = StateLines(reason, link.connected, _print_line, first=UNLINKED)
+    absent = StateLines(absence, f"found the orchestrator of run {run}", _print_line, first=UNSERVED)
 
     def check() -> None:
         # Not only before it joins: the token of a router may come after that of the orchestrator behind it.
@@ -118,11 +140,11 @@ def _link_checks(
                 f"--name {name}: {' or '.join(link.endpoints)} was started with --allow, so a worker has the common "
                 f"name of its certificate, here {link.common_name!r}; leave --name out"
             )
-        if uplink.linked:
-            lines.up()
-        else:
+        linked = uplink.linked
+        if not linked:
             check_certificate()
-            lines.down()
+        down.see(lasts=not linked)
+        absent.see(lasts=linked and all(found != run for _, found in uplink.orchestrators()))
 
     return check
 
@@ -157,8 +179,6 @@ def _choose(uplink: ZenohUplink, run: str | None, link: LinkOptions, life: Life,
         time.sleep(LOOK)
     life.check()
     life.served = True
-    if reminder.printed:
-        _print_line(f"found the orchestrator of run {found[0][1]}")
     return found[0]
 
 

@@ -12,7 +12,8 @@ import zenoh
 
 from ...schemas.errors import LinkError, PerfboundError
 from ...schemas.link import Tls, connect_configs, listen_config, password_line, router_config, with_port
-from ...schemas.opening import LinkLines, first_opened
+from ...schemas.opening import UNLINKED, first_opened
+from ...schemas.reminder import StateLines
 from ...schemas.unanswered import no_link
 
 TRIES = 5
@@ -80,15 +81,16 @@ def connected(
         configs = connect_configs(endpoints, tls, secret)
     except LinkError as error:
         raise PerfboundError(str(error)) from None
-    lines, end = LinkLines(endpoints, "orchestrator", tls, print_line), time.monotonic() + patience
+    reason, end = partial(no_link, endpoints, "orchestrator", tls), time.monotonic() + patience
+    lines = StateLines(reason, f"connected to {' or '.join(endpoints)}", print_line, first=UNLINKED)
 
     def waiting() -> None:
         if time.monotonic() > end:
-            raise PerfboundError(no_link(endpoints, "orchestrator", tls))
-        lines.down()
+            raise PerfboundError(reason())
+        lines.see(lasts=True)
 
     session = first_opened(configs, _open, zenoh.ZError, waiting)
-    lines.up()
+    lines.see(lasts=False)
     return session
 
 

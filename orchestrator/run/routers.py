@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from ...schemas.reminder import Reminder
 from ..fleet import events
 from ..fleet.transport import Linked, RouterToken
 from .format import duration
@@ -20,8 +21,8 @@ class Routers:
         self._is_linked = False
         """Whether this run has, or had, a link to a router."""
         self._down_since: float | None = None
-        self._expected_since: float | None = None
-        """When a link was found up behind which no router has shown itself yet."""
+        self._expected: Reminder | None = None
+        """Of a link behind which no router has shown itself yet."""
 
     def take(self, message: RouterToken | Linked) -> events.RouterChanged | events.LinkChanged:
         """Take a change, and return its event."""
@@ -30,7 +31,7 @@ class Routers:
             return events.LinkChanged(message.at, message.grace, message.up)
         if message.alive:
             self._known.add(message.router)
-            self._expected_since = None
+            self._expected = None
         elif message.router in self._known:
             self._known.remove(message.router)
             # Without its own link the orchestrator sees no router; the line of the link says so.
@@ -45,10 +46,9 @@ class Routers:
         return RouterLink(None if self._down_since is None else now - self._down_since, len(self._known))
 
     def reminder(self, now: float) -> tuple[str, ...]:
-        """Return the line that no router shows itself, once; called every tick."""
-        if self._expected_since is None or now - self._expected_since <= UNSEEN:
+        """Return the line that no router shows itself, if it is due; called every tick."""
+        if self._expected is None or not self._expected.is_due(now):
             return ()
-        self._expected_since = None
         return (
             "connected, but no router of perfbound shows itself: one that was started with --allow... must list "
             "the common name of this certificate as --allow-orchestrator",
@@ -56,7 +56,7 @@ class Routers:
 
     def _say(self, message: Linked) -> None:
         self._is_linked = True
-        self._expected_since = message.at if message.up and not self._known else None
+        self._expected = Reminder(UNSEEN, now=message.at) if message.up and not self._known else None
         if not message.up:
             self._down_since = message.at
             self._print_line("the link to the router is down: no worker is given up until it is there again")

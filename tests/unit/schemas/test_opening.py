@@ -5,8 +5,8 @@ import itertools
 import pytest
 
 from perfbound.schemas import opening
-from perfbound.schemas.opening import LinkLines, first_opened
-from perfbound.schemas.reminder import MOST, Reminder
+from perfbound.schemas.opening import first_opened
+from perfbound.schemas.reminder import MOST, Reminder, StateLines
 
 
 def test_lines_about_a_state_that_lasts_become_rare() -> None:
@@ -19,30 +19,23 @@ def test_lines_about_a_state_that_lasts_become_rare() -> None:
     assert reminder.printed
 
 
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    now = [0.0]
-    monkeypatch.setattr("perfbound.schemas.opening.time.monotonic", lambda: now[0])
-    monkeypatch.setattr(opening, "no_link", lambda endpoints, side, _tls: f"{side}: none at {endpoints[0]}")
-    return now
-
-
-def test_a_link_that_is_back_is_one_line_if_its_absence_was_one(clock: list[float]) -> None:
-    printed: list[str] = []
-    lines = LinkLines(["tcp/a:1", "tcp/b:1"], "worker", None, printed.append)
-    lines.up()
-    for clock[0] in (1000.0, 1004.0):
-        lines.down()
-    lines.up()
+def test_the_end_of_a_state_is_one_line_if_the_state_was_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, printed = 0.0, list[str]()
+    monkeypatch.setattr("perfbound.schemas.reminder.time.monotonic", lambda: now)
+    lines = StateLines(lambda: "none", "there", printed.append, first=5.0)
+    lines.see(lasts=False)
+    for now in (1000.0, 1004.0):  # noqa: B007  (the clock)
+        lines.see(lasts=True)
+    lines.see(lasts=False)
     assert printed == [], "a short break"
-    for clock[0] in (2000.0, 2005.0, 2005.1, 2014.9, 2015.0):
-        lines.down()
+    for now in (2000.0, 2005.0, 2005.1, 2014.9, 2015.0):  # noqa: B007
+        lines.see(lasts=True)
     for _ in range(2):
-        lines.up()
-    assert printed == [*2 * ["worker: none at tcp/a:1"], "connected to tcp/a:1 or tcp/b:1"]
-    for clock[0] in (3000.0, 3005.0):
-        lines.down()
-    assert printed[3:] == ["worker: none at tcp/a:1"], "the next break begins anew"
+        lines.see(lasts=False)
+    assert printed == ["none", "none", "there"]
+    for now in (3000.0, 3005.0):  # noqa: B007
+        lines.see(lasts=True)
+    assert printed[3:] == ["none"], "the next break begins anew"
 
 
 def test_each_endpoint_is_tried_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """What a worker says whose link has ended, or whose name is not the one of its certificate, while it serves a run."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -7,9 +8,8 @@ from typing import cast
 import pytest
 
 from perfbound.schemas.errors import LinkError
-from perfbound.schemas.opening import LinkLines
 from perfbound.workers import serving
-from perfbound.workers.serving import LinkOptions, _link_checks, _print_line
+from perfbound.workers.serving import LinkOptions, _link_checks
 from perfbound.workers.transport import ZenohUplink
 from tests.fakes.certificates import DAY, Site
 from tests.sharing import free_port
@@ -22,24 +22,31 @@ class Uplink:
     linked: bool = True
     strict: bool = False
 
+    strangers: bool = False
+    runs: tuple[str, ...] = ("r",)
+
+    def orchestrators(self) -> list[tuple[str, str]]:
+        return [("o", run) for run in self.runs]
+
     def by_certificate(self, _orchestrator: str) -> bool:
         return self.strict
 
 
 @pytest.fixture
 def options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LinkOptions:
-    monkeypatch.setattr(serving, "CERTIFICATE_PERIOD", 0.0)
+    for name in ("CERTIFICATE_PERIOD", "UNLINKED", "UNSERVED"):
+        monkeypatch.setattr(serving, name, 0.0)
     tls = Site(tmp_path).tls("node-1", "worker", at=-9 * DAY, days=1)
     return LinkOptions((f"tls/127.0.0.1:{free_port()}",), tls, None, "node-1")
 
 
-def lines_of(options: LinkOptions) -> LinkLines:
-    return LinkLines(options.endpoints, "worker", options.tls, _print_line, first=0.0)
+def check_of(options: LinkOptions, uplink: Uplink, name: str | None = "node-1") -> Callable[[], None]:
+    return _link_checks(options, cast("ZenohUplink", uplink), "o", "r", name)
 
 
 def test_a_worker_without_link_names_its_certificate_if_that_has_ended(options: LinkOptions) -> None:
     uplink = Uplink()
-    check = _link_checks(options, lines_of(options), cast("ZenohUplink", uplink), "o", "node-1")
+    check = check_of(options, uplink)
     check()
     uplink.linked = False
     with pytest.raises(LinkError, match=r"node-1\.pem: this certificate ended at "):
@@ -51,22 +58,41 @@ def test_a_worker_without_link_says_why(
 ) -> None:
     valid = options._replace(tls=Site(tmp_path / "valid").tls("node-1", "worker"))
     uplink = Uplink(linked=False)
-    check = _link_checks(valid, lines_of(valid), cast("ZenohUplink", uplink), "o", "node-1")
+    check = check_of(valid, uplink)
     check()
-    assert capsys.readouterr().err.startswith(f"perfbound-worker: no answer from {options.endpoints[0]} yet; ")
+    assert capsys.readouterr().err.startswith(
+        f"perfbound-worker: the link is down; no answer from {options.endpoints[0]} yet; "
+    )
     uplink.linked = True
     for _ in range(2):
         check()
     assert capsys.readouterr().err == f"perfbound-worker: connected to {options.endpoints[0]}\n"
 
 
+def test_a_worker_that_the_router_lets_in_no_more_says_what_to_look_for(
+    options: LinkOptions, capsys: pytest.CaptureFixture[str]
+) -> None:
+    uplink = Uplink(runs=("another",))
+    check = check_of(options, uplink)
+    check()
+    said = capsys.readouterr().err
+    assert said.startswith(
+        f"perfbound-worker: connected to {options.endpoints[0]}, waiting for an orchestrator of run r"
+    )
+    assert said.endswith("the router was started with --allow and must list 'node-1'\n")
+    uplink.runs = ("another", "r")
+    for _ in range(2):
+        check()
+    assert capsys.readouterr().err == "perfbound-worker: found the orchestrator of run r\n"
+
+
 def test_the_token_of_a_router_may_come_late(options: LinkOptions, capsys: pytest.CaptureFixture[str]) -> None:
     uplink = Uplink()
-    check = _link_checks(options, lines_of(options), cast("ZenohUplink", uplink), "o", "node-2")
+    check = check_of(options, uplink, "node-2")
     check()
     uplink.strict = True
     with pytest.raises(SystemExit):
         check()
     assert "--name node-2: tls/127.0.0.1" in capsys.readouterr().err
     for name in ("node-1", None):
-        _link_checks(options, lines_of(options), cast("ZenohUplink", uplink), "o", name)()
+        check_of(options, uplink, name)()
