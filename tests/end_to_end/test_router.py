@@ -31,17 +31,17 @@ def test_two_campaigns_share_a_router_and_its_workers(started: Processes) -> Non
     router.popen.send_signal(signal.SIGTERM)
     ended = router.wait()
     assert ended.code == 0
-    assert ended.err.splitlines()[0] == f"router: listening at {endpoint}"
+    assert f"router: listening at {endpoint}" in ended.err.splitlines()
 
 
 def test_a_router_ends_with_its_certificate(started: Processes) -> None:
     """Zenoh closes its links then, but one that opens again in that second stays open."""
     site, endpoint = Site(started.folder / "site"), f"tls/127.0.0.1:{free_port()}"
-    tls = site.tls("router", "router", "127.0.0.1", at=timedelta(seconds=15) - DAY, days=1)
+    tls = site.tls("router", "router", "127.0.0.1", at=timedelta(seconds=25) - DAY, days=1)
     files = ("--tls-ca", tls.ca, "--tls-certificate", tls.certificate, "--tls-key", tls.key)
     ended = started.run("perfbound", "router", "--listen", endpoint, *files)
     assert ended.code == 1
-    assert ended.err.splitlines()[0] == f"router: listening at {endpoint}"
+    assert f"router: listening at {endpoint}" in ended.err.splitlines()
     assert "this certificate has ended, and no link opens any more; start again with a new one" in ended.last_line
 
 
