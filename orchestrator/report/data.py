@@ -14,6 +14,7 @@ from pydantic import BaseModel
 
 from ...schemas.certificate import CompositionTerms
 from ...schemas.problems import Quantity
+from ..run.router_link import RouterLink
 from ..store.changes import ComparedResult
 from .chart_data import ProblemCharts
 from .claim_data import AssumptionRow, Claim, VerdictCard
@@ -259,6 +260,8 @@ class ReportData:
     """The starts of all violations; None where there is none."""
     live: LiveCard | None = None
     """Of a campaign that has not ended."""
+    link: RouterLink | None = None
+    """To the router, on the live page of a run that has one."""
     where: str | None = None
     """The condition on the parameters, of a campaign that leaves out a part of the ranges."""
 

@@ -45,14 +45,15 @@ class WorkerStatistics:
     _totals: dict[str, _Totals] = field(default_factory=dict)
     _hosts: dict[str, str] = field(default_factory=dict)
     _ended: "array[float]" = field(default_factory=lambda: array("d"))
-    _sessions: int = 0
+    _started: tuple[float, ...] = ()
+    """Unix times of the sessions."""
     _system_failures: int = 0
     _failed: deque[FailedAttempt] = field(default_factory=lambda: deque(maxlen=MOST_FAILED))
 
     def add(self, changes: Changes) -> None:
         """Add the outcomes of new attempts."""
         self._hosts |= changes.hosts
-        self._sessions = len(changes.sessions)
+        self._started = tuple(each.started for each in changes.sessions)
         for outcome in changes.outcomes:
             self._totals.setdefault(outcome.worker, _Totals()).add(outcome)
             if outcome.outcome == RECORDED:
@@ -88,11 +89,11 @@ class WorkerStatistics:
         ended = sorted(self._ended)  # results of several workers are not recorded in the order in which they ended
         positions = _positions(len(ended))
         return Throughput(
-            rate=rate(self._ended[-RECENT:]),
+            rate=rate(self._ended[-RECENT:], self._started),
             start=ended[0] if ended else None,
             seconds=tuple(ended[at] - ended[0] for at in positions),
             recorded=tuple(at + 1 for at in positions),
-            sessions=self._sessions,
+            sessions=len(self._started),
             failures=sum(each.failures for each in self._totals.values()),
             system_failures=self._system_failures,
         )

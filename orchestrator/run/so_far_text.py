@@ -49,11 +49,7 @@ def left_words(ahead: Expected, *, running: bool = True) -> str:
 
 def bar_words(ahead: Expected) -> str:
     """Return the label of the progress bar."""
-    of = (
-        f"of the budget of {ahead.most_tests:,} tests; no forecast yet"
-        if ahead.by_budget
-        else "of the work, by forecast"
-    )
+    of = f"of the budget of {ahead.most_tests:,} tests" if ahead.by_budget else "of the work, by forecast"
     return f"{math.floor(100 * ahead.share)} % {of}"
 
 
@@ -96,8 +92,9 @@ def violations_so_far(found: SoFar) -> str:
 def so_far_line(found: SoFar) -> str:
     """Return both rows in one line."""
     now, end = holding_rows(found)
+    tests = "1 test" if found.tests == 1 else f"{found.tests:,} tests"
     return (
-        f"if it ended now: {found.verdict} ({now.bound}, {found.tests} tests); expected at the end: {end.bound}, "
+        f"if it ended now: {found.verdict} ({now.bound}, {tests}); expected at the end: {end.bound}, "
         f"{end.verdict}; {bar_words(found.expected)}"
     )
 

@@ -7,8 +7,10 @@ status` does.
 import json
 import math
 import sqlite3
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,7 +30,7 @@ from .rows import (
 
 RECENT = 1000
 MINUTE = 60.0
-"""The rate is that of the last minute of work, or of its last `RECENT` rollouts."""
+"""The rate is that of at least the last minute of work, or of its last `RECENT` rollouts."""
 
 _VERSION = "SELECT version FROM schema"
 _ROLLOUTS = "SELECT problem, count(*) FROM rollouts GROUP BY problem"
@@ -53,7 +55,7 @@ _SET_ASIDE = """
 """
 _REASON = "SELECT reason FROM set_aside WHERE kind = ? AND name = ? AND seconds > 0 ORDER BY entry DESC LIMIT 1"
 _OPINIONS = "SELECT kind, count(*) FROM opinions GROUP BY kind ORDER BY kind"
-_SESSIONS = "SELECT count(*) FROM sessions"
+_SESSIONS = "SELECT started FROM sessions ORDER BY session"
 _LAST_SESSION = "SELECT host, pid FROM sessions ORDER BY session DESC LIMIT 1"
 
 
@@ -138,6 +140,7 @@ def header_and_version(connection: sqlite3.Connection, directory: Path) -> tuple
 
 def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> CampaignProgress:
     header, version = header_and_version(connection, directory)
+    started = [float(row[0]) for row in connection.execute(_SESSIONS)]
     rollouts = {str(row[0]): int(row[1]) for row in connection.execute(_ROLLOUTS)}
     extended = _last_extensions(connection) if has_table("extensions", version) else {}
     last = {str(row.problem): row for row in _named(connection.execute(_LAST_BOUNDS))}
@@ -154,10 +157,10 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         int(connection.execute(_FAILURES, NO_FAILURE).fetchone()[0]),
         connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
         int(connection.execute(_HANDED_BACK, [HANDED_BACK]).fetchone()[0]),
-        int(connection.execute(_SESSIONS).fetchone()[0]),
+        len(started),
         _pauses(connection) if has_table("set_aside", version) else (),
         dict(connection.execute(_OPINIONS).fetchall()) if has_table("opinions", version) else {},
-        rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])]),
+        rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])], started),
     )
 
 
@@ -198,9 +201,25 @@ def _named(cursor: sqlite3.Cursor) -> list[SimpleNamespace]:
     return [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in cursor]
 
 
-def rate(ended: Sequence[float]) -> float:
-    """Return rollouts per second over the last minute before the newest of these Unix times."""
-    # Before the newest, not before now: a stopped campaign shows the rate of its last minute of work.
-    newest = max(ended, default=0.0)
-    minute = [time for time in ended if time > newest - MINUTE]
-    return (len(minute) - 1) / (newest - min(minute)) if len(minute) > 1 and newest > min(minute) else 0.0
+def rate(ended: Sequence[float], started: Iterable[float] = ()) -> float:
+    """Return rollouts per second over the last minute of work, from the Unix times of the latest results.
+
+    The time from the last result before one of the sessions that `started` to its start is no work.
+
+    >>> rate([0.0, 2.0, 4.0], [-2.0]), rate([0.0, 2.0, 4.0, 900.0], [-2.0, 898.0])
+    (0.5, 0.5)
+    """
+    if not ended:
+        return 0.0
+    times, begins = sorted(ended), sorted(started)
+    if len(times) < RECENT:  # all there are: the work began with the session of the first one
+        times = [*begins[: bisect_right(begins, times[0])][-1:], *times]
+    # Backwards from the newest, not from now: a stopped campaign shows the rate of its last minute of work. By whole
+    # gaps: two results that come together, after a resume or a lost link, must not count as a rate of hundreds.
+    seconds, rollouts = 0.0, 0
+    for before, after in reversed(list(pairwise(times))):
+        if seconds >= MINUTE:
+            break
+        session = begins[: bisect_right(begins, after)][-1:]
+        seconds, rollouts = seconds + after - max([before, *session]), rollouts + 1
+    return rollouts / seconds if seconds > 0 else 0.0

@@ -10,6 +10,7 @@ from perfbound.orchestrator.report import html
 from perfbound.orchestrator.report.claim_data import AssumptionRow
 from perfbound.orchestrator.report.data import ReportData, to_json
 from perfbound.orchestrator.report.live import LiveCard
+from perfbound.orchestrator.run.router_link import RouterLink
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Watched
@@ -213,6 +214,32 @@ def test_a_campaign_that_stops_is_no_lost_connection(campaign: Campaign) -> None
     campaign.report = example_reports.running
     campaign.wait_for_tests(6)
     assert page.locator("#live").get_attribute("data-connection") in ("live", "lost"), "it was resumed"
+
+
+def test_the_top_line_names_a_link_to_the_router_that_is_down(campaign: Campaign) -> None:
+    def shown() -> tuple[str, str, str]:
+        """Return the top line of a page that follows, and the colours of its text and its dot."""
+        text, *colours = campaign.watch.page.evaluate("""() => {
+            setConnection("live"); // the server of this test ends each stream after one event
+            const line = document.getElementById("live");
+            return [line.innerText, getComputedStyle(line).color, getComputedStyle(line, "::before").backgroundColor];
+        }""")
+        return text, colours[0], colours[1]
+
+    campaign.report = lambda tests: replace(example_reports.running(tests), link=RouterLink(12.3, 0))
+    campaign.tests = 5
+    campaign.wait_for_tests(5)
+    text, ink, dot = shown()
+    assert text.startswith("live; updated at ")
+    assert text.endswith("; the link to the router has been down for 12 s")
+    assert (ink, dot) == ("rgb(163, 18, 10)", "rgb(198, 43, 32)")
+    campaign.report = lambda tests: replace(example_reports.running(tests), link=RouterLink(None, 1))
+    campaign.tests = 6
+    campaign.wait_for_tests(6)
+    text, ink, dot = shown()
+    assert "router" not in text
+    assert dot == "rgb(0, 121, 90)"
+    assert campaign.watch.errors == []
 
 
 def test_a_counterexample_appears_on_a_live_page_with_its_trajectory(campaign: Campaign) -> None:

@@ -68,7 +68,10 @@ function statusLine() {
   const time = page.updated === null ? null : new Date(page.updated).toTimeString().slice(0, 8);
   const text = statusText(page.connection, state);
   const shown = state === "running" ? page.connection : state === "stopped" ? "stopped" : "ended";
-  return el("p#live", { role: "status", "data-connection": page.connection === "connecting" ? "connecting" : shown }, time && shown !== "ended" ? `${text}; updated at ${time}` : text);
+  const down = shown === "live" ? (page.report?.link?.down_for ?? null) : null;
+  const parts = [text, time && shown !== "ended" && `updated at ${time}`, down !== null && `the link to the router has been down for ${duration(Math.round(down))}`];
+  const status = { role: "status", "data-connection": page.connection === "connecting" ? "connecting" : shown, "data-link": down === null ? null : "down" };
+  return el("p#live", status, parts.filter(Boolean).join("; "));
 }
 
 function setConnection(state) {

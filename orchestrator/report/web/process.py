@@ -42,10 +42,11 @@ def _follow(feed: socket.socket, server: Server) -> None:
     """Receive the state of the run until the feed ends, which it does with the orchestrator, also on kill -9."""
     while message := feed.recv(LONGEST):
         figures = read_message(message)
-        server.snapshots.live = figures.workers
+        server.snapshots.live, server.snapshots.link = figures.workers, figures.link
         server.feed.take(figures)
     signal.alarm(DEADLINE)  # the default action of SIGALRM ends the process even if its threads hang
-    server.snapshots.live = {}  # without the orchestrator the state of the workers is unknown
+    # Without the orchestrator the state of the workers and of its link is unknown.
+    server.snapshots.live, server.snapshots.link = {}, None
     server.snapshots.abandon()
     server.should_exit = True
 

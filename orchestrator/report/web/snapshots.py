@@ -9,6 +9,7 @@ from anyio import to_thread
 
 from ....schemas.errors import PerfboundError
 from ...run.feed import LiveState
+from ...run.router_link import RouterLink
 from ..collect import Collector
 from ..data import ReportData, to_json
 from ..scenes import without_further
@@ -40,6 +41,8 @@ class SnapshotCache:
     ) -> None:
         self.live: Mapping[str, LiveState] | None = None
         """State of the workers, from the orchestrator if there is one; set from any thread."""
+        self.link: RouterLink | None = None
+        """Its link to the router; set from any thread."""
         self.closing = asyncio.Event()
         self.report = report
         self._collector = collector
@@ -105,7 +108,7 @@ class SnapshotCache:
         self._due = now + min(LONGEST_PAUSE, max(SHORTEST_PAUSE, now - began))
 
     def _store(self, data: ReportData) -> None:
-        data = replace(data, scenes=without_further(data.scenes))
+        data = replace(data, scenes=without_further(data.scenes), link=self.link)
         timeless = replace(data, updated=None)
         if timeless != self._data:
             number = self._snapshot.number + 1 if self._snapshot else 0

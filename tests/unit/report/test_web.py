@@ -21,6 +21,7 @@ from perfbound.orchestrator.report.web import snapshots as snapshots_module
 from perfbound.orchestrator.report.web.snapshots import SnapshotCache
 from perfbound.orchestrator.run.address import Address
 from perfbound.orchestrator.run.feed import LiveState
+from perfbound.orchestrator.run.router_link import RouterLink
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError
@@ -548,3 +549,14 @@ def test_the_state_of_the_workers_is_served(finished: Path) -> None:
     new = workers.pop("<b>new</b>")
     assert (new["state"], new["rollout"], new["heartbeat"]) == ("busy", "maximum.0.true.0", 1.5e9)
     assert {worker["state"] for worker in workers.values()} == {"unknown"}
+
+
+def test_the_link_to_the_router_is_served(finished: Path) -> None:
+    async def served(link: RouterLink | None) -> Any:
+        snapshots = SnapshotCache(Collector(finished), pytest.fail)
+        snapshots.link = link
+        return json.loads((await snapshots.available()).json)["link"]
+
+    assert asyncio.run(served(RouterLink(12.0, 0))) == {"down_for": 12.0, "routers": 0}
+    assert asyncio.run(served(RouterLink(None, 1))) == {"down_for": None, "routers": 1}
+    assert asyncio.run(served(None)) is None

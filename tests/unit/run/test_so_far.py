@@ -351,7 +351,7 @@ def test_the_share_of_the_work_follows_the_forecast_and_is_of_the_budget_before(
     assert early.by_budget
     assert early.tests is None
     assert early.share == pytest.approx(5 / 1000)
-    assert bar_words(early) == "0 % of the budget of 1,000 tests; no forecast yet"
+    assert bar_words(early) == "0 % of the budget of 1,000 tests"
     assert left_words(early) == "in 8 min 18 s at most, when the budget ends"
     later = expected(config, {"robustness": progress(200)}, {}, NO_CHECKS, rate=2.0)
     assert not later.by_budget
