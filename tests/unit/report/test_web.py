@@ -4,10 +4,12 @@ import asyncio
 import json
 import os
 import shutil
+import signal
+import socket
 import sqlite3
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,14 @@ import pytest
 from perfbound.orchestrator.report.collect import Collector
 from perfbound.orchestrator.report.data import ReportData
 from perfbound.orchestrator.report.rollout_data import RolloutsOfTest
-from perfbound.orchestrator.report.web import app
+from perfbound.orchestrator.report.web import app, process
 from perfbound.orchestrator.report.web import snapshots as snapshots_module
+from perfbound.orchestrator.report.web.server import Server
 from perfbound.orchestrator.report.web.snapshots import SnapshotCache
 from perfbound.orchestrator.run.address import Address
-from perfbound.orchestrator.run.feed import LiveState
+from perfbound.orchestrator.run.feed import LiveState, RunFigures
 from perfbound.orchestrator.run.router_link import RouterLink
+from perfbound.orchestrator.store.commit_times import CommitTimes
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign_file import parse_campaign
 from perfbound.schemas.errors import JournalError
@@ -560,3 +564,19 @@ def test_the_link_to_the_router_is_served(finished: Path) -> None:
     assert asyncio.run(served(RouterLink(12.0, 0))) == {"down_for": 12.0, "routers": 0}
     assert asyncio.run(served(RouterLink(None, 1))) == {"down_for": None, "routers": 1}
     assert asyncio.run(served(None)) is None
+
+
+def test_the_process_of_a_page_takes_the_link_from_the_feed_and_drops_it_at_its_end(
+    finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[RouterLink | None] = []
+    server = Server(finished, Address(), pytest.fail)
+    monkeypatch.setattr(signal, "alarm", lambda _: taken.append(server.snapshots.link))
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        figures = RunFigures(1.8e9, {}, {}, 0, 0, 0, CommitTimes(), False, RouterLink(12.0, 0))
+        ours.send(json.dumps(asdict(figures)).encode())
+        ours.shutdown(socket.SHUT_WR)
+        process._follow(theirs, server)
+    assert taken == [RouterLink(12.0, 0)]
+    assert server.snapshots.link is None

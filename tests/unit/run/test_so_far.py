@@ -24,7 +24,7 @@ from perfbound.orchestrator.run.progress import PLAIN_PERIOD, Plain
 from perfbound.orchestrator.run.router_link import RouterLink
 from perfbound.orchestrator.run.service import RunStatus
 from perfbound.orchestrator.run.so_far import Pace, SoFarListener
-from perfbound.orchestrator.run.so_far_text import bar_words, holding_rows, left_words, refutation_line
+from perfbound.orchestrator.run.so_far_text import bar_words, holding_rows, left_words, refutation_line, so_far_line
 from perfbound.orchestrator.run.verdict import verdict_of
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
@@ -304,6 +304,19 @@ def test_a_bound_of_a_method_with_a_fixed_budget_is_no_bound_so_far(tmp_path: Pa
     with replayed(tmp_path) as ledger:
         lines.show(status_of(ledger, seconds=0.0, recorded=50))
     assert ", with this budget the bound would be -" in stream.getvalue()
+
+
+def test_the_line_counts_one_test_and_says_once_that_there_is_no_forecast(tmp_path: Path) -> None:
+    cut(tmp_path, a_rigorous_one(), quiet, after=2)
+    found, _ = shown(tmp_path)
+    early = found.model_copy(
+        update={"expected": found.expected.model_copy(update={"by_budget": True, "bound": None, "most_tests": 4100})}
+    )
+    line = so_far_line(early.model_copy(update={"tests": 1}))
+    assert ", 1 test); expected at the end: no forecast yet, open, " in line
+    assert line.count("forecast") == 1
+    assert line.endswith(" % of the budget of 4,100 tests")
+    assert ", 1,200 tests); " in so_far_line(early.model_copy(update={"tests": 1200}))
 
 
 @pytest.mark.parametrize(("key", "then"), [("continue", "the campaign continues"), ("stop", "robustness ends here")])
