@@ -8,7 +8,6 @@ from pathlib import Path
 
 import click
 
-from ...schemas.atomic import write_whole
 from ...schemas.errors import PerfboundError
 from .early import check_campaign
 from .group import RUN_DIRECTORY, cli
@@ -35,7 +34,8 @@ MOST_WORKERS = 10_000
     type=RUN_DIRECTORY,
     default=None,
     metavar="FOLDER",
-    help="Folder with the folders router, orchestrator and worker that `perfbound pki issue` has written.",
+    help="Folder with the folders orchestrator, worker and, without --router, router that `perfbound pki issue` has "
+    "written.",
 )
 def slurm(
     *, campaign: Path, workers: int, out: Path | None, folder: Path | None, dry_run: bool, tls: Path | None, **jobs: str
@@ -45,14 +45,13 @@ def slurm(
     Folders must be on a file system that all nodes share. The command again continues the campaign.
     """
     from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
-    from ...schemas.link import split  # noqa: PLC0415
     from ...schemas.secret import given_secret, secret_file, user_secret  # noqa: PLC0415
     from ..fleet.child import system_options  # noqa: PLC0415
     from ..run.slurm_files import SlurmOptions, job_files, missing_files  # noqa: PLC0415
 
     config = load_campaign(campaign)
     if jobs["router"] is not None:
-        split(jobs["router"])
+        _check_router(jobs["router"], tls)
     sealed = tls is None and given_secret() is None
     if sealed:
         user_secret()  # made here, before jobs on several nodes make one each
@@ -70,18 +69,38 @@ def slurm(
     )
     for path in missing_files(options):
         raise PerfboundError(f"--tls: {path}: no such file; write it with `perfbound pki issue`")
-    _write(options.folder, job_files(options))
     command = ["bash", str(options.folder / "submit.sh")]
+    kept = _write(options.folder, job_files(options))
+    if kept:
+        click.echo(
+            f"perfbound: {options.folder}: job files that differ are written anew, and the old ones kept as "
+            f"{', '.join(kept)}; to submit job files as they are, with changes of your own: {shlex.join(command)}",
+            err=True,
+        )
     if dry_run:
         click.echo(f"written to {options.folder}; submit with: {shlex.join(command)}")
         return
     _submit(command)
 
 
-def _write(folder: Path, texts: dict[str, str]) -> None:
+def _check_router(endpoint: str, tls: Path | None) -> None:
+    from ...schemas.link import ENCRYPTED, split  # noqa: PLC0415
+
+    protocol, _ = split(endpoint)
+    if protocol in ENCRYPTED and tls is None:
+        raise click.UsageError(
+            f"--router {endpoint}: {protocol} needs certificates; write them with `perfbound pki issue`, and add "
+            "--tls FOLDER"
+        )
+    if protocol not in ENCRYPTED and tls is not None:
+        raise click.UsageError(f"--router {endpoint}: {protocol} does not encrypt; with --tls write tls/HOST:PORT")
+
+
+def _write(folder: Path, texts: dict[str, str]) -> list[str]:
+    from ..run.slurm_files import write_job_files  # noqa: PLC0415
+
     try:
-        for name, text in texts.items():
-            write_whole(folder / name, os.fsencode(text))  # jobs in the queue may read them now
+        return write_job_files(folder, {name: os.fsencode(text) for name, text in texts.items()})
     except OSError as error:
         raise PerfboundError(f"{folder}: {error.strerror}; choose another --folder") from None
 

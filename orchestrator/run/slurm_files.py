@@ -5,6 +5,7 @@ that it has ended for good. Every value is quoted, so that no path or name becom
 by rules of its own, without a shell: they contain checked words and numbers alone.
 """
 
+import itertools
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+from ...schemas.atomic import write_new, write_whole
 from ...schemas.errors import PerfboundError
 
 ROUTER, ORCHESTRATOR, WORKERS = JOBS = "router", "orchestrator", "workers"
@@ -45,7 +47,7 @@ class SlurmOptions:
     secret: Path | None = None
     """File of the secret of this user; None with TLS, or with PERFBOUND_SECRET in the environment of the jobs."""
     tls: Path | None = None
-    """Folder with the folders `router`, `orchestrator` and `worker` of their certificates."""
+    """Folder with the folders `orchestrator`, `worker` and, for a job of its own, `router` of their certificates."""
     router: str | None = None
     """Endpoint of a router that runs elsewhere."""
     system: tuple[str, ...] = ()
@@ -185,6 +187,37 @@ def tls_files(folder: Path, role: str) -> dict[str, Path]:
     there = folder / role
     names = {"--tls-ca": "ca.pem", "--tls-certificate": f"{role}.pem", "--tls-key": f"{role}-key.pem"}
     return {option: there / name for option, name in names.items()}
+
+
+def write_job_files(folder: Path, contents: Mapping[str, bytes]) -> list[str]:
+    """Write the job files that differ, and return the names under which the old ones of them are kept.
+
+    Raises:
+        OSError: the disk is full or the folder cannot be written; every job file there is whole, and none is lost.
+
+    """
+    old = {name: _content(folder / name) for name in contents}
+    new = {name: data for name, data in contents.items() if data != old[name]}
+    kept = [_keep(folder / name, data) for name in new if (data := old[name]) is not None]
+    for name, data in new.items():
+        write_whole(folder / name, data)  # jobs in the queue may read them now
+    return kept
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None
+
+
+def _keep(path: Path, data: bytes) -> str:
+    """Keep the content of a file beside it, under the first name that is free or has it already."""
+    names = (f"{path.name}.before{'' if number == 1 else f'-{number}'}" for number in itertools.count(1))
+    name = next(each for each in names if _content(path.with_name(each)) in (None, data))
+    if _content(path.with_name(name)) is None:
+        write_new({path.with_name(name): (data, 0o666)})
+    return name
 
 
 def _published(name: str) -> str:

@@ -414,6 +414,7 @@ def test_on_a_full_disk_the_files_of_jobs_in_the_queue_stay_whole(
     arguments = ["slurm", str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path), "--dry-run"]
     assert CliRunner().invoke(cli, arguments).exit_code == 0
     before = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    arguments = [*arguments, "--time", "5:00:00"]
     _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (500, hard))  # Python ignores the signal that comes with it
     try:
@@ -422,6 +423,58 @@ def test_on_a_full_disk_the_files_of_jobs_in_the_queue_stay_whole(
         resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
     assert isinstance(found.exception, PerfboundError), found.output
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+
+
+def test_what_a_user_has_changed_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PERFBOUND_SECRET", "a secret of the test")
+    arguments = ["slurm", str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path), "--dry-run"]
+    workers = tmp_path / "workers.sh"
+
+    def written(*more: str) -> tuple[str, dict[str, str]]:
+        found = CliRunner().invoke(cli, [*arguments, *more])
+        assert found.exit_code == 0, found.output
+        return found.stderr, {path.name: path.read_text() for path in tmp_path.glob("*.before*")}
+
+    assert written() == ("", {})
+    plain = workers.read_text()
+    mine = plain.replace("--requeue", "--requeue\n#SBATCH --qos=high")
+    workers.write_text(mine)
+    line, kept = written()
+    assert line == (
+        f"perfbound: {tmp_path}: job files that differ are written anew, and the old ones kept as workers.sh.before; "
+        f"to submit job files as they are, with changes of your own: bash {tmp_path}/submit.sh\n"
+    )
+    assert kept == {"workers.sh.before": mine}
+    assert workers.read_text() == plain
+    assert written() == ("", {"workers.sh.before": mine})
+    _, kept = written("--workers", "4")
+    assert kept == {"workers.sh.before": mine, "workers.sh.before-2": plain}
+    workers.write_text(mine)
+    line, kept = written()
+    assert "kept as workers.sh.before;" in line
+    assert kept == {"workers.sh.before": mine, "workers.sh.before-2": plain}, "what is kept already is not kept again"
+
+
+@pytest.mark.parametrize("endpoint", ["tls/login:7447", "quic/login:7447"])
+def test_an_encrypted_router_asks_for_certificates(endpoint: str, tmp_path: Path) -> None:
+    arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path / "jobs"), "--router", endpoint]
+    found = CliRunner().invoke(cli, ["slurm", *arguments])
+    assert found.exit_code == 2
+    assert found.output.splitlines()[-1].startswith(f"Error: --router {endpoint}: ")
+    assert found.output.endswith("needs certificates; write them with `perfbound pki issue`, and add --tls FOLDER\n")
+    assert not (tmp_path / "jobs").exists()
+
+
+def test_a_router_without_encryption_takes_no_certificates(tmp_path: Path) -> None:
+    arguments = [str(CAMPAIGN), "--workers", "3", "--router", "tcp/login:7447", "--tls", str(tmp_path)]
+    found = CliRunner().invoke(cli, ["slurm", *arguments])
+    assert found.exit_code == 2
+    assert found.output.endswith("--router tcp/login:7447: tcp does not encrypt; with --tls write tls/HOST:PORT\n")
+
+
+def test_with_a_router_elsewhere_no_certificate_is_asked_for_it() -> None:
+    options = replace(OPTIONS, router="tls/login:7447", tls=Path("/nowhere"))
+    assert {path.parent.name for path in missing_files(options)} == {"orchestrator", "worker"}
 
 
 def test_certificates_that_are_not_there_are_named(tmp_path: Path) -> None:
