@@ -65,9 +65,7 @@ def _clip_lines(campaign: "FirstCampaign") -> Iterator[str]:
 
 def _worst(campaign: "FirstCampaign") -> Iterator[str]:
     yield from _clip_lines(campaign)
-    yield "# Tests at most; the bound is valid whenever they end."
-    yield f"max_tests = {campaign.size.max_tests}"
-    yield from _checks(campaign)
+    yield from _sizes(campaign, "Tests at most")
     yield from _constants(campaign, "robustness")
     yield from toml_comment(
         "Distances in each parameter over which the robustness changes its course, an assumption. Without this key: "
@@ -146,9 +144,7 @@ def _transfer(campaign: "FirstCampaign") -> Iterator[str]:
     yield "# How the rollouts of the two variants are compared, and the two bounds become one claim."
     yield 'gap = { kind = "robustness" }'
     yield 'composition = "pointwise"'
-    yield "# Tests of a problem at most; the bound is valid whenever they end."
-    yield f"max_tests = {campaign.size.max_tests}"
-    yield from _checks(campaign)
+    yield from _sizes(campaign, "Tests of a problem at most")
 
 
 _ABOUT: Mapping["ProblemName", str] = {
@@ -172,20 +168,37 @@ def _kernel(campaign: "FirstCampaign") -> str:
     return f"kernel = {toml_value({'length_scale': campaign.lengths})}"
 
 
-def _checks(campaign: "FirstCampaign") -> Iterator[str]:
-    """Yield the sizes of the closing checks, where the defaults would take long."""
+def _sizes(campaign: "FirstCampaign", tests: str) -> Iterator[str]:
+    """Yield the number of tests, and the sizes of the closing checks where the defaults would take long."""
     size, full = campaign.size, campaign.full_size
-    if size == full:
+    yield from toml_comment(f"{tests}; the bound is valid whenever they end.{_few(campaign)}")
+    yield f"max_tests = {size.max_tests}"
+    if size.spot_check == full.spot_check:
         return
-    replicates = f" and replicates = {full.replicates}" if campaign.noisy else ""
+    default = f"without these two keys {full.spot_check} each" if campaign.noisy else f"without it {full.spot_check}"
     yield from toml_comment(
-        f"A rollout takes about {campaign.cost or 0.0:.2g} s, and this file has a size for a first result. One that "
-        f"counts has max_tests = {full.max_tests}{replicates}, and without the following keys its checks at the end "
-        "are larger, too."
+        f"Tests of the check at the end, fewer since a rollout takes about {campaign.cost or 0.0:.2g} s: {default}."
     )
     yield f"spot_check = {size.spot_check}"
     if campaign.noisy:
         yield f"spot_check_followups = {size.spot_check}"
+
+
+def _few(campaign: "FirstCampaign") -> str:
+    """Return how the tests of slow rollouts differ from those of quick ones; empty if they do not."""
+    size, full, problems = campaign.size, campaign.full_size, campaign.question.problems
+    slow = f" A rollout takes about {campaign.cost or 0.0:.2g} s, so this first campaign is small"
+    quick = f"where rollouts are quick, `perfbound init` writes max_tests = {full.max_tests}"
+    if size.replicates < full.replicates:
+        each = f"that is {full.max_tests} tests of {full.replicates} rollouts each"
+        if len(problems) > 1:  # those without noise have one rollout in each test, whatever it takes
+            where = f" for {' and '.join(name for name in problems if name in campaign.noisy)}, {each}"
+        else:
+            where = f", {each}: {full.max_tests * full.replicates} rollouts in place of {size.max_tests}"
+        return (
+            f"{slow}: one rollout a test. More rollouts prove more: {quick} and replicates = {full.replicates}{where}."
+        )
+    return f"{slow}. More tests prove more: {quick}." if size.max_tests < full.max_tests else ""
 
 
 def _constants(campaign: "FirstCampaign", name: "ProblemName") -> Iterator[str]:

@@ -1,5 +1,6 @@
 """The text of a first campaign file: a campaign that fits its system, whatever words the system contains."""
 
+import itertools
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -136,7 +137,55 @@ def test_a_small_campaign_names_what_a_large_one_has() -> None:
     config = parse_campaign(small.text().encode(), "c.toml")
     assert (config.max_tests, config.replicates_of(config.problems[0])) == (110, 1)
     assert (config.spot_check, config.spot_check_followups) == (110, 110)
-    assert "# A rollout takes about 0.5 s, and this file has a size for a first result." in small.text()
+    assert comment(small.text(), "Tests at most") == (
+        "Tests at most; the bound is valid whenever they end. A rollout takes about 0.5 s, so this first campaign is "
+        "small: one rollout a test. More rollouts prove more: where rollouts are quick, `perfbound init` writes "
+        "max_tests = 60 and replicates = 8, that is 60 tests of 8 rollouts each: 480 rollouts in place of 110."
+    )
+    assert comment(small.text(), "Tests of the check") == (
+        "Tests of the check at the end, fewer since a rollout takes about 0.5 s: without these two keys 299 each."
+    )
+
+
+def comment(text: str, start: str) -> str:
+    """Return the comment that begins with `start`, on one line; empty if there is none."""
+    lines = itertools.dropwhile(lambda line: not line.startswith(f"# {start}"), text.splitlines())
+    return " ".join(line.removeprefix("# ") for line in itertools.takewhile(lambda line: line.startswith("# "), lines))
+
+
+SMALL = (
+    " A rollout takes about 2 s, so this first campaign is small. More tests prove more: where rollouts are quick, "
+    "`perfbound init` writes max_tests = 100."
+)
+
+
+@pytest.mark.parametrize(
+    ("cost", "tests", "checks", "small"), [(0.001, 100, 299, ""), (0.5, 100, 110, ""), (2.0, 20, 20, SMALL)]
+)
+def test_a_campaign_without_noise_is_called_small_where_it_is(cost: float, tests: int, checks: int, small: str) -> None:
+    size = first_size(cost, noisy=False, variants=1)
+    text = replace(campaign(robustness=Constants(-2.0, 17.0, 0.0, 0.1)), size=size, cost=cost).text()
+    config = parse_campaign(text.encode(), "c.toml")
+    assert (config.max_tests, config.spot_check) == (tests, checks)
+    assert comment(text, "Tests at most") == f"Tests at most; the bound is valid whenever they end.{small}"
+    fewer = f"Tests of the check at the end, fewer since a rollout takes about {cost:.2g} s: without it 299."
+    assert comment(text, "Tests of the check") == ("" if checks == 299 else fewer)
+
+
+def test_a_check_of_the_usual_size_has_no_key() -> None:
+    size = first_size(0.16, noisy=True, variants=1)
+    text = replace(campaign(robustness=Constants(-2.0, 17.0, 0.34, 0.1)), size=size, cost=0.16).text()
+    assert size.spot_check == 299
+    assert f"480 rollouts in place of {size.max_tests}." in comment(text, "Tests at most")
+    assert "\nspot_check" not in text
+
+
+def test_replicates_are_those_of_the_problem_with_noise() -> None:
+    found = campaign(nominal=Constants(-2.0, 17.0, 0.0, 0.1), gap=Constants(0.1, 3.0, "derived", 0.1))
+    text = replace(found, size=first_size(0.5, noisy=True, variants=2), cost=0.5).text()
+    assert "max_tests = 60 and replicates = 8 for sim_gap, that is 60 tests of 8 rollouts each." in comment(
+        text, "Tests of a problem"
+    )
 
 
 @pytest.mark.parametrize("noise", [0.34, "derived"])
