@@ -171,7 +171,7 @@ def _kernel(campaign: "FirstCampaign") -> str:
 def _sizes(campaign: "FirstCampaign", tests: str) -> Iterator[str]:
     """Yield the number of tests, and the sizes of the closing checks where the defaults would take long."""
     size, full = campaign.size, campaign.full_size
-    yield from toml_comment(f"{tests}; the bound is valid whenever they end.{_few(campaign)}")
+    yield from toml_comment(f"{tests}; the bound is valid whenever they end.{_fewer_rollouts(campaign)}")
     yield f"max_tests = {size.max_tests}"
     if size.spot_check == full.spot_check:
         return
@@ -184,7 +184,7 @@ def _sizes(campaign: "FirstCampaign", tests: str) -> Iterator[str]:
         yield f"spot_check_followups = {size.spot_check}"
 
 
-def _few(campaign: "FirstCampaign") -> str:
+def _fewer_rollouts(campaign: "FirstCampaign") -> str:
     """Return how the tests of slow rollouts differ from those of quick ones; empty if they do not."""
     size, full, problems = campaign.size, campaign.full_size, campaign.question.problems
     slow = f" A rollout takes about {campaign.cost or 0.0:.2g} s, so this first campaign is small"
