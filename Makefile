@@ -51,7 +51,7 @@ run: setup ## Run the Segway campaign with two local workers (CAMPAIGN=..., WORK
 	@if test -e $(RUN_DIR)/campaign.db; then $(BIN)/perfbound resume $(RUN_DIR) --workers $(WORKERS); \
 	else $(BIN)/perfbound run $(CAMPAIGN) --workers $(WORKERS) --out $(RUN_DIR); fi
 
-test: announce checks unit ## All checks: ruff, mypy, import rules, pytest; about 22 minutes
+test: announce checks unit ## All checks: ruff, mypy, import rules, pytest; about 27 minutes
 
 test-all: announce checks mujoco unit other-pythons ## All checks, the tests that take longer still, and every other Python
 
@@ -68,7 +68,7 @@ smoke: $(INSTALLED)-dev ## Two minutes: real workers, kills, the contract of the
 	$(BIN)/python -m pytest -q -m smoke
 
 announce:
-	@echo "About 22 minutes on two quiet cores, after the installation; \`make smoke\` takes two."
+	@echo "About 27 minutes on two quiet cores, after the installation; \`make smoke\` takes two."
 
 # Side by side: each of them takes one core.
 checks: $(INSTALLED)-dev
