@@ -11,7 +11,7 @@ worker is found by its liveliness token, whatever the interval. Standard library
 """
 
 HEARTBEAT = 0.5
-"""Seconds between two heartbeats of a worker that has been told no other interval; it sends one on each change, too."""
+"""Seconds between two heartbeats of a worker that got no other interval; it sends one on each change, too."""
 MOST = 250
 """Heartbeats of a fleet in a second, some hundredths of a core of the orchestrator; more where h is too short."""
 

@@ -76,7 +76,7 @@ class RunFinished(Model):
 class HeartbeatInterval(Model):
     """Send heartbeats at this interval from now on, and one on each change as before.
 
-    A worker that does not know this message goes on as before, and so does one that gets none.
+    A worker that does not know this message continues as before, and so does one that gets none.
     """
 
     type: Literal["heartbeat_interval"] = "heartbeat_interval"
@@ -87,7 +87,7 @@ Request = Assign | Cancel | Ack | Refuse | Release | RunFinished | HeartbeatInte
 
 
 class WorkerState(Model):
-    """Heartbeat: every half second or at the interval that the orchestrator has told, and on change."""
+    """Heartbeat: every half second or at the interval that the orchestrator has set, and on change."""
 
     protocol: ProtocolNumber
     version: Word

@@ -19,7 +19,7 @@ class Heartbeats:
         """Whether to send one now, which is then counted as sent; `at_once` whether something has changed."""
         now, orchestrators = time.monotonic(), self._uplink.orchestrators()
         if orchestrators != self._orchestrators:
-            # Another one, or this one after the link was down: it has told no interval, and waits for a report.
+            # Another one, or this one after the link was down: it has sent no interval, and waits for a report.
             self._orchestrators, self.interval, at_once = orchestrators, self._period, True
         if not at_once and now < self._next:
             return False

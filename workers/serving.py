@@ -83,7 +83,8 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
 
     """
     started, finished = identity or keys.fresh_id(name), set[str]()
-    is_local = identity is not None
+    # What a local worker does, its orchestrator shows.
+    print_news = _print_line if identity is None else _print_nothing
     lines = StateLines(
         partial(no_link, link.endpoints, "worker", link.tls), link.connected, _print_line, first=UNLINKED
     )
@@ -96,10 +97,9 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
         lines.see(lasts=False)
         while True:
             orchestrator, chosen = _choose(uplink, run, link, life, finished)
-            check = _link_checks(link, uplink, orchestrator, chosen, None if is_local else name)
+            check = _link_checks(link, uplink, orchestrator, chosen, None if identity else name)
             check()
-            if not is_local:
-                _print_line(f"serves run {chosen}")
+            print_news(f"serves run {chosen}")
             worker = WorkerProcess(started, uplink)
             life.stopping.attend(worker)
             uplink.join(chosen, worker.name, worker.receive)
@@ -109,8 +109,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
                 fail(str(error))
             uplink.leave()
             if end == "finished":
-                if not is_local:
-                    _print_line(f"run {chosen} is finished")
+                print_news(f"run {chosen} is finished")
                 # Its token may stay for a while; a new orchestrator of this run has another name.
                 finished |= {each for each, served in uplink.orchestrators() if served == chosen}
                 if life.ends.until_done and not _to_serve(uplink, run, finished):
@@ -162,6 +161,10 @@ def _certificate_check(tls: Tls | None) -> Callable[[], None]:
 
 def _print_line(line: str) -> None:
     click.echo(f"perfbound-worker: {line}", err=True)
+
+
+def _print_nothing(_line: str) -> None:
+    """Take a line that nobody needs."""
 
 
 def _to_serve(uplink: ZenohUplink, run: str | None, finished: set[str]) -> list[tuple[str, str]]:

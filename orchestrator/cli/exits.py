@@ -1,7 +1,6 @@
 """The ways in which a command ends early."""
 
 import os
-import shlex
 import signal
 import sqlite3
 import sys
@@ -22,8 +21,9 @@ def resumable(directory: Path, again: str | None = None, *, options: Sequence[st
 
     def remedy(first: str = "") -> str:
         there = again or os.path.exists(directory / "campaign.db")  # Path.exists raises if the name is too long
-        command = again or " ".join([resume_command(directory), shlex.join(options)]).rstrip()
-        return f"{first}continue with: {command}" if there else "nothing was started"
+        return (
+            f"{first}continue with: {again or resume_command(directory, options)}" if there else "nothing was started"
+        )
 
     try:
         yield

@@ -1,6 +1,7 @@
 """Numbers, time spans and commands as text."""
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from ...schemas.facts import Header
@@ -34,9 +35,9 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
-def resume_command(directory: Path) -> str:
+def resume_command(directory: Path, options: Sequence[str] = ()) -> str:
     """Return the command that continues a campaign."""
-    return f"perfbound resume {shlex.quote(str(directory))}"
+    return shlex.join(["perfbound", "resume", str(directory), *options])
 
 
 def replay_command(directory: Path, header: Header, rollout: str, system: str | None) -> str:

@@ -29,7 +29,7 @@ class WorkerRecord:
     last_heartbeat: float = 0.0
     """Time of the last heartbeat, by the monotonic clock."""
     interval: float = HEARTBEAT
-    """Seconds between its heartbeats, as it was told."""
+    """Seconds between its heartbeats, as the orchestrator has set it."""
 
 
 LIVING = 10_000

@@ -29,7 +29,7 @@ class Watched:
     """What an uplink gets and sends; a `hung` worker is busy for ever, and a `former` one knows no intervals."""
 
     def __init__(self, *, hung: bool = False, former: bool = False) -> None:
-        self.told: list[float] = []
+        self.intervals: list[float] = []
         self._hung, self._former = hung, former
         self._busy: WorkerState | None = None
 
@@ -44,7 +44,7 @@ class Watched:
     def _receiver(self, receive: Receiver) -> Receiver:
         def take(message: Request) -> None:
             if isinstance(message, HeartbeatInterval):
-                self.told.append(message.seconds)
+                self.intervals.append(message.seconds)
                 if self._former:
                     return
             receive(message)
@@ -75,19 +75,19 @@ def test_the_fleet_is_told_and_the_certificate_is_that_of_any_other(
 ) -> None:
     """Also where one worker is of a build that does not know the message."""
     watched, former = Watched(), Watched(former=True)
-    told = campaign(tmp_path / "run", CONFIG, workers=0, wraps=[watched, former])
-    assert set(watched.told) == set(former.told) == {1.0}
+    expected = campaign(tmp_path / "run", CONFIG, workers=0, wraps=[watched, former])
+    assert set(watched.intervals) == set(former.intervals) == {1.0}
     assert failures(tmp_path / "run") == []
     monkeypatch.setattr(heartbeats, "MOST", 250)
     small = Watched()
-    assert campaign(tmp_path / "small", CONFIG, workers=0, wraps=[small]) == told
-    assert small.told == []
+    assert campaign(tmp_path / "small", CONFIG, workers=0, wraps=[small]) == expected
+    assert small.intervals == []
 
 
 def test_a_hung_worker_is_found_in_its_time(tmp_path: Path) -> None:
     hung = Watched(hung=True)
     campaign(tmp_path / "run", CONFIG, workers=1, wraps=[hung])
-    assert set(hung.told) == {1.0}
+    assert set(hung.intervals) == {1.0}
     found = failures(tmp_path / "run")
     assert {reason for reason, _ in found} == {f"no progress for {HUNG_AFTER:g} s"}
     assert all(seconds > 0.9 * HUNG_AFTER for _, seconds in found)

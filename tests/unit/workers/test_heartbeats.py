@@ -1,4 +1,4 @@
-"""The times of heartbeats: at the interval that was told, at once on a change, and as before for a new orchestrator."""
+"""The times of heartbeats: at the interval that was set, at once on a change, and as before for a new orchestrator."""
 
 import pytest
 
@@ -57,7 +57,7 @@ def test_the_interval_that_was_told_counts_from_the_next_heartbeat(worker: Fixtu
     worker.heartbeats.interval = 2.0
     assert worker.times(8.0) == [0.5, 2.5, 4.5, 6.5]
     assert worker.times(1.0) == [8.5]
-    assert worker.heartbeats.due(at_once=True), "a change is told at once"
+    assert worker.heartbeats.due(at_once=True), "a change is sent at once"
     assert worker.times(6.0) == [11.5, 13.5], "and the interval begins anew"
 
 
