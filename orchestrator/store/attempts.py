@@ -57,23 +57,23 @@ class AttemptLog:
         return [str(row[0]) for row in self._rows.read(query.order_by(sa.func.min(seen.entry)))]
 
     def suspects(self) -> list[RolloutId]:
-        """Return the rollouts that an outvoted worker recorded and that no other one has simulated."""
-        if not has_table("opinions", self._version):
+        """Return the rollouts that an outvoted worker recorded and that nobody else has confirmed or reviewed."""
+        outvoted = set(self.outvoted())
+        if not outvoted:
             return []
-        seen, ended = tables.opinions.c, tables.outcomes.c
-        outvoted = sa.select(seen.worker).where(seen.kind == "outvoted")
-        if not self._rows.read(outvoted.limit(1)):
-            return []
-        others = sa.select(seen.rollout).where(seen.kind != "outvoted")
-        query = sa.select(ended.rollout).distinct().where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
-        found = [RolloutId.parse(row[0]) for row in self._rows.read(query.where(ended.rollout.not_in(others)))]
-        if not found:
-            return []
-        rollouts = tables.rollouts.c
-        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate)
+        rollouts, ended, seen = tables.rollouts.c, tables.outcomes.c, tables.opinions.c
+        columns = (rollouts.problem, rollouts.test, rollouts.variant, rollouts.replicate, rollouts.sha256)
         rows: Sequence[Any] = self._rows.read(sa.select(*columns))
-        recorded = {RolloutId(*row) for row in rows}
-        return [each for each in found if each in recorded]  # a discarded one has an attempt, and no row
+        recorded = {str(RolloutId(*row[:4])): row[4] for row in rows}
+        opinions = self._rows.read(sa.select(seen.kind, seen.rollout, seen.sha256).where(seen.worker.not_in(outvoted)))
+        # A worker that was alone has agreed with itself, which says nothing for it; so does another's that differs.
+        settled = {
+            each.rollout for each in opinions if each.kind == "reviewed" or each.sha256 == recorded.get(each.rollout)
+        }
+        query = sa.select(ended.rollout).distinct().where(ended.outcome == RECORDED, ended.worker.in_(outvoted))
+        found = [row[0] for row in self._rows.read(query)]
+        # A discarded rollout has an attempt, and no row.
+        return [RolloutId.parse(each) for each in found if each in recorded and each not in settled]
 
     def worker_of(self, rollout: RolloutId) -> str | None:
         """Return the worker whose result was recorded, after a discard the last one; also outside a transaction."""

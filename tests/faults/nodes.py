@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from perfbound.schemas.trajectory import read_mcap
-from tests.end_to_end.processes import Process, query, wait_for
+from tests.end_to_end.processes import Ended, Process, query, wait_for
 from tests.faults.faulty_function import honest
 from tests.faults.scene import Scene
 
@@ -44,10 +44,16 @@ def slow_node(scene: Scene) -> None:
 
 
 def lying_node(scene: Scene) -> None:
-    """A worker sends plausible trajectories that are false; every rollout has a second opinion."""
+    """A worker sends plausible trajectories that are false; every rollout has a second opinion.
+
+    Nothing of it is recorded, unless it is alone at first: then it agrees with itself.
+    """
     _with_two_good(scene, "lying", "lie")
-    _finish(scene, "lying", "set aside for good")
-    assert not query(scene.directory, "SELECT * FROM outcomes WHERE worker = 'lying' AND outcome = 'recorded'")
+    ended = _finish(scene, "lying", "set aside for good")
+    for rollout in _judge(scene, ended, "lying"):
+        opinions = query(scene.directory, f"SELECT DISTINCT worker FROM opinions WHERE rollout = '{rollout}'")
+        others = [worker for (worker,) in opinions if worker != "lying"]
+        assert len(others) == 1, f"{rollout} is false, and simulated by {others}, not by the review alone"
 
 
 def turning_node(scene: Scene) -> None:
@@ -61,20 +67,27 @@ def turning_node(scene: Scene) -> None:
     scene.reach(scene.chance.randrange(scene.subject.rollouts // 4, 3 * scene.subject.rollouts // 4))
     since.touch()
     scene.did("the worker begins to lie")
-    ended = scene.finish()
-    files = sorted((scene.directory / "trajectories").rglob("*.mcap"))
-    wrong = sum(map(_is_false, files))
-    scene.misled = wrong > 0
+    _judge(scene, scene.finish(), "turning")
+
+
+def _judge(scene: Scene, ended: Ended, name: str) -> list[str]:
+    """Return the false rollouts behind the certificate, which says enough about them."""
+    rows = query(
+        scene.directory, "SELECT problem || '.' || test || '.' || variant || '.' || replicate, path FROM rollouts"
+    )
+    wrong = [str(rollout) for rollout, path in rows if _is_false(scene.directory / str(path))]
+    scene.misled = wrong != []
     document = json.loads((scene.directory / "certificate.json").read_bytes())["predicate"]
     honesty: dict[str, Any] = next(each for each in document["assumptions"] if each["id"] == "workers_honest")
-    aside = any("turning" in line and "set aside for good" in line for line in ended.err.splitlines())
+    aside = any(name in line and "set aside for good" in line for line in ended.err.splitlines())
     caught = "caught, " if aside else ""
-    scene.did(f"{wrong} of {len(files)} rollouts are false; {caught}{honesty['status']}", fault=False)
+    scene.did(f"{len(wrong)} of {len(rows)} rollouts are false; {caught}{honesty['status']}", fault=False)
     if honesty["status"] == "refuted":
         assert wrong, "refuted without a false rollout"
     else:
-        assert not (aside and wrong), f"{wrong} false rollouts of an outvoted worker, and nothing refuted"
-        assert 100 * wrong / len(files) <= honesty["values"]["percent"], f"silent about {wrong} of {len(files)}"
+        assert not (aside and wrong), f"{wrong} are false rollouts of an outvoted worker, and nothing is refuted"
+        assert 100 * len(wrong) / len(rows) <= honesty["values"]["percent"], f"silent about {wrong} of {len(rows)}"
+    return wrong
 
 
 def _is_false(file: Path) -> bool:
@@ -94,7 +107,8 @@ def _with_two_good(scene: Scene, name: str, kind: str, **environment: str) -> Pr
     return bad
 
 
-def _finish(scene: Scene, name: str, how: str) -> None:
+def _finish(scene: Scene, name: str, how: str) -> Ended:
     ended = scene.finish()
     named = [line for line in ended.err.splitlines() if name in line and how in line]
     assert named, f"no line names {name}: {ended.err[-2000:]}"
+    return ended
