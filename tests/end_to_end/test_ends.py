@@ -165,7 +165,7 @@ def test_a_worker_whose_orchestrator_does_not_come_back_ends(started: Processes,
 
 def test_after_its_hours_a_worker_finishes_what_is_under_way(started: Processes, slow: Slow) -> None:
     orchestrator, endpoint = slow("3 steps")
-    one = worker(started, endpoint, "--max-hours", "0.0005")
+    one = worker(started, endpoint, "--max-hours", "0.003")  # 11 s, in which a busy machine starts it and a rollout
     assert one.wait().code == 0, one.err
     assert "recorded" in outcomes(started)
     assert outcomes(started) <= {"recorded", "handed back"}
