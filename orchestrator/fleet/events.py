@@ -20,6 +20,8 @@ class Wanted:
     """Those that get a second opinion."""
     failed: Mapping[RolloutId, tuple["EarlierFailure", ...]] = field(default_factory=dict)
     """Failures before a restart that count."""
+    handed_back: Mapping[RolloutId, int] = field(default_factory=dict)
+    """Times that workers handed a rollout back before a restart."""
 
 
 @dataclass(frozen=True, slots=True)

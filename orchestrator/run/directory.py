@@ -13,7 +13,7 @@ from ..store import read
 from ..store.lock import campaign_lock
 from ..store.read import read_header
 from ..store.rows import DATABASE
-from .format import resume_command
+from .continuation import continue_command
 
 
 def check_vacant(directory: Path, config: CampaignConfig) -> None:
@@ -31,7 +31,7 @@ def check_vacant(directory: Path, config: CampaignConfig) -> None:
                 "changes after its start; choose another --out"
             )
         raise PerfboundError(
-            f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
+            f"{directory}: a campaign is here already; continue it with `{continue_command(directory)}`, "
             "or choose another --out"
         )
     if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - set(_unfinished(directory))):
@@ -88,5 +88,5 @@ def finished_certificate(directory: Path) -> Certificate:
     """
     found = files.read(directory)
     if found is None:
-        raise PerfboundError(f"{directory}: no certificate yet; `{resume_command(directory)}` continues the campaign")
+        raise PerfboundError(f"{directory}: no certificate yet; `{continue_command(directory)}` continues the campaign")
     return found

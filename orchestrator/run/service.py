@@ -34,7 +34,7 @@ from .outbox import Outbox
 from .poison import poison_text
 from .results import Results
 from .review import Review
-from .roster import Roster, WorkerRecord
+from .roster import LIVING, Roster, WorkerRecord
 from .router_link import RouterLink
 from .routers import Routers
 from .trust import failures_before, note, still_aside
@@ -156,7 +156,8 @@ class Service:
         """
         with self._ledger.transaction():
             failed = failures_before(self._journal.directory, self._state.limits.deadline)
-            self._demand(self._ledger.outstanding(), read.attempts(self._journal.directory), failed)
+            handed_back = read.hand_backs(self._journal.directory)
+            self._demand(self._ledger.outstanding(), read.attempts(self._journal.directory), failed, handed_back)
             self._settle()
             self._begin_review()
         self._send()
@@ -200,6 +201,8 @@ class Service:
     def _take(self, message: Message) -> None:
         match message:
             case Token():
+                if self._roster.is_one_too_many(message):
+                    self._lines.too_many(message.worker, LIVING)
                 self._events.extend(self._roster.token(message))
             case Heartbeat():
                 if (reason := self._roster.refusal(message)) is not None:
@@ -281,15 +284,17 @@ class Service:
         work: Work,
         attempts: Mapping[RolloutId, int] = NOTHING,
         failed: Mapping[RolloutId, tuple[events.EarlierFailure, ...]] = NOTHING,
+        handed_back: Mapping[RolloutId, int] = NOTHING,
     ) -> None:
-        """Want rollouts, or no longer; `attempts` and `failed` are of those before a restart."""
+        """Want rollouts, or no longer; the other arguments are of attempts before a restart."""
         now = time.monotonic()
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
             wanted = tuple((each, attempts.get(each, 0)) for each in work.wanted)
             compared = frozenset(each for each in work.wanted if self._review.compares(each))
-            self._events.append(events.Wanted(now, wanted, self._results.recorders(work.wanted), compared, failed))
+            avoid = self._results.recorders(work.wanted)
+            self._events.append(events.Wanted(now, wanted, avoid, compared, failed, handed_back))
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""

@@ -14,6 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
 from ...schemas.atomic import move, temporary
+from ...schemas.base import canonical_json
 from ...schemas.errors import JournalError
 from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
 from ...schemas.ids import RolloutId
@@ -38,12 +39,14 @@ from .rows import (
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where the system of a session is that is not installed; outside the hash chain."""
+    """Where a session has its system, if that is not installed, and its workers; outside the hash chain."""
 
     system: str | None = None
     """FILE.py:NAME, or the campaign file of a program."""
     revision: str | None = None
     """Of its folder: the commit, and whether files are changed; None where there is no repository."""
+    options: tuple[str, ...] | None = None
+    """Those of `perfbound resume` for the same workers, none for local ones; None if the session has no workers."""
 
 
 INSTALLED = Origin()
@@ -211,6 +214,7 @@ def _open_session(connection: Connection, version: int, origin: Origin) -> int:
             "revision": origin.revision,
             "platform": platform_class(),
             "account": _account(),
+            "options": None if origin.options is None else canonical_json(list(origin.options)),
         }
         row |= {name: value for name, value in known.items() if has_column("sessions", name, version)}
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key

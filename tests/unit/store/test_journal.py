@@ -301,6 +301,13 @@ def test_a_database_without_kinds_is_read_and_written_as_it_is(tmp_path: Path, v
     assert {each.kind for each in ChangeReader(tmp_path).read().outcomes} == {None}
 
 
+def test_hand_backs_of_rollouts_without_a_result_are_counted(journal: Journal, tmp_path: Path) -> None:
+    other, done = RolloutId("maximum", 1, "true", 0), RolloutId("maximum", 2, "true", 0)
+    end(journal, (R0, 1, "handed back"), (R0, 2, LOST), (R0, 3, "handed back"), (other, 1, LOST))
+    end(journal, (done, 1, "handed back"), (done, 2, "recorded"))
+    assert read.hand_backs(tmp_path) == {R0: 2}
+
+
 @pytest.mark.parametrize("name", ["kind", "shape"])
 def test_a_table_with_the_columns_of_no_version_is_not_perfbound_s(journal: Journal, tmp_path: Path, name: str) -> None:
     journal.close()
