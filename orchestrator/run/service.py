@@ -9,11 +9,11 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
-from ...schemas.ids import RolloutId, closing_check
+from ...schemas.ids import closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..campaign.planned_outlook import PlannedOutlooks
@@ -37,7 +37,7 @@ from .review import Review
 from .roster import LIVING, Roster, WorkerRecord
 from .router_link import RouterLink
 from .routers import Routers
-from .trust import failures_before, note, still_aside
+from .trust import NONE_EARLIER, Earlier, earlier_attempts, note, still_aside
 
 TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
@@ -45,7 +45,6 @@ TURN = 64
 """Messages in one transaction at most; about 100 ms of work."""
 UNNOTICED = 1.0
 """Seconds in which a worker without its token is shown as before: that a link is down is found after its tokens."""
-NOTHING: Mapping[RolloutId, Any] = {}
 ADOPTION = 2.5
 """Seconds after a restart in which busy workers report and outboxes drain, before anything is assigned."""
 
@@ -155,9 +154,8 @@ class Service:
 
         """
         with self._ledger.transaction():
-            failed = failures_before(self._journal.directory, self._state.limits.deadline)
-            handed_back = read.hand_backs(self._journal.directory)
-            self._demand(self._ledger.outstanding(), read.attempts(self._journal.directory), failed, handed_back)
+            earlier = earlier_attempts(self._journal.directory, self._state.limits.deadline)
+            self._demand(self._ledger.outstanding(), earlier)
             self._settle()
             self._begin_review()
         self._send()
@@ -177,7 +175,7 @@ class Service:
         """Want once more what outvoted workers recorded, when all else is done."""
         if self._done and (suspects := self._review.begin()):
             self._print_line(f"{len(suspects)} rollouts of outvoted workers are simulated again")
-            self._demand(Work(wanted=suspects), read.attempts(self._journal.directory))
+            self._demand(Work(wanted=suspects), Earlier(read.attempts(self._journal.directory)))
             self._settle()
 
     def _turn(self, messages: list[Message], complete: float) -> None:
@@ -279,22 +277,16 @@ class Service:
             case _:
                 note(action, self._journal.attempts, self._print_line)
 
-    def _demand(
-        self,
-        work: Work,
-        attempts: Mapping[RolloutId, int] = NOTHING,
-        failed: Mapping[RolloutId, tuple[events.EarlierFailure, ...]] = NOTHING,
-        handed_back: Mapping[RolloutId, int] = NOTHING,
-    ) -> None:
-        """Want rollouts, or no longer; the other arguments are of attempts before a restart."""
+    def _demand(self, work: Work, before: Earlier = NONE_EARLIER) -> None:
+        """Want rollouts, or no longer; `before` are their attempts before a restart."""
         now = time.monotonic()
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
-            wanted = tuple((each, attempts.get(each, 0)) for each in work.wanted)
+            wanted = tuple((each, before.attempts.get(each, 0)) for each in work.wanted)
             compared = frozenset(each for each in work.wanted if self._review.compares(each))
             avoid = self._results.recorders(work.wanted)
-            self._events.append(events.Wanted(now, wanted, avoid, compared, failed, handed_back))
+            self._events.append(events.Wanted(now, wanted, avoid, compared, before.failed, before.handed_back))
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""

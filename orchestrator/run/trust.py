@@ -1,6 +1,7 @@
 """What the run keeps and tells of its workers and hosts, and of the trust in them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...schemas.errors import one_line
@@ -16,6 +17,21 @@ from .format import duration
 
 MOST_NAMED = 5
 """Workers in a line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """What is known of the attempts of rollouts before a restart."""
+
+    attempts: Mapping[RolloutId, int] = field(default_factory=dict)
+    """The highest number."""
+    failed: Mapping[RolloutId, tuple[events.EarlierFailure, ...]] = field(default_factory=dict)
+    """Those that blame the rollout."""
+    handed_back: Mapping[RolloutId, int] = field(default_factory=dict)
+    """How many workers handed back."""
+
+
+NONE_EARLIER = Earlier()
 
 
 def note(
@@ -61,8 +77,13 @@ def still_aside(log: AttemptLog, print_line: Callable[[str], None]) -> Standings
     return without({}, workers)
 
 
-def failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:
-    """Return the failures of earlier sessions that blame their rollouts; `deadline` of a rollout in s."""
+def earlier_attempts(directory: Path, deadline: float) -> Earlier:
+    """Return what earlier sessions have recorded of attempts; `deadline` of a rollout in s."""
+    return Earlier(read.attempts(directory), _failures_before(directory, deadline), read.hand_backs(directory))
+
+
+def _failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:
+    """Return the failures of earlier sessions that blame their rollouts."""
     found: dict[RolloutId, tuple[events.EarlierFailure, ...]] = {}
     for each in read.failures(directory):
         if blames_rollout(each.failure, deadline):
