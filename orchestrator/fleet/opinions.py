@@ -125,12 +125,12 @@ def _agreed(state: DispatchState, last: Opinion, agreeing: list[str], compared: 
         place = Place("worker", each.worker)
         state = replace(state, standings=without(state.standings, [each.worker]))
         actions += [Outvoted(each.worker, each.attempt, each.digest)]
-        actions += [SetAside(place, FOR_GOOD, _reason(rollout, each.worker, agreeing))]
+        actions += [SetAside(place, FOR_GOOD, _grounds(rollout, each.worker, agreeing))]
         actions += [GiveUp(each.worker)] if each.worker in state.workers else []
     return Decision(state, counts=True, actions=tuple(actions))
 
 
-def _reason(rollout: RolloutId, worker: str, agreeing: list[str]) -> str:
+def _grounds(rollout: RolloutId, worker: str, agreeing: list[str]) -> str:
     if worker not in agreeing:
         return f"its trajectory of {rollout} differs from that of two others ({', '.join(agreeing)})"
     others = ", ".join(each for each in agreeing if each != worker)

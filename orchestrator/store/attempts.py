@@ -16,7 +16,7 @@ from .rows import attempt_key, has_column, has_table, outcome_fields
 
 
 @dataclass(frozen=True, slots=True)
-class ComparedResult:
+class StoredOpinion:
     """A result that was compared; without a name of its host if its start was lost in a crash."""
 
     attempt: Attempt
@@ -95,7 +95,7 @@ class AttemptLog:
                 digests.setdefault(each.attempt.rollout, set()).add(each.sha256)
         return sorted(rollout for rollout, found in digests.items() if len(found) > 1)
 
-    def compared(self, rollouts: Container[RolloutId] | None = None) -> list[ComparedResult]:
+    def compared(self, rollouts: Container[RolloutId] | None = None) -> list[StoredOpinion]:
         """Return the results that were compared, of all rollouts or of these, in their order.
 
         Without those that were failures of the system, and without discarded rollouts, whose results fail today.
@@ -107,18 +107,18 @@ class AttemptLog:
             tables.attempts, (seen.rollout == began.rollout) & (seen.attempt == began.attempt)
         )
         query = sa.select(seen.rollout, seen.attempt, seen.worker, began.host, seen.sha256).select_from(started)
-        failed = sa.select(ended.rollout, ended.attempt).where(ended.kind == "system")
-        excluded = {(row[0], row[1]) for row in self._rows.read(failed)}
+        failed: Sequence[Any] = self._rows.read(sa.select(ended.rollout, ended.attempt).where(ended.kind == "system"))
+        excluded = {(name, number) for name, number in failed}
         discarded: Sequence[Any] = self._rows.read(sa.select(gone.problem, gone.test, gone.variant, gone.replicate))
         without = {str(RolloutId(*row)) for row in discarded}
-        found: list[ComparedResult] = []
+        found: list[StoredOpinion] = []
         rows: Sequence[Any] = self._rows.read(query.where(seen.kind == "compared").order_by(seen.entry))
         for name, number, worker, host, sha256 in rows:
             if name in without or (name, number) in excluded:
                 continue
             rollout = RolloutId.parse(name)
             if rollouts is None or rollout in rollouts:
-                found.append(ComparedResult(Attempt(rollout, number), worker, host or "", sha256))
+                found.append(StoredOpinion(Attempt(rollout, number), worker, host or "", sha256))
         return found
 
     def worker_of(self, rollout: RolloutId) -> str | None:

@@ -160,8 +160,8 @@ def asked(workers: str, *opinions: Opinion, state: DispatchState | None = None) 
         for event in (WorkerUp(0.0, name, name), Reported(0.0, name, None, 0)):
             state, _ = dispatch.advance(state, event)
     wanted = Wanted(0.0, ((R0, len(opinions)),), compared=frozenset({R0}), opinions={R0: opinions})
-    for event in (wanted, HandOut(0.0)):
-        state, _ = dispatch.advance(state, event)
+    state, _ = dispatch.advance(state, wanted)
+    state, _ = dispatch.advance(state, HandOut(0.0))
     return state
 
 
