@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.campaign.second_opinion import is_chosen
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.opinions import MOST_NAMED
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.run import service
@@ -200,6 +202,31 @@ def test_what_a_worker_recorded_before_it_was_outvoted_is_simulated_again(tmp_pa
     assert f"{len(suspects)} of the rollouts that it had recorded had another trajectory" in told["detail"]
     assert all(rollout in told["detail"] for rollout in suspects)
     assert faults(directory) == []
+
+
+def test_a_review_that_is_interrupted_goes_on_and_verifies_without_the_opinions(tmp_path: Path) -> None:
+    config, directory = a_config(second_opinion=0.3), tmp_path / "run"
+    begin(directory, config)
+    liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [liar]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 24)
+    false = recorded(directory)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        ((name,),) = connection.execute("SELECT DISTINCT worker FROM outcomes").fetchall()
+    insert(directory, ("outvoted", next(iter(false)), 1, name, "0" * 64))
+    with Network() as network, working(network, run_of(directory), [honest]):
+        with pytest.raises(Stopped):
+            serve(directory, network, Log(), stop=lambda _: len(opinions(directory, "reviewed")) >= 3, resumed=True)
+        assert not (directory / files.CERTIFICATE).exists()
+        found = serve(directory, network, Log(), resumed=True)
+    assert set(read.contradicted(directory)) == set(false)
+    assert len(opinions(directory, "reviewed")) == len(false) > MOST_NAMED
+    assert honesty(found)["values"]["count"] == len(false)
+    assert faults(directory) == []
+    with closing(sqlite3.connect(directory / DATABASE)) as connection, connection:
+        connection.execute("DROP TRIGGER opinions_no_delete")
+        connection.execute("DELETE FROM opinions")
+    assert faults(directory) == [], "a certificate is believed that admits more than the database shows"
 
 
 def recorded(directory: Path) -> dict[str, str]:
