@@ -312,3 +312,25 @@ def test_two_that_differ_on_a_rollout_that_is_no_longer_needed_are_decided_on_be
         found = serve(directory, network, Log(), resumed=True)
     assert {worker for _, worker in opinions(directory, "outvoted")} == {"a", "b"}
     assert found == campaign(tmp_path / "calm", config)
+
+
+def test_what_was_open_is_numbered_on_also_where_damaged_files_come_first(tmp_path: Path) -> None:
+    config, directory = a_config(), tmp_path / "run"
+    begin(directory, config)
+    with Network() as network, working(network, run_of(directory), [honest, honest]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 6)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        query = "SELECT DISTINCT rollout FROM attempts EXCEPT SELECT rollout FROM outcomes WHERE outcome = 'recorded'"
+        opened = {row[0] for row in connection.execute(query)}
+        (before,) = connection.execute("SELECT max(session) FROM attempts").fetchone()
+        path = connection.execute("SELECT path FROM rollouts ORDER BY seq DESC LIMIT 1").fetchone()[0]
+    assert opened
+    (directory / path).unlink()
+    with Network() as network, working(network, run_of(directory), [honest, honest]):
+        found = serve(directory, network, Log(), resumed=True)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        # One with the number of an earlier attempt has no row of its own.
+        query = "SELECT rollout FROM attempts WHERE session > ?"
+        later = {row[0] for row in connection.execute(query, [before])}
+    assert opened <= later
+    assert found == campaign(tmp_path / "calm", config)
