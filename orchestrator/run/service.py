@@ -24,7 +24,6 @@ from ..fleet.limits import Limits
 from ..fleet.processes import Fleet
 from ..fleet.state import DispatchState, Worker
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
-from ..store import read
 from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
 from .assignments import Assignments
@@ -37,7 +36,7 @@ from .review import Review
 from .roster import LIVING, Roster, WorkerRecord
 from .router_link import RouterLink
 from .routers import Routers
-from .trust import NONE_EARLIER, Earlier, earlier_attempts, note, still_aside
+from .trust import NOTHING_BEFORE, earlier, note, still_aside
 
 TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
@@ -128,7 +127,7 @@ class Service:
         self._fleet, self._listeners = fleet, listeners
         self._lines, self._roster = Lines(self._print_line), Roster(ledger.header.spec, journal.platform)
         self._routers, self._outlooks = Routers(self._print_line), PlannedOutlooks()
-        self._review = Review(ledger, journal)
+        self._review = Review(ledger, journal, self._print_line)
         self._results = Results(ledger, journal, self._review, self.inbox.put)
         self._assignments = Assignments(journal.directory, journal.header.run)
         self._outbox = Outbox(transport, self._assignments)
@@ -154,8 +153,7 @@ class Service:
 
         """
         with self._ledger.transaction():
-            earlier = earlier_attempts(self._journal.directory, self._state.limits.deadline)
-            self._demand(self._ledger.outstanding(), earlier)
+            self._demand(self._ledger.outstanding(), resumed=True)
             self._settle()
             self._begin_review()
         self._send()
@@ -172,10 +170,9 @@ class Service:
         return self._ledger.done and not self._review
 
     def _begin_review(self) -> None:
-        """Want once more what outvoted workers recorded, when all else is done."""
-        if self._done and (suspects := self._review.begin()):
-            self._print_line(f"{len(suspects)} rollouts of outvoted workers are simulated again")
-            self._demand(Work(wanted=suspects), Earlier(read.attempts(self._journal.directory)))
+        """Want once more what is doubted, when all else is done."""
+        if self._done and (doubted := self._review.begin()):
+            self._demand(Work(wanted=doubted), resumed=True)
             self._settle()
 
     def _turn(self, messages: list[Message], complete: float) -> None:
@@ -255,7 +252,9 @@ class Service:
         """Carry out an action of the dispatch machine; messages are kept until the commit."""
         match action:
             case events.Record(worker, attempt):
-                self._demand(self._results.record(worker, attempt))
+                # With the last damaged file the rollouts come back that were open before a restart.
+                resumed = self._ledger.restores(attempt.rollout)
+                self._demand(self._results.record(worker, attempt), resumed=resumed)
             case events.Start(worker, attempt):
                 state = self._roster.admitted(worker)
                 assert state is not None, "the dispatch machine has admitted workers only"
@@ -277,16 +276,19 @@ class Service:
             case _:
                 note(action, self._journal.attempts, self._print_line)
 
-    def _demand(self, work: Work, before: Earlier = NONE_EARLIER) -> None:
-        """Want rollouts, or no longer; `before` are their attempts before a restart."""
+    def _demand(self, work: Work, *, resumed: bool = False) -> None:
+        """Want rollouts, or no longer; those that are `resumed` may have attempts, failures and opinions before."""
         now = time.monotonic()
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
-            wanted = tuple((each, before.attempts.get(each, 0)) for each in work.wanted)
+            past = earlier(self._journal, work.wanted, self._state.limits.deadline) if resumed else NOTHING_BEFORE
+            wanted = tuple((each, past.attempts.get(each, 0)) for each in work.wanted)
             compared = frozenset(each for each in work.wanted if self._review.compares(each))
             avoid = self._results.recorders(work.wanted)
-            self._events.append(events.Wanted(now, wanted, avoid, compared, before.failed, before.handed_back))
+            self._events.append(
+                events.Wanted(now, wanted, avoid, compared, past.failed, past.opinions, past.handed_back)
+            )
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""
@@ -296,7 +298,8 @@ class Service:
             raise Stopped(self._stop)
         if self._poisoned is not None:
             ends = self._fleet.ended if self._fleet is not None else {}
-            raise PerfboundError(poison_text(self._poisoned, self._ledger, self._journal.origin.system, ends))
+            request = self._results.request(self._poisoned.rollout)
+            raise PerfboundError(poison_text(self._poisoned, request, self._ledger, self._journal.origin.system, ends))
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:

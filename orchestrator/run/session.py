@@ -38,6 +38,7 @@ from .live_page import LivePage, live_page
 from .report_finished import report_finished
 from .revision import revision
 from .systemd import Systemd
+from .trust import doubted
 
 
 class OwnSystem(Protocol):
@@ -313,7 +314,7 @@ def _conduct(
         ledger = Ledger(directory, journal)
         ledger.replay()
         damaged = ledger.check_files(journal, whole=ledger.done) if resumed else 0
-        if not ledger.done or journal.attempts.suspects():
+        if not ledger.done or any(doubted(journal)):
             terminal = stack.enter_context(listener(console))
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")
