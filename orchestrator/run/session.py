@@ -155,7 +155,10 @@ def created(directory: Path, header: Header, reference: str) -> Iterator[Journal
         PerfboundError: the directory is in use or cannot be made.
 
     """
-    with claimed(directory, header.config), closing(Journal.create(directory, header, _origin(reference))) as new:
+    with (
+        claimed(directory, header.config) as held,
+        closing(Journal.create(directory, header, _origin(reference), held)) as new,
+    ):
         yield new
 
 
@@ -167,9 +170,9 @@ def reopened(directory: Path, options: RunOptions, console: Console) -> Iterator
         PerfboundError: there is no campaign, it is running, or its software or its system is another one.
 
     """
-    with campaign_lock(directory):
+    with campaign_lock(directory) as held:
         reference = child.resolved(options.system or read.system_reference(directory))
-        with closing(Journal.open(directory, _origin(reference))) as journal:
+        with closing(Journal.open(directory, _origin(reference), held)) as journal:
             _check_software(journal.header)
             _check_code(journal.header, reference, options, console)
             yield journal, reference

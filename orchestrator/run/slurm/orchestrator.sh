@@ -16,8 +16,17 @@ orchestrate() {
   fi
 }
 
+held() { # a file or folder is locked; 9 is neither of the program nor of a fault
+  flock --nonblock --shared --conflict-exit-code 9 "$1" true
+  [ "$?" -eq 9 ]
+}
+
 # Whether another orchestrator has the run directory: that of this job before, on a node that Slurm has lost sight of.
-locked() { [ -d "$directory" ] && ! flock --nonblock --shared "$directory" true; }
+# A lock of the folder is one of this node alone where NFS shares it; that of the file is one of all nodes.
+locked() {
+  { [ -d "$directory" ] && held "$directory"; } ||
+    { [ -f "$directory/orchestrator.lock" ] && held "$directory/orchestrator.lock"; }
+}
 
 code=1
 until [ "$code" -ne 1 ]; do
