@@ -187,7 +187,9 @@ class Journal:
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
         # SQLite folds the log when the last connection closes: with a reader at that moment, no connection would.
-        if not self._connection.closed and not self._connection.in_transaction():
+        # Without the lock the database may be another orchestrator's, and the memory of its log is gone: SIGBUS.
+        kept = self._held is None or self._held.is_kept()
+        if kept and not self._connection.closed and not self._connection.in_transaction():
             driver = self._connection.connection.driver_connection
             assert driver is not None
             with suppress(sqlite3.Error):  # a full disk: the commits stay in the log

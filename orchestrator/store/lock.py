@@ -1,8 +1,8 @@
 """The lock of a run directory for one orchestrator: two flocks, which the kernel releases on kill -9.
 
 The first one is on the folder: older builds take no other, and NFS keeps it on one node. The second one is on a file in
-it, open for writing: NFS turns that one into a lock of the server, which all nodes see. The file stays: a lock on a file
-that was removed protects nothing.
+it, open for writing: NFS turns that one into a lock of the server, which all nodes see. The file stays in place,
+since a lock on a file that was removed protects nothing.
 """
 
 import errno
@@ -37,6 +37,14 @@ class RunLock:
     descriptor: int
     token: bytes
 
+    def is_kept(self) -> bool:
+        """Whether no other orchestrator can have had the directory, as far as this node sees."""
+        try:
+            self.check()
+        except PerfboundError:
+            return False
+        return True
+
     def check(self) -> None:
         """Refuse to write once another orchestrator may have had the directory.
 
@@ -49,7 +57,7 @@ class RunLock:
         """
         try:
             # Where it is held this changes nothing; NFS asks the server, and reads the file anew.
-            kept = _taken(self.descriptor) and os.pread(self.descriptor, TOKEN + 1, 0) == self.token
+            kept = _has_locked(self.descriptor) and os.pread(self.descriptor, TOKEN + 1, 0) == self.token
         except OSError:
             kept = False
         if not kept:
@@ -79,7 +87,7 @@ def campaign_lock(directory: Path) -> Iterator[RunLock]:
         folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         stack.callback(os.close, folder)
         # The folder first, everywhere: else two orchestrators that start at once could refuse each other.
-        if not any(_taken_at(folder, directory) for _ in _attempts()):
+        if not any(_locked_at(folder, directory) for _ in _attempts()):
             raise _running(directory)
         path = directory / LOCK_FILE
         descriptor = next((found for _ in _attempts() if (found := _take_file(path)) is not None), None)
@@ -96,9 +104,9 @@ def campaign_lock(directory: Path) -> Iterator[RunLock]:
 def forget_lock(held: RunLock) -> None:
     """Remove the lock file of a directory in which no campaign was started; another orchestrator makes a new one."""
     # A lock that is lost may be another one's by now, and a file that was replaced is.
-    with suppress(OSError, PerfboundError):
-        held.check()
-        held.path.unlink()
+    if held.is_kept():
+        with suppress(OSError):
+            held.path.unlink()
 
 
 def is_held(directory: Path) -> bool:
@@ -111,17 +119,17 @@ def is_held(directory: Path) -> bool:
     """
     folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        if not _taken_at(folder, directory, shared=True):
+        if not _locked_at(folder, directory, shared=True):
             return True
     finally:
         os.close(folder)
     path = directory / LOCK_FILE
     try:
-        descriptor = _opened(path, os.O_RDONLY)
+        descriptor = _open_plain(path, os.O_RDONLY)
     except OSError:  # none was made yet; or no orchestrator could hold what is there
         return False
     try:
-        return _is_regular(descriptor) and not _taken_at(descriptor, path, shared=True)
+        return _is_regular(descriptor) and not _locked_at(descriptor, path, shared=True)
     finally:
         os.close(descriptor)
 
@@ -136,21 +144,21 @@ def _attempts() -> Iterator[None]:
 def _take_file(path: Path) -> int | None:
     """Return the lock file, open and locked; None while it is locked, or was replaced before it was locked."""
     try:
-        descriptor = _opened(path, os.O_RDWR | os.O_CREAT)
+        descriptor = _open_plain(path, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO, errno.ENODEV):
-            raise _refused(path) from None
+            raise _no_lock_file(path) from None
         raise
     with ExitStack() as refused:
         refused.callback(os.close, descriptor)
         if not _is_regular(descriptor):
-            raise _refused(path)
-        if not _taken_at(descriptor, path) or not _is_in_place(descriptor, path):
+            raise _no_lock_file(path)
+        if not _locked_at(descriptor, path) or not _is_in_place(descriptor, path):
             return None
         before = os.pread(descriptor, TOKEN + 1, 0)
         # What follows is written over it: a hard link may lead to a file of somebody else.
         if before and (len(before) != TOKEN or not _HEXADECIMAL.issuperset(before)):
-            raise _refused(path)
+            raise _no_lock_file(path)
         refused.pop_all()
     return descriptor
 
@@ -164,7 +172,7 @@ def _write_token(held: RunLock) -> None:
         raise OSError(error.errno, error.strerror, str(held.path)) from None
 
 
-def _opened(path: Path, flags: int) -> int:
+def _open_plain(path: Path, flags: int) -> int:
     # No link is followed, no pipe blocks.
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC, 0o666)
 
@@ -176,7 +184,7 @@ def _is_regular(descriptor: int) -> bool:
 def _is_in_place(descriptor: int, path: Path) -> bool:
     """Whether the path leads to the open file; it is opened, since NFS answers `stat` from a cache."""
     try:
-        again = _opened(path, os.O_RDONLY)
+        again = _open_plain(path, os.O_RDONLY)
     except OSError:
         return False
     try:
@@ -185,7 +193,7 @@ def _is_in_place(descriptor: int, path: Path) -> bool:
         os.close(again)
 
 
-def _taken(descriptor: int, *, shared: bool = False) -> bool:
+def _has_locked(descriptor: int, *, shared: bool = False) -> bool:
     """Lock an open file or folder; return whether nobody else has it."""
     try:
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
@@ -194,9 +202,9 @@ def _taken(descriptor: int, *, shared: bool = False) -> bool:
     return True
 
 
-def _taken_at(descriptor: int, path: Path, *, shared: bool = False) -> bool:
+def _locked_at(descriptor: int, path: Path, *, shared: bool = False) -> bool:
     try:
-        return _taken(descriptor, shared=shared)
+        return _has_locked(descriptor, shared=shared)
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise OSError(error.errno, error.strerror, str(path)) from None
@@ -206,7 +214,7 @@ def _taken_at(descriptor: int, path: Path, *, shared: bool = False) -> bool:
         ) from None
 
 
-def _refused(path: Path) -> PerfboundError:
+def _no_lock_file(path: Path) -> PerfboundError:
     return PerfboundError(
         f"{path}: not a lock file of perfbound; remove it, after a check that no orchestrator uses the directory"
     )

@@ -28,8 +28,7 @@ locked() {
     { [ -f "$directory/orchestrator.lock" ] && held "$directory/orchestrator.lock"; }
 }
 
-code=1
-until [ "$code" -ne 1 ]; do
+while :; do
   if locked; then
     echo "$directory: another orchestrator is running this campaign; waiting for its end" >&2
     while locked && [ -z "$warned" ]; do sleep 1; done
@@ -37,6 +36,7 @@ until [ "$code" -ne 1 ]; do
   ! ended || exit 0
   orchestrate
   code=$?
+  case "$code" in 0 | 130 | 143) break ;; esac
   locked || break # it may finish the campaign, or end as well: to find it is no failure
 done
 case "$code" in
