@@ -187,7 +187,7 @@ class Journal:
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
         # SQLite folds the log when the last connection closes: with a reader at that moment, no connection would.
-        # Without the lock the database may be another orchestrator's, and the memory of its log is gone: SIGBUS.
+        # Without the lock the database may be another orchestrator's.
         kept = self._held is None or self._held.is_kept()
         if kept and not self._connection.closed and not self._connection.in_transaction():
             driver = self._connection.connection.driver_connection

@@ -236,7 +236,7 @@ def test_nothing_is_written_after_the_lock_is_lost(tmp_path: Path, lose: Callabl
 
 @pytest.mark.parametrize("lost", [True, False])
 def test_the_log_is_folded_into_the_database_under_the_lock_alone(tmp_path: Path, lost: bool) -> None:
-    """Measured with NFS 4.2: SIGBUS in an orchestrator that came back, since another one has made the log anew."""
+    """Without the lock, the log may be another orchestrator's."""
     with campaign_lock(tmp_path) as held:
         journal = Journal.create(tmp_path, a_header(), held=held)
         with journal.transaction():
