@@ -168,7 +168,10 @@ def created(directory: Path, header: Header, origin: Origin) -> Iterator[Journal
         PerfboundError: the directory is in use or cannot be made.
 
     """
-    with claimed(directory, header.config), closing(Journal.create(directory, header, origin)) as new:
+    with (
+        claimed(directory, header.config) as held,
+        closing(Journal.create(directory, header, origin, held)) as new,
+    ):
         yield new
 
 
@@ -180,9 +183,9 @@ def reopened(directory: Path, options: RunOptions, console: Console) -> Iterator
         PerfboundError: there is no campaign, it is running, or its software or its system is another one.
 
     """
-    with campaign_lock(directory):
+    with campaign_lock(directory) as held:
         reference = child.resolved(options.system or read.system_reference(directory))
-        with closing(Journal.open(directory, options.origin(reference))) as journal:
+        with closing(Journal.open(directory, options.origin(reference), held)) as journal:
             _check_software(journal.header)
             _check_code(journal.header, reference, options, console)
             yield journal, reference

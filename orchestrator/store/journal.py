@@ -23,6 +23,7 @@ from . import tables
 from .attempts import AttemptLog
 from .commit_times import CommitTimes
 from .damage import naming_cause
+from .lock import RunLock
 from .pending import PendingRows
 from .read import read_facts, read_header, read_version
 from .rows import (
@@ -55,8 +56,10 @@ INSTALLED = Origin()
 class Journal:
     """An open campaign database, used by one thread, under `campaign_lock`."""
 
-    def __init__(self, directory: Path, engine: Engine, header: Header, origin: Origin) -> None:
-        self.directory, self.header, self.origin = directory, header, origin
+    def __init__(
+        self, directory: Path, engine: Engine, header: Header, origin: Origin, held: RunLock | None = None
+    ) -> None:
+        self.directory, self.header, self.origin, self._held = directory, header, origin, held
         self._engine = engine
         self._connection = engine.connect()
         self._place = os.stat(directory / DATABASE)
@@ -68,7 +71,9 @@ class Journal:
         """Of the transactions that wrote."""
 
     @classmethod
-    def create(cls, directory: Path, header: Header, origin: Origin = INSTALLED) -> "Journal":
+    def create(
+        cls, directory: Path, header: Header, origin: Origin = INSTALLED, held: RunLock | None = None
+    ) -> "Journal":
         """Make the database of a new campaign, whole or not at all."""
         # Under another name until it is whole: after kill -9 a database without its header would pass for a campaign.
         partial = temporary(directory / DATABASE)
@@ -81,10 +86,10 @@ class Journal:
             connection.execute(tables.campaign.insert().values(seq=1, **header_row(header)))
         engine.dispose()
         move(partial, directory / DATABASE)
-        return cls(directory, open_engine(directory / DATABASE), header, origin)
+        return cls(directory, open_engine(directory / DATABASE), header, origin, held)
 
     @classmethod
-    def open(cls, directory: Path, origin: Origin = INSTALLED) -> "Journal":
+    def open(cls, directory: Path, origin: Origin = INSTALLED, held: RunLock | None = None) -> "Journal":
         """Open the database of an existing campaign.
 
         Raises:
@@ -97,7 +102,7 @@ class Journal:
             with naming_cause(directory):
                 with engine.begin() as connection:
                     header = read_header(connection, directory)
-                opened = cls(directory, engine, header, origin)
+                opened = cls(directory, engine, header, origin, held)
             refused.pop_all()
         return opened
 
@@ -108,6 +113,8 @@ class Journal:
         try:
             yield
             writes, began = self._rows.waiting or self._connection.in_transaction(), time.perf_counter()
+            if writes and self._held is not None:
+                self._held.check()  # a node that was cut off from its files for minutes may have lost the lock
             self._rows.flush()  # the first write begins the transaction: a turn of heartbeats touches no disk
             self._connection.commit()
             if writes:
@@ -161,12 +168,15 @@ class Journal:
         return str(found)
 
     def check_place(self) -> None:
-        """Refuse to continue without the database: what is written now would be lost with the last open file.
+        """Refuse to continue without the database or the lock: what is written now would be lost, or another's too.
 
         Raises:
             JournalError: another file is in its place, or none.
+            PerfboundError: the lock is lost.
 
         """
+        if self._held is not None:
+            self._held.check()
         path = self.directory / DATABASE
         try:
             same = os.path.samestat(os.stat(path), self._place)
@@ -180,7 +190,9 @@ class Journal:
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
         # SQLite folds the log when the last connection closes: with a reader at that moment, no connection would.
-        if not self._connection.closed and not self._connection.in_transaction():
+        # Without the lock the database may be another orchestrator's.
+        kept = self._held is None or self._held.is_kept()
+        if kept and not self._connection.closed and not self._connection.in_transaction():
             driver = self._connection.connection.driver_connection
             assert driver is not None
             with suppress(sqlite3.Error):  # a full disk: the commits stay in the log

@@ -20,7 +20,7 @@ from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.store import read, tables
 from perfbound.orchestrator.store.changes import ChangeReader
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.orchestrator.store.lock import campaign_lock, is_held
+from perfbound.orchestrator.store.lock import LOCK_FILE, campaign_lock, is_held
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE, SCHEMA_VERSION
 from perfbound.orchestrator.store.untrusted import read_untrusted
@@ -474,7 +474,7 @@ def test_one_orchestrator_at_a_time_even_after_a_kill(tmp_path: Path) -> None:
     with campaign_lock(tmp_path):
         assert is_held(tmp_path)
     assert not is_held(tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == [LOCK_FILE]
 
 
 @pytest.mark.parametrize("name", ["with space", "what?", "50%", "a#b&c=d", "mode=ro"])
