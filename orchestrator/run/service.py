@@ -277,18 +277,15 @@ class Service:
                 note(action, self._journal.attempts, self._print_line)
 
     def _demand(self, work: Work, *, resumed: bool = False) -> None:
-        """Want rollouts, or no longer; those that are `resumed` may have attempts, failures and opinions before."""
+        """Want rollouts, or no longer; those that are `resumed` may have attempts before."""
         now = time.monotonic()
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
             past = earlier(self._journal, work.wanted, self._state.limits.deadline) if resumed else NOTHING_BEFORE
-            wanted = tuple((each, past.attempts.get(each, 0)) for each in work.wanted)
             compared = frozenset(each for each in work.wanted if self._review.compares(each))
             avoid = self._results.recorders(work.wanted)
-            self._events.append(
-                events.Wanted(now, wanted, avoid, compared, past.failed, past.opinions, past.handed_back)
-            )
+            self._events.append(past.wanted(now, work.wanted, avoid, compared))
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""

@@ -1,6 +1,6 @@
 """What the run keeps and tells of its workers and hosts, and of the trust in them."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,6 +72,13 @@ class Earlier:
     opinions: Mapping[RolloutId, tuple[events.Opinion, ...]]
     handed_back: Mapping[RolloutId, int]
     """How often workers that were stopped gave them back."""
+
+    def wanted(
+        self, at: float, rollouts: Sequence[RolloutId], avoid: Mapping[RolloutId, str], compared: frozenset[RolloutId]
+    ) -> events.Wanted:
+        """Return the event that wants rollouts, with what they had before; its arguments are fields of that."""
+        numbered = tuple((each, self.attempts.get(each, 0)) for each in rollouts)
+        return events.Wanted(at, numbered, avoid, compared, self.failed, self.opinions, self.handed_back)
 
 
 NOTHING_BEFORE = Earlier({}, {}, {}, {})
