@@ -1,6 +1,7 @@
 """The data of the charts: requirement and clip, importance, prediction at fresh starts, robustness of all rollouts."""
 
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,7 +41,7 @@ def problems(directory: Path) -> dict[str, Problem]:
 
 
 def recorded(directory: Path, query: str) -> list[tuple[float, ...]]:
-    with sqlite3.connect(directory / "campaign.db") as connection:
+    with closing(sqlite3.connect(directory / "campaign.db")) as connection:
         return list(connection.execute(query))
 
 

@@ -175,6 +175,19 @@ def test_of_a_worker_that_lies_from_its_first_result_nothing_is_recorded(tmp_pat
     assert opinions(directory, "reviewed") == []
 
 
+def test_of_a_worker_that_is_alone_the_certificate_says_what_its_agreement_does_not_show(tmp_path: Path) -> None:
+    config, directory = a_config(second_opinion=1.0), tmp_path / "run"
+    begin(directory, config)
+    liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [liar]):
+        found = honesty(serve(directory, network, Log()))
+    assert found["values"]["compared"] == found["values"]["agreed"] == 36
+    assert (
+        "if no two results of a rollout are false alike, be they of two workers or of one that was alone"
+        in found["detail"]
+    )
+
+
 def test_what_a_worker_recorded_before_it_was_outvoted_is_simulated_again(tmp_path: Path) -> None:
     config, directory = a_config(second_opinion=0.3), tmp_path / "run"
     begin(directory, config)
