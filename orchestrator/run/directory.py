@@ -10,10 +10,10 @@ from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
 from ..certificate import files
 from ..store import read
-from ..store.lock import LOCK_FILE, RunLock, campaign_lock, forget_lock
+from ..store.lock import campaign_lock
 from ..store.read import read_header
 from ..store.rows import DATABASE
-from .continuation import continue_command
+from .format import resume_command
 
 
 def check_vacant(directory: Path, config: CampaignConfig) -> None:
@@ -31,11 +31,10 @@ def check_vacant(directory: Path, config: CampaignConfig) -> None:
                 "changes after its start; choose another --out"
             )
         raise PerfboundError(
-            f"{directory}: a campaign is here already; continue it with `{continue_command(directory)}`, "
+            f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
             "or choose another --out"
         )
-    leftovers = {directory / LOCK_FILE, *_unfinished(directory)}
-    if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - leftovers):
+    if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - set(_unfinished(directory))):
         raise PerfboundError(f"{directory}: exists and is not empty; choose another --out")
 
 
@@ -57,24 +56,20 @@ def _unfinished(directory: Path) -> list[Path]:
 
 
 @contextmanager
-def claimed(directory: Path, config: CampaignConfig) -> Iterator[RunLock]:
+def claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
     """Make the run directory and lock it; remove it if no campaign was started in it."""
     try:
         there = directory.is_dir()
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
-    with campaign_lock(directory) as held:
+    with campaign_lock(directory):
+        check_vacant(directory, config)  # again, under the lock: another orchestrator may have started here
+        _remove(_unfinished(directory))
         try:
-            check_vacant(directory, config)  # again, under the lock: another orchestrator may have started here
-            _remove(_unfinished(directory))
-            try:
-                yield held
-            finally:
-                _remove(_unfinished(directory))
+            yield
         finally:
-            if not (directory / DATABASE).exists():
-                forget_lock(held)
+            _remove(_unfinished(directory))
             if not there and not any(directory.iterdir()):
                 directory.rmdir()
 
@@ -93,5 +88,5 @@ def finished_certificate(directory: Path) -> Certificate:
     """
     found = files.read(directory)
     if found is None:
-        raise PerfboundError(f"{directory}: no certificate yet; `{continue_command(directory)}` continues the campaign")
+        raise PerfboundError(f"{directory}: no certificate yet; `{resume_command(directory)}` continues the campaign")
     return found

@@ -14,8 +14,7 @@ from ..store.export_tables import robustness_unit
 from ..store.progress import read_progress
 from ..store.read import system_reference
 from ..store.robustness import read_values, read_violations
-from .continuation import continue_command
-from .format import replay_command
+from .format import replay_command, resume_command
 
 COLOURS: dict[VerdictWord, str] = {"SHOWN": "green", "VIOLATED": "red", "NOT SHOWN": "yellow"}
 
@@ -48,7 +47,7 @@ def verdict_of(
         violations,
         lambda: read_values(directory, variant, problems),
         unit=robustness_unit(header.config, header.spec),
-        commands=Commands(continue_command(directory), repeat),
+        commands=Commands(resume_command(directory), repeat),
         progress=(lambda: read_progress(directory).problems) if repeatable else tuple,
     )
 

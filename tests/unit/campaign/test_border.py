@@ -211,8 +211,7 @@ def older(directory: Path, version: int) -> None:
             "CREATE TRIGGER schema_no_update BEFORE UPDATE ON schema BEGIN SELECT RAISE(ABORT, 'schema'); END"
         )
         connection.executescript("DROP TABLE set_aside; DROP TABLE opinions; DROP TABLE extensions")
-        for column in ("platform", "account", "options"):
-            connection.execute(f"ALTER TABLE sessions DROP COLUMN {column}")
+        connection.executescript("ALTER TABLE sessions DROP COLUMN platform; ALTER TABLE sessions DROP COLUMN account")
         if version < 4:
             connection.execute("ALTER TABLE sessions DROP COLUMN revision")
         connection.commit()
