@@ -73,7 +73,7 @@ def connect_config(endpoints: Sequence[str], tls: Tls | None, secret: bytes | No
 
     """
     for endpoint in endpoints:
-        _checked_endpoint("--connect", endpoint, tls)
+        checked_endpoint("--connect", endpoint, tls)
     return json.dumps(
         {
             **_common(tls, ("connect",), None if secret is None else _user(secret)),
@@ -115,7 +115,7 @@ def router_config(
     for endpoint in endpoints:
         _check_accepting(endpoint, tls, insecure=insecure)
     for endpoint in routers:
-        _checked_endpoint("--connect", endpoint, tls)
+        checked_endpoint("--connect", endpoint, tls)
     user = None if passwords is None or secret is None else {**_user(secret), "dictionary_file": passwords}
     node = _accepting(tls, ("listen", "connect") if routers else ("listen",), user, access)
     _check_hosts(endpoints, tls)
@@ -147,7 +147,7 @@ def check_own(option: str, endpoints: Sequence[str], tls: Tls, role: Role) -> No
 
     """
     for endpoint in endpoints:
-        _checked_endpoint(option, endpoint, tls)
+        checked_endpoint(option, endpoint, tls)
     check_role(tls.certificate, role)
 
 
@@ -223,7 +223,7 @@ def asks_for_secret(endpoint: str) -> bool:
     return found is not None and found["protocol"] not in ENCRYPTED and is_loopback(found["host"].strip("[]"))
 
 
-def _checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str, str]:
+def checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str, str]:
     """Return protocol and host of an endpoint that fits the TLS options.
 
     Raises:
@@ -242,7 +242,7 @@ def _checked_endpoint(option: str, endpoint: str, tls: Tls | None) -> tuple[str,
 
 
 def _check_accepting(endpoint: str, tls: Tls | None, *, insecure: bool) -> None:
-    protocol, host = _checked_endpoint("--listen", endpoint, tls)
+    protocol, host = checked_endpoint("--listen", endpoint, tls)
     if protocol not in ENCRYPTED and not is_loopback(host) and not insecure:
         raise LinkError(
             f"--listen {endpoint}: anyone who reaches this address could feed the campaign; "

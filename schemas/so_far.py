@@ -50,3 +50,9 @@ class SoFar(Model):
     others: tuple[str, ...] = Field(description="ids of those assumptions that only further claims rest on")
     on_refuted: Literal["continue", "stop"]
     expected: Expected
+    link_down_since: float | None = Field(
+        default=None,
+        description="Unix time since which the orchestrator has no link to its router; absent while it has one, and "
+        "where it needs none",
+        exclude_if=lambda since: since is None,
+    )

@@ -36,11 +36,19 @@ orchestrate() {
   fi
 }
 
-# Whether another orchestrator has the run directory: that of this job before, on a node that Slurm has lost sight of.
-locked() { [ -d "$directory" ] && ! flock --nonblock --shared "$directory" true; }
+held() { # a file or folder is locked; 9 is neither of the program nor of a fault
+  flock --nonblock --shared --conflict-exit-code 9 "$1" true
+  [ "$?" -eq 9 ]
+}
 
-code=1
-until [ "$code" -ne 1 ]; do
+# Whether another orchestrator has the run directory: that of this job before, on a node that Slurm has lost sight of.
+# A lock of the folder is one of this node alone where NFS shares it; that of the file is one of all nodes.
+locked() {
+  { [ -d "$directory" ] && held "$directory"; } ||
+    { [ -f "$directory/orchestrator.lock" ] && held "$directory/orchestrator.lock"; }
+}
+
+while :; do
   if locked; then
     echo "$directory: another orchestrator is running this campaign; waiting for its end" >&2
     while locked && [ -z "$warned" ]; do sleep 1; done
@@ -48,6 +56,7 @@ until [ "$code" -ne 1 ]; do
   ! ended || exit 0
   orchestrate
   code=$?
+  case "$code" in 0 | 130 | 143) break ;; esac
   locked || break # it may finish the campaign, or end as well: to find it is no failure
 done
 case "$code" in

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from ...schemas.certificate import Assumption
+from ...schemas.certificate import Assumption, Predicate
 from ...schemas.facts import Header
 from ...schemas.ids import RolloutId
 from ..campaign.second_opinion import is_chosen
@@ -37,3 +37,14 @@ def workers_honest(header: Header, evidence: Iterable[RolloutId], contradicted: 
         "percent": math.ceil(1000 * share) / 10,
     }
     return assumption(NAME, "not refuted" if compared else "assumed", values, form="second_opinion")
+
+
+def admitted_rollouts(found: Predicate) -> list[str]:
+    """Return the contradicted rollouts that a certificate admits; without a name where its sentence only counts."""
+    admitted = [each for each in found.assumptions if each.id == NAME and each.status == "refuted"]
+    names = [name for each in admitted for name in str((each.values or {}).get("rollouts", "")).split(", ")]
+    count = next(((each.values or {}).get("count") for each in admitted), None)
+    # The file is anyone's: no more are made than the evidence can have.
+    if len(names) <= MOST_NAMED or not isinstance(count, int) or not MOST_NAMED < count <= found.evidence.rollouts:
+        return names
+    return names[:MOST_NAMED] + [""] * (count - MOST_NAMED)

@@ -320,7 +320,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
     "second_opinion": {
         "not refuted": "{chosen} % of the rollouts, drawn from the seed, were simulated twice, by two workers where "
         "there were two: {compared} were compared and {agreed} agree bit by bit; up to {percent} % of all rollouts "
-        "could be false unseen (confidence .95), if no two workers are false alike.",
+        "could be false unseen (confidence .95), if no two results of a rollout are false alike, be they of two "
+        "workers or of one that was alone, and no worker knows which rollouts are compared.",
         "assumed": "{chosen} % of the rollouts should have been simulated twice, but the draw chose {compared}: the "
         "trajectories that the workers send are assumed to come from the simulator.",
     },

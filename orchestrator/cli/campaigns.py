@@ -126,7 +126,12 @@ def orchestrate(
     help="Continue a finished campaign that ended by its budget, up to N tests per problem; for methods whose bounds "
     "hold after every test.",
 )
-@workers_option(0)
+@click.option(
+    "--workers",
+    type=click.IntRange(0, 256),
+    default=None,
+    help="Local worker processes.  [default: those of the last session with --connect or --listen, else 2]",
+)
 @signing.sign_option
 @strict_option
 @on_finish_option
@@ -138,7 +143,7 @@ def resume(
     directory: Path,
     system: str | None,
     max_tests: int | None,
-    workers: int,
+    workers: int | None,
     sign: Path | None,
     strict: bool,
     on_finish: str | None,
@@ -146,10 +151,11 @@ def resume(
     **link: Any,
 ) -> None:
     """Continue the campaign in DIRECTORY from its database; print the certificate of a finished one."""
-    from ..run import session  # noqa: PLC0415
+    from ..run import continuation, session  # noqa: PLC0415
 
-    key = signing.load_key(sign) if sign else None
-    options = session.RunOptions(workers, link_of(**link), drain, system)
+    key, way = signing.load_key(sign) if sign else None, link_of(**link)
+    local = continuation.local_workers(directory, workers, way.options, extends=max_tests is not None)
+    options = session.RunOptions(local, way, drain, system)
     with resumable(directory, options=options.resume_options):
         resumed = session.resume_campaign(directory, options, STDERR.console, max_tests)
         _finish(directory, key, strict=strict, on_finish=on_finish, report=resumed)
@@ -228,14 +234,14 @@ def discard(directory: Path, rollout: str, reason: str) -> None:
     Its file is kept, the certificate names it, and `perfbound resume` simulates it again with the same seed. Every
     other rollout is evidence, and is refused.
     """
+    from ..run.continuation import continue_command  # noqa: PLC0415
     from ..run.discard import discard_rollout  # noqa: PLC0415
-    from ..run.format import resume_command  # noqa: PLC0415
 
     again = shlex.join(["perfbound", "discard", str(directory), rollout, "--reason", reason])
     with resumable(directory, again):
         found = discard_rollout(directory, rollout, reason)
     click.echo(f"discarded {found.rollout}; its file is kept in {directory / found.path}")
-    click.echo(f"`{resume_command(directory)}` simulates it again")
+    click.echo(f"`{continue_command(directory)}` simulates it again")
 
 
 @cli.command()

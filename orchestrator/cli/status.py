@@ -15,7 +15,8 @@ from ...schemas.so_far import SoFar
 from ..campaign.forecast import budget
 from ..campaign.outlook import left_in_words, outlook_lines, remaining_tests
 from ..certificate import files
-from ..run.format import duration, resume_command
+from ..run.continuation import continue_command
+from ..run.format import duration
 from ..run.so_far_table import so_far_view
 from ..run.table import bound_in_sense, progress_table, remaining_distance
 from ..run.verdict import verdict_of
@@ -47,6 +48,9 @@ def print_status(directory: Path, console: Console) -> None:
     if so_far is not None:
         _print_so_far(so_far, console, running=running)
     console.print(progress_table(config, rows))
+    if (down := _link_down_for(found, so_far, running=running)) is not None:
+        text = f"the link to the router has been down for {duration(down)}: no rollout can arrive"
+        console.print(Text(text, "yellow"), soft_wrap=True)
     outlooks = outlook_lines(config, found.problems)
     if certificate is None and any(isinstance(each, KrigingProblem) for each in config.problems):
         outlooks = _planned_outlooks(directory)
@@ -55,7 +59,7 @@ def print_status(directory: Path, console: Console) -> None:
     if certificate is not None:
         print_end(directory, found.header, certificate, console)
     elif not running:
-        console.print(Text(f"continue with: {resume_command(directory)}"), soft_wrap=True)
+        console.print(Text(f"continue with: {continue_command(directory)}"), soft_wrap=True)
 
 
 def status_object(directory: Path) -> dict[str, Any]:
@@ -90,18 +94,26 @@ def status_object(directory: Path) -> dict[str, Any]:
             for problem, each in zip(config.problems, found.problems, strict=True)
         ],
         "rollouts_per_second": found.rate,
+        "router_link_down_for": _link_down_for(found, so_far, running=running),
         "attempts": {
             "without_result": found.failures,
             "failed_in_system": found.system_failures,
             "handed_back": found.handed_back,
         },
-        "resume": None if certificate is not None or running else resume_command(directory),
+        "resume": None if certificate is not None or running else continue_command(directory),
     }
 
 
 def _so_far_of(directory: Path, run: str) -> SoFar | None:
     found = read_so_far(directory)
     return found if found is not None and found.run == run else None
+
+
+def _link_down_for(progress: CampaignProgress, so_far: SoFar | None, *, running: bool) -> float | None:
+    """Return the seconds without a link to the router, by the last file of the session that runs; None with one."""
+    if not running or so_far is None or so_far.link_down_since is None or so_far.at < progress.began:
+        return None
+    return max(0.0, time.time() - so_far.link_down_since)
 
 
 def _state_word(*, finished: bool, running: bool) -> str:

@@ -58,21 +58,21 @@ def _has_ended(directory: Path, limit: float) -> bool:
 
 
 def _end_in_words(directory: Path) -> str:
-    from ..run.format import resume_command  # noqa: PLC0415
+    from ..run.continuation import continue_command  # noqa: PLC0415
 
     if _has_certificate(directory):
         return f"{directory}: the campaign has finished meanwhile; its certificate is there"
-    return f"stopped; continue with: {resume_command(directory)}"
+    return f"stopped; continue with: {continue_command(directory)}"
 
 
 def _why_not_running(directory: Path) -> str:
-    from ..run.format import resume_command  # noqa: PLC0415
+    from ..run.continuation import continue_command  # noqa: PLC0415
     from ..store.progress import last_session  # noqa: PLC0415
 
     if _has_certificate(directory):
         return "the campaign has finished, nothing is left to stop"
     host, _pid = last_session(directory)
-    again = resume_command(directory)
+    again = continue_command(directory)
     if host is not None and host != os.uname().nodename:
         return (
             f"no process of this machine runs the campaign; the last one that did was on {host}: stop it there, or "

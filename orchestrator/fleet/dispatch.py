@@ -139,7 +139,8 @@ def _want(state: DispatchState, event: Wanted) -> Outcome:
 def _opened(event: Wanted, rollout: RolloutId, attempts: int) -> Open:
     earlier = event.failed.get(rollout, ())
     fails, hosts = tuple(each.fail for each in earlier), tuple(each.host for each in earlier)
-    return Open(attempts, fails, hosts, avoid=event.avoid.get(rollout), compare=rollout in event.compared)
+    known = Open(attempts, fails, hosts, avoid=event.avoid.get(rollout), compare=rollout in event.compared)
+    return replace(known, opinions=event.opinions.get(rollout, ()), handed_back=event.handed_back.get(rollout, 0))
 
 
 def _forget(state: DispatchState, event: Unwanted) -> Outcome:

@@ -9,6 +9,18 @@ from .standing import Place
 
 
 @dataclass(frozen=True, slots=True)
+class Opinion:
+    """A result that is compared."""
+
+    worker: str
+    host: str
+    attempt: Attempt
+    digest: str
+    doubtful: bool = False
+    """Whether it is compared for a doubt alone, and not for the honesty of its worker."""
+
+
+@dataclass(frozen=True, slots=True)
 class Wanted:
     """Rollouts to be simulated, each with its attempts before a restart."""
 
@@ -20,6 +32,10 @@ class Wanted:
     """Those that get a second opinion."""
     failed: Mapping[RolloutId, tuple["EarlierFailure", ...]] = field(default_factory=dict)
     """Failures before a restart that count."""
+    opinions: Mapping[RolloutId, tuple[Opinion, ...]] = field(default_factory=dict)
+    """Results that were compared before a restart."""
+    handed_back: Mapping[RolloutId, int] = field(default_factory=dict)
+    """Times that workers handed a rollout back before a restart."""
 
 
 @dataclass(frozen=True, slots=True)

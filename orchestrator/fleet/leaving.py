@@ -1,9 +1,9 @@
 """A worker that ends: it gets nothing more, and what it hands back waits for another one at once.
 
 That counts against nobody: the reason lies in no rollout, worker or host, but in a scheduler or a person that ends the
-process. So a rollout is handed back as often as workers end; from `OFTEN` times on that is reported, once. The worker
-is `shunned` without its attempt; it never reports idle again, and is dismissed as soon as nothing can be on the way to
-it.
+process. So a rollout is handed back as often as workers end; from `OFTEN` times on that is reported, once; those
+before a restart of the orchestrator count. The worker is `shunned` without its attempt; it never reports idle again,
+and is dismissed as soon as nothing can be on the way to it.
 """
 
 from dataclasses import replace

@@ -5,7 +5,10 @@ there. Of a first result its digest is kept alone; the rollout then waits for a 
 another host first (`retries`). Where there is none, its only worker is given up, so that a local one is replaced by a
 fresh process, and simulates it again. Two equal digests agree: the rollout is recorded. Two that differ ask a third
 worker; where there is none, the third attempt of the same ones, in a fresh process where it can be, is the last.
-Whoever differs from two that agree is outvoted: set aside for good. Without a majority the rollout is poisoned.
+Whoever differs from two workers that agree is outvoted: set aside for good, also where it is one of these two, because
+it has contradicted itself. Nothing that an outvoted worker has sent counts as an opinion any more. Without a majority
+the rollout is poisoned: a worker that is alone has to agree with itself each time. What was compared before a restart
+counts after it, so that no restart makes two that differ one that agrees.
 
 A *doubtful* result is unlike all others in its form. It is repeated in the same way, and counts once two digests agree,
 be they of one worker: the system may fail in any process. A result that is not doubtful settles the doubt at once. What
@@ -19,16 +22,15 @@ from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from .blame import charge
 from .choice import eligible, nearest
-from .events import Action, Compared, Delivered, Fail, GiveUp, Outvoted, Poison, SetAside
-from .retries import SAME_WORKER, Opinion
-from .standing import Place, Standing, Standings
+from .events import Action, Compared, Delivered, Fail, GiveUp, Opinion, Outvoted, Poison, SetAside
+from .retries import SAME_WORKER
+from .standing import FOR_GOOD, Place, Standing, Standings
 from .state import DispatchState
 
 FIRST = 3
 """Results of a worker that are compared always: a wrong build or a broken simulator shows in the first ones."""
 MOST = 3
 """Results of a rollout of which two have to agree."""
-FOR_GOOD = float("inf")
 UNLIKE = Failure("system", "its time grid is that of no other rollout")
 """The failure of a doubtful result that is not repeated."""
 
@@ -51,8 +53,8 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     compared = known.compare or not all(each.doubtful for each in known.opinions) or _is_first(state, name, event.at)
     if not (compared or event.doubtful):
         return _settled(state, rollout, event)
-    if any(each.attempt == event.attempt for each in known.opinions):
-        return Decision(state, counts=False)  # the acknowledgement was lost
+    if any((each.attempt, each.worker) == (event.attempt, name) for each in known.opinions):
+        return Decision(queued_again(state, rollout), counts=False)  # the acknowledgement was lost
     repeats = any(each.worker == name for each in known.opinions)
     if repeats and nearest(state, rollout, event.at) != SAME_WORKER:
         return Decision(queued_again(state, rollout), counts=False)  # an attempt of before, and another worker is there
@@ -60,13 +62,14 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     known = replace(known, opinions=(*known.opinions, opinion))
     state = replace(state, open={**state.open, rollout: known})
     noted = Compared(name, event.attempt, event.digest)
-    agreeing = [each.worker for each in known.opinions if each.digest == event.digest]
+    counted = [each for each in known.opinions if not is_outvoted(state, each.worker)]
+    agreeing = [each.worker for each in counted if each.digest == event.digest]
     if not compared and len(agreeing) > 1:
         return _settled(state, rollout, event, noted)
-    # A worker that repeats itself says nothing against another one.
-    if len(agreeing) > 1 and (len(set(agreeing)) > 1 or {each.worker for each in known.opinions} == {name}):
-        return _agreed(state, rollout, agreeing, noted)
-    if len(known.opinions) >= MOST:
+    # A worker that repeats itself says nothing against another one, nor against what it has sent before.
+    if len(agreeing) > 1 and (len(set(agreeing)) > 1 or len(agreeing) == len(counted)):
+        return _agreed(state, opinion, agreeing, noted)
+    if len(counted) >= MOST:
         return _divided(state, rollout, noted)
     alone = compared and nearest(state, rollout, event.at) == SAME_WORKER
     fresh = (GiveUp(name),) if alone else ()
@@ -109,19 +112,29 @@ def _settled(state: DispatchState, rollout: RolloutId, event: Delivered, *noted:
     return Decision(state, counts=True, actions=tuple(actions))
 
 
-def _agreed(state: DispatchState, rollout: RolloutId, agreeing: list[str], compared: Compared) -> Decision:
-    counts = {name: state.comparisons.get(name, 0) + 1 for name in agreeing if name in state.workers}
-    state = replace(state, comparisons={**state.comparisons, **counts})
+def _agreed(state: DispatchState, last: Opinion, agreeing: list[str], compared: Compared) -> Decision:
+    """Let a result count that two agree on; whoever has sent another one is outvoted."""
+    rollout = last.attempt.rollout
+    if len(set(agreeing)) > 1:  # of a worker that was alone nothing has been compared with another one's
+        counts = {name: state.comparisons.get(name, 0) + 1 for name in agreeing if name in state.workers}
+        state = replace(state, comparisons={**state.comparisons, **counts})
     actions: list[Action] = [compared]
     for each in state.open[rollout].opinions:
-        if each.worker in agreeing or is_outvoted(state, each.worker):
+        if each.digest == last.digest or is_outvoted(state, each.worker):
             continue
         place = Place("worker", each.worker)
         state = replace(state, standings=without(state.standings, [each.worker]))
-        reason = f"its trajectory of {rollout} differs from that of two others ({', '.join(agreeing)})"
-        actions += [Outvoted(each.worker, each.attempt, each.digest), SetAside(place, FOR_GOOD, reason)]
+        actions += [Outvoted(each.worker, each.attempt, each.digest)]
+        actions += [SetAside(place, FOR_GOOD, _grounds(rollout, each.worker, agreeing))]
         actions += [GiveUp(each.worker)] if each.worker in state.workers else []
     return Decision(state, counts=True, actions=tuple(actions))
+
+
+def _grounds(rollout: RolloutId, worker: str, agreeing: list[str]) -> str:
+    if worker not in agreeing:
+        return f"its trajectory of {rollout} differs from that of two others ({', '.join(agreeing)})"
+    others = ", ".join(each for each in agreeing if each != worker)
+    return f"its trajectory of {rollout} differs from another one of its own, which is that of {others}"
 
 
 def _divided(state: DispatchState, rollout: RolloutId, compared: Compared) -> Decision:

@@ -20,23 +20,11 @@ from dataclasses import dataclass
 
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt
-from .events import Fail
+from .events import Fail, Opinion
 from .limits import Limits
 
 ELSEWHERE, SAME_HOST, SAME_WORKER = range(3)
 """Ranks of the workers for a retry."""
-
-
-@dataclass(frozen=True, slots=True)
-class Opinion:
-    """A result that is compared."""
-
-    worker: str
-    host: str
-    attempt: Attempt
-    digest: str
-    doubtful: bool = False
-    """Whether it is compared for a doubt alone, and not for the honesty of its worker."""
 
 
 @dataclass(frozen=True, slots=True)

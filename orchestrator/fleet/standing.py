@@ -30,6 +30,8 @@ from ...schemas.ids import Attempt
 from .limits import Limits
 
 LONG_AGO = float("-inf")
+FOR_GOOD = float("inf")
+"""The length of a pause that nothing ends."""
 
 
 class Place(NamedTuple):
@@ -87,7 +89,7 @@ def count_failure(standings: Standings, worker: str, host: str, attempt: Attempt
             failures=old.failures + (not repeated),
             attempts=old.attempts | {attempt},
             workers=old.workers | {worker},
-            last=at,
+            last=max(old.last, at),  # one that is set aside for good stays so
         )
     return found
 
@@ -97,11 +99,11 @@ def count_success(standings: Standings, worker: str, host: str, at: float) -> tu
     if not standings:
         return standings, ()
     places = _places(worker, host)
-    back = tuple(place for place in places if place in standings and at < standings[place].until)
+    back = tuple(place for place in places if place in standings and at < standings[place].until < FOR_GOOD)
     found = {
         place: replace(old, elsewhere=old.elsewhere + 1) if place.kind == "host" else old
         for place, old in standings.items()
-        if place not in places
+        if place not in places or old.until == FOR_GOOD
     }
     return found, back
 

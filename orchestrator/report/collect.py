@@ -3,7 +3,7 @@
 It reads the run directory of a running, stopped or finished campaign and changes no file in it.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
@@ -18,8 +18,9 @@ from ..campaign.observation import of_requirement
 from ..campaign.plan import plans
 from ..certificate import files
 from ..certificate.text import check_sentences
+from ..run.continuation import command_with
 from ..run.feed import LiveState
-from ..run.format import replay_command, resume_command
+from ..run.format import replay_command
 from ..run.verdict import verdict_of
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, Session
@@ -205,7 +206,7 @@ class Collector:
             workers=workers,
             throughput=self._workers.throughput(),
             software=header.software,
-            resume=resume_command(self.directory),
+            resume=command_with(self.directory, _options_of(self._sessions)),
             failed_attempts=self._workers.failed_attempts(),
             more_workers=more,
             counterexample=ending_counterexample(
@@ -249,6 +250,11 @@ def _start_of(
         return checked.get((series, test))
     starts = problems[series].starts if series in problems else []
     return starts[test] if test < len(starts) else None
+
+
+def _options_of(sessions: Sequence[Session]) -> str | None:
+    """Return the options of the last session that had workers."""
+    return next((each.options for each in reversed(sessions) if each.options is not None), None)
 
 
 def _state_of(certificate: Certificate | None, *, running: bool) -> State:

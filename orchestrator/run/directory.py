@@ -10,10 +10,10 @@ from ...schemas.certificate import Certificate
 from ...schemas.errors import JournalError, PerfboundError
 from ..certificate import files
 from ..store import read
-from ..store.lock import campaign_lock
+from ..store.lock import LOCK_FILE, RunLock, campaign_lock, forget_lock
 from ..store.read import read_header
 from ..store.rows import DATABASE
-from .format import resume_command
+from .continuation import continue_command
 
 
 def check_vacant(directory: Path, config: CampaignConfig) -> None:
@@ -31,10 +31,11 @@ def check_vacant(directory: Path, config: CampaignConfig) -> None:
                 "changes after its start; choose another --out"
             )
         raise PerfboundError(
-            f"{directory}: a campaign is here already; continue it with `{resume_command(directory)}`, "
+            f"{directory}: a campaign is here already; continue it with `{continue_command(directory)}`, "
             "or choose another --out"
         )
-    if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - set(_unfinished(directory))):
+    leftovers = {directory / LOCK_FILE, *_unfinished(directory)}
+    if directory.exists() and (not directory.is_dir() or set(directory.iterdir()) - leftovers):
         raise PerfboundError(f"{directory}: exists and is not empty; choose another --out")
 
 
@@ -56,20 +57,24 @@ def _unfinished(directory: Path) -> list[Path]:
 
 
 @contextmanager
-def claimed(directory: Path, config: CampaignConfig) -> Iterator[None]:
+def claimed(directory: Path, config: CampaignConfig) -> Iterator[RunLock]:
     """Make the run directory and lock it; remove it if no campaign was started in it."""
     try:
         there = directory.is_dir()
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PerfboundError(f"{directory}: cannot be created ({error.strerror}); choose another --out") from None
-    with campaign_lock(directory):
-        check_vacant(directory, config)  # again, under the lock: another orchestrator may have started here
-        _remove(_unfinished(directory))
+    with campaign_lock(directory) as held:
         try:
-            yield
-        finally:
+            check_vacant(directory, config)  # again, under the lock: another orchestrator may have started here
             _remove(_unfinished(directory))
+            try:
+                yield held
+            finally:
+                _remove(_unfinished(directory))
+        finally:
+            if not (directory / DATABASE).exists():
+                forget_lock(held)
             if not there and not any(directory.iterdir()):
                 directory.rmdir()
 
@@ -88,5 +93,5 @@ def finished_certificate(directory: Path) -> Certificate:
     """
     found = files.read(directory)
     if found is None:
-        raise PerfboundError(f"{directory}: no certificate yet; `{resume_command(directory)}` continues the campaign")
+        raise PerfboundError(f"{directory}: no certificate yet; `{continue_command(directory)}` continues the campaign")
     return found

@@ -35,7 +35,7 @@ def discard_rollout(directory: Path, name: str, reason: str) -> DiscardFact:
     reason = one_line(reason.strip())
     if not 0 < len(reason) <= LONGEST:
         raise PerfboundError(f"--reason: has {len(reason)} characters; give 1 to {LONGEST}, for the certificate")
-    with campaign_lock(directory):
+    with campaign_lock(directory) as held:
         # Under the lock: a run that had it may have finished a moment ago.
         if files.read(directory) is not None:
             raise PerfboundError(f"{directory}: the campaign has finished, and its evidence never changes")
@@ -44,6 +44,7 @@ def discard_rollout(directory: Path, name: str, reason: str) -> DiscardFact:
             ledger.replay()
             fact = _recorded(ledger, journal, name)
             _refuse_valid(ledger, directory, fact)
+        held.check()
         return write_discard(directory, fact, reason)
 
 

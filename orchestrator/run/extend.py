@@ -13,7 +13,7 @@ from ..campaign.ledger import Ledger
 from ..certificate import files
 from ..store.journal import Journal
 from ..store.upgrade import upgraded
-from .format import resume_command
+from .continuation import continue_command
 from .session import RunOptions, reopened
 
 
@@ -46,7 +46,7 @@ def extend_campaign(directory: Path, journal: Journal, max_tests: int) -> Extens
             return None
         raise CampaignError(
             f"{directory}: a larger budget is for a campaign that has finished; continue this one with "
-            f"`{resume_command(directory)}`"
+            f"`{continue_command(directory)}`"
         )
     if not ledger.done:
         raise CampaignError(f"{directory}: has a certificate, but its tests have not ended; restore it from a copy")

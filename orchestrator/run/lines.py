@@ -16,6 +16,7 @@ class Lines:
     def __init__(self, print_line: Callable[[str], None]) -> None:
         self.print_line = print_line
         self._throttle = Throttle()
+        self._was_full = False
         self._failed: set[tuple[RolloutId, Failure]] = set()
 
     def refused(self, worker: str, reason: str) -> None:
@@ -25,6 +26,16 @@ class Lines:
     def ignored(self, worker: str, reason: str) -> None:
         """Print that a message is not acceptable."""
         self._about(worker, "ignored messages", f"ignored a message of {worker}: {reason}")
+
+    def too_many(self, worker: str, most: int) -> None:
+        """Print that a worker gets no work because there are `most`; a line for all of them together."""
+        if self._was_full:
+            return
+        self._was_full = True
+        self.print_line(
+            f"worker {worker}, and those that come after it, get no work: {most:,} workers are there, the most of one "
+            "campaign; end them, or start them with --run ID for another campaign"
+        )
 
     def failed(self, found: events.Fail) -> None:
         """Print a failed attempt, once: attempts that fail alike are counted in the database."""

@@ -1,16 +1,17 @@
 """The link of an orchestrator to its workers: an endpoint of its own, or routers in between."""
 
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
 from ...schemas.access import access_rules
 from ...schemas.certificates import common_name
 from ...schemas.errors import LinkError
-from ...schemas.link import LOCAL, Tls, asks_for_secret, check_own
+from ...schemas.link import LOCAL, Tls, asks_for_secret, check_own, checked_endpoint
 from ...schemas.secret import shared_secret
 from ..fleet.transport import ROUTER_GRACE, Transport, connect_to_router, listen
 from .certificate_end import end_announced
@@ -44,6 +45,20 @@ class Link:
         if self.grace != ROUTER_GRACE:
             pairs.append(("--grace", f"{self.grace:g}"))
         return [*chain.from_iterable(pairs), *(["--insecure"] if self.insecure else [])]
+
+    def elsewhere(self) -> "Link":
+        """Return the link as another process names it, wherever that is started.
+
+        Raises:
+            LinkError: an endpoint is malformed, or does not fit the TLS options.
+
+        """
+        option = "--connect" if self.routers else "--listen"
+        for each in self.routers or (self.endpoint,):
+            checked_endpoint(option, each, self.tls)  # what is no endpoint may contain anything, also a password
+        if self.tls is None:
+            return self
+        return replace(self, tls=Tls(**{name: os.path.abspath(path) for name, path in self.tls.model_dump().items()}))
 
     def secret(self) -> bytes | None:
         """Return the secret that workers must know.

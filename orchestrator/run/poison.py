@@ -4,18 +4,21 @@ import shlex
 from collections.abc import Mapping
 
 from ...schemas.places import short_path
+from ...schemas.rollout import RolloutRequest
 from ..campaign.ledger import Ledger
 from ..fleet import events
 from ..fleet.retries import missed
 from ..fleet.simulate import LIMIT
 
 
-def poison_text(found: events.Poison, ledger: Ledger, reference: str | None, ends: Mapping[str, str]) -> str:
+def poison_text(
+    found: events.Poison, request: RolloutRequest, ledger: Ledger, reference: str | None, ends: Mapping[str, str]
+) -> str:
     """Return the history of a rollout that fails again and again, the command that repeats it, and the remedy.
 
     `reference` is that of a system that is not installed; `ends` say how workers have ended.
     """
-    request, config = ledger.request(found.rollout), ledger.config
+    config = ledger.config
     by_reason: dict[str, list[str]] = {}
     for each in found.failures:
         end = f" ({how})" if (how := ends.get(each.worker)) else ""

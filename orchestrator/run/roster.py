@@ -33,7 +33,7 @@ class WorkerRecord:
 
 
 LIVING = 10_000
-"""Workers at a time; tokens above that are ignored."""
+"""Workers at a time; tokens above that are ignored, which is reported."""
 MOST_NAMED = 3
 """Files or versions in a refusal."""
 DEAD_KEPT = 500
@@ -52,7 +52,7 @@ class Roster:
 
     def token(self, message: Token) -> tuple[events.Event, ...]:
         """Take a token that appeared or disappeared; return the events for the dispatch machine."""
-        if message.worker not in self.records and (not message.alive or self._living >= LIVING):
+        if message.worker not in self.records and (not message.alive or self.is_full):
             return ()
         record = self.records.setdefault(message.worker, WorkerRecord())
         self._living += message.alive - record.alive
@@ -67,6 +67,15 @@ class Roster:
             del self.records[message.worker]  # never admitted, so no attempt can come back from it
             del self._dead[message.worker]
         return ()
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no further worker gets work."""
+        return self._living >= LIVING
+
+    def is_one_too_many(self, message: Token) -> bool:
+        """Whether a worker that appears gets no work, because so many others live."""
+        return message.alive and self.is_full and message.worker not in self.records
 
     def _remember(self, worker: str, *, alive: bool) -> None:
         self._dead.pop(worker, None)

@@ -9,11 +9,11 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import PerfboundError, Stopped
-from ...schemas.ids import RolloutId, closing_check
+from ...schemas.ids import closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
 from ..campaign.planned_outlook import PlannedOutlooks
@@ -24,7 +24,6 @@ from ..fleet.limits import Limits
 from ..fleet.processes import Fleet
 from ..fleet.state import DispatchState, Worker
 from ..fleet.transport import Garbage, Heartbeat, Inbound, Linked, Result, RouterToken, Token, Transport
-from ..store import read
 from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
 from .assignments import Assignments
@@ -34,10 +33,10 @@ from .outbox import Outbox
 from .poison import poison_text
 from .results import Results
 from .review import Review
-from .roster import Roster, WorkerRecord
+from .roster import LIVING, Roster, WorkerRecord
 from .router_link import RouterLink
 from .routers import Routers
-from .trust import failures_before, note, still_aside
+from .trust import NOTHING_BEFORE, earlier, note, still_aside
 
 TICK = 0.25
 """Seconds between two ticks of the dispatch machine."""
@@ -45,7 +44,6 @@ TURN = 64
 """Messages in one transaction at most; about 100 ms of work."""
 UNNOTICED = 1.0
 """Seconds in which a worker without its token is shown as before: that a link is down is found after its tokens."""
-NOTHING: Mapping[RolloutId, Any] = {}
 ADOPTION = 2.5
 """Seconds after a restart in which busy workers report and outboxes drain, before anything is assigned."""
 
@@ -129,7 +127,7 @@ class Service:
         self._fleet, self._listeners = fleet, listeners
         self._lines, self._roster = Lines(self._print_line), Roster(ledger.header.spec, journal.platform)
         self._routers, self._outlooks = Routers(self._print_line), PlannedOutlooks()
-        self._review = Review(ledger, journal)
+        self._review = Review(ledger, journal, self._print_line)
         self._results = Results(ledger, journal, self._review, self.inbox.put)
         self._assignments = Assignments(journal.directory, journal.header.run)
         self._outbox = Outbox(transport, self._assignments)
@@ -155,8 +153,7 @@ class Service:
 
         """
         with self._ledger.transaction():
-            failed = failures_before(self._journal.directory, self._state.limits.deadline)
-            self._demand(self._ledger.outstanding(), read.attempts(self._journal.directory), failed)
+            self._demand(self._ledger.outstanding(), resumed=True)
             self._settle()
             self._begin_review()
         self._send()
@@ -173,10 +170,9 @@ class Service:
         return self._ledger.done and not self._review
 
     def _begin_review(self) -> None:
-        """Want once more what outvoted workers recorded, when all else is done."""
-        if self._done and (suspects := self._review.begin()):
-            self._print_line(f"{len(suspects)} rollouts of outvoted workers are simulated again")
-            self._demand(Work(wanted=suspects), read.attempts(self._journal.directory))
+        """Want once more what is doubted, when all else is done."""
+        if self._done and (doubted := self._review.begin()):
+            self._demand(Work(wanted=doubted), resumed=True)
             self._settle()
 
     def _turn(self, messages: list[Message], complete: float) -> None:
@@ -200,6 +196,8 @@ class Service:
     def _take(self, message: Message) -> None:
         match message:
             case Token():
+                if self._roster.is_one_too_many(message):
+                    self._lines.too_many(message.worker, LIVING)
                 self._events.extend(self._roster.token(message))
             case Heartbeat():
                 if (reason := self._roster.refusal(message)) is not None:
@@ -254,7 +252,9 @@ class Service:
         """Carry out an action of the dispatch machine; messages are kept until the commit."""
         match action:
             case events.Record(worker, attempt):
-                self._demand(self._results.record(worker, attempt))
+                # With the last damaged file the rollouts come back that were open before a restart.
+                resumed = self._ledger.restores(attempt.rollout)
+                self._demand(self._results.record(worker, attempt), resumed=resumed)
             case events.Start(worker, attempt):
                 state = self._roster.admitted(worker)
                 assert state is not None, "the dispatch machine has admitted workers only"
@@ -276,20 +276,16 @@ class Service:
             case _:
                 note(action, self._journal.attempts, self._print_line)
 
-    def _demand(
-        self,
-        work: Work,
-        attempts: Mapping[RolloutId, int] = NOTHING,
-        failed: Mapping[RolloutId, tuple[events.EarlierFailure, ...]] = NOTHING,
-    ) -> None:
-        """Want rollouts, or no longer; `attempts` and `failed` are of those before a restart."""
+    def _demand(self, work: Work, *, resumed: bool = False) -> None:
+        """Want rollouts, or no longer; those that are `resumed` may have attempts before."""
         now = time.monotonic()
         if work.unwanted:
             self._events.append(events.Unwanted(now, tuple(work.unwanted)))
         if work.wanted:
-            wanted = tuple((each, attempts.get(each, 0)) for each in work.wanted)
+            past = earlier(self._journal, work.wanted, self._state.limits.deadline) if resumed else NOTHING_BEFORE
             compared = frozenset(each for each in work.wanted if self._review.compares(each))
-            self._events.append(events.Wanted(now, wanted, self._results.recorders(work.wanted), compared, failed))
+            avoid = self._results.recorders(work.wanted)
+            self._events.append(past.wanted(now, work.wanted, avoid, compared))
 
     def _send(self) -> None:
         """Send what the turn has decided, then end the run if the turn has decided that."""
@@ -299,7 +295,8 @@ class Service:
             raise Stopped(self._stop)
         if self._poisoned is not None:
             ends = self._fleet.ended if self._fleet is not None else {}
-            raise PerfboundError(poison_text(self._poisoned, self._ledger, self._journal.origin.system, ends))
+            request = self._results.request(self._poisoned.rollout)
+            raise PerfboundError(poison_text(self._poisoned, request, self._ledger, self._journal.origin.system, ends))
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:

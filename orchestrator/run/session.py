@@ -29,7 +29,7 @@ from ..fleet import child
 from ..fleet.processes import Fleet
 from ..fleet.transport import Transport
 from ..store import read
-from ..store.journal import INSTALLED, Journal, Origin
+from ..store.journal import Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
 from .directory import check_vacant, claimed
@@ -38,6 +38,7 @@ from .live_page import LivePage, live_page
 from .report_finished import report_finished
 from .revision import revision
 from .systemd import Systemd
+from .trust import doubted
 
 
 class OwnSystem(Protocol):
@@ -79,6 +80,18 @@ class RunOptions:
         ways = self.link.options
         return ["--workers", str(self.workers), *ways] if ways else []
 
+    def origin(self, reference: str) -> Origin:
+        """Return what a later resume needs to find the workers, and a system that no name finds.
+
+        Raises:
+            LinkError: an endpoint is malformed, or does not fit the TLS options.
+
+        """
+        options = tuple(replace(self, link=self.link.elsewhere()).resume_options)
+        if not child.in_file(reference):
+            return Origin(options=options)
+        return Origin(reference, revision(Path(reference.rpartition(":")[0] or reference).parent), options)
+
 
 def start_campaign(
     config: CampaignConfig, source: Path, directory: Path, options: RunOptions, console: Console
@@ -101,7 +114,7 @@ def start_campaign(
     with (
         live_page(link.web, directory, console, insecure=link.insecure) as page,
         _transport(options, console) as transport,
-        created(directory, header, reference) as journal,
+        created(directory, header, options.origin(reference)) as journal,
     ):
         page.start()
         found = replace(options, system=reference)
@@ -148,14 +161,17 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
 
 
 @contextmanager
-def created(directory: Path, header: Header, reference: str) -> Iterator[Journal]:
-    """Lock a run directory and make the journal of a new campaign; `reference` is its system as a worker finds it.
+def created(directory: Path, header: Header, origin: Origin) -> Iterator[Journal]:
+    """Lock a run directory and make the journal of a new campaign.
 
     Raises:
         PerfboundError: the directory is in use or cannot be made.
 
     """
-    with claimed(directory, header.config), closing(Journal.create(directory, header, _origin(reference))) as new:
+    with (
+        claimed(directory, header.config) as held,
+        closing(Journal.create(directory, header, origin, held)) as new,
+    ):
         yield new
 
 
@@ -167,19 +183,12 @@ def reopened(directory: Path, options: RunOptions, console: Console) -> Iterator
         PerfboundError: there is no campaign, it is running, or its software or its system is another one.
 
     """
-    with campaign_lock(directory):
+    with campaign_lock(directory) as held:
         reference = child.resolved(options.system or read.system_reference(directory))
-        with closing(Journal.open(directory, _origin(reference))) as journal:
+        with closing(Journal.open(directory, options.origin(reference), held)) as journal:
             _check_software(journal.header)
             _check_code(journal.header, reference, options, console)
             yield journal, reference
-
-
-def _origin(reference: str) -> Origin:
-    """Return what a later resume needs to find the system; nothing for an installed one, which its name finds."""
-    if not child.in_file(reference):
-        return INSTALLED
-    return Origin(reference, revision(Path(reference.rpartition(":")[0] or reference).parent))
 
 
 def _transport(options: RunOptions, console: Console) -> AbstractContextManager[Transport]:
@@ -308,7 +317,7 @@ def _conduct(
         ledger = Ledger(directory, journal)
         ledger.replay()
         damaged = ledger.check_files(journal, whole=ledger.done) if resumed else 0
-        if not ledger.done or journal.attempts.suspects():
+        if not ledger.done or any(doubted(journal)):
             terminal = stack.enter_context(listener(console))
             if damaged:
                 terminal.print_line(f"{damaged} trajectory files are missing or damaged: simulating them again")

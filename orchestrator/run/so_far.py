@@ -159,6 +159,7 @@ class SoFarListener:
             others=holding.others,
             on_refuted=config.on_refuted,
             expected=forecast.model_copy(update={"verdict": then}),
+            link_down_since=_link_down_since(status),
         )
 
     def _never_falling(self, found: Expected, seconds: float) -> Expected:
@@ -171,6 +172,11 @@ class SoFarListener:
             self._share, self._fell = found.share, seconds
         self._share = max(self._share, found.share)
         return found.model_copy(update={"share": self._share})
+
+
+def _link_down_since(status: RunStatus) -> float | None:
+    down = status.link.down_for if status.link is not None else None
+    return None if down is None else time.time() - down
 
 
 def _rollout_counts(ledger: Ledger) -> RolloutCounts:

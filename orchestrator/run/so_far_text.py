@@ -12,6 +12,9 @@ from .format import duration
 HEAD = ("", "bound", "probability", "tests", "verdict")
 
 
+NO_LINK = "no time is estimated without the link to the router"
+
+
 class HoldingRow(NamedTuple):
     """A row of the table of what holds; its cells have the names of `HEAD`."""
 
@@ -29,7 +32,9 @@ def holding_rows(found: SoFar, *, running: bool = True) -> tuple[HoldingRow, Hol
     bound = None if found.bound is None else _in_unit(outward(found.bound, found.sense), found)
     proven = "nothing yet" if bound is None else f"{found.sense} {bound}{', refuted' if found.refuted else ''}"
     count = "-" if ahead.tests is None else _span_words(ahead.tests)
-    end = f"{ahead.verdict or 'open'}, {left_words(ahead, running=running)}"
+    down = running and found.link_down_since is not None
+    left = NO_LINK if down else left_words(ahead, running=running)
+    end = f"{ahead.verdict or 'open'}, {left}"
     return (
         HoldingRow("proven so far", proven, chance, f"{found.tests:,}", f"if it ended now: {found.verdict}"),
         HoldingRow("expected at the end", _expected_bound(found), "-" if ahead.bound is None else chance, count, end),

@@ -1,17 +1,19 @@
 """What the run keeps and tells of its workers and hosts, and of the trust in them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from ...schemas.errors import one_line
 from ...schemas.facts import HANDED_BACK
 from ...schemas.ids import RolloutId
 from ..fleet import events
-from ..fleet.opinions import FOR_GOOD, without
+from ..fleet.opinions import without
 from ..fleet.retries import blames_rollout
-from ..fleet.standing import Standings
+from ..fleet.standing import FOR_GOOD, Standings
 from ..store import read
 from ..store.attempts import AttemptLog
+from ..store.journal import Journal
 from .format import duration
 
 MOST_NAMED = 5
@@ -61,7 +63,40 @@ def still_aside(log: AttemptLog, print_line: Callable[[str], None]) -> Standings
     return without({}, workers)
 
 
-def failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """What rollouts had before a restart: attempts, failures that count, what was compared, hand-backs."""
+
+    attempts: Mapping[RolloutId, int]
+    failed: Mapping[RolloutId, tuple[events.EarlierFailure, ...]]
+    opinions: Mapping[RolloutId, tuple[events.Opinion, ...]]
+    handed_back: Mapping[RolloutId, int]
+    """How often workers that were stopped gave them back."""
+
+    def wanted(
+        self, at: float, rollouts: Sequence[RolloutId], avoid: Mapping[RolloutId, str], compared: frozenset[RolloutId]
+    ) -> events.Wanted:
+        """Return the event that wants rollouts, with what they had before; its arguments are fields of that."""
+        numbered = tuple((each, self.attempts.get(each, 0)) for each in rollouts)
+        return events.Wanted(at, numbered, avoid, compared, self.failed, self.opinions, self.handed_back)
+
+
+NOTHING_BEFORE = Earlier({}, {}, {}, {})
+
+
+def earlier(journal: Journal, rollouts: Collection[RolloutId], deadline: float) -> Earlier:
+    """Return what these rollouts had before; `deadline` of a rollout in s, inside a transaction."""
+    # Without second opinions nothing but a doubt is compared.
+    doubtful = not journal.header.config.second_opinion
+    return Earlier(
+        read.attempts(journal.directory),
+        _failures_before(journal.directory, deadline),
+        _opinions_before(journal.attempts, rollouts, doubtful=doubtful),
+        read.hand_backs(journal.directory),
+    )
+
+
+def _failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[events.EarlierFailure, ...]]:
     """Return the failures of earlier sessions that blame their rollouts; `deadline` of a rollout in s."""
     found: dict[RolloutId, tuple[events.EarlierFailure, ...]] = {}
     for each in read.failures(directory):
@@ -69,3 +104,22 @@ def failures_before(directory: Path, deadline: float) -> dict[RolloutId, tuple[e
             failed = events.EarlierFailure(events.Fail(each.worker, each.attempt, each.failure), each.host)
             found[each.attempt.rollout] = (*found.get(each.attempt.rollout, ()), failed)
     return found
+
+
+def _opinions_before(
+    log: AttemptLog, rollouts: Collection[RolloutId], *, doubtful: bool
+) -> dict[RolloutId, tuple[events.Opinion, ...]]:
+    """Return the results of these rollouts that have been compared, with `doubtful` for a doubt alone."""
+    found: dict[RolloutId, tuple[events.Opinion, ...]] = {}
+    for each in log.compared(frozenset(rollouts)):
+        rollout = each.attempt.rollout
+        opinion = events.Opinion(each.worker, each.host, each.attempt, each.sha256, doubtful=doubtful)
+        found[rollout] = (*found.get(rollout, ()), opinion)
+    return found
+
+
+def doubted(journal: Journal) -> tuple[list[RolloutId], list[RolloutId]]:
+    """Return the rollouts on which two workers differ, and those of outvoted workers; none without second opinions."""
+    if not journal.header.config.second_opinion:
+        return [], []
+    return journal.attempts.disputed(), journal.attempts.suspects()

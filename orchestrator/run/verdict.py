@@ -14,7 +14,8 @@ from ..store.export_tables import robustness_unit
 from ..store.progress import read_progress
 from ..store.read import system_reference
 from ..store.robustness import read_values, read_violations
-from .format import replay_command, resume_command
+from .continuation import continue_command
+from .format import replay_command
 
 COLOURS: dict[VerdictWord, str] = {"SHOWN": "green", "VIOLATED": "red", "NOT SHOWN": "yellow"}
 
@@ -47,7 +48,7 @@ def verdict_of(
         violations,
         lambda: read_values(directory, variant, problems),
         unit=robustness_unit(header.config, header.spec),
-        commands=Commands(resume_command(directory), repeat),
+        commands=Commands(continue_command(directory), repeat),
         progress=(lambda: read_progress(directory).problems) if repeatable else tuple,
     )
 

@@ -1,7 +1,8 @@
 """The part of the journal that depends on chance: attempts and their ends, pauses and comparisons of workers."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
@@ -12,6 +13,16 @@ from ...schemas.ids import Attempt, RolloutId
 from . import tables
 from .pending import PendingRows
 from .rows import attempt_key, has_column, has_table, outcome_fields
+
+
+@dataclass(frozen=True, slots=True)
+class StoredOpinion:
+    """A result that was compared; without a name of its host if its start was lost in a crash."""
+
+    attempt: Attempt
+    worker: str
+    host: str
+    sha256: str
 
 
 class AttemptLog:
@@ -74,6 +85,41 @@ class AttemptLog:
         found = [row[0] for row in self._rows.read(query)]
         # A discarded rollout has an attempt, and no row.
         return [RolloutId.parse(each) for each in found if each in recorded and each not in settled]
+
+    def disputed(self) -> list[RolloutId]:
+        """Return the rollouts of which two workers have sent different results, and neither has been outvoted."""
+        outvoted = set(self.outvoted())
+        digests: dict[RolloutId, set[str]] = {}
+        for each in self.compared():
+            if each.worker not in outvoted:
+                digests.setdefault(each.attempt.rollout, set()).add(each.sha256)
+        return sorted(rollout for rollout, found in digests.items() if len(found) > 1)
+
+    def compared(self, rollouts: Container[RolloutId] | None = None) -> list[StoredOpinion]:
+        """Return the results that were compared, of all rollouts or of these, in their order.
+
+        Without those that were failures of the system, and without discarded rollouts, whose results fail today.
+        """
+        if not has_table("opinions", self._version):
+            return []
+        seen, began, ended, gone = tables.opinions.c, tables.attempts.c, tables.outcomes.c, tables.discards.c
+        started = tables.opinions.outerjoin(
+            tables.attempts, (seen.rollout == began.rollout) & (seen.attempt == began.attempt)
+        )
+        query = sa.select(seen.rollout, seen.attempt, seen.worker, began.host, seen.sha256).select_from(started)
+        failed: Sequence[Any] = self._rows.read(sa.select(ended.rollout, ended.attempt).where(ended.kind == "system"))
+        excluded = {(name, number) for name, number in failed}
+        discarded: Sequence[Any] = self._rows.read(sa.select(gone.problem, gone.test, gone.variant, gone.replicate))
+        without = {str(RolloutId(*row)) for row in discarded}
+        found: list[StoredOpinion] = []
+        rows: Sequence[Any] = self._rows.read(query.where(seen.kind == "compared").order_by(seen.entry))
+        for name, number, worker, host, sha256 in rows:
+            if name in without or (name, number) in excluded:
+                continue
+            rollout = RolloutId.parse(name)
+            if rollouts is None or rollout in rollouts:
+                found.append(StoredOpinion(Attempt(rollout, number), worker, host or "", sha256))
+        return found
 
     def worker_of(self, rollout: RolloutId) -> str | None:
         """Return the worker whose result was recorded, after a discard the last one; also outside a transaction."""

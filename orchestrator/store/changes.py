@@ -96,6 +96,8 @@ class Session:
     platform: str | None
     account: str | None
     """Name of the user who ran the orchestrator."""
+    options: str | None
+    """Of a `perfbound resume` for the same workers; JSON."""
 
 
 _OUTCOME_FIELDS = tuple(each.name for each in fields(AttemptOutcome))

@@ -14,6 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
 from ...schemas.atomic import move, temporary
+from ...schemas.base import canonical_json
 from ...schemas.errors import JournalError
 from ...schemas.facts import Fact, Header, ProposalFact, RolloutFact
 from ...schemas.ids import RolloutId
@@ -22,6 +23,7 @@ from . import tables
 from .attempts import AttemptLog
 from .commit_times import CommitTimes
 from .damage import naming_cause
+from .lock import RunLock
 from .pending import PendingRows
 from .read import read_facts, read_header, read_version
 from .rows import (
@@ -38,12 +40,14 @@ from .rows import (
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where the system of a session is that is not installed; outside the hash chain."""
+    """Where a session has its system, if that is not installed, and its workers; outside the hash chain."""
 
     system: str | None = None
     """FILE.py:NAME, or the campaign file of a program."""
     revision: str | None = None
     """Of its folder: the commit, and whether files are changed; None where there is no repository."""
+    options: tuple[str, ...] | None = None
+    """Those of `perfbound resume` for the same workers, none for local ones; None if the session has no workers."""
 
 
 INSTALLED = Origin()
@@ -52,8 +56,10 @@ INSTALLED = Origin()
 class Journal:
     """An open campaign database, used by one thread, under `campaign_lock`."""
 
-    def __init__(self, directory: Path, engine: Engine, header: Header, origin: Origin) -> None:
-        self.directory, self.header, self.origin = directory, header, origin
+    def __init__(
+        self, directory: Path, engine: Engine, header: Header, origin: Origin, held: RunLock | None = None
+    ) -> None:
+        self.directory, self.header, self.origin, self._held = directory, header, origin, held
         self._engine = engine
         self._connection = engine.connect()
         self._place = os.stat(directory / DATABASE)
@@ -65,7 +71,9 @@ class Journal:
         """Of the transactions that wrote."""
 
     @classmethod
-    def create(cls, directory: Path, header: Header, origin: Origin = INSTALLED) -> "Journal":
+    def create(
+        cls, directory: Path, header: Header, origin: Origin = INSTALLED, held: RunLock | None = None
+    ) -> "Journal":
         """Make the database of a new campaign, whole or not at all."""
         # Under another name until it is whole: after kill -9 a database without its header would pass for a campaign.
         partial = temporary(directory / DATABASE)
@@ -78,10 +86,10 @@ class Journal:
             connection.execute(tables.campaign.insert().values(seq=1, **header_row(header)))
         engine.dispose()
         move(partial, directory / DATABASE)
-        return cls(directory, open_engine(directory / DATABASE), header, origin)
+        return cls(directory, open_engine(directory / DATABASE), header, origin, held)
 
     @classmethod
-    def open(cls, directory: Path, origin: Origin = INSTALLED) -> "Journal":
+    def open(cls, directory: Path, origin: Origin = INSTALLED, held: RunLock | None = None) -> "Journal":
         """Open the database of an existing campaign.
 
         Raises:
@@ -94,7 +102,7 @@ class Journal:
             with naming_cause(directory):
                 with engine.begin() as connection:
                     header = read_header(connection, directory)
-                opened = cls(directory, engine, header, origin)
+                opened = cls(directory, engine, header, origin, held)
             refused.pop_all()
         return opened
 
@@ -105,6 +113,8 @@ class Journal:
         try:
             yield
             writes, began = self._rows.waiting or self._connection.in_transaction(), time.perf_counter()
+            if writes and self._held is not None:
+                self._held.check()  # a node that was cut off from its files for minutes may have lost the lock
             self._rows.flush()  # the first write begins the transaction: a turn of heartbeats touches no disk
             self._connection.commit()
             if writes:
@@ -158,12 +168,15 @@ class Journal:
         return str(found)
 
     def check_place(self) -> None:
-        """Refuse to continue without the database: what is written now would be lost with the last open file.
+        """Refuse to continue without the database or the lock: what is written now would be lost, or another's too.
 
         Raises:
             JournalError: another file is in its place, or none.
+            PerfboundError: the lock is lost.
 
         """
+        if self._held is not None:
+            self._held.check()
         path = self.directory / DATABASE
         try:
             same = os.path.samestat(os.stat(path), self._place)
@@ -177,7 +190,9 @@ class Journal:
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it."""
         # SQLite folds the log when the last connection closes: with a reader at that moment, no connection would.
-        if not self._connection.closed and not self._connection.in_transaction():
+        # Without the lock the database may be another orchestrator's.
+        kept = self._held is None or self._held.is_kept()
+        if kept and not self._connection.closed and not self._connection.in_transaction():
             driver = self._connection.connection.driver_connection
             assert driver is not None
             with suppress(sqlite3.Error):  # a full disk: the commits stay in the log
@@ -211,6 +226,7 @@ def _open_session(connection: Connection, version: int, origin: Origin) -> int:
             "revision": origin.revision,
             "platform": platform_class(),
             "account": _account(),
+            "options": None if origin.options is None else canonical_json(list(origin.options)),
         }
         row |= {name: value for name, value in known.items() if has_column("sessions", name, version)}
         key = connection.execute(tables.sessions.insert().values(**row)).inserted_primary_key

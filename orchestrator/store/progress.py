@@ -57,6 +57,7 @@ _REASON = "SELECT reason FROM set_aside WHERE kind = ? AND name = ? AND seconds 
 _OPINIONS = "SELECT kind, count(*) FROM opinions GROUP BY kind ORDER BY kind"
 _SESSIONS = "SELECT started FROM sessions ORDER BY session"
 _LAST_SESSION = "SELECT host, pid FROM sessions ORDER BY session DESC LIMIT 1"
+_OPTIONS = "SELECT options FROM sessions WHERE options IS NOT NULL ORDER BY session DESC LIMIT 1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,8 @@ class CampaignProgress:
     handed_back: int
     """Attempts that workers gave back because they were stopped; none of them is a failure."""
     sessions: int
+    began: float
+    """Unix time of the start of the last session; 0 without one."""
     pauses: tuple[Pauses, ...]
     opinions: dict[str, int]
     """Results that were compared, outvoted and reviewed, by these words."""
@@ -129,6 +132,20 @@ def last_session(directory: Path) -> tuple[str | None, int | None]:
     return (None, None) if found is None else (one_line(str(found[0])), int(found[1]))
 
 
+def session_options(directory: Path) -> str | None:
+    """Return the options, as JSON, with which the last session that had workers continues; None if none is known.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    with snapshot(directory) as connection:
+        _, version = header_and_version(connection, directory)
+        found = connection.execute(_OPTIONS).fetchone() if has_column("sessions", "options", version) else None
+    return None if found is None else str(found[0])
+
+
 def header_and_version(connection: sqlite3.Connection, directory: Path) -> tuple[Header, int]:
     """Return the header and the schema version."""
     found = connection.execute(_VERSION).fetchone()
@@ -158,6 +175,7 @@ def _campaign_progress(connection: sqlite3.Connection, directory: Path) -> Campa
         connection.execute(_SYSTEM_FAILURES).fetchone()[0] if has_column("outcomes", "kind", version) else None,
         int(connection.execute(_HANDED_BACK, [HANDED_BACK]).fetchone()[0]),
         len(started),
+        max(started, default=0.0),
         _pauses(connection) if has_table("set_aside", version) else (),
         dict(connection.execute(_OPINIONS).fetchall()) if has_table("opinions", version) else {},
         rate([row[0] for row in connection.execute(_RECENT, [RECORDED, RECENT])], started),

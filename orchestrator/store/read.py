@@ -11,7 +11,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine
 
-from ...schemas.facts import RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
+from ...schemas.facts import HANDED_BACK, RECORDED, BoundFact, Fact, Header, ObservationFact, ProposalFact
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId, series_order
 from ...schemas.values import Bound, Observation, Proposal, StoppedBy
@@ -179,6 +179,21 @@ def failures(directory: Path) -> list[EndedAttempt]:
         EndedAttempt(Attempt(RolloutId.parse(rollout), number), worker, host or "", Failure(kind, reason))
         for rollout, number, worker, host, kind, reason in rows
     ]
+
+
+def hand_backs(directory: Path) -> dict[RolloutId, int]:
+    """Return how often each rollout without a result was handed back; those that never were are absent.
+
+    Raises:
+        JournalError: there is no campaign in `directory`, or it cannot be read.
+
+    """
+    columns = tables.outcomes.c
+    recorded = sa.select(columns.rollout).where(columns.outcome == RECORDED)
+    query = sa.select(columns.rollout, sa.func.count()).where(columns.outcome == HANDED_BACK)
+    query = query.where(columns.rollout.not_in(recorded)).group_by(columns.rollout)
+    with reading(directory) as connection:
+        return {RolloutId.parse(rollout): number for rollout, number in connection.execute(query)}
 
 
 def irreproducible(directory: Path) -> int:

@@ -27,7 +27,7 @@ from ...schemas.system import SystemSpec
 from ...schemas.values import Bound, Observation, Proposal
 
 DATABASE = "campaign.db"
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """Of a new database. A database keeps its version: its rows are written without the columns that it lacks."""
 READ_VERSIONS = tuple(range(1, SCHEMA_VERSION + 1))
 ADDED_IN = {
@@ -37,6 +37,7 @@ ADDED_IN = {
     ("sessions", "revision"): 4,
     ("sessions", "platform"): 5,
     ("sessions", "account"): 7,
+    ("sessions", "options"): 8,
 }
 """(table, column) to the schema version that added it; every other column is as old as version 1.
 

@@ -170,6 +170,7 @@ sessions = Table(
     Column("revision", Text),  # of this folder: the commit, and whether files are changed
     Column("platform", Text),  # schemas.platforms, of the orchestrator
     Column("account", Text),  # name of the user who ran the orchestrator
+    Column("options", Text),  # of a `perfbound resume` that waits for the same workers, JSON; no secret is one
     sqlite_strict=True,
 )
 

@@ -8,7 +8,7 @@ import os
 import weakref
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,8 @@ from .run import Run
 from .told import Admitted, admitted
 
 SILENT = Console(quiet=True)
+_BY_HAND = session.RunOptions(0, Link(LOCAL))
+"""Of sessions without workers."""
 TOLD_BY = "told"
 """The worker of a rollout that was handed in."""
 
@@ -285,7 +287,7 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
             if config is not None and (found := stored_differently(directory, config)):
                 raise PerfboundError(f"{directory}: another campaign is here ({found}); choose another `out`")
             # No worker: of an installed system nothing is compared: the caller has it.
-            options = session.RunOptions(0, Link(LOCAL), system=system.reference if system else None)
+            options = replace(_BY_HAND, system=system.reference if system else None)
             journal, _ = stack.enter_context(session.reopened(directory, options, SILENT))
             _check_opinions(journal.header.config)
             if system is not None and system.spec.repeated != "anywhere":
@@ -293,7 +295,7 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
         else:
             _check_opinions(config)
             header = Header.new(config, system.spec, software(system.spec))
-            journal = stack.enter_context(session.created(directory, header, system.reference))
+            journal = stack.enter_context(session.created(directory, header, _BY_HAND.origin(system.reference)))
         study = Study(directory, journal, stack.pop_all(), step)
     _OPEN[directory.absolute()] = study
     return study

@@ -26,6 +26,7 @@ from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.fleet.transport import Heartbeat, Inbound, Result, Sink, Token, garbage
 from perfbound.orchestrator.run import assignments, service
 from perfbound.orchestrator.run.service import Interrupted, RunStatus, Service
+from perfbound.orchestrator.run.trust import doubted
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock
@@ -355,7 +356,7 @@ def serve(
         ledger = Ledger(directory, journal)
         ledger.replay()
         ledger.check_files(journal)
-        if not ledger.done:
+        if not ledger.done or any(doubted(journal)):
             port = InMemoryTransport(network)
             stack.callback(port.stop)
             server = Service(ledger, journal, port, None, [log], resumed=resumed, drain=drain)

@@ -13,7 +13,7 @@ from tests.end_to_end.processes import query
 from tests.faults.scene import Scene
 
 EXPECTED = {"campaign.db", "campaign.db-wal", "campaign.db-shm", "certificate.json", "manifest.sha256"}
-EXPECTED |= {"report.html", "counterexamples.csv"}
+EXPECTED |= {"report.html", "counterexamples.csv", lock.LOCK_FILE}
 
 
 REPRODUCIBLE = "reproducible_rollouts"

@@ -25,6 +25,7 @@ from ...store.read import contradicted, irreproducible
 from ...store.untrusted import UntrustedFacts, read_untrusted, read_untrusted_header
 from .. import files
 from ..issue import manifest, question, subject
+from ..opinions import admitted_rollouts
 from . import compare
 from .checks import CheckFailed, Checks, plural
 from .discards import discarded
@@ -222,9 +223,7 @@ def _irreproducible(directory: Path, certificate: Certificate) -> bool:
 
 def _contradicted(directory: Path, certificate: Certificate) -> list[str]:
     """Return rollouts of outvoted workers that differ; those that a certificate admits, if the database has none."""
-    admitted = [each for each in certificate.predicate.assumptions if each.id == "workers_honest"]
-    names = [str((each.values or {}).get("rollouts", "")) for each in admitted if each.status == "refuted"]
-    return contradicted(directory) or [name for text in names for name in text.split(", ")]
+    return contradicted(directory) or admitted_rollouts(certificate.predicate)
 
 
 def _chain(

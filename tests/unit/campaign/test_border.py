@@ -211,7 +211,8 @@ def older(directory: Path, version: int) -> None:
             "CREATE TRIGGER schema_no_update BEFORE UPDATE ON schema BEGIN SELECT RAISE(ABORT, 'schema'); END"
         )
         connection.executescript("DROP TABLE set_aside; DROP TABLE opinions; DROP TABLE extensions")
-        connection.executescript("ALTER TABLE sessions DROP COLUMN platform; ALTER TABLE sessions DROP COLUMN account")
+        for column in ("platform", "account", "options"):
+            connection.execute(f"ALTER TABLE sessions DROP COLUMN {column}")
         if version < 4:
             connection.execute("ALTER TABLE sessions DROP COLUMN revision")
         connection.commit()

@@ -315,6 +315,7 @@ def test_a_database_of_before_is_upgraded(before: Path, run: Path) -> None:
     edit(before, "UPDATE schema SET version = 5")
     edit(before, "DROP TABLE extensions")
     edit(before, "ALTER TABLE sessions DROP COLUMN account")
+    edit(before, "ALTER TABLE sessions DROP COLUMN options")
     extended(before, campaign(), 10)
     assert text(before) == text(run)
     assert not verified(before)

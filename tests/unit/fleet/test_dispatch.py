@@ -321,6 +321,13 @@ def test_a_rollout_that_is_handed_back_again_and_again_is_reported_once() -> Non
     assert R[0] in state.waiting, "the campaign continues"
 
 
+def test_hand_backs_before_a_restart_count() -> None:
+    again = Wanted(0.0, ((R[0], OFTEN - 1),), handed_back={R[0]: OFTEN - 1})
+    state, _ = after(again, *up("w", 1))
+    _, actions = step(state, handed_back(R[0], OFTEN, worker="w", at=2))
+    assert [each for each in actions if isinstance(each, OftenHandedBack)] == [OftenHandedBack(R[0], OFTEN, "w", "")]
+
+
 def test_a_repeated_hand_back_is_acknowledged_and_starts_nothing_twice() -> None:
     history: list[Event] = [*up("a"), want(R[0]), busy(R[0], worker="a"), *up("b"), handed_back(R[0], worker="a")]
     state, actions = after(*history, *up("c"), handed_back(R[0], worker="a"))

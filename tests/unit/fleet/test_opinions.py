@@ -1,5 +1,7 @@
 """Second opinions: who is asked, who is outvoted, and what counts."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,6 +14,8 @@ from perfbound.orchestrator.fleet.events import (
     Fail,
     GiveUp,
     HandOut,
+    Opinion,
+    Outvoted,
     Poison,
     Record,
     Reported,
@@ -21,8 +25,9 @@ from perfbound.orchestrator.fleet.events import (
     WorkerUp,
 )
 from perfbound.orchestrator.fleet.limits import Limits
-from perfbound.orchestrator.fleet.opinions import UNLIKE
+from perfbound.orchestrator.fleet.opinions import UNLIKE, is_outvoted, without
 from perfbound.orchestrator.fleet.state import DispatchState
+from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
 from tests.fakes.fleets import Behaviour, Fleet, Member
 from tests.fakes.invariants import check_invariants
@@ -131,6 +136,85 @@ def test_a_worker_that_differs_from_itself_is_poison(alone: DispatchState) -> No
     state, _ = deliver(alone, 1, "d")
     state, _ = deliver(state, 2, "e")
     assert any(isinstance(action, Poison) for action in deliver(state, 3, "f")[1])
+
+
+def test_a_worker_that_is_alone_and_contradicts_itself_never_agrees(alone: DispatchState) -> None:
+    state, _ = deliver(alone, 1, "d")
+    state, _ = deliver(state, 2, "e")
+    state, actions = deliver(state, 3, "e")
+    assert any(isinstance(action, Poison) for action in actions)
+    assert not any(isinstance(action, Record) for action in actions)
+
+
+def test_agreement_with_itself_is_no_comparison_with_another_worker(alone: DispatchState) -> None:
+    state, _ = deliver(alone, 1, "d")
+    state, actions = deliver(state, 2, "d")
+    assert Record("w", Attempt(R0, 2)) in actions
+    assert state.comparisons == {}, "its first three results are compared once there is another worker"
+
+
+def asked(workers: str, *opinions: Opinion, state: DispatchState | None = None) -> DispatchState:
+    """Return the state in which the first of these idle workers has R0, which is compared, after these opinions."""
+    state = state or DispatchState(Limits(), second_opinion=True)
+    for name in workers:
+        for event in (WorkerUp(0.0, name, name), Reported(0.0, name, None, 0)):
+            state, _ = dispatch.advance(state, event)
+    wanted = Wanted(0.0, ((R0, len(opinions)),), compared=frozenset({R0}), opinions={R0: opinions})
+    state, _ = dispatch.advance(state, wanted)
+    state, _ = dispatch.advance(state, HandOut(0.0))
+    return state
+
+
+def opinion(number: int, worker: str, digest: str) -> Opinion:
+    return Opinion(worker, worker, Attempt(R0, number), digest)
+
+
+@pytest.mark.parametrize("first", ["liar", "honest"])
+def test_a_worker_that_sends_the_right_result_when_it_is_asked_again_is_outvoted(first: str) -> None:
+    before = (opinion(1, "a", "false"), opinion(2, "b", "d"))
+    state = asked("a", *(before if first == "liar" else before[::-1]))
+    state, actions = deliver(state, 3, "d", "a")
+    assert Record("a", Attempt(R0, 3)) in actions
+    (found,) = [each for each in actions if isinstance(each, Outvoted)]
+    assert (found.worker, found.digest) == ("a", "false")
+    (aside,) = [each for each in actions if isinstance(each, SetAside)]
+    assert aside.reason == "its trajectory of p.0.true.0 differs from another one of its own, which is that of b"
+    assert is_outvoted(state, "a"), "also after its result was recorded"
+    check_invariants(state)
+
+
+def test_no_restart_makes_two_that_differ_one_that_agrees_with_itself() -> None:
+    state = asked("a", opinion(1, "a", "false"), opinion(2, "b", "d"))
+    state, actions = deliver(state, 3, "false", "a")
+    assert any(isinstance(action, Poison) for action in actions)
+    # Nor does a restart after that end.
+    opinions = (opinion(1, "a", "false"), opinion(2, "b", "d"), opinion(3, "a", "false"))
+    _, actions = deliver(asked("a", *opinions), 4, "false", "a")
+    assert any(isinstance(action, Poison) for action in actions)
+    _, actions = deliver(asked("c", *opinions), 4, "d", "c")
+    assert Record("c", Attempt(R0, 4)) in actions
+    assert [each.worker for each in actions if isinstance(each, Outvoted)] == ["a"]
+
+
+def test_what_an_outvoted_worker_has_sent_is_no_opinion() -> None:
+    banned = DispatchState(Limits(), standings=without({}, ["a"]), second_opinion=True)
+    _, actions = deliver(asked("c", opinion(1, "a", "false"), state=banned), 2, "false", "c")
+    assert not any(isinstance(action, Record) for action in actions)
+    state, _ = deliver(asked("c", opinion(1, "a", "false"), state=banned), 2, "d", "c")
+    _, actions = deliver(state, 3, "d", "c")
+    assert Record("c", Attempt(R0, 3)) in actions, "two that are left agree"
+
+
+def test_an_outvoted_worker_stays_aside_whatever_fails_on_it_afterwards() -> None:
+    limits, state = Limits(), asked("a")
+    state = replace(state, standings=without(state.standings, ["a"]))  # in another rollout, while it has this one
+    state, _ = dispatch.advance(state, Delivered(1.0, "a", Attempt(R0, 1), Failure("system", "it raised")))
+    assert state.waiting == (R0,)
+    for at in (2.0, 2.0 + limits.first_pause, 2.0 + limits.longest_pause):
+        state, _ = dispatch.advance(state, Reported(at, "a", None, 0))
+        state, actions = dispatch.advance(state, HandOut(at))
+        assert actions == ()
+    assert is_outvoted(state, "a")
 
 
 # Doubts

@@ -19,7 +19,7 @@ from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.fleet import events, processes
 from perfbound.orchestrator.fleet.processes import Fleet
 from perfbound.orchestrator.fleet.transport import Heartbeat, Token
-from perfbound.orchestrator.run import assignments, service
+from perfbound.orchestrator.run import assignments, roster, service
 from perfbound.orchestrator.run.service import Service
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.rows import DATABASE
@@ -284,6 +284,24 @@ def test_without_the_key_of_the_assignments_their_rollouts_are_simulated_again(
             serve(directory, network, log, stop=lambda seen: seen.recorded >= 3)
         (directory / assignments.KEY).unlink()
         assert serve(directory, network, log, resumed=True) == calm
+
+
+def test_workers_beyond_the_most_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(roster, "LIVING", 3)
+    monkeypatch.setattr(service, "LIVING", 3)
+    begin(tmp_path / "run", a_config())
+    log = Log()
+    with closing(Journal.open(tmp_path / "run")) as journal, Network() as network:
+        server = Service(
+            Ledger(tmp_path / "run", journal), journal, InMemoryTransport(network), None, [log], resumed=False
+        )
+        for name in (f"w{number}" for number in range(10)):
+            server._take(Token(0.0, name, alive=True))
+        assert len(server._roster.records) == 3
+    assert log.lines == [
+        "worker w3, and those that come after it, get no work: 3 workers are there, the most of one campaign; end "
+        "them, or start them with --run ID for another campaign"
+    ]
 
 
 # Local workers

@@ -11,6 +11,7 @@ from perfbound.orchestrator.run.poison import poison_text
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId
+from perfbound.schemas.rollout import RolloutRequest
 from tests.campaigns import config
 
 ROLLOUT = RolloutId("robustness", 3, "nominal", 0)
@@ -20,7 +21,7 @@ REQUEST = SimpleNamespace(x=(0.5, -1.0), variant="nominal", seed=7, horizon=8.0,
 def ledger(**changes: Any) -> Ledger:
     found: CampaignConfig = config("test-function").model_copy(update=changes)
     header = SimpleNamespace(spec=SimpleNamespace(repeated="anywhere"))
-    return cast(Ledger, SimpleNamespace(request=lambda _: REQUEST, config=found, header=header))
+    return cast(Ledger, SimpleNamespace(config=found, header=header))
 
 
 def text(reference: str | None, ends: dict[str, str] | None = None, **changes: Any) -> str:
@@ -28,7 +29,8 @@ def text(reference: str | None, ends: dict[str, str] | None = None, **changes: A
         events.Fail(f"local-{number}", Attempt(ROLLOUT, number), Failure("infrastructure", "worker lost for 5 s"))
         for number in (1, 2)
     )
-    return poison_text(events.Poison(ROLLOUT, failed), ledger(**changes), reference, ends or {})
+    request = cast(RolloutRequest, REQUEST)
+    return poison_text(events.Poison(ROLLOUT, failed), request, ledger(**changes), reference, ends or {})
 
 
 def command(found: str) -> str:

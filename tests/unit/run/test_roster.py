@@ -85,7 +85,11 @@ def test_living_workers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     for number in range(100):
         roster.token(Token(0.0, f"w{number}", alive=True))
     assert len(roster.records) == 5
+    assert roster.is_one_too_many(Token(0.0, "w99", alive=True))
+    assert not roster.is_one_too_many(Token(0.0, "w99", alive=False))
+    assert not roster.is_one_too_many(Token(0.0, "w4", alive=True))
     roster.token(Token(0.0, "w0", alive=False))
+    assert not roster.is_one_too_many(Token(0.0, "late", alive=True))
     assert appear(roster, "late")
 
 

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from perfbound.orchestrator.campaign.second_opinion import is_chosen
+from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate.opinions import MOST_NAMED
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
 from perfbound.orchestrator.fleet.limits import Limits
 from perfbound.orchestrator.run import service
@@ -22,7 +24,7 @@ from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
-from perfbound.schemas.errors import Stopped
+from perfbound.schemas.errors import PerfboundError, Stopped
 from perfbound.schemas.facts import Header
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.messages import ResultHeader
@@ -173,6 +175,19 @@ def test_of_a_worker_that_lies_from_its_first_result_nothing_is_recorded(tmp_pat
     assert opinions(directory, "reviewed") == []
 
 
+def test_of_a_worker_that_is_alone_the_certificate_says_what_its_agreement_does_not_show(tmp_path: Path) -> None:
+    config, directory = a_config(second_opinion=1.0), tmp_path / "run"
+    begin(directory, config)
+    liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [liar]):
+        found = honesty(serve(directory, network, Log()))
+    assert found["values"]["compared"] == found["values"]["agreed"] == 36
+    assert (
+        "if no two results of a rollout are false alike, be they of two workers or of one that was alone"
+        in found["detail"]
+    )
+
+
 def test_what_a_worker_recorded_before_it_was_outvoted_is_simulated_again(tmp_path: Path) -> None:
     config, directory = a_config(second_opinion=0.3), tmp_path / "run"
     begin(directory, config)
@@ -200,3 +215,135 @@ def test_what_a_worker_recorded_before_it_was_outvoted_is_simulated_again(tmp_pa
     assert f"{len(suspects)} of the rollouts that it had recorded had another trajectory" in told["detail"]
     assert all(rollout in told["detail"] for rollout in suspects)
     assert faults(directory) == []
+
+
+def test_a_review_that_is_interrupted_goes_on_and_verifies_without_the_opinions(tmp_path: Path) -> None:
+    config, directory = a_config(second_opinion=0.3), tmp_path / "run"
+    begin(directory, config)
+    liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [liar]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 24)
+    false = recorded(directory)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        ((name,),) = connection.execute("SELECT DISTINCT worker FROM outcomes").fetchall()
+    insert(directory, ("outvoted", next(iter(false)), 1, name, "0" * 64))
+    with Network() as network, working(network, run_of(directory), [honest]):
+        with pytest.raises(Stopped):
+            serve(directory, network, Log(), stop=lambda _: len(opinions(directory, "reviewed")) >= 3, resumed=True)
+        assert not (directory / files.CERTIFICATE).exists()
+        found = serve(directory, network, Log(), resumed=True)
+    assert set(read.contradicted(directory)) == set(false)
+    assert len(opinions(directory, "reviewed")) == len(false) > MOST_NAMED
+    assert honesty(found)["values"]["count"] == len(false)
+    assert faults(directory) == []
+    with closing(sqlite3.connect(directory / DATABASE)) as connection, connection:
+        connection.execute("DROP TRIGGER opinions_no_delete")
+        connection.execute("DELETE FROM opinions")
+    assert faults(directory) == [], "a certificate is believed that admits more than the database shows"
+
+
+def recorded(directory: Path) -> dict[str, str]:
+    """Return the digest of each recorded rollout."""
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        rows = connection.execute("SELECT problem, test, variant, replicate, sha256 FROM rollouts").fetchall()
+    return {".".join(map(str, row[:4])): row[4] for row in rows}
+
+
+def false_rollouts(directory: Path, calm: Path) -> set[str]:
+    """Return the recorded rollouts that honest workers do not send."""
+    right = recorded(calm)
+    return {rollout for rollout, sha256 in recorded(directory).items() if right.get(rollout, sha256) != sha256}
+
+
+def test_after_a_vote_without_majority_no_resume_lets_the_liar_agree_with_itself(tmp_path: Path) -> None:
+    config, directory, heard = a_config(second_opinion=1.0), tmp_path / "run", threading.Event()
+    calm = campaign(tmp_path / "calm", config)
+    begin(directory, config)
+    liar: Wrap = lambda uplink: LateLiar(uplink, lie, [heard])  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [liar]):
+        two = working(network, run_of(directory), [partial(Heard, event=heard)])
+        with two, pytest.raises(PerfboundError, match=r"a trajectory like no other one"):
+            serve(directory, network, Log())
+        (disputed, *_) = [rollout for rollout, _ in opinions(directory, "compared")]
+        with pytest.raises(PerfboundError, match=r"a trajectory like no other one"):
+            serve(directory, network, Log(), resumed=True)
+        assert disputed not in recorded(directory), "alone, the liar has no majority"
+        with working(network, run_of(directory), [honest, honest]):
+            found = serve(directory, network, Log(), resumed=True)
+    false = false_rollouts(directory, tmp_path / "calm")
+    assert len({worker for _, worker in opinions(directory, "outvoted")}) == 1
+    assert set(read.contradicted(directory)) == false
+    assert honesty(found)["status"] == ("refuted" if false else "not refuted")
+    assert false or found == calm
+    assert faults(directory) == []
+
+
+def insert(directory: Path, *rows: tuple[str, str, int, str, str]) -> None:
+    """Add opinions: kind, rollout, attempt, worker, sha256."""
+    with closing(sqlite3.connect(directory / DATABASE)) as connection, connection:
+        query = "INSERT INTO opinions (kind, rollout, attempt, worker, sha256, at) VALUES (?,?,?,?,?,0)"
+        connection.executemany(query, rows)
+
+
+def test_two_that_differed_before_a_restart_are_decided_on_after_it(tmp_path: Path) -> None:
+    config, directory = a_config(second_opinion=0.3), tmp_path / "run"
+    campaign(tmp_path / "calm", config)
+    begin(directory, config)
+    liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    with Network() as network, working(network, run_of(directory), [liar]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 12)
+    false = recorded(directory)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        ((name,),) = connection.execute("SELECT DISTINCT worker FROM outcomes").fetchall()
+    # As if another one had joined for a moment, and the orchestrator been killed before a third was asked.
+    right = recorded(tmp_path / "calm")
+    rollout = next(each for each in right if each not in false)
+    insert(directory, ("compared", rollout, 1, name, "0" * 64), ("compared", rollout, 2, "other", right[rollout]))
+    with Network() as network, working(network, run_of(directory), [honest, honest]):
+        found = serve(directory, network, Log(), resumed=True)
+    assert {worker for _, worker in opinions(directory, "outvoted")} == {name}
+    assert set(read.contradicted(directory)) == set(false) == false_rollouts(directory, tmp_path / "calm")
+    assert honesty(found)["status"] == "refuted"
+
+
+def test_two_that_differ_on_a_rollout_that_is_no_longer_needed_are_decided_on_before_the_certificate(
+    tmp_path: Path,
+) -> None:
+    config, directory = a_config(second_opinion=0.3), tmp_path / "run"
+    begin(directory, config)
+    with Network() as network, working(network, run_of(directory), [honest]):
+        with pytest.raises(Stopped):
+            serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 12)
+        rollout = next(iter(recorded(directory)))
+        # Recorded already: nothing but the review asks for it again.
+        insert(directory, ("compared", rollout, 8, "a", "0" * 64), ("compared", rollout, 9, "b", "1" * 64))
+        log = Log()
+        with pytest.raises(PerfboundError, match=f"rollout {rollout} failed 3 times"):
+            serve(directory, network, log, resumed=True)
+    assert "1 rollouts on which two workers differ are simulated again" in log.lines
+    with Network() as network, working(network, run_of(directory), [honest]):
+        found = serve(directory, network, Log(), resumed=True)
+    assert {worker for _, worker in opinions(directory, "outvoted")} == {"a", "b"}
+    assert found == campaign(tmp_path / "calm", config)
+
+
+def test_what_was_open_is_numbered_on_also_where_damaged_files_come_first(tmp_path: Path) -> None:
+    config, directory = a_config(), tmp_path / "run"
+    begin(directory, config)
+    with Network() as network, working(network, run_of(directory), [honest, honest]), pytest.raises(Stopped):
+        serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 6)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        query = "SELECT DISTINCT rollout FROM attempts EXCEPT SELECT rollout FROM outcomes WHERE outcome = 'recorded'"
+        opened = {row[0] for row in connection.execute(query)}
+        (before,) = connection.execute("SELECT max(session) FROM attempts").fetchone()
+        path = connection.execute("SELECT path FROM rollouts ORDER BY seq DESC LIMIT 1").fetchone()[0]
+    assert opened
+    (directory / path).unlink()
+    with Network() as network, working(network, run_of(directory), [honest, honest]):
+        found = serve(directory, network, Log(), resumed=True)
+    with closing(sqlite3.connect(directory / DATABASE)) as connection:
+        # One with the number of an earlier attempt has no row of its own.
+        query = "SELECT rollout FROM attempts WHERE session > ?"
+        later = {row[0] for row in connection.execute(query, [before])}
+    assert opened <= later
+    assert found == campaign(tmp_path / "calm", config)

@@ -1,9 +1,12 @@
 """The job files for Slurm: what is published, what a shell makes of hostile names, and what is refused."""
 
+import fcntl
 import os
 import re
 import resource
 import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +24,7 @@ from perfbound.orchestrator.run.slurm_files import (
     job_name,
     missing_files,
 )
-from perfbound.orchestrator.store.lock import campaign_lock
+from perfbound.orchestrator.store.lock import LOCK_FILE, campaign_lock
 from perfbound.schemas.errors import PerfboundError
 from tests.end_to_end.processes import wait_for
 from tests.patience import PATIENCE
@@ -351,12 +354,27 @@ def test_the_end_of_a_campaign_is_noted_as_soon_as_there_is_room(tmp_path: Path)
     assert (tmp_path / "ended").read_text() == "0\n"
 
 
-def test_an_orchestrator_waits_for_one_that_slurm_has_lost_sight_of(tmp_path: Path) -> None:
+@contextmanager
+def locked_on_another_node(directory: Path) -> Iterator[None]:
+    """Lock what NFS shares between nodes: the file alone."""
+    with (directory / LOCK_FILE).open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def test_the_job_of_the_orchestrator_knows_the_lock_file() -> None:
+    assert f'"$directory/{LOCK_FILE}"' in job_files(OPTIONS)[f"{ORCHESTRATOR}.sh"]
+
+
+@pytest.mark.parametrize("holding", [campaign_lock, locked_on_another_node])
+def test_an_orchestrator_waits_for_one_that_slurm_has_lost_sight_of(
+    tmp_path: Path, holding: Callable[[Path], AbstractContextManager[object]]
+) -> None:
     """Queued again while it still runs elsewhere: the campaign has not failed."""
     (tmp_path / "endpoint").write_text("tcp/node:1\n")
     (tmp_path / "run").mkdir()
-    locked = 'flock --nonblock --conflict-exit-code 1 "$HOME/run" true || exit\necho "$1" >"$SEEN"'
-    with campaign_lock(tmp_path / "run"):
+    locked = 'flock --nonblock --conflict-exit-code 1 "$HOME/run/orchestrator.lock" true || exit\necho "$1" >"$SEEN"'
+    with holding(tmp_path / "run"):
         orchestrator = job(tmp_path, ORCHESTRATOR, perfbound=locked)
         assert orchestrator.stderr is not None
         line = f"{tmp_path}/run: another orchestrator is running this campaign; waiting for its end\n"

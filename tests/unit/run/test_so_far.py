@@ -28,6 +28,7 @@ from perfbound.orchestrator.run.so_far_text import bar_words, holding_rows, left
 from perfbound.orchestrator.run.verdict import verdict_of
 from perfbound.orchestrator.store import read
 from perfbound.orchestrator.store.journal import Journal
+from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.orchestrator.store.so_far import NAME, read_so_far, remove_so_far, write_so_far
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.campaign_file import parse_campaign
@@ -184,6 +185,40 @@ def test_without_a_link_to_the_router_no_time_is_expected(tmp_path: Path) -> Non
     up, down = output.found[1:]
     assert up.expected.seconds is not None
     assert down.expected == up.expected.model_copy(update={"seconds": None})
+    assert holding_rows(up)[1].verdict.startswith("SHOWN, in about ")
+    assert holding_rows(down)[1].verdict == "SHOWN, no time is estimated without the link to the router"
+
+
+def test_status_reports_a_link_that_is_down(tmp_path: Path) -> None:
+    cut(tmp_path, a_rigorous_one(max_tests=60), quiet, after=120)
+    with replayed(tmp_path) as ledger, campaign_lock(tmp_path):
+        listener = SoFarListener(tmp_path, ledger, Output())
+
+        def status(link: RouterLink | None) -> tuple[str, float | None]:
+            listener._next = 0.0
+            listener.show(replace(status_of(ledger, seconds=10.0, recorded=10), link=link))
+            return in_words(tmp_path), status_object(tmp_path)["router_link_down_for"]
+
+        text, seconds = status(RouterLink(75.0, 0))
+        assert "the link to the router has been down for 1 min 15 s: no rollout can arrive\n" in text
+        assert seconds == pytest.approx(75.0, abs=30.0)
+        for link in (RouterLink(None, 1), None):
+            text, seconds = status(link)
+            assert "the link to the router" not in text
+            assert seconds is None
+            assert "link_down_since" not in (tmp_path / NAME).read_text(), "an older perfbound reads the file"
+        status(RouterLink(75.0, 0))
+        Journal.open(tmp_path).close()  # a new session, which has written nothing yet
+        assert status_object(tmp_path)["router_link_down_for"] is None
+    status_of_stopped = status_object(tmp_path)
+    assert status_of_stopped["router_link_down_for"] is None
+    assert "the link to the router has been down" not in in_words(tmp_path)
+
+
+def in_words(directory: Path) -> str:
+    output = StringIO()
+    print_status(directory, Console(file=output, width=200))
+    return output.getvalue()
 
 
 def test_before_the_end_it_says_what_would_hold_and_what_is_expected(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from perfbound.orchestrator.campaign.software import software
 from perfbound.orchestrator.store import read, tables
 from perfbound.orchestrator.store.changes import ChangeReader
 from perfbound.orchestrator.store.journal import Journal
-from perfbound.orchestrator.store.lock import campaign_lock, is_held
+from perfbound.orchestrator.store.lock import LOCK_FILE, campaign_lock, is_held
 from perfbound.orchestrator.store.progress import read_progress
 from perfbound.orchestrator.store.rows import DATABASE, SCHEMA_VERSION
 from perfbound.orchestrator.store.untrusted import read_untrusted
@@ -301,6 +301,13 @@ def test_a_database_without_kinds_is_read_and_written_as_it_is(tmp_path: Path, v
     assert {each.kind for each in ChangeReader(tmp_path).read().outcomes} == {None}
 
 
+def test_hand_backs_of_rollouts_without_a_result_are_counted(journal: Journal, tmp_path: Path) -> None:
+    other, done = RolloutId("maximum", 1, "true", 0), RolloutId("maximum", 2, "true", 0)
+    end(journal, (R0, 1, "handed back"), (R0, 2, LOST), (R0, 3, "handed back"), (other, 1, LOST))
+    end(journal, (done, 1, "handed back"), (done, 2, "recorded"))
+    assert read.hand_backs(tmp_path) == {R0: 2}
+
+
 @pytest.mark.parametrize("name", ["kind", "shape"])
 def test_a_table_with_the_columns_of_no_version_is_not_perfbound_s(journal: Journal, tmp_path: Path, name: str) -> None:
     journal.close()
@@ -467,7 +474,7 @@ def test_one_orchestrator_at_a_time_even_after_a_kill(tmp_path: Path) -> None:
     with campaign_lock(tmp_path):
         assert is_held(tmp_path)
     assert not is_held(tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == [LOCK_FILE]
 
 
 @pytest.mark.parametrize("name", ["with space", "what?", "50%", "a#b&c=d", "mode=ro"])
