@@ -164,13 +164,13 @@ def test_a_worker_whose_orchestrator_does_not_come_back_ends(started: Processes,
 
 
 def test_after_its_hours_a_worker_finishes_what_is_under_way(started: Processes, slow: Slow) -> None:
-    orchestrator, endpoint = slow("3 steps")
+    orchestrator, endpoint = slow("3 steps", tests=20)  # more than it can do in its time
     one = worker(started, endpoint, "--max-hours", "0.003")  # 11 s, in which a busy machine starts it and a rollout
     assert one.wait().code == 0, one.err
     assert "recorded" in outcomes(started)
     assert outcomes(started) <= {"recorded", "handed back"}
     assert not under_way(started.folder / "run")
-    finish(started, orchestrator, endpoint)
+    finish(started, orchestrator, endpoint, tests=20)
 
 
 @pytest.mark.parametrize("kind", ["steps", "native"])
@@ -209,8 +209,9 @@ def test_a_long_rollout_is_handed_back_and_counts_against_nobody(started: Proces
 
 def test_a_second_signal_ends_a_worker_at_once(started: Processes, slow: Slow) -> None:
     orchestrator, endpoint = slow("200 native")
-    one = worker(started, endpoint)
-    wait_for(lambda: is_busy(started))
+    one = worker(started, endpoint, "--stop-within", "250")  # of the second signal, not of this time, is the test
+    # Not only assigned: what has not begun is handed back at once.
+    wait_for((started.folder / "pace.begun").exists)
     one.popen.terminate()
     wait_for(lambda: "a second SIGTERM" in one.err)
     one.popen.terminate()
