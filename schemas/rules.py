@@ -7,13 +7,14 @@ A change that gives another seed, digest or decision is a new number here, and a
     2   digests over the keys that differ from their defaults and decide a number; seeds follow from seed and digest, so
         that no two campaigns share rollouts; a certificate has the sensitivity of its claims, and a claim is never
         weaker than what the clip alone proves
+    3   a certificate lists that crashes have nothing to do with outcomes
 """
 
 from .errors import JournalError
 
-RULES = 2
+RULES = 3
 """The rules of a new campaign."""
-KNOWN = frozenset({1, 2})
+KNOWN = frozenset({1, 2, 3})
 
 
 def check_rules(rules: int, place: str) -> int:

@@ -35,7 +35,9 @@ DISCARDED = "discarded_"
 """Of the ids of discarded rollouts, before their number."""
 EXTENDED = "extended_"
 """Of the ids of extensions, before their number and the problem."""
+UNRELATED = "unrelated_crashes"
 TRUSTED = (
+    UNRELATED,
     "only_campaign",
     "fixed_beforehand",
     "sampled_at_sample_times",
@@ -43,7 +45,11 @@ TRUSTED = (
     "workers_honest",
 )
 """Assumptions of every campaign that no data of its own can test."""
-MEASURED = {"simulator_is_the_system": "measured_system", "workers_honest": "told_honestly"}
+MEASURED = {
+    UNRELATED: "unrelated_losses",
+    "simulator_is_the_system": "measured_system",
+    "workers_honest": "told_honestly",
+}
 """The sentences of those of a system whose rollouts no simulator makes."""
 
 
@@ -107,7 +113,8 @@ def assumptions(
     if repeated == "session":
         found.append(assumption("defined_in_session", "assumed"))
     forms = extended | (MEASURED if measured else {})
-    trusted = [assumption(name, "assumed", form=forms.get(name)) for name in TRUSTED]
+    names = TRUSTED if ledger.header.rules > 2 else [each for each in TRUSTED if each != UNRELATED]
+    trusted = [assumption(name, "assumed", form=forms.get(name)) for name in names]
     return [*found, *(honest if honest and each.id == honest.id else each for each in trusted)]
 
 

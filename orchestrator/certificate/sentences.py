@@ -286,6 +286,15 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed": "the trajectories that were handed in are assumed to be those of the system at the requested "
         "starts; robustness and gaps are computed from them.",
     },
+    "unrelated_crashes": {
+        "assumed": "attempts that ended without a trajectory because their process crashed, hung, missed its deadline "
+        "or was lost are repeated with the same seed and not counted; that this has nothing to do with the outcome "
+        "of the rollout is assumed.",
+    },
+    "unrelated_losses": {
+        "assumed": "a trial that was lost, or measured again, is not counted; that this has nothing to do with its "
+        "outcome is assumed.",
+    },
     "only_campaign": {
         "assumed": "this is assumed to be the only campaign for its question; whoever picks the best of several "
         "certificates adds up all their failure probabilities.",

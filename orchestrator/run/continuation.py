@@ -62,7 +62,7 @@ def local_workers(directory: Path, workers: int | None, link: Sequence[str], *, 
 def _options_text(directory: Path) -> str | None:
     try:
         return session_options(directory)
-    except (PerfboundError, OSError):  # whoever continues the campaign is told
+    except (PerfboundError, OSError):  # the resume itself says what is wrong
         return None
 
 

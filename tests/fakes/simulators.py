@@ -75,6 +75,10 @@ def noise(seed: int) -> float:
     return float(np.random.default_rng(seed).standard_normal())
 
 
+class Crashed(Exception):
+    """A function ended its process: a failure of the infrastructure."""
+
+
 class Simulators(Puppets):
     """Workers with one function; a rollout that it raises in is a failed attempt."""
 
@@ -93,13 +97,13 @@ class Simulators(Puppets):
             value = self._function(request)
             samples = [[time, value] for time in dict.fromkeys((0.0, request.horizon))]
             trajectory = Trajectory(tuple(units), np.array(samples))
-        except (SimulationError, ValueError) as error:
+        except (SimulationError, ValueError, Crashed) as error:
             failed = ResultHeader(
                 rollout=request.rollout,
                 attempt=assign.attempt,
                 worker=worker,
                 outcome="failed",
-                kind="system",
+                kind="infrastructure" if isinstance(error, Crashed) else "system",
                 error=str(error),
             )
             return failed, b""

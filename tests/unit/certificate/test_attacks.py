@@ -24,7 +24,7 @@ from perfbound.schemas.certificate import Certificate
 from perfbound.schemas.errors import SimulationError
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.rollout import RolloutRequest
-from tests.fakes.simulators import Function, Stop, noise, predicate, robustness, simulate, statuses, verified
+from tests.fakes.simulators import Crashed, Function, Stop, noise, predicate, robustness, simulate, statuses, verified
 
 KERNEL = {"nu": 2.5, "length_scale": 1.0}
 EXACT = {
@@ -142,6 +142,22 @@ def test_outcomes_that_a_hidden_state_selects_are_refuted(tmp_path: Path) -> Non
     text = simulate(tmp_path / "run", listed(max_attempts=100, max_tests=40), selecting, noisy=True)
     assert predicate(text)["claims"][0]["bound"] > 0.7, "the claim is false"
     assert refuted(text) == ["reproducible_rollouts"]
+
+
+def test_outcomes_that_crashes_select_are_listed(tmp_path: Path) -> None:
+    """Above or below the mean by chance, and a crash below it: what is recorded repeats with its seed."""
+    hidden = np.random.default_rng(0)
+
+    def crashing(request: RolloutRequest) -> float:
+        if hidden.random() < 0.5:
+            raise Crashed("exit code 139")
+        return 0.7 + SD * abs(noise(request.seed))
+
+    text = simulate(tmp_path / "run", listed(max_attempts=100, max_tests=40), crashing, noisy=True)
+    assert predicate(text)["claims"][0]["bound"] > 0.7, "the claim is false"
+    assert refuted(text) == []
+    assert statuses(text)["unrelated_crashes"] == "assumed"
+    assert "nothing to do with the outcome of the rollout is assumed" in sentence(text, "unrelated_crashes")
 
 
 # Replicates that are copies, and results that do not repeat
