@@ -9,7 +9,7 @@ FailureKind = Literal["infrastructure", "system"]
 """`system`: the system raised, or its trajectory was not usable. `infrastructure`: all else, such as a lost worker.
 
 The retry after a failure of the system is a second draw. If it succeeds, good outcomes were selected, and the rollout
-is not a function of its seed. Failures of the infrastructure do not depend on the outcome of the rollout.
+is not a function of its seed. Failures of the infrastructure are assumed not to depend on the outcome of the rollout.
 """
 
 
