@@ -36,6 +36,7 @@ DISCARDED = "discarded_"
 EXTENDED = "extended_"
 """Of the ids of extensions, before their number and the problem."""
 UNRELATED = "unrelated_crashes"
+"""Listed since rules 3."""
 TRUSTED = (
     UNRELATED,
     "only_campaign",

@@ -76,6 +76,7 @@ def test_a_campaign_is_told_to_its_certificate(study: Study) -> None:
     assert status == "assumed"
     assert "no simulator repeats one" in detail
     assert "measured" in statuses(study)["simulator_is_the_system"][1]
+    assert statuses(study)["unrelated_crashes"][1].startswith("a trial that was lost, or measured again")
 
 
 @pytest.mark.parametrize("form", ["dict", "tuple", "array", "frame", "trajectory", "csv", "units", "mcap"])
