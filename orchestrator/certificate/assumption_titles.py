@@ -34,7 +34,7 @@ STATEMENTS = {
     "sigma": "the theorem covers the width of this band",
     "simulator_is_the_system": "the real system behaves like the simulator",
     "tail": "large deviations are as rare as the noise model says",
-    "unrelated_crashes": "crashes and hangs have nothing to do with the outcome of a rollout",
+    "unrelated_crashes": "crashes and lost attempts are unrelated to outcomes",
     "workers_honest": "worker processes send what they simulated",
 }
 
