@@ -107,6 +107,10 @@ class Wire:
         """Keep a result."""
         self.results.append(header)
 
+    def shows(self, condition: Callable[[WorkerState], object]) -> bool:
+        """Whether there is a heartbeat, and the last one meets a condition."""
+        return bool(self.states) and bool(condition(self.states[-1]))
+
 
 class Running:
     """A worker in a thread, and how it ended."""
@@ -176,11 +180,11 @@ def test_an_attempt_begins_and_ends_with_a_heartbeat_whatever_the_interval(begun
     until(lambda: wire.states)
     running.worker.receive(assign := an_assign(0))
     assert begun.wait(PATIENCE)
-    until(lambda: wire.states[-1].attempt == assign.attempt)
+    until(lambda: wire.shows(lambda state: state.attempt == assign.attempt))
     running.worker.receive(Cancel(rollout=assign.request.rollout, attempt=assign.attempt))
-    until(lambda: wire.states[-1].state == "idle")
+    until(lambda: wire.shows(lambda state: state.state == "idle"))
     running.worker.leave()
-    until(lambda: wire.states[-1].leaving)
+    until(lambda: wire.shows(lambda state: state.leaving))
     running.worker.receive(Release())
 
 
@@ -189,7 +193,7 @@ def test_a_worker_that_leaves_waits_for_its_dismissal(monkeypatch: pytest.Monkey
     wire = Wire()
     running = Running(wire)
     running.worker.leave()
-    until(lambda: wire.states and wire.states[-1].leaving)
+    until(lambda: wire.shows(lambda state: state.leaving))
     assert not running.worker.has_left
     # An assignment that crosses its farewell comes back, with no time lost.
     running.worker.receive(assign := an_assign(0))
@@ -241,7 +245,7 @@ def test_a_rollout_is_handed_back_once_and_its_result_is_dropped(begun: threadin
     running.worker.leave()
     running.worker.hand_back()
     running.worker.hand_back()
-    until(lambda: wire.states[-1].state == "idle" and wire.states[-1].leaving)
+    until(lambda: wire.shows(lambda state: state.state == "idle" and state.leaving))
     acknowledged(running.worker, assign)
     running.worker.receive(Release())
     assert running.ended() == "left"
