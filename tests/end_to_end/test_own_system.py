@@ -168,7 +168,9 @@ def test_a_function_that_fails_ends_with_its_command_and_remedy(
     assert failed.code == 1
     line = failed.last_line
     assert line.count("AssertionError: too close") == 1, "each reason once"
-    rollout = re.search(r"rollout (\S+) failed 2 times.*: attempt 1 on (\S+), attempt 2 on (\S+): Ass", line)
+    # A third time where the second worker had failed others before: set aside, it counts against itself alone.
+    attempts = r"failed [23] times.*: attempt 1 on (\S+), attempt 2 on (\S+)(?:, attempt 3 on \S+)?: Ass"
+    rollout = re.search(rf"rollout (\S+) {attempts}", line)
     assert rollout is not None, line
     assert rollout[2] != rollout[3], "on another worker, or in a fresh process"
     told = [each for each in failed.err.splitlines() if f"{rollout[1]}, attempt" in each]
