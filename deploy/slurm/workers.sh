@@ -32,5 +32,5 @@ watch() {
 connected "$programs/perfbound-worker" --until-done "${system[@]}" "${tls[@]}"
 code=$?
 ! ended || exit 0
-[ -z "$warned" ] || [ "$code" -ne 143 ] || again
+[ -z "$warned" ] || [ "$code" -le 128 ] || again
 exit "$code"

@@ -9,7 +9,7 @@ from types import FrameType
 
 from ...schemas.blas import one_blas_thread
 from ...schemas.errors import PerfboundError, Stopped
-from .exits import end, take_signals
+from .exits import end, process_end, take_signals
 from .group import cli
 from .pipes import readers_may_end
 
@@ -45,7 +45,7 @@ def main() -> None:
     """`perfbound`: a known error is one line on stderr and exit code 1."""
     take_signals(_stop)
     sys.unraisablehook = _unraisable
-    with readers_may_end():
+    with process_end(), readers_may_end():
         try:
             _main()
         except Stopped as request:

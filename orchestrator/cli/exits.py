@@ -1,17 +1,42 @@
-"""The ways in which a command ends early."""
+"""The end of a command: that of its process, and the ways in which it comes early."""
 
+import atexit
 import os
 import signal
 import sqlite3
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 from ...schemas.errors import Stopped, one_line
 from .stderr import STDERR
+
+
+@contextmanager
+def process_end() -> Iterator[None]:
+    """After this block, end the process without the end of Python's interpreter; what `atexit` has is done before.
+
+    The interpreter ends its threads wherever they are. One in the compiled code of a link aborts the process then
+    (exit code 134, whatever was to be said): a peer may hold up the end of a link, and a signal may interrupt it.
+    """
+    code = 1
+
+    def leave() -> None:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(AttributeError, OSError, ValueError):  # closed from the start, a full disk, closed since
+                stream.flush()
+        os._exit(code)
+
+    atexit.register(leave)  # first, so that it is called last
+    try:
+        yield
+        code = 0
+    except SystemExit as request:
+        code = request.code if isinstance(request.code, int) else int(request.code is not None)
+        raise
 
 
 @contextmanager

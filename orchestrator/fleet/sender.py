@@ -46,5 +46,10 @@ def within_patience(close: Callable[[], object]) -> None:
             return
 
     thread = threading.Thread(target=attempt, name="closing", daemon=True)
-    thread.start()
-    thread.join(PATIENCE)
+    try:
+        thread.start()
+        thread.join(PATIENCE)
+    except BaseException:  # a signal is no reason to leave the link in the middle of its end
+        if thread.is_alive():
+            thread.join(PATIENCE)
+        raise

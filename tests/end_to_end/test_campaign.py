@@ -270,6 +270,21 @@ def test_a_signal_that_meets_a_destructor_is_not_lost(started: Processes, busy: 
     assert (ended.code, ended.err) == (143, "perfbound: stopped; nothing was started\n")
 
 
+def test_the_exit_code_is_that_of_the_campaign_though_its_link_has_not_ended(started: Processes) -> None:
+    """As where a peer does not read: threads that wait for its messages are in compiled code then."""
+    write_campaign(started.folder / "c.toml")
+    (started.folder / "linked.py").write_text(
+        "from perfbound.orchestrator.cli import main\n"
+        "from perfbound.orchestrator.fleet.transport import ZenohTransport\n"
+        "ZenohTransport.close = lambda transport: None\n"
+        "main()\n"
+    )
+    ended = started.run("python", "linked.py", "run", "c.toml", "--out", "run", "--workers", "1")
+    assert ended.code == 0, ended.err
+    assert (started.folder / "run" / "certificate.json").exists()
+    assert not (started.folder / "run" / "campaign.db-wal").exists(), "the database is closed"
+
+
 def test_a_signal_before_anything_is_made(started: Processes) -> None:
     process = start(started)
     wait_for(process.children)  # the child that is asked for the systems

@@ -39,13 +39,17 @@ while :; do
   case "$code" in 0 | 130 | 143) break ;; esac
   locked || break # it may finish the campaign, or end as well: to find it is no failure
 done
+# Warned, it was asked to end: whatever signal it ended by, it continues when this job runs again.
+if [ -n "$warned" ] && [ "$code" -gt 128 ]; then
+  again
+  exit "$code"
+fi
 case "$code" in
-  130 | 143) ;; # by a signal: it continues when this job runs again
+  130 | 143) ;; # as well, but it is for somebody else to say when
   *)
     # Killed, as this shell may be in a moment: then it is the job that was killed, and not the program for its memory.
     [ "$code" -le 128 ] || sleep 10
     note ended "$code"
     ;;
 esac
-[ -z "$warned" ] || [ "$code" -ne 143 ] || again
 exit "$code"

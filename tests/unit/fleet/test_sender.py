@@ -1,6 +1,9 @@
 """A peer that does not read: the loop goes on, and the end comes."""
 
+import os
+import signal
 import threading
+import time
 
 import pytest
 
@@ -98,3 +101,16 @@ def test_an_error_at_the_end_is_none_of_the_campaign() -> None:
         raise RuntimeError("the session does not close")
 
     within_patience(close)
+
+
+def test_a_signal_does_not_interrupt_the_end_of_a_link() -> None:
+    closed = threading.Event()
+
+    def close() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.3)
+        closed.set()
+
+    with pytest.raises(KeyboardInterrupt):
+        within_patience(close)
+    assert closed.is_set()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from signal import SIGUSR1
 
 import pytest
 from click.testing import CliRunner
@@ -327,6 +328,7 @@ def job(folder: Path, name: str, **programs: str) -> "subprocess.Popen[str]":
     for file, text in job_files(options).items():
         (folder / file).write_text(text)
     environment = {"PATH": f"{bin_folder}:{os.environ['PATH']}", "SEEN": str(folder / "seen"), "HOME": str(folder)}
+    environment["SLURM_JOB_ID"] = "7"
     words = ["bash", str(folder / f"{name}.sh")]
     return subprocess.Popen(words, env=environment, cwd=folder, stderr=subprocess.PIPE, text=True)
 
@@ -352,6 +354,43 @@ def test_the_end_of_a_campaign_is_noted_as_soon_as_there_is_room(tmp_path: Path)
         _, fault = orchestrator.communicate(timeout=PATIENCE)
     assert orchestrator.returncode == 0, fault
     assert (tmp_path / "ended").read_text() == "0\n"
+
+
+WARNED = """touch "$SEEN"
+while [ -e "$SEEN" ]; do sleep 0.05; done
+kill -{signal} $$
+"""
+QUEUED_AGAIN = 'echo "$*" >"$HOME/again"'
+
+
+@pytest.mark.parametrize("name", [ORCHESTRATOR, WORKERS])
+@pytest.mark.parametrize("signal", ["TERM", "ABRT", "SEGV"])
+def test_warned_of_its_time_limit_a_job_is_queued_again_whatever_signal_ends_its_program(
+    tmp_path: Path, name: str, signal: str
+) -> None:
+    """Asked to end, a program may crash instead: nothing is lost, so the campaign has not failed."""
+    (tmp_path / "endpoint").write_text("tcp/node:1\n")
+    text = f"trap 'rm \"$SEEN\"' TERM\n{WARNED.format(signal=signal)}".replace("kill -TERM", "trap - TERM\nkill -TERM")
+    with job(tmp_path, name, perfbound=text, perfbound_worker=text, scontrol=QUEUED_AGAIN) as warned:
+        wait_for((tmp_path / "seen").exists)
+        warned.send_signal(SIGUSR1)
+        _, fault = warned.communicate(timeout=PATIENCE)
+    assert warned.returncode > 128, fault
+    assert (tmp_path / "again").read_text() == "requeue 7\n"
+    assert not (tmp_path / "ended").exists()
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_a_campaign_that_ends_after_the_warning_is_not_queued_again(tmp_path: Path, code: int) -> None:
+    (tmp_path / "endpoint").write_text("tcp/node:1\n")
+    text = f"trap 'rm \"$SEEN\"' TERM\n{WARNED.format(signal='0')}exit {code}"
+    with job(tmp_path, ORCHESTRATOR, perfbound=text, scontrol=QUEUED_AGAIN) as warned:
+        wait_for((tmp_path / "seen").exists)
+        warned.send_signal(SIGUSR1)
+        _, fault = warned.communicate(timeout=PATIENCE)
+    assert warned.returncode == code, fault
+    assert (tmp_path / "ended").read_text() == f"{code}\n"
+    assert not (tmp_path / "again").exists()
 
 
 @contextmanager
