@@ -12,6 +12,7 @@ from .base import canonical_json, digest
 from .campaign import CampaignConfig
 from .ids import RolloutId
 from .parameters import signal_shapes
+from .problems import rolled_out
 from .rollout import RequestTemplate
 from .rules import RULES
 from .system import SystemSpec
@@ -51,6 +52,11 @@ class Header:
     def __repr__(self) -> str:
         """Return campaign, system and seed."""
         return f"<Header of {self.config.name}: system {self.spec.name}, seed {self.config.seed}, run {self.run}>"
+
+    @property
+    def claimed_variant(self) -> str:
+        """The variant whose robustness the claims are about: the true system where it is simulated."""
+        return max(variant for problem in self.config.problems for variant in rolled_out(problem.name, self.spec))
 
     @property
     def template(self) -> RequestTemplate:

@@ -15,6 +15,10 @@ from ..campaign.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, neede
 Progress = Callable[[], Sequence[ProblemProgress]]
 MORE = "More tests: a larger `max_tests` in a new campaign."
 CALIBRATE = "`perfbound calibrate` proposes constants from rollouts, and says which budget they need."
+TEST_ALONE = (
+    "This start alone in a campaign by method `scenario` (`scenarios = [[...]]` under `[space]`), which needs no other "
+    "constants than the clip: it shows whether the mean there is below what is required."
+)
 LARGE_NORM = 20.0
 """Widths of the clip: with 50 of them 400 tests of an example did not reach its requirement, with 12 of them 80 did."""
 FEWEST_TIMES = 2
@@ -63,6 +67,18 @@ def instead_of_refuted(claim: CertificateClaim) -> str:
             "do not refute. Method `sample` needs no constants; it asks about starts that are drawn at random."
         )
     return "Find the cause of what is refuted first: more rollouts do not help."
+
+
+def for_the_probability(config: CampaignConfig, claim: CertificateClaim, required: float) -> str:
+    """Return what to do about a probability that is below the required one."""
+    smaller = "a smaller `delta`, or a larger `c`" if claim.method == "paper" else "a smaller `delta`"
+    if config.required_probability is not None:
+        return f"{smaller[0].upper()}{smaller[1:]}; or a smaller `required_probability`, if that is enough."
+    enough = math.floor(100 * claim.probability) / 100
+    return (
+        f"`required_probability = {enough:g}`, if that is enough; or `required_probability = {required:g}` and "
+        f"{smaller}. Without this key 1 - delta is required, so that a smaller `delta` alone asks for more."
+    )
 
 
 def for_a_better_bound(short: ShortBound) -> str:

@@ -20,10 +20,11 @@ from .assumptions import ClosingResults, assumptions, noisy_variants, one_law
 from .bases import bases
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
+from .opposite import Values
 from .problem_results import result
 from .sensitivity import with_clip, without_rollouts
 from .sentences import assumption
-from .verdict import Values, campaign_verdict
+from .verdict import campaign_verdict
 
 TESTED = ("refuted", "not refuted")
 """The statuses of assumptions that data were compared with, in the order in which a reader needs them."""

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from ...schemas.facts import Header, RolloutFact
 from ...schemas.ids import RECHECK, closing_check
-from ..certificate.verdict import tested_by
 from ..store.robustness import RankedRollout, read_ranked, read_violating_starts
 from .ranges import ranges
 from .rollout_data import Rank, RankedTest, ViolatingStart, ViolatingStarts
@@ -82,7 +81,7 @@ def ranked_tests(directory: Path, header: Header) -> list[RankedTest]:
         JournalError: the database cannot be read.
 
     """
-    variant = tested_by(header)
+    variant = header.claimed_variant
     found = read_ranked(directory, variant, [problem.name for problem in header.config.problems])
     if found is None:
         return []

@@ -12,7 +12,6 @@ from ...schemas.errors import PerfboundError, one_line
 from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..certificate import files
 from ..certificate.text import outward
-from ..certificate.verdict import tested_by
 from ..store import lock
 from ..store.progress import header_alone
 from ..store.robustness import read_violations
@@ -91,7 +90,7 @@ def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, Camp
         header, certificate, running = header_alone(directory), files.read(directory), lock.is_held(directory)
         state: ListedState = "running" if running else "finished" if certificate else "stopped"
         if certificate is None or running:
-            seen = read_violations(directory, tested_by(header))
+            seen = read_violations(directory, header.claimed_variant)
             return ListedCampaign(
                 directory, header.config.name, state, None, "", seen.rollouts, seen.violations, changed
             ), None

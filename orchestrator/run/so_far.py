@@ -14,7 +14,6 @@ from ..campaign.ledger import Ledger
 from ..campaign.recheck import Recheck
 from ..campaign.spot_check import spot_check_plan
 from ..certificate.so_far import AuditSoFar, Holding, claims_nothing_yet
-from ..certificate.verdict import tested_by
 from ..store import read
 from ..store.export_tables import robustness_unit
 from ..store.robustness import read_values, read_violations
@@ -106,7 +105,7 @@ class SoFarListener:
 
     def _examined(self) -> tuple[Holding, Violations]:
         header = self._ledger.header
-        variant, problems = tested_by(header), [problem.name for problem in header.config.problems]
+        variant, problems = header.claimed_variant, [problem.name for problem in header.config.problems]
         violations = read_violations(self._directory, variant)
         holding = self._audit.holding(
             violations,

@@ -8,7 +8,7 @@ from ...schemas.errors import one_line
 from ...schemas.facts import Header
 from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..certificate.advice import Commands
-from ..certificate.verdict import campaign_verdict, tested_by
+from ..certificate.verdict import campaign_verdict
 from ..fleet.child import in_file
 from ..store.export_tables import robustness_unit
 from ..store.progress import read_progress
@@ -38,7 +38,7 @@ def verdict_of(
         OSError: the disk is full or fails.
 
     """
-    variant, problems = tested_by(header), [problem.name for problem in header.config.problems]
+    variant, problems = header.claimed_variant, [problem.name for problem in header.config.problems]
     violations, repeat = read_violations(directory, variant), ""
     if repeatable and violations.violations:
         repeat = replay_command(directory, header, violations.rollout or "", system_file(directory))

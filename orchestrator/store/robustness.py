@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ...schemas.ids import RECHECK, RolloutId, closing_check, series_order
+from ...schemas.ids import RECHECK, SHRINK, RolloutId, closing_check, series_order
 from ...schemas.verdict import Violations
 from .readonly import snapshot
 
@@ -163,6 +163,10 @@ def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Itera
 
 
 def _new_series(connection: sqlite3.Connection) -> list[str]:
-    """Return the problems and closing checks whose rollouts are new ones: those of a recheck repeat others."""
+    """Return the problems and closing checks whose rollouts are new ones, with a seed of their own.
+
+    Those of a recheck repeat others, and those of the bisection have the seed of the counterexample, which was chosen
+    because it fails: each of them would count this seed once more.
+    """
     names = [str(name) for (name,) in connection.execute(_SERIES)]
-    return [name for name in names if closing_check(name) != RECHECK]
+    return [name for name in names if closing_check(name) not in (RECHECK, SHRINK)]

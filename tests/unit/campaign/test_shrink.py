@@ -13,6 +13,7 @@ from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import read
+from perfbound.orchestrator.store.robustness import read_values, read_violations
 from perfbound.schemas.campaign import CampaignConfig
 from perfbound.schemas.certificate import Certificate, Shrunk
 from perfbound.schemas.errors import CampaignError
@@ -120,7 +121,12 @@ def test_every_rollout_of_a_noisy_system_has_the_seed_of_the_counterexample(tmp_
     assert found is not None
     with read.reading(tmp_path) as connection:
         facts = [fact for fact in read.read_facts(connection) if isinstance(fact, RolloutFact)]
-    assert {fact.seed for fact in facts if fact.rollout.problem == "shrink"} == {found.seed}
+    shrunk_facts = [fact for fact in facts if fact.rollout.problem == "shrink"]
+    assert {fact.seed for fact in shrunk_facts} == {found.seed}
+    # Its one seed would count many times against a mean, and among the violations.
+    used = [fact for fact in facts if fact.rollout.problem == "robustness"]
+    assert len(list(read_values(tmp_path, "nominal", ["robustness"]))) == len(used) < len(used) + len(shrunk_facts)
+    assert read_violations(tmp_path, "nominal").rollouts == len(used)
     assert not verified(tmp_path)
 
 

@@ -14,7 +14,7 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.verdict import CampaignVerdict
-from tests.fakes.simulators import Function, noise, robustness, simulate
+from tests.fakes.simulators import Function, noise, robustness, simulate, spec
 
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
 SAMPLE = {"method": "sample"}
@@ -44,7 +44,7 @@ def test_a_bound_beyond_what_is_required_is_shown(tmp_path: Path) -> None:
     assert (found.verdict, found.advice) == ("SHOWN", ())
     least, at_worst = found.reasons
     assert least == "Required at least 0."
-    assert at_worst.startswith("With the same probability it is at most 0.")
+    assert at_worst.startswith("With the same probability and assumptions it is at most 0.")
     assert "assumptions hold" in found.claim
     assert found.claim.startswith(f"Guaranteed margin {found.bound:.1f}")
     assert found.violations.violations == 0
@@ -92,8 +92,9 @@ def test_an_expectation_below_the_margin(tmp_path: Path, by: float, expected: st
     if expected == "VIOLATED":
         shown, where = found.reasons
         assert shown == "At some start the expected robustness is below 0, with probability at least 0.9500."
-        assert where.startswith("The lowest mean is -0.")
-        assert " rollouts at z1 = 1, z2 = " in where
+        assert re.fullmatch(
+            r"\d+ of \d+ rollouts at z1 = 1, z2 = \S+ are below 0; the mean there is -0\.\d{4}\.", where
+        )
     if expected == "NOT SHOWN":
         assert " tests is spent." in found.reasons[0]
         assert found.advice[0].startswith("Other constants rather than more tests: "), "its margin is that of the limit"
@@ -183,6 +184,54 @@ def test_a_refuted_claim_does_not_hide_a_violation(tmp_path: Path) -> None:
     assert found.verdict == "VIOLATED"
 
 
+def test_rollouts_come_before_a_claim_that_constants_prove(tmp_path: Path) -> None:
+    """A noise scale so large that no audit can refute a norm: every rollout violates what the constants prove."""
+    certain = {**NOISY, "noise_scale": 20.0, "rkhs_norm": 0.1, "prior_mean": -0.5}
+    found = verdict(tmp_path, certain, shifted(-1.0, noisy=0.1), noisy=True, clip=[-1.0, 2.0], max_tests=60)
+    assert found.bound > 0.0
+    assert found.verdict == "VIOLATED"
+    assert found.by_rollouts == "probable"
+
+
+def test_a_start_that_looks_bad_is_named_where_its_rollouts_are_too_few(tmp_path: Path) -> None:
+    """A refuted norm: other constants would not make the claim true."""
+
+    def hole(request: RolloutRequest) -> float:
+        return (-0.7 if request.x == (1.0, 1.0) else 1.8) + 0.1 * noise(request.seed)
+
+    found = verdict(
+        tmp_path, {**NOISY, "rkhs_norm": 0.1, "prior_mean": -1.8}, hole, noisy=True, clip=[-4.0, 6.0], max_tests=82
+    )
+    assert found.verdict == "NOT SHOWN"
+    (named,) = (reason for reason in found.reasons if " at z1 = 1, z2 = 1 " in reason)
+    assert re.fullmatch(r"(\d+) of \1 rollouts at z1 = 1, z2 = 1 are below 0; the mean there is -0\.\d{4}\.", named)
+    assert found.advice[0].startswith("This start alone in a campaign by method `scenario`")
+
+
+RISK = {"name": "true_risk", "method": "scenario", "alpha": 0.01, "replicates": 20, "delta": 0.05}
+
+
+@pytest.mark.parametrize(
+    ("linearised", "word", "two_sided"),
+    [(None, "NOT SHOWN", False), ({"centre": 0.3, "spread": 0.2}, "SHOWN", False), ("past", "SHOWN", True)],
+)
+def test_a_risk_has_a_bound_from_above_by_its_mean_alone(
+    tmp_path: Path, linearised: Any, word: str, *, two_sided: bool
+) -> None:
+    """The limit of a bound through [BD] or fixed constants is below the risk, here by up to .9: it violates nothing."""
+    problem = RISK | ({} if linearised is None else {"linearised": linearised})
+    box = {"scenarios": [[0.1, 0.1], [0.9, 0.9]]}
+    changes: dict[str, Any] = {"space": box, "clip": [-1.0, 1.0], "risk_weight": 1.0, "max_tests": 40, "horizon": 1.0}
+    system = spec(noisy=True).model_copy(update={"variants": ("true",), "noisy": ("true",)})
+    config = robustness(problem, **FEW | changes, required_margin=0.1)
+    assert simulate(tmp_path, config, lambda request: 0.3 + 0.001 * noise(request.seed), noisy=True, system=system)
+    certificate = files.read(tmp_path)
+    assert certificate is not None
+    found = verdict_of(tmp_path, stored_header(tmp_path), certificate)
+    assert found.verdict == word, found.reasons
+    assert any("it is at most 0.3" in reason for reason in found.reasons) == two_sided
+
+
 def test_a_vacuous_claim_shows_nothing(tmp_path: Path) -> None:
     few = {**NOISY, "noise_scale": "derived", "rkhs_norm": 50.0}
     found = verdict(tmp_path, few, shifted(0.1, noisy=0.1), noisy=True, clip=[-0.5, 2.0], max_tests=3)
@@ -233,6 +282,34 @@ def test_a_smaller_probability_than_required_is_said(tmp_path: Path) -> None:
     found = verdict(tmp_path, NOISY, shifted(0.4, noisy=0.2), noisy=True, required_probability=0.99, **changes)
     assert (found.verdict, found.required_probability) == ("NOT SHOWN", 0.99)
     assert found.reasons == ("It holds with probability 0.9500, and 0.99 is required.",)
+    assert found.advice == ("A smaller `delta`; or a smaller `required_probability`, if that is enough.",)
+
+
+def test_a_smaller_delta_alone_does_not_help_where_its_complement_is_required(tmp_path: Path) -> None:
+    """Method `paper` has less than 1 - delta, whatever delta is."""
+    paper = {
+        "method": "paper",
+        "alpha": 0.1,
+        "c": 0.4,
+        "rkhs_norm": 2.0,
+        "noise_scale": 0.2,
+        "kernel": {"length_scale": 0.7},
+    }
+    changes: dict[str, Any] = {"noisy": True, "clip": [-1.0, 2.0], "max_tests": 30}
+    found = verdict(tmp_path / "a", paper, shifted(1.2, noisy=0.2), **changes)
+    assert found.probability < found.required_probability == 0.95
+    (advice,) = found.advice
+    enough = re.match(
+        r"`required_probability = (0\.9\d)`, if that is enough; or `required_probability = 0\.95` and", advice
+    )
+    assert enough is not None
+    follows = verdict(tmp_path / "b", paper, shifted(1.2, noisy=0.2), required_probability=float(enough[1]), **changes)
+    assert follows.verdict == "SHOWN"
+    smaller = {**paper, "delta": 0.01, "c": 0.6}
+    assert (
+        verdict(tmp_path / "c", smaller, shifted(1.2, noisy=0.2), required_probability=0.95, **changes).verdict
+        == "SHOWN"
+    )
 
 
 @pytest.mark.parametrize("key", ["required_margin", "required_at_most", "required_probability"])
