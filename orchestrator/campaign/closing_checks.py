@@ -17,6 +17,7 @@ from .risk_check import RiskCheck
 from .series import Series
 from .shrink import Shrink
 from .spot_check import SpotCheck, SpotSeries, spot_check_plan
+from .tested import is_dominated
 
 Check = SpotCheck | RiskCheck | Shrink | Recheck
 Begins = Callable[[str], bool]
@@ -54,6 +55,8 @@ class ClosingChecks:
         """What the checks since the last extension have refuted, in words; None if nothing."""
         if self.spot_check is not None and self.spot_check.refuted:
             return f"the {self.spot_check.name} refutes a bound"
+        if self.spot_check is not None and not is_dominated(self.spot_check.excess):
+            return f"the {self.spot_check.name} refutes that the gap dominates the difference in robustness"
         if self.recheck is not None and not self.recheck.all_agree:
             return f"the {self.recheck.name} found a rollout that does not follow from its seed"
         return None

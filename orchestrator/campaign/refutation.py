@@ -39,7 +39,7 @@ class Refutation:
     def _refutes(self, key: str, account: Account) -> bool:
         law = self._laws.setdefault(key, OneLaw(account.plan))
         changed = self._is_noisy and law.finding(account.nodes, account.each).status == "refuted"
-        return changed or not is_dominated(account) or _refutes_noise(account)
+        return changed or not is_dominated(account.excess) or _refutes_noise(account)
 
 
 def _refutes_noise(account: Account) -> bool:

@@ -1,7 +1,8 @@
 """The spot check of a finished campaign on a box: fresh uniform starts that test every bound without smoothness."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Set
+from array import array
+from collections.abc import Collection, Iterable, Mapping, MutableSequence, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from . import state
 from .account import Account
 from .counterexample import counterexample
 from .decisions import UNOBSERVABLE, naming
+from .objectives import excess
 from .observation import Observer, Others, Trajectories
 from .plan import ProblemPlan, value_range
 from .recorded import Recorded
@@ -40,6 +42,8 @@ class SpotSeries(Series):
 
     robustness: dict[int, tuple[float, ...]] = field(default_factory=dict)
     """Of the first test at each start, by the number of the start, for each replicate; of `tested_variant`."""
+    clipped: dict[str, MutableSequence[float]] = field(default_factory=dict)
+    """The robustness of every rollout, follow-ups too, by its variant."""
 
     def observe(self, fact: ObservationFact) -> list[RolloutFact]:
         """Close an observed test, as every series does, and take the robustness at a start that has none."""
@@ -48,6 +52,9 @@ class SpotSeries(Series):
         ordered = sorted(rollouts, key=lambda each: each.rollout)
         found = [each.robustness for each in ordered if each.rollout.variant == tested]
         self.robustness.setdefault(self.nodes[-1], tuple(value for value in found if value is not None))
+        for each in rollouts:
+            if each.robustness is not None:
+                self.clipped.setdefault(each.rollout.variant, array("d")).append(each.robustness)
         return rollouts
 
 
@@ -82,6 +89,10 @@ class SpotCheck:
         self.hypotheses = {each.key: found for each, found in zip(self._plans, hypotheses, strict=True)}
         self.starts = _uniform_starts(header, self._plans, self.name)
         followups = plan.max_tests - len(self.starts)
+        self.excess = -math.inf
+        """As of an account: above 0 the gap of some pair at a fresh start does not dominate."""
+        self._first: dict[int, dict[str, float]] = {}
+        """Robustness in the first replicate of the first test at each start, by the variant; where a gap is tested."""
         self._tests = SpotTests(
             self.starts, hypotheses, followups=followups, replicates=self._replicates, delta=self.level
         )
@@ -143,6 +154,9 @@ class SpotCheck:
             values, width = fact.observation.each, len(self._plans)
             for first in range(0, len(values), width):
                 self._tests.observe(series.last_proposal.node, values[first : first + width])
+            for place, plan in enumerate(self._plans):
+                if plan.objective.measured == "gap":
+                    self._compare(plan, series, values[place::width])
         spent = fact.test + 1 >= self.plan.max_tests
         done = not spent and self._tests.propose() is None
         return BoundFact(self.name, fact.test, Bound(None, None, "converged" if done else None), budget=spent)
@@ -159,6 +173,24 @@ class SpotCheck:
     def refuted(self) -> bool:
         """Whether it refutes a bound."""
         return any(found.status == "refuted" for _, found in self.findings())
+
+    def _compare(self, plan: ProblemPlan, series: Series, gaps: Sequence[float]) -> None:
+        """Compare the gaps of the last test with the differences in robustness: those of every pair."""
+        assert series.last_proposal is not None
+        found = {
+            (each.rollout.variant, each.rollout.replicate): each.robustness or 0.0 for each in series.last_rollouts
+        }
+        first = self._first.setdefault(
+            series.last_proposal.node,
+            {variant: value for (variant, replicate), value in found.items() if not replicate},
+        )
+        # A variant without noise has one rollout at a start.
+        whole: dict[tuple[str, int], float] = {
+            (variant, replicate): found.get((variant, replicate), first[variant])
+            for variant in plan.variants
+            for replicate in range(len(gaps))
+        }
+        self.excess = max(self.excess, excess(plan, whole, gaps))
 
     def _value(self, plan: ProblemPlan, trajectories: Trajectories, replicate: int) -> float:
         used: Trajectories = {

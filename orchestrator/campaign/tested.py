@@ -33,9 +33,9 @@ def spread(account: Account, delta: float) -> Finding | None:
     return audit.replicate_spread(account.each, noise_scale=plan.noise_per_rollout, delta=delta, planned=planned)
 
 
-def is_dominated(account: Account) -> bool:
+def is_dominated(excess: float) -> bool:
     """Whether the gap, times its constant, was at least the robustness difference of every pair of rollouts."""
-    return account.excess <= ROUNDING
+    return excess <= ROUNDING
 
 
 @dataclass(slots=True)

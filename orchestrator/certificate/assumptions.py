@@ -1,7 +1,7 @@
 """The audit of a finished campaign: every assumption of its claims, with its status by the data."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -22,6 +22,7 @@ from ..campaign.copies import copies
 from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel
 from ..campaign.plan import UNBOUNDED, ProblemPlan
+from ..campaign.spot_check import SpotSeries
 from ..campaign.tested import OneLaw, is_dominated, same_values, spread
 from ..mathematics.bounds import audit
 from ..mathematics.bounds.kriging_method import KrigingMethod
@@ -89,10 +90,10 @@ def assumptions(
         if ledger.header.rules > 1:
             found_here = [*_spot_checked(found_here, name, checks.spot_check), *tested(account)]
             found_here = list(_of_regions(found_here, name, checks.regions))
-        found += [*found_here, *_of_gap(account, accounts)]
+        found += [*found_here, *_of_gap(account, accounts, ledger)]
         # A campaign without specification has no robustness, and so no clip; a claim without noise needs none.
         if account.robustness and account.plan.clip != UNBOUNDED:
-            found.append(_clip(account))
+            found.append(_clip(account, _at_fresh_starts(ledger, account.plan)))
     rollouts: dict[str, int | float | str] = {
         "rollouts": sum(sum(account.counts.values()) for account in ledger.accounts.values())
     }
@@ -346,29 +347,42 @@ def _linearised(name: str, constants: Linearised | Literal["past"]) -> Assumptio
     return assumption(f"linearised/{name}", "derived", {"centre": constants.centre, "spread": constants.spread})
 
 
-def _clip(account: Account) -> Assumption:
+def _at_fresh_starts(ledger: Ledger, plan: ProblemPlan) -> list[float]:
+    """Return the robustness that spot checks saw of the variants of a problem; none before rules 4."""
+    checks = [each for each in ledger.series.values() if isinstance(each, SpotSeries) and ledger.header.rules > 3]
+    return [value for check in checks for variant in plan.variants for value in check.clipped.get(variant, ())]
+
+
+def _clip(account: Account, fresh: Sequence[float]) -> Assumption:
     low, high = account.plan.clip
+    seen = [*account.robustness, *fresh]
     values = {
-        "values": len(account.robustness),
+        "values": len(seen),
         "low": low,
-        "at_low": sum(value <= low for value in account.robustness),
+        "at_low": sum(value <= low for value in seen),
         "high": high,
-        "at_high": sum(value >= high for value in account.robustness),
+        "at_high": sum(value >= high for value in seen),
     }
     return assumption(f"clip/{account.plan.key}", "derived", values)
 
 
-def _of_gap(account: Account, accounts: Mapping[str, Account]) -> Iterator[Assumption]:
+def _of_gap(account: Account, accounts: Mapping[str, Account], ledger: Ledger) -> Iterator[Assumption]:
     """Yield what a composition needs of a gap; nothing for a problem that compares no trajectories."""
     if account.plan.key != "sim_gap":
         return
-    yield _dominates(account)
+    check = ledger.closing.spot_check
+    fresh = check.excess if check is not None and ledger.header.rules > 3 else -math.inf
+    yield _dominates(account, max(account.excess, fresh))
     if "nominal" in account.plan.shared:
         yield _deterministic_nominal(accounts.get("nominal_robustness"))
 
 
-def _dominates(account: Account) -> Assumption:
-    """Return the assumption that the gap dominates the robustness difference, tested on every pair of rollouts."""
+def _dominates(account: Account, excess: float) -> Assumption:
+    """Return the assumption that the gap dominates the robustness difference, tested on every pair of rollouts.
+
+    A composed claim has no test of its own: where it is false at a start, one of its two bounds is, or the gap does not
+    dominate there.
+    """
     gap, name = account.plan.gap, "lipschitz/sim_gap"
     forms = {"signal_sup": "lipschitz_column", "predicate_sup": "lipschitz_predicates"}
     form = forms.get(gap.kind, "lipschitz_itself")
@@ -376,8 +390,8 @@ def _dominates(account: Account) -> Assumption:
     if gap.column is not None:
         values["column"] = gap.column
     # Two kinds of gap dominate by proof; an excess then shows a fault of the software, and refutes as well.
-    if not is_dominated(account):
-        return assumption(name, "refuted", values | {"excess": account.excess}, form=form)
+    if not is_dominated(excess):
+        return assumption(name, "refuted", values | {"excess": excess}, form=form)
     return assumption(name, "assumed" if gap.kind == "signal_sup" else "derived", values, form=form)
 
 

@@ -46,11 +46,10 @@ def _most_starts(
     ledger: Ledger, check: SpotCheck, robustness: Sequence[tuple[float, ...]]
 ) -> document.MostStarts | None:
     """Return what the rollouts of the first test at each start prove of all starts but `SHARE`."""
-    noisy = tested_variant(check.variants) in ledger.header.spec.noisy
-    bound = (
-        _mean_of_most(robustness, ledger.config.clip, check.level) if noisy else _value_of_most(robustness, check.level)
-    )
-    if bound is None:
+    noisy, clip = tested_variant(check.variants) in ledger.header.spec.noisy, ledger.config.clip
+    bound = _mean_of_most(robustness, clip, check.level) if noisy else _value_of_most(robustness, check.level)
+    # What the clip alone proves is no bound; by earlier rules it was one of values without noise.
+    if bound is None or (ledger.header.rules > 3 and clip is not None and bound <= clip[0]):
         return None
     quantity: Literal["robustness", "expected_robustness"] = "expected_robustness" if noisy else "robustness"
     return document.MostStarts(share=SHARE, quantity=quantity, bound=bound, probability=1 - check.level)

@@ -148,7 +148,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "refuted": "for some pair of rollouts the robustness differs by {excess} more than L times the gap: L or the "
         "column is wrong, and the composition does not follow.",
         "assumed": "the robustness is assumed to change by at most L = {lipschitz} times the largest difference in "
-        "{column}; all simulated pairs of rollouts obey this, which is not evidence for other pairs.",
+        "{column}; all pairs of its rollouts obey this, which is not evidence for other pairs.",
     },
     "lipschitz_predicates": {
         "refuted": "for some pair of rollouts the robustness differs by {excess} more than the gap: the composition "
@@ -300,8 +300,8 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "certificates adds up all their failure probabilities.",
     },
     "sampled_at_sample_times": {
-        "assumed": "the specification is evaluated at the sample times of a trajectory; between two samples it is "
-        "assumed to be as good.",
+        "assumed": "the specification is evaluated at the sample times of a trajectory; between two samples, and "
+        "after the last one up to the horizon, it is assumed to be as good.",
     },
     "simulator_is_the_system": {
         "assumed": "every claim is about the simulator; that the real system has the same trajectories is assumed.",

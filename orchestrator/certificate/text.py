@@ -208,7 +208,7 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
     if number == 0 and predicate.spot_check is not None and predicate.spot_check.most_starts is not None:
-        found.append(_sentence_on_most_starts(predicate.spot_check.most_starts, predicate.question.get("clip")))
+        found += _sentence_on_most_starts(predicate.spot_check.most_starts, predicate.question.get("clip"))
     return tuple(found)
 
 
@@ -229,12 +229,16 @@ def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
     )
 
 
-def _sentence_on_most_starts(found: MostStarts, clip: object) -> str:
-    """Return the sentence on all starts but a share, which the spot check proves without a kernel."""
-    ends = ", ".join(f"{end:g}" for end in clip) if isinstance(clip, (list, tuple)) else clip
-    margin = "robustness" if found.quantity == "robustness" else f"expected robustness, clipped to [{ends}],"
+def _sentence_on_most_starts(found: MostStarts, clip: object) -> Iterator[str]:
+    """Yield the sentence on all starts but a share, which the spot check proves without a kernel."""
+    clipped = ""
+    if isinstance(clip, (list, tuple)):
+        if found.bound <= clip[0]:
+            return  # by rules before 4: the clip alone proves it, and the values themselves may be lower
+        clipped = f", clipped to [{', '.join(f'{end:g}' for end in clip)}],"
+    margin = f"{'robustness' if found.quantity == 'robustness' else 'expected robustness'}{clipped}"
     bound, probability = outward(found.bound, ">="), outward(found.probability, ">=")
-    return (
+    yield (
         f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least {bound}, "
         f"with probability at least {probability}."
     )

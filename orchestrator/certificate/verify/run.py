@@ -145,7 +145,7 @@ def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header
         "system_sha256": header.system_sha256,
     }
     # A certificate of an earlier perfbound has no digest of the system; the requests and the chain cover it.
-    if certificate.predicate.campaign.system_sha256 is None:
+    if certificate.predicate.campaign.system_sha256 is None and header.rules == 1:
         campaign["system_sha256"] = None
     expected = {"campaign": campaign, "software": header.software, "question": question(header)}
     # It names no rules either: it follows rules 1.
