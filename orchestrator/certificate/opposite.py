@@ -31,6 +31,8 @@ WORST: dict[Quantity, str] = {
 
 SAY_LIMIT = "name it with the key `required_at_most`; the bound stays the same."
 """What to do about the largest acceptable value, where the file names none."""
+OF_ROLLOUTS = ("reproducible_rollouts", "independent_rollouts", "one_law_per_start")
+"""Assumptions without which rollouts show nothing of a start."""
 Values = Iterable[RolloutValue]
 
 
@@ -96,11 +98,21 @@ def violated(
             return None
         # Where no value is below the limit, none can show that a mean is: most campaigns need not be read for that.
         beyond = claim.quantity in WORST and violations.least is not None and violations.least >= required.bound
-        found = None if beyond else _by_rollouts(header, claim, required.bound, required.probability, values)
+        found = (
+            None
+            if beyond or _are_unfounded(predicate)
+            else _by_rollouts(header, claim, required.bound, required.probability, values)
+        )
         return found or _by_partner(predicate, required)
     if claim.quantity == "failure_probability" and claim.requirement is None:
         return _any_violation(values())
     return None
+
+
+def _are_unfounded(predicate: Predicate) -> bool:
+    """Whether the data refute what every reading of the rollouts rests on."""
+    refuted = {each.id.partition("/")[0] for each in predicate.assumptions if each.status == "refuted"}
+    return not refuted.isdisjoint(OF_ROLLOUTS)
 
 
 def _is_clipped_below(header: Header, claim: CertificateClaim, required: float) -> bool:

@@ -258,7 +258,7 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "the same trajectory: a rollout does not follow from its seed, and no one can repeat the evidence.",
         "not refuted": "{rechecked} recorded rollouts, drawn after all others were fixed, were simulated once more "
         "with their seeds, and all of them gave the same trajectory; up to {percent} % of all rollouts could differ "
-        "unseen (confidence .95).",
+        "unseen (confidence .95). What a simulator draws once, at its start, shows where another process repeats it.",
         "assumed": "no rollout was simulated once more, so nothing shows whether a rollout follows from its seed.",
     },
     "discarded": {

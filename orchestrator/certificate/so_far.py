@@ -111,8 +111,8 @@ class AuditSoFar:
         if rules >= 2:
             results = with_clip(results, config)
             made = of_listed_starts(without_rollouts(made, config, plans, results), bases(config), plans)
-        # Nothing but claims and problems is asked of it: it is no certificate, and has no evidence.
-        content: dict[str, Any] = {"claims": made, "problems": tuple(results.values())}
+        # Nothing else is asked of it: it is no certificate, and has no evidence.
+        content: dict[str, Any] = {"claims": made, "problems": tuple(results.values()), "assumptions": tuple(found)}
         return Predicate.model_construct(**content)
 
     def _has_bound(self, account: Account) -> bool:

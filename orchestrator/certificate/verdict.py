@@ -73,13 +73,14 @@ def campaign_verdict(
     if found is None:
         # Where no value is below the limit, no start is suspected.
         below = violations.least is not None and required.bound is not None and violations.least < required.bound
-        where = suspected(header, claim, required, values()) if below else ""
+        where = suspected(header, claim, required, values()) if below and not is_deterministic(header) else ""
         found = _not_shown(config, predicate, required, better, where)
+    is_clipped = violations.least is not None and config.clip is not None and violations.least <= config.clip[0]
     return CampaignVerdict(
         verdict=found.word,
         campaign=config.name,
         seed=config.seed,
-        claim=guarantee(claim, unit, config.risk_weight),
+        claim=guarantee(claim, unit, config.risk_weight, config.clip if is_clipped else None),
         reasons=found.reasons,
         advice=found.advice,
         bound=claim.bound,
@@ -89,14 +90,18 @@ def campaign_verdict(
         required_probability=required.probability,
         unit=unit,
         violations=violations,
-        clipped=violations.least is not None and config.clip is not None and violations.least <= config.clip[0],
+        clipped=is_clipped,
         by_rollouts=found.by_rollouts,
         repeat=commands.repeat if violations.violations else "",
     )
 
 
-def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
+def guarantee(
+    claim: CertificateClaim, unit: str, risk_weight: float, hidden_by: tuple[float, float] | None = None
+) -> str:
     """Return the first claim in plain words, as a margin where it is one; what is refuted is not called guaranteed.
+
+    `hidden_by` is a clip whose lower end some rollout was at: the margin is then not that of the robustness itself.
 
     >>> guarantee(CertificateClaim(quantity="robustness", sense=">=", bound=0.58125, probability=0.95, rule="single",
     ...                            method="rigorous", assumptions=(), refuted=()), "rad", 0.2)
@@ -109,7 +114,8 @@ def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
         return f"{words} {claim.sense} {margin_text(bound, claim, unit)}, {chance}"
     where = "every start" if claim.starts is None else f"each of the {claim.starts} listed starts"
     of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
-    margin = f"{margin_text(bound, claim, unit)} ({meaning.format(risk_weight)}{of})"
+    ends = "" if hidden_by is None else f", clipped to [{hidden_by[0]:g}, {hidden_by[1]:g}]"
+    margin = f"{margin_text(bound, claim, unit)} ({meaning.format(risk_weight)}{of}{ends})"
     head = (
         "Refuted: margin at least" if claim.refuted else "Guaranteed margin" if claim.bound > 0 else "Margin at least"
     )

@@ -38,7 +38,7 @@ from typing import Literal
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from .blame import charge, clear, forget_past, take_back
-from .choice import nearest, pairs
+from .choice import eligible, nearest, pairs
 from .events import (
     Acknowledge,
     Action,
@@ -133,7 +133,11 @@ def _want(state: DispatchState, event: Wanted) -> Outcome:
     # Numbered on from the attempts before a restart: a late result of theirs must not pass for one of a new attempt.
     fresh = ((rollout, attempts) for rollout, attempts in event.rollouts if rollout not in state.open)
     new = {rollout: _opened(event, rollout, attempts) for rollout, attempts in fresh}
-    return replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new)), ()
+    state = replace(state, open={**state.open, **new}, waiting=(*state.waiting, *new))
+    # A process that repeats its own rollouts repeats what it drew at its start as well: another one shows it.
+    alone = eligible(state, event.at)
+    repeats = len(alone) == 1 and any(known.avoid == alone[0] for known in new.values())
+    return state, tuple(map(GiveUp, alone)) if repeats else ()
 
 
 def _opened(event: Wanted, rollout: RolloutId, attempts: int) -> Open:

@@ -230,7 +230,7 @@ class EarlierFailure:
 
 @dataclass(frozen=True, slots=True)
 class GiveUp:
-    """A worker hangs, or its process may be what makes a rollout fail: replace it if it is a local one."""
+    """A worker hangs, or a rollout needs another process than its own: replace it if it is a local one."""
 
     worker: str
 

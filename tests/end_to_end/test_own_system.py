@@ -82,6 +82,36 @@ def test_killed_it_resumes_from_anywhere_and_verifies(started: Processes, folder
     assert "--system" in failed[0]["detail"]
 
 
+WORLD = """
+import os
+
+import perfbound
+
+WORLD = int.from_bytes(os.urandom(4)) / 2**32
+
+
+@perfbound.system(parameters={"z": perfbound.Parameter(0, 1)}, columns={"v": ""})
+def world(z):
+    return WORLD - 0.5 + 0.0 * z
+"""
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_a_process_draws_at_its_start_shows(started: Processes, tmp_path: Path, workers: int) -> None:
+    """A rollout that no other process repeats: with one worker the recheck is made by a fresh one."""
+    (tmp_path / "world.py").write_text(WORLD)
+    keys = ['python = "world.py:world"', "[space]", "z = { low = 0, high = 1 }"]
+    head = (
+        'specification = "v >= 0"\nalpha = 0.01\nnoise_scale = 0.0\nrkhs_norm = 2.0\nprior_mean = 0.0\nspot_check = 5\n'
+    )
+    kernel = "max_tests = 10\nkernel = { length_scale = 0.5 }\n[system]\n"
+    (tmp_path / "w.toml").write_text(head + kernel + "\n".join(keys))
+    ended = started.run("perfbound", "run", tmp_path / "w.toml", "--workers", str(workers), "--out", tmp_path / "run")
+    assert ended.code == 0, ended.err
+    assert "VERDICT  NOT SHOWN" in ended.out
+    assert "reproducible_rollouts" in ended.out
+
+
 def test_a_changed_function_does_not_resume(started: Processes, tmp_path: Path) -> None:
     file, directory = copied(tmp_path / "cars"), tmp_path / "run"
     first = started.start("perfbound", "run", file, "--out", directory, "--workers", "1")

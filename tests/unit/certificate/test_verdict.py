@@ -5,6 +5,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from perfbound.orchestrator.certificate import files
@@ -206,6 +207,28 @@ def test_a_start_that_looks_bad_is_named_where_its_rollouts_are_too_few(tmp_path
     (named,) = (reason for reason in found.reasons if " at z1 = 1, z2 = 1 " in reason)
     assert re.fullmatch(r"(\d+) of \1 rollouts at z1 = 1, z2 = 1 are below 0; the mean there is -0\.\d{4}\.", named)
     assert found.advice[0].startswith("This start alone in a campaign by method `scenario`")
+
+
+def test_rollouts_that_do_not_follow_from_their_seeds_show_nothing_of_a_start(tmp_path: Path) -> None:
+    """Each rollout has one of two values by chance, be it a repetition."""
+    drawn = np.random.default_rng(1)
+    found = verdict(tmp_path, RIGOROUS, lambda _: float(drawn.choice((-0.4, 0.6))), recheck=20)
+    assert found.verdict == "NOT SHOWN"
+    assert "that a rollout follows from its seed (reproducible_rollouts)" in found.reasons[0]
+    assert found.violations.violations > 0
+
+
+def test_a_margin_of_clipped_values_says_so(tmp_path: Path) -> None:
+    """The mean itself may be lower by any amount."""
+
+    def rare(request: RolloutRequest) -> float:
+        return -1000.0 if request.x == (1.0, 1.0) else 1.5 + 0.2 * noise(request.seed)
+
+    certain = {**NOISY, "rkhs_norm": 2.0, "prior_mean": -2.0}
+    assert "clipped" not in verdict(tmp_path / "a", certain, shifted(1.0), noisy=True, clip=[-0.2, 4.0]).claim
+    found = verdict(tmp_path / "b", certain, rare, noisy=True, clip=[-0.2, 4.0], max_tests=82)
+    assert found.clipped
+    assert "(expected robustness: the mean over the noise, clipped to [-0.2, 4])" in found.claim
 
 
 RISK = {"name": "true_risk", "method": "scenario", "alpha": 0.01, "replicates": 20, "delta": 0.05}

@@ -494,6 +494,18 @@ def test_a_recheck_goes_to_another_worker_while_one_serves() -> None:
     assert step(hung, done(R[1], 2, worker="b"))[1][-1] == Start("b", first(R[0])), "it does not wait for ever"
 
 
+def test_the_only_worker_repeats_its_rollouts_in_another_process() -> None:
+    """What a process draws at its start it would repeat; a local worker is replaced, another one goes on."""
+    repeated = Wanted(0, ((R[0], 0), (R[1], 0)), {R[0]: "a", R[1]: "a"})
+    state, found = after(*up("a"), repeated)
+    assert found == [GiveUp("a"), Start("a", first(R[0]))]
+    state, _ = step(state, WorkerDown(1, "a"))
+    arrived, _ = step(state, up("b", 1.5)[0])
+    assert Start("b", first(R[1])) in step(arrived, up("b", 1.5)[1])[1]
+    for others in ((*up("a"), *up("b")), up("b")):
+        assert not any(isinstance(each, GiveUp) for each in after(*others, repeated)[1])
+
+
 @pytest.mark.parametrize(("at", "reason"), [(10.0, "no progress for 10 s"), (60.0, "not done after 60 s")])
 def test_a_hung_worker_is_shunned(at: float, reason: str) -> None:
     history: list[Event] = [*up(), want(R[0]), busy(R[0])]
