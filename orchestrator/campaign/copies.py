@@ -1,13 +1,35 @@
-"""Copies among the rollouts of a problem: trajectories that agree bit by bit although their seeds differ."""
+"""Copies among the rollouts of a problem: trajectories that agree bit by bit although their seeds differ.
 
+Equal trajectories alone are no fault: a margin that saturates, a rare failure or a start without noise gives them as
+well, of independent rollouts. These repeat between the tests of a start as often as within them; copies repeat within.
+"""
+
+import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Set
+from dataclasses import dataclass
 
 from ...schemas.ids import RolloutId
 from ...schemas.trajectory import Trajectory
+from ..mathematics.bounds.copied_blocks import CopiedBlocks
 from .account import Account
 
 MOST = 200
-"""Pairs of trajectories that are compared; a simulator that ignores its seeds shows in the first."""
+"""Pairs of trajectories that are compared."""
+MOST_FILES = 2000
+"""Trajectories that `tested_copies` reads; those of a margin with two values are all alike."""
+
+Load = Callable[[RolloutId], Trajectory]
+"""Reads the trajectory of an observed rollout."""
+
+
+@dataclass(frozen=True, slots=True)
+class TestedCopies:
+    """Whether rollouts of a test are copies: the evidence, and whether no two of any test differ."""
+
+    evidence: float
+    refuted: bool
+    all_alike: bool
 
 
 def same_trajectory(a: Trajectory, b: Trajectory) -> bool:
@@ -18,28 +40,50 @@ def same_trajectory(a: Trajectory, b: Trajectory) -> bool:
     return a.columns == b.columns and a.samples.shape == b.samples.shape and a.samples.tobytes() == b.samples.tobytes()
 
 
-def copies(account: Account, noisy: Set[str], load: Callable[[RolloutId], Trajectory]) -> tuple[int, int]:
-    """Return how many pairs of rollouts at one start were compared, and how many of them are copies.
+def copies(account: Account, noisy: Set[str], load: Load) -> tuple[int, int]:
+    """Return how many pairs of rollouts at one start were compared, and how many of them agree bit by bit.
 
-    `noisy` are the variants of the problem that depend on the seed, `load` reads the trajectory of an observed rollout.
+    `noisy` are the variants of the problem that depend on the seed. Copies have equal values, so the files of all other
+    rollouts need not be read.
     """
+    seen: dict[tuple[int, float], RolloutId] = {}
     compared = found = 0
-    for one, other in _candidates(account, noisy):
-        if compared == MOST:
-            break
-        compared += 1
-        found += same_trajectory(load(one), load(other))
+    for node, values, rollouts in _tests(account, noisy):
+        for value, rollout in zip(values, rollouts, strict=True):
+            earlier = seen.setdefault((node, value), rollout)
+            if earlier != rollout and compared < MOST:
+                compared += 1
+                found += same_trajectory(load(earlier), load(rollout))
     return compared, found
 
 
-def _candidates(account: Account, noisy: Set[str]) -> Iterator[tuple[RolloutId, RolloutId]]:
-    """Yield pairs of rollouts at one start with equal values, in the order of the tests."""
-    # Copies have equal values, so the files of all other rollouts need not be read.
+def tested_copies(account: Account, noisy: Set[str], load: Load) -> TestedCopies:
+    """Test that rollouts differ as much within tests as between those of one start, in the order of the tests."""
+    test, all_alike, read = CopiedBlocks(), True, 0
+    often = Counter((node, value) for node, values, _ in _tests(account, noisy) for value in values)
+    for node, values, rollouts in _tests(account, noisy):
+        if read >= MOST_FILES:
+            break  # by the tests before: no test is left out for what it shows
+        block = []
+        for value, rollout in zip(values, rollouts, strict=True):
+            repeated = often[node, value] > 1
+            read += repeated
+            block.append((value, _content(load(rollout)) if repeated else ""))
+        all_alike = all_alike and len(set(block)) == 1
+        test.observe(node, block)
+    return TestedCopies(test.evidence, test.refutes, all_alike)
+
+
+def _tests(account: Account, noisy: Set[str]) -> Iterator[tuple[int, tuple[float, ...], list[RolloutId]]]:
+    """Yield start, values and rollouts of every closed test."""
     plan, variant = account.plan, max(noisy)
-    seen: dict[tuple[int, float], RolloutId] = {}
-    for test, (node, values) in enumerate(zip(account.nodes, account.each, strict=True)):
-        for replicate, value in enumerate(values[: plan.replicates]):
-            rollout = RolloutId(plan.name, test, *plan.replicate(variant, replicate))
-            earlier = seen.setdefault((node, value), rollout)
-            if earlier != rollout:
-                yield earlier, rollout
+    for test, (node, each) in enumerate(zip(account.nodes, account.each, strict=True)):
+        values = each[: plan.replicates]
+        numbers = range(len(values))
+        yield node, values, [RolloutId(plan.name, test, *plan.replicate(variant, number)) for number in numbers]
+
+
+def _content(trajectory: Trajectory) -> str:
+    """Return a digest that two trajectories share if they are the same, see `same_trajectory`."""
+    head = repr((trajectory.columns, trajectory.samples.shape))
+    return hashlib.sha256(head.encode() + trajectory.samples.tobytes()).hexdigest()

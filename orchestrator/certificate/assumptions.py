@@ -16,20 +16,19 @@ from ...schemas.problem_models import (
     SampleProblem,
     ScenarioProblem,
 )
-from ...schemas.system import Variant
 from ..campaign.account import Account
-from ..campaign.copies import copies
 from ..campaign.ledger import Ledger, observed_discards
 from ..campaign.methods import Methods, kernel
 from ..campaign.plan import UNBOUNDED, ProblemPlan
 from ..campaign.spot_check import SpotSeries
-from ..campaign.tested import OneLaw, is_dominated, same_values, spread
+from ..campaign.tested import is_dominated, same_values, spread
 from ..mathematics.bounds import audit
 from ..mathematics.bounds.kriging_method import KrigingMethod
 from ..mathematics.bounds.paper_formulas import mills_probability
 from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.gp.lattice import Lattice
 from .kriging_assumptions import kriging_assumptions
+from .sampled_assumptions import sampled_assumptions
 from .sentences import assumption
 
 DISCARDED = "discarded_"
@@ -80,7 +79,7 @@ def assumptions(
     of what is assumed of the workers. Regions that a fresh start contradicts refute the norm. `sampled` takes the
     place of the tests of independence and of one law, which read trajectories.
     """
-    tested = sampled or partial(_sampled, ledger)
+    tested = sampled or partial(sampled_assumptions, ledger)
     repeated = ledger.header.spec.repeated
     measured = repeated == "nowhere"
     found: list[Assumption] = []
@@ -159,29 +158,6 @@ def _of_regions(found: Iterable[Assumption], name: str, regions: CertifiedRegion
             yield assumption(each.id, "refuted", {"starts": contradicted}, form="norm_regions")
         else:
             yield each
-
-
-def noisy_variants(ledger: Ledger, account: Account) -> set[Variant]:
-    """Return the variants of a problem whose rollouts depend on their seeds."""
-    return set(account.plan.variants) & set(ledger.header.spec.noisy)
-
-
-def _sampled(ledger: Ledger, account: Account) -> Iterator[Assumption]:
-    """Yield what the bound of a noisy problem needs of its samples: independence, and one law per start."""
-    name, plan = account.plan.key, account.plan
-    noisy = noisy_variants(ledger, account)
-    if not noisy:
-        return
-    compared, copied = copies(account, noisy, ledger.recorded.trajectory)
-    values = {"rollouts": sum(account.counts[variant] for variant in noisy), "compared": compared, "copies": copied}
-    yield assumption(f"independent_rollouts/{name}", "refuted" if copied else "assumed", values)
-    yield one_law(plan, OneLaw(plan).finding(account.nodes, account.each))
-
-
-def one_law(plan: ProblemPlan, finding: audit.Finding) -> Assumption:
-    """Return the assumption that the rollouts of a start have one law during the campaign."""
-    form = "one_law" if plan.candidates is None else None
-    return assumption(f"one_law_per_start/{plan.key}", *finding, form=form)
 
 
 def _reproducible(recheck: Recheck | None, *, measured: bool, irreproducible: bool) -> Assumption:

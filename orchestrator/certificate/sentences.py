@@ -177,6 +177,23 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "assumed": "the {rollouts} noisy rollouts have different seeds, and no two of one start are copies of each "
         "other; that the simulator draws its noise from the seed alone is assumed.",
     },
+    "copied_tests": {
+        "refuted": "rollouts of one test agree with each other bit by bit, more than with those of other tests at its "
+        "start (evidence {evidence} against {threshold}, a false alarm of probability {level}): replicates are copies "
+        "of each other although their seeds differ, so {rollouts} rollouts are fewer independent ones.",
+    },
+    "repeated_results": {
+        "assumed": "{copies} of {compared} pairs of rollouts with equal values agree bit by bit although their seeds "
+        "differ, not more within tests than between those of one start (evidence for copies {evidence}, {threshold} "
+        "would refute): so do results that repeat, such as a saturated margin; that the simulator draws its noise from "
+        "the seed alone is assumed.",
+    },
+    "all_alike": {
+        "assumed": "no two rollouts of a test differ although the variant is declared noisy: its noise did not show, "
+        "or replicates are copies of each other, which tests of different starts cannot tell apart (evidence for "
+        "copies {evidence}, {threshold} would refute); that the simulator draws its noise from the seed alone is "
+        "assumed.",
+    },
     "independent_rollouts_1": {
         "derived": "the {rollouts} rollouts have different seeds, and those of one start differ in nothing else; of "
         "the noise, the bound needs only this and the clip.",

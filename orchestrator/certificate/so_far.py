@@ -16,12 +16,13 @@ from ..campaign.bounded import bounded_accounts
 from ..campaign.ledger import Ledger
 from ..campaign.tested import OneLaw
 from ..mathematics.bounds.sample import SampleMethod
-from .assumptions import ClosingResults, assumptions, noisy_variants, one_law
+from .assumptions import ClosingResults, assumptions
 from .bases import bases
 from .claims import Results, claims, of_listed_starts
 from .closing_checks import recheck, spot_check
 from .opposite import Values
 from .problem_results import result
+from .sampled_assumptions import noisy_variants, one_law
 from .sensitivity import with_clip, without_rollouts
 from .sentences import assumption
 from .verdict import campaign_verdict

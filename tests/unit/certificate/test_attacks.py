@@ -163,14 +163,43 @@ def test_outcomes_that_crashes_select_are_listed(tmp_path: Path) -> None:
 # Replicates that are copies, and results that do not repeat
 
 
-@pytest.mark.parametrize("config", [noisy(), listed()], ids=["box", "list"])
-def test_replicates_that_are_copies_are_refuted(tmp_path: Path, config: CampaignConfig) -> None:
-    def copied(request: RolloutRequest) -> float:
-        return 0.7 + SD * noise(request.test)
+def copied(request: RolloutRequest) -> float:
+    return 0.7 + SD * noise(request.test)
 
+
+@pytest.mark.parametrize("config", [noisy(max_tests=40, recheck=0), listed()], ids=["box", "list"])
+def test_replicates_that_are_copies_are_refuted(tmp_path: Path, config: CampaignConfig) -> None:
     text = simulate(tmp_path / "run", config, copied, noisy=True)
     assert "independent_rollouts/robustness" in refuted(text)
-    assert "copies of each other" in sentence(text, "independent_rollouts/robustness")
+    assert "replicates are copies of each other" in sentence(text, "independent_rollouts/robustness")
+
+
+def test_copies_at_starts_with_one_test_each_are_listed(tmp_path: Path) -> None:
+    """As if the noise had not shown there; only the recheck finds that this function counts its tests."""
+    rows = [[x / 4, y / 4] for x in range(5) for y in range(4)]
+    text = simulate(tmp_path / "run", listed(space={"scenarios": rows}, recheck=0), copied, noisy=True)
+    assert "independent_rollouts/robustness" not in refuted(text)
+    assert "no two rollouts of a test differ" in sentence(text, "independent_rollouts/robustness")
+
+
+@pytest.mark.parametrize("config", [noisy(max_tests=40), listed(max_tests=40)], ids=["box", "list"])
+@pytest.mark.parametrize("share", [0.02, 0.5], ids=["rare failure", "pass or fail"])
+@pytest.mark.parametrize("spread", [0.0, SD / 10], ids=["else exact", "else noisy"])
+def test_results_that_repeat_are_no_copies(tmp_path: Path, config: CampaignConfig, share: float, spread: float) -> None:
+    """A simulator whose failures all have one value; every rollout follows from its own seed alone."""
+
+    def failing(request: RolloutRequest) -> float:
+        drawn = np.random.default_rng(request.seed)
+        return 0.2 if drawn.random() < share else 0.9 + spread * float(drawn.standard_normal())
+
+    text = simulate(tmp_path / "run", config, failing, noisy=True)
+    name = "independent_rollouts/robustness"
+    assert name not in refuted(text)
+    found = {each["id"]: each for each in predicate(text)["assumptions"]}[name]
+    assert (found["values"]["copies"] > 0) == (
+        "agree bit by bit" in found["detail"] or "differ although" in found["detail"]
+    )
+    assert verified(tmp_path / "run") == []
 
 
 def test_noise_that_rollouts_share_without_a_copy_is_listed(tmp_path: Path) -> None:

@@ -1,0 +1,57 @@
+"""The assumptions behind noisy rollouts: that they are independent, and have one law at each start."""
+
+from collections.abc import Iterator, Mapping, Set
+
+from ...schemas.certificate import Assumption
+from ...schemas.system import Variant
+from ..campaign.account import Account
+from ..campaign.copies import copies, tested_copies
+from ..campaign.ledger import Ledger
+from ..campaign.plan import ProblemPlan
+from ..campaign.tested import OneLaw
+from ..mathematics.bounds import audit
+from ..mathematics.bounds.copied_blocks import LEVEL
+from .sentences import assumption
+
+
+def noisy_variants(ledger: Ledger, account: Account) -> set[Variant]:
+    """Return the variants of a problem whose rollouts depend on their seeds."""
+    return set(account.plan.variants) & set(ledger.header.spec.noisy)
+
+
+def sampled_assumptions(ledger: Ledger, account: Account) -> Iterator[Assumption]:
+    """Yield what the bound of a noisy problem needs of its samples: independence, and one law per start."""
+    plan, noisy = account.plan, noisy_variants(ledger, account)
+    if not noisy:
+        return
+    compared, copied = copies(account, noisy, ledger.recorded.trajectory)
+    values: dict[str, int | float | str] = {
+        "rollouts": sum(account.counts[variant] for variant in noisy),
+        "compared": compared,
+        "copies": copied,
+    }
+    yield _independent(ledger, account, noisy, values)
+    yield one_law(plan, OneLaw(plan).finding(account.nodes, account.each))
+
+
+def _independent(
+    ledger: Ledger, account: Account, noisy: Set[str], values: Mapping[str, int | float | str]
+) -> Assumption:
+    """Return the assumption that rollouts are independent; `values` has how many agree bit by bit.
+
+    By rules before 4 any of these refutes it, be it of a result that independent rollouts repeat.
+    """
+    name, copied = f"independent_rollouts/{account.plan.key}", values["copies"]
+    if not copied or ledger.header.rules < 4:
+        return assumption(name, "refuted" if copied else "assumed", values)
+    found = tested_copies(account, noisy, ledger.recorded.trajectory)
+    tested = {**values, "evidence": found.evidence, "threshold": 1 / LEVEL, "level": LEVEL}
+    if found.refuted:
+        return assumption(name, "refuted", tested, form="copied_tests")
+    return assumption(name, "assumed", tested, form="all_alike" if found.all_alike else "repeated_results")
+
+
+def one_law(plan: ProblemPlan, finding: audit.Finding) -> Assumption:
+    """Return the assumption that the rollouts of a start have one law during the campaign."""
+    form = "one_law" if plan.candidates is None else None
+    return assumption(f"one_law_per_start/{plan.key}", *finding, form=form)
