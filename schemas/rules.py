@@ -10,7 +10,8 @@ A change that gives another seed, digest or decision is a new number here, and a
     3   a certificate lists that crashes have nothing to do with outcomes
     4   the pairs of the spot check test that a gap dominates, and its values count where they are clipped; of most
         starts nothing is claimed that the clip alone proves; equal rollouts refute independence where they are
-        more alike within tests than between them, and no longer wherever they are alike
+        more alike within tests than between them, and no longer wherever they are alike; the spot check bets with a
+        noise scale that the claim rests on beside the range as well
 """
 
 from .errors import JournalError

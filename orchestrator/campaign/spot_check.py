@@ -32,6 +32,8 @@ Whoever extends a campaign knows what its spot check found, and may stop after o
 are fresh, so given everything before it its statements hold with their probability; and those of all spot checks after
 extensions hold together but for LEVEL (1/2 + 1/4 + ...) = LEVEL, whenever the last extension was.
 """
+NARROW = 8.0
+"""A noise scale of at most this part of the range serves the bets; the derived one is half of it."""
 WINDOW = 64
 """Tests in flight while follow-ups are chosen, each of them from the observations before."""
 
@@ -85,7 +87,7 @@ class SpotCheck:
         self.variants = tuple(dict.fromkeys(variant for variant, _ in plan.rollouts))
         self._replicates = 1 + max(replicate for _, replicate in plan.rollouts)
         noisy = set(header.spec.noisy)
-        hypotheses = [_hypothesis(each, _limit(accounts[each.key]), noisy) for each in self._plans]
+        hypotheses = [_hypothesis(each, _limit(accounts[each.key]), noisy, header.rules) for each in self._plans]
         self.hypotheses = {each.key: found for each, found in zip(self._plans, hypotheses, strict=True)}
         self.starts = _uniform_starts(header, self._plans, self.name)
         followups = plan.max_tests - len(self.starts)
@@ -243,11 +245,21 @@ def _is_refuted(account: Account) -> bool:
     return account.last_bound is not None and account.last_bound.stopped_by == "refuted"
 
 
-def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str]) -> Hypothesis:
-    """Return what the spot check tests of a problem; without a range, with the noise scale that its bound rests on."""
-    low, high = value_range(plan)
-    scale = plan.noise_per_rollout if low is None and 0.0 < plan.noise_per_rollout < math.inf else None
-    return Hypothesis(plan.key, limit, low, high, noisy=not noisy.isdisjoint(plan.variants), scale=scale)
+def _hypothesis(plan: ProblemPlan, limit: float, noisy: Set[str], rules: int) -> Hypothesis:
+    """Return what the spot check tests of a problem, with the noise scale that its bound rests on where that helps."""
+    (low, high), scale = value_range(plan), plan.noise_per_rollout
+    # Since rules 4 beside a range as well: a bet within a wide clip gains nothing against little noise. That of the
+    # paper's risk is the scale of a mean less deviations, and not of a rollout.
+    of_rollouts = not (plan.objective.risk and plan.problem.method == "paper")
+    narrow = low is None or high is None or (rules > 3 and of_rollouts and scale <= (high - low) / NARROW)
+    return Hypothesis(
+        plan.key,
+        limit,
+        low,
+        high,
+        noisy=not noisy.isdisjoint(plan.variants),
+        scale=scale if narrow and 0.0 < scale < math.inf else None,
+    )
 
 
 def _limit(account: Account) -> float:

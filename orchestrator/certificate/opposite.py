@@ -16,6 +16,7 @@ from ...schemas.errors import one_line
 from ...schemas.facts import Header
 from ...schemas.problems import OBJECTIVES, Quantity
 from ...schemas.verdict import ByRollouts, VerdictWord, Violations
+from ..campaign.clip import SAME
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
@@ -84,6 +85,11 @@ def chance_words(claim: CertificateClaim) -> str:
     return f"{chance}, {rests}" if claim.assumptions else chance
 
 
+def too_unlikely(claim: CertificateClaim, required: Required) -> bool:
+    """Whether a claim has less than the required probability."""
+    return claim.probability < required.probability - SAME
+
+
 def violated(
     header: Header,
     predicate: Predicate,
@@ -140,7 +146,7 @@ def _by_partner(predicate: Predicate, required: Required) -> Finding | None:
     It has the probability and the assumptions of the claim: with a kernel those about B and R, too.
     """
     claim, partner, limit = predicate.claims[0], other_side(predicate), required.bound
-    if partner is None or limit is None or claim.refuted:
+    if partner is None or limit is None or claim.refuted or too_unlikely(claim, required):
         return None
     other = "<=" if claim.sense == ">=" else ">="
     if not (partner < limit if claim.sense == ">=" else partner > limit):

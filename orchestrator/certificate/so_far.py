@@ -112,8 +112,9 @@ class AuditSoFar:
         if rules >= 2:
             results = with_clip(results, config)
             made = of_listed_starts(without_rollouts(made, config, plans, results), bases(config), plans)
-        # Nothing else is asked of it: it is no certificate, and has no evidence.
+        # Nothing else is asked of it: it is no certificate, and has no evidence. Its closing checks are still to come.
         content: dict[str, Any] = {"claims": made, "problems": tuple(results.values()), "assumptions": tuple(found)}
+        content |= {"counterexample": None, "spot_check": None}
         return Predicate.model_construct(**content)
 
     def _has_bound(self, account: Account) -> bool:

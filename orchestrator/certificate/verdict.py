@@ -7,9 +7,9 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import CertificateClaim, Predicate
 from ...schemas.claims import PROBABILITIES, is_sampled
 from ...schemas.facts import Header
+from ...schemas.problem_models import KernelProblem
 from ...schemas.requirements import parts_of
 from ...schemas.verdict import CampaignVerdict, Violations
-from ..campaign.clip import SAME
 from .advice import (
     NO_COMMANDS,
     TEST_ALONE,
@@ -33,6 +33,7 @@ from .opposite import (
     margin_text,
     other_side,
     suspected,
+    too_unlikely,
     violated,
 )
 from .refutation_text import refutation_words
@@ -69,12 +70,12 @@ def campaign_verdict(
         return for_a_better_bound(ShortBound(config, predicate, limit, violations, commands, noisy, progress))
 
     # Rollouts that show the opposite need no kernel, so they come before a claim that rests on one.
-    found = violated(header, predicate, required, violations, values) or _shown(predicate, required)
+    found = violated(header, predicate, required, violations, values) or _shown(header, predicate, required)
     if found is None:
         # Where no value is below the limit, no start is suspected.
         below = violations.least is not None and required.bound is not None and violations.least < required.bound
         where = suspected(header, claim, required, values()) if below and not is_deterministic(header) else ""
-        found = _not_shown(config, predicate, required, better, where)
+        found = _not_shown(header, predicate, required, better, where)
     is_clipped = violations.least is not None and config.clip is not None and violations.least <= config.clip[0]
     return CampaignVerdict(
         verdict=found.word,
@@ -136,9 +137,11 @@ def _required_probability(config: CampaignConfig, claim: CertificateClaim) -> fl
     return 1.0 - (max(found) if basis.rule == "every" else math.fsum(found))
 
 
-def _shown(predicate: Predicate, required: Required) -> Finding | None:
+def _shown(header: Header, predicate: Predicate, required: Required) -> Finding | None:
     claim = predicate.claims[0]
-    if claim.refuted or claim.vacuous or _falls_short(claim, required) or _too_unlikely(claim, required):
+    if claim.refuted or claim.vacuous or _falls_short(claim, required) or too_unlikely(claim, required):
+        return None
+    if _ended_untested(header, predicate):
         return None
     limit = margin_text(f"{required.bound:g}", claim, required.unit)
     reasons = [f"Required {'at least' if claim.sense == '>=' else 'at most'} {limit}."]
@@ -147,7 +150,22 @@ def _shown(predicate: Predicate, required: Required) -> Finding | None:
         other = margin_text(outward(partner, "<=" if least else ">="), claim, required.unit)
         side = "most" if least else "least"
         reasons.append(f"With the same probability and assumptions it is at {side} {other} at the worst start.")
+    if _is_about_a_box(header, predicate) and predicate.spot_check is None and not header.config.spot_check:
+        reasons.append("No fresh start tested this bound: `spot_check = 0`.")
     return Finding("SHOWN", tuple(reasons))
+
+
+def _is_about_a_box(header: Header, predicate: Predicate) -> bool:
+    """Whether a claim about every start of a box rests on its kernel: fresh starts alone test what is between tests."""
+    problems = {name.partition("/")[0] for name in bases(header.config)[0].problems}
+    kernel = any(each.name in problems and isinstance(each, KernelProblem) for each in header.config.problems)
+    return kernel and predicate.claims[0].starts is None and predicate.claims[0].quantity in WORST
+
+
+def _ended_untested(header: Header, predicate: Predicate) -> bool:
+    """Whether a violation ended the campaign before any fresh start was tested, and says nothing of the mean."""
+    ended = predicate.counterexample is not None and predicate.spot_check is None
+    return ended and not is_deterministic(header) and _is_about_a_box(header, predicate)
 
 
 def _falls_short(claim: CertificateClaim, required: Required) -> bool:
@@ -157,15 +175,11 @@ def _falls_short(claim: CertificateClaim, required: Required) -> bool:
     return claim.bound < required.bound if claim.sense == ">=" else claim.bound > required.bound
 
 
-def _too_unlikely(claim: CertificateClaim, required: Required) -> bool:
-    return claim.probability < required.probability - SAME
-
-
 # Neither
 
 
 def _not_shown(
-    config: CampaignConfig, predicate: Predicate, required: Required, better: Callable[[float], str], where: str
+    header: Header, predicate: Predicate, required: Required, better: Callable[[float], str], where: str
 ) -> Finding:
     """Return the reasons, and what would help.
 
@@ -176,6 +190,9 @@ def _not_shown(
         reasons.append(f"{refutation_words(claim.refuted)} Do not rely on the bound.")
         # Where its value is false, no other constants make it true.
         advice += [TEST_ALONE, instead_of_refuted(claim)] if where else [instead_of_refuted(claim)]
+    if _ended_untested(header, predicate):
+        reasons.append("A violation ended the campaign before any fresh start tested the bound.")
+        advice.append("A new campaign with a new seed that no violation ends: its fresh starts test the bound.")
     if claim.vacuous:
         reasons.append(EMPTY[nothing_shown(claim.quantity)])
     if required.bound is None:
@@ -187,10 +204,10 @@ def _not_shown(
         reasons.append(f"The bound {bound} does not reach the required {limit}{_budget_words(predicate)}.")
         if not claim.refuted:
             advice.append(better(required.bound))
-    if _too_unlikely(claim, required):
+    if too_unlikely(claim, required):
         chance = outward(claim.probability, ">=")
         reasons.append(f"It holds with probability {chance}, and {required.probability:g} is required.")
-        advice.append(for_the_probability(config, claim, required.probability))
+        advice.append(for_the_probability(header.config, claim, required.probability))
     reasons += [where] if where else []
     return Finding("NOT SHOWN", tuple(reasons), tuple(advice))
 

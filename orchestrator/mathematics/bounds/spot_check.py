@@ -6,7 +6,7 @@
 | J        | `value`       | maximised objective of one rollout, in [low, high]              | ()     | unit J    |
 | u        | `limit`       | the claim under test: E[J(d)] <= u for every d in D             | ()     | unit J    |
 | e        | `excess`      | J - u; its mean is at most 0 under the claim                    | ()     | unit J    |
-| R        | `scale`       | sub-Gaussian scale of one rollout, where no range is given      | ()     | unit J    |
+| R        | `scale`       | sub-Gaussian scale of one rollout, where it is given            | ()     | unit J    |
 | lambda_s |               | bet of strategy s on the next e of a start, from the past alone | (S,)   | 1/unit J  |
 | W_j      | `own`         | wealth of start j, mean over s of prod (1 + lambda_s e)         | (m,)   | -         |
 | V        | `joint`       | the same product over the follow-ups at all starts              | ()     | -         |
@@ -14,8 +14,10 @@
 | delta    | `delta`       | failure probability, for each hypothesis its own                | ()     | -         |
 | k        | `violations`  | starts whose first rollout has J > u                            | ()     | -         |
 
-Noise that nothing bounds, but that is sub-Gaussian of scale R, has the factor exp(lambda e - lambda^2 R^2/2), whose
-mean is at most 1 under the claim for every lambda >= 0; the test is then one of the claim and of R together.
+Noise that is sub-Gaussian of scale R has the factor exp(lambda e - lambda^2 R^2/2), whose mean is at most 1 under the
+claim for every lambda >= 0; the test is then one of the claim and of R together. With a range and an R both kinds of
+factors share the wealth: where the range is many times R, a bet that no value of the range may ruin gains next to
+nothing.
 
 A deterministic J shows at each start whether the claim is true there: one violation refutes it, and k of m bound the
 violated share of D (Clopper-Pearson). For a noisy J, 0 <= lambda <= CAP/(u - low) is a function of the rollouts before
@@ -67,7 +69,7 @@ SpotStatus = Literal["refuted", "not refuted", "not testable"]
 class Hypothesis:
     """The claim E[J(d)] <= limit for every d; `low` and `high` enclose J of one rollout, None where nothing does.
 
-    `scale` is that of sub-Gaussian noise, which a value without a range can be tested with.
+    `scale` is that of sub-Gaussian noise that the claim rests on; a value without a range needs one to be tested.
 
     Raises:
         ValueError: the limit is not finite, the range is empty, infinite or half given, or the scale is not positive.
@@ -246,11 +248,17 @@ class _Record:
         self.bounded = low is not None and high is not None
         self._low, self._high = (low, high) if low is not None and high is not None else (-math.inf, math.inf)
         self.first = np.full(size, math.nan)  # (m,) J of the first rollout
-        self._testable = self.bounded or hypothesis.scale is not None
+        kinds = [
+            *([self._bounded_factor] if self.bounded else []),
+            *([self._scaled_factor] if hypothesis.scale else []),
+        ]
+        self._strategies = [(factor, deficit) for factor in kinds for deficit in DEFICITS]  # S of them
+        self._testable = bool(kinds)
         width = 4.0 * hypothesis.scale if hypothesis.scale is not None else math.inf
-        self._spread = Spread(size, self._high - self._low if self.bounded else width)
-        self._wealth = np.full((len(DEFICITS), size), 1.0 / len(DEFICITS))  # (S, m)
-        self._joint = np.full(len(DEFICITS), 1.0 / len(DEFICITS))  # (S,)
+        self._spread = Spread(size, min(self._high - self._low, width))
+        number = len(self._strategies)
+        self._wealth = np.full((number, size), 1.0 / max(number, 1))  # (S, m)
+        self._joint = np.full(number, 1.0 / max(number, 1))  # (S,)
         self._peak = 1.0  # of W
         self._own_peak = np.ones(size)  # (m,)
 
@@ -326,8 +334,8 @@ class _Record:
         sd = float(self._spread.sd()[node])
         # At a start whose past mean keeps the limit, V can only lose.
         joins = self.count[node] > 0 and self._spread.mean[node] > 0
-        for s, deficit in enumerate(DEFICITS):
-            factor = self._bounded_factor(deficit, sd, excess) if self.bounded else self._scaled_factor(deficit, excess)
+        for s, (kind, deficit) in enumerate(self._strategies):
+            factor = kind(deficit, sd, excess)
             self._wealth[s, node] = min(self._wealth[s, node] * factor, RICHEST)
             self._joint[s] = min(self._joint[s] * factor, RICHEST) if joins else self._joint[s]
         own = math.fsum(self._wealth[:, node])
@@ -340,7 +348,7 @@ class _Record:
         largest = CAP / max(self._hypothesis.limit - self._low + OUTSIDE, OUTSIDE)
         return 1.0 + min(deficit / (sd * (1.0 + deficit * deficit)), largest) * excess
 
-    def _scaled_factor(self, deficit: float, excess: float) -> float:
+    def _scaled_factor(self, deficit: float, _sd: float, excess: float) -> float:
         # The best lambda for a mean excess of `deficit` scales; the exponent is capped, so that nothing overflows.
         assert self._hypothesis.scale is not None
         return math.exp(min(deficit * excess / self._hypothesis.scale - deficit * deficit / 2.0, MOST_EXPONENT))

@@ -43,7 +43,8 @@ def verdict(
 def test_a_bound_beyond_what_is_required_is_shown(tmp_path: Path) -> None:
     found = verdict(tmp_path, RIGOROUS, smooth)
     assert (found.verdict, found.advice) == ("SHOWN", ())
-    least, at_worst = found.reasons
+    least, at_worst, untested = found.reasons
+    assert untested == "No fresh start tested this bound: `spot_check = 0`."
     assert least == "Required at least 0."
     assert at_worst.startswith("With the same probability and assumptions it is at most 0.")
     assert "assumptions hold" in found.claim
@@ -216,6 +217,39 @@ def test_rollouts_that_do_not_follow_from_their_seeds_show_nothing_of_a_start(tm
     assert found.verdict == "NOT SHOWN"
     assert "that a rollout follows from its seed (reproducible_rollouts)" in found.reasons[0]
     assert found.violations.violations > 0
+
+
+def test_a_bound_that_no_fresh_start_tested_is_not_shown(tmp_path: Path) -> None:
+    """A violation ended the campaign: of a noisy system it says nothing of the mean."""
+
+    def hole(request: RolloutRequest) -> float:
+        return (-0.3 if 0.4 < request.x[0] < 0.47 else 0.5) + 0.4 * noise(request.seed)
+
+    certain = {**NOISY, "noise_scale": 0.6, "rkhs_norm": 0.1, "prior_mean": -0.5}
+    changes: dict[str, Any] = {"clip": [-1.0, 2.0], "max_tests": 60, "spot_check": 100}
+    ended = verdict(tmp_path / "a", certain, hole, noisy=True, until_counterexample=True, **changes)
+    assert (ended.verdict, ended.bound > 0.0) == ("NOT SHOWN", True)
+    assert ended.reasons[0] == "A violation ended the campaign before any fresh start tested the bound."
+    assert "fresh starts test the bound" in ended.advice[0]
+    assert verdict(tmp_path / "b", certain, hole, noisy=True, **changes).verdict != "SHOWN"
+    none = verdict(tmp_path / "c", certain, shifted(0.2, noisy=0.1), noisy=True, **changes | {"spot_check": 0})
+    assert (none.verdict, none.reasons[-1]) == ("SHOWN", "No fresh start tested this bound: `spot_check = 0`.")
+
+
+def test_the_opposite_needs_the_required_probability_too(tmp_path: Path) -> None:
+    """The bound from the other side is just beyond what is required, and the rollouts show nothing at .99."""
+    uncertain = {**NOISY, "delta": 0.4}
+    changes: dict[str, Any] = {"noisy": True, "clip": [-1.0, 2.0], "max_tests": 40}
+    verdict(tmp_path / "a", uncertain, shifted(0.0, noisy=0.2), **changes)
+    certificate = files.read(tmp_path / "a")
+    assert certificate is not None
+    partner = certificate.predicate.problems[0].partner
+    assert partner is not None
+    changes["required_margin"] = partner + 1e-6
+    less = verdict(tmp_path / "b", uncertain, shifted(0.0, noisy=0.2), required_probability=0.5, **changes)
+    assert less.verdict == "VIOLATED"
+    more = verdict(tmp_path / "c", uncertain, shifted(0.0, noisy=0.2), required_probability=0.99, **changes)
+    assert more.verdict == "NOT SHOWN"
 
 
 def test_a_margin_of_clipped_values_says_so(tmp_path: Path) -> None:

@@ -286,6 +286,31 @@ def test_unbounded_noise_of_a_known_scale_is_tested() -> None:
         assert check.finding(0).status == expected
 
 
+@pytest.mark.parametrize(("scale", "expected"), [(None, "not refuted"), (0.02, "refuted")])
+def test_a_wide_range_needs_the_scale_of_the_noise(scale: float | None, expected: str) -> None:
+    """An excess of .4 at three of 30 starts with noise of .02: next to nothing of a range of 200."""
+    rng = np.random.default_rng(5)
+    hypothesis = Hypothesis("y", 0.0, -100.0, 100.0, noisy=True, scale=scale)
+    check = SpotTests([(float(j),) for j in range(30)], [hypothesis], followups=60)
+    while (proposal := check.propose()) is not None:
+        check.observe(proposal.node, [(0.4 if proposal.node < 3 else -0.1) + 0.02 * rng.standard_normal()])
+    assert check.finding(0).status == expected
+
+
+@pytest.mark.parametrize("noise", ["gaussian", "two points"])
+def test_range_and_scale_together_keep_the_level(noise: str) -> None:
+    """Every start at the limit itself."""
+    rng, refuted = np.random.default_rng(7), 0
+    for _ in range(400):
+        hypothesis = Hypothesis("y", 0.0, -8.0, 8.0, noisy=True, scale=1.0)
+        check = SpotTests([(float(j),) for j in range(20)], [hypothesis], followups=40)
+        while (proposal := check.propose()) is not None:
+            value = rng.standard_normal() if noise == "gaussian" else rng.choice((-1.0, 1.0))
+            check.observe(proposal.node, [float(np.clip(value, -8.0, 8.0))])
+        refuted += check.finding(0).status == "refuted"
+    assert refuted <= 31  # binom.ppf(.99, 400, .05)
+
+
 def test_noise_without_range_or_scale_is_not_tested() -> None:
     check = SpotTests([(0.0,)], [Hypothesis("y", 1.0, None, None, noisy=True)], followups=200)
     check.observe(0, [99.0])
