@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perfbound.orchestrator.certificate import files
+from perfbound.orchestrator.certificate import files, opposite
 from perfbound.orchestrator.run.extend import extend_campaign
 from perfbound.orchestrator.run.verdict import verdict_lines, verdict_of
 from perfbound.orchestrator.store.journal import Journal
@@ -237,19 +237,23 @@ def test_a_bound_that_no_fresh_start_tested_is_not_shown(tmp_path: Path) -> None
 
 
 def test_the_opposite_needs_the_required_probability_too(tmp_path: Path) -> None:
-    """The bound from the other side is just beyond what is required, and the rollouts show nothing at .99."""
-    uncertain = {**NOISY, "delta": 0.4}
-    changes: dict[str, Any] = {"noisy": True, "clip": [-1.0, 2.0], "max_tests": 40}
-    verdict(tmp_path / "a", uncertain, shifted(0.0, noisy=0.2), **changes)
-    certificate = files.read(tmp_path / "a")
+    verdict(tmp_path, {**NOISY, "delta": 0.4}, shifted(0.0, noisy=0.2), noisy=True, clip=[-1.0, 2.0], max_tests=20)
+    certificate = files.read(tmp_path)
     assert certificate is not None
-    partner = certificate.predicate.problems[0].partner
+    predicate = certificate.predicate
+    partner = predicate.problems[0].partner
     assert partner is not None
-    changes["required_margin"] = partner + 1e-6
-    less = verdict(tmp_path / "b", uncertain, shifted(0.0, noisy=0.2), required_probability=0.5, **changes)
-    assert less.verdict == "VIOLATED"
-    more = verdict(tmp_path / "c", uncertain, shifted(0.0, noisy=0.2), required_probability=0.99, **changes)
-    assert more.verdict == "NOT SHOWN"
+    (reason,) = _reasons(opposite._by_partner(predicate, opposite.Required(partner + 1e-6, 0.5, "")))
+    assert reason.endswith(
+        f", with probability at least 0.6000, if its {len(predicate.claims[0].assumptions)} assumptions hold."
+    )
+    assert opposite._by_partner(predicate, opposite.Required(partner + 1e-6, 0.99, "")) is None
+    assert opposite._by_partner(predicate, opposite.Required(partner, 0.5, "")) is None
+
+
+def _reasons(found: opposite.Finding | None) -> tuple[str, ...]:
+    assert found is not None
+    return found.reasons
 
 
 def test_a_margin_of_clipped_values_says_so(tmp_path: Path) -> None:
