@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.certificate import CertificateClaim, Predicate
@@ -10,6 +11,7 @@ from ...schemas.facts import Header
 from ...schemas.problem_models import KernelProblem
 from ...schemas.requirements import parts_of
 from ...schemas.verdict import CampaignVerdict, Violations
+from ..campaign.clip import SAME
 from .advice import (
     NO_COMMANDS,
     TEST_ALONE,
@@ -70,18 +72,26 @@ def campaign_verdict(
         return for_a_better_bound(ShortBound(config, predicate, limit, violations, commands, noisy, progress))
 
     # Rollouts that show the opposite need no kernel, so they come before a claim that rests on one.
-    found = violated(header, predicate, required, violations, values) or _shown(header, predicate, required)
+    found = violated(header, predicate, required, violations, values)
+    contradicted = _is_contradicted(header, claim, violations)
+    if found is None and not contradicted:
+        found = _shown(header, predicate, required)
     if found is None:
         # Where no value is below the limit, no start is suspected.
         below = violations.least is not None and required.bound is not None and violations.least < required.bound
         where = suspected(header, claim, required, values()) if below and not is_deterministic(header) else ""
         found = _not_shown(header, predicate, required, better, where)
+        if contradicted:
+            least, bound = outward(violations.least or 0.0, ">="), outward(claim.bound, ">=")
+            false = f"A rollout has the robustness {least}, less than the bound {bound}: the claim is false."
+            found = replace(found, reasons=(false, *found.reasons))
+    stated = claim.model_copy(update={"refuted": ("by a rollout",)}) if contradicted else claim
     is_clipped = violations.least is not None and config.clip is not None and violations.least <= config.clip[0]
     return CampaignVerdict(
         verdict=found.word,
         campaign=config.name,
         seed=config.seed,
-        claim=guarantee(claim, unit, config.risk_weight, config.clip if is_clipped else None),
+        claim=guarantee(stated, unit, config.risk_weight, config.clip if is_clipped else None),
         reasons=found.reasons,
         advice=found.advice,
         bound=claim.bound,
@@ -153,6 +163,13 @@ def _shown(header: Header, predicate: Predicate, required: Required) -> Finding 
     if _is_about_a_box(header, predicate) and predicate.spot_check is None and not header.config.spot_check:
         reasons.append("No fresh start tested this bound: `spot_check = 0`.")
     return Finding("SHOWN", tuple(reasons))
+
+
+def _is_contradicted(header: Header, claim: CertificateClaim, violations: Violations) -> bool:
+    """Whether one rollout without noise is below the bound: certificates of before rules 4 say so nowhere."""
+    if violations.least is None or not is_deterministic(header) or claim.quantity not in WORST or claim.requirement:
+        return False
+    return violations.least < claim.bound - SAME
 
 
 def _is_about_a_box(header: Header, predicate: Predicate) -> bool:

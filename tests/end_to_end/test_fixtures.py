@@ -43,6 +43,20 @@ def test_a_finished_campaign_verifies(started: Processes, name: str) -> None:
     assert len(found) >= 20
 
 
+@pytest.mark.parametrize("name", ["steep", "rare"])
+def test_certificates_of_rules_3_verify_and_what_they_miss_is_said(started: Processes, name: str) -> None:
+    """By their rules: a gap that does not dominate at fresh starts (steep), and results that repeat (rare)."""
+    directory = Path(shutil.copytree(RULES_1.parent / "rules-3" / name, started.folder / name))
+    ended = started.run("perfbound", "verify", directory, "--json")
+    found = {each["check"]: each["status"] for each in json.loads(ended.out)["checks"]}
+    assert "failed" not in found.values()
+    assert ended.code == 0
+    shown = started.run("perfbound", "show", directory).out
+    assert "VERDICT  NOT SHOWN" in shown
+    expected = "less than the bound 0.2470: the claim is false." if name == "steep" else "(independent_rollouts of"
+    assert expected in " ".join(shown.split())
+
+
 @resumed
 def test_the_stopped_campaign_resumes_to_the_certificate_of_the_finished_one(started: Processes) -> None:
     directory, calm = copied("rigorous-pair-stopped", started.folder), RULES_1 / "rigorous-pair"
