@@ -116,7 +116,7 @@ def start_campaign(
         _transport(options, console) as transport,
         created(directory, header, options.origin(reference)) as journal,
     ):
-        page.start()
+        page.announce()
         found = replace(options, system=reference)
         _conduct(directory, journal, transport, page, options=found, console=console, resumed=False)
         page.end()
@@ -152,8 +152,8 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
         check_workers(journal.header.spec, options.own, directory)
         if options.own is not None:
             check_own(journal.header, options.own.spec)
+        page.announce()
         with _transport(options, console) as transport:
-            page.start()
             found = replace(options, system=reference)
             _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
             page.end()
