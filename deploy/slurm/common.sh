@@ -1,6 +1,7 @@
 # Read by the three jobs of a campaign. Their folder is one that all nodes share, and contains two notes:
 #   endpoint   where the router listens now; the router writes it
-#   ended      the exit code of the orchestrator, once the campaign is finished or has failed: then every job ends
+#   ended      the exit code of the orchestrator, or of the router, once the campaign is finished or one of them has
+#              failed: then every job ends
 
 # One thread for each process: no job takes more than its one core.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
@@ -72,7 +73,7 @@ connected() {
   while [ -z "$warned" ]; do
     place=$(endpoint)
     if [ -z "$place" ]; then
-      ! ended || return 0
+      ! ended || return 143
       sleep 1
       continue
     fi
@@ -81,6 +82,18 @@ connected() {
     moved || return "$code"
   done
   return 143
+}
+
+# conclude CODE: every job of the campaign ends, unless a signal to this one ended its program.
+conclude() {
+  case "$1" in
+    130 | 143) ;; # it is for somebody else to say when it continues
+    *)
+      # Killed, as this shell may be in a moment: then it is the job that was killed, and not the program for its memory.
+      [ "$1" -le 128 ] || sleep 10
+      note ended "$1"
+      ;;
+  esac
 }
 
 # again: queue this job once more, under its number; that ends it.

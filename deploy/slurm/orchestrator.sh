@@ -23,17 +23,19 @@ directory=/home/ada/runs/segway-paper
 . "$folder/common.sh"
 
 watch() {
-  if [ -n "$warned" ] && [ "$((SECONDS - warned))" -ge 60 ]; then
+  if ended; then
+    # The router has failed, so nothing under way can be delivered: the second of these signals ends the draining.
+    kill -TERM "$child"
+  elif [ -n "$warned" ] && [ "$((SECONDS - warned))" -ge 60 ]; then
     kill -TERM "$child" # it drains no longer: what is under way is simulated again
   fi
 }
 
-orchestrate() {
+orchestrate() { # becomes the program, of which there is a second one when the router has moved
   if [ -e "$directory/campaign.db" ]; then
-    connected "$programs/perfbound" resume "$directory" --workers 0 --drain "${tls[@]}"
-  else
-    connected "$programs/perfbound" orchestrate "$campaign" --out "$directory" --drain "${tls[@]}"
+    exec "$programs/perfbound" resume "$directory" --workers 0 --drain "${tls[@]}" "$@"
   fi
+  exec "$programs/perfbound" orchestrate "$campaign" --out "$directory" --drain "${tls[@]}" "$@"
 }
 
 held() { # a file or folder is locked; 9 is neither of the program nor of a fault
@@ -54,22 +56,19 @@ while :; do
     while locked && [ -z "$warned" ]; do sleep 1; done
   fi
   ! ended || exit 0
-  orchestrate
+  connected orchestrate
   code=$?
   case "$code" in 0 | 130 | 143) break ;; esac
   locked || break # it may finish the campaign, or end as well: to find it is no failure
 done
+if ended && [ "$code" -ne 0 ]; then
+  echo "the router of this campaign has failed; the output of its job says why" >&2
+  exit "$code"
+fi
 # Warned, it was asked to end: whatever signal it ended by, it continues when this job runs again.
 if [ -n "$warned" ] && [ "$code" -gt 128 ]; then
   again
   exit "$code"
 fi
-case "$code" in
-  130 | 143) ;; # as well, but it is for somebody else to say when
-  *)
-    # Killed, as this shell may be in a moment: then it is the job that was killed, and not the program for its memory.
-    [ "$code" -le 128 ] || sleep 10
-    note ended "$code"
-    ;;
-esac
+conclude "$code"
 exit "$code"

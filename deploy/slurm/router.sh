@@ -41,8 +41,21 @@ for _ in 1 2 3 4 5; do
   note endpoint "$protocol/$host:$port"
   supervise "$programs/perfbound" router --listen "$protocol/0.0.0.0:$port" "${open[@]}" "${tls[@]}"
   code=$?
-  [ "$code" -eq 1 ] || break
-  port= # perhaps that of another program
+  [ -z "$warned" ] || break
+  case "$code" in
+    0 | 2 | 130 | 143) break ;;
+    1) port= ;; # perhaps that of another program
+  esac
 done
-[ -z "$warned" ] || again
+if [ -n "$warned" ]; then
+  again
+elif ! ended; then
+  case "$code" in
+    0 | 130 | 143) ;;
+    *)
+      echo "no router, so the other jobs end as well; fix the cause, and submit the campaign again" >&2
+      conclude "$code"
+      ;;
+  esac
+fi
 exit "$code"

@@ -43,11 +43,15 @@ def _repeat(number: int) -> None:
 
 def main() -> None:
     """`perfbound`: a known error is one line on stderr and exit code 1."""
-    take_signals(_stop)
     sys.unraisablehook = _unraisable
     with process_end(), readers_may_end():
         try:
-            _main()
+            try:
+                take_signals(_stop)
+                _main()
+            finally:
+                # What is left is to flush and to exit: an exception in there would lose the exit code of a success.
+                take_signals(signal.SIG_IGN)
         except Stopped as request:
             end(f"stopped; {request.state}", code=128 + request.signal)
 

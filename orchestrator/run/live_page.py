@@ -45,17 +45,21 @@ def page_command(directory: Path) -> str:
 
 @contextmanager
 def live_page(place: PagePlace | None, directory: Path, console: Console, *, insecure: bool) -> Iterator["LivePage"]:
-    """Take the port of the page at once, so that a run without its page does not begin; without a place, no page.
+    """Serve the page from the start, so that a run without its page does not begin; without a place, no page.
+
+    Probes ask whether this process lives before it has a router, and a new campaign its database.
 
     Raises:
         PerfboundError: the port is taken, or the place cannot be served.
 
     """
-    page = LivePage(directory, console)
     if place is None:
-        yield page
+        yield LivePage(directory, console)
         return
-    page.place = opened(place, insecure=insecure)
+    listening, address, access = opened(place, insecure=insecure)
+    with listening:  # from here on the port is the child's alone
+        process = _PageProcess(listening, address, access, directory)
+    page = LivePage(directory, console, process, tuple(access.lines("live page", address)))
     try:
         yield page
     finally:
@@ -65,20 +69,17 @@ def live_page(place: PagePlace | None, directory: Path, console: Console, *, ins
 class LivePage:
     """The page of one run."""
 
-    def __init__(self, directory: Path, console: Console) -> None:
-        self.place: tuple[socket.socket, Address, PageAccess] | None = None
-        self._directory, self._console = directory, console
-        self._child: _PageProcess | None = None
+    def __init__(
+        self, directory: Path, console: Console, process: "_PageProcess | None" = None, lines: tuple[str, ...] = ()
+    ) -> None:
+        self._directory, self._console, self._child, self._lines = directory, console, process, lines
+        self._announced = False
         self._next = 0.0
 
-    def start(self) -> None:
-        """Begin to serve, if there is a place; the campaign has its database by now."""
-        if self.place is None:
-            return
-        listening, address, access = self.place
-        with listening:  # from here on the port is the child's alone
-            self._child = _PageProcess(listening, address, access, self._directory)
-        for line in access.lines("live page", address):
+    def announce(self) -> None:
+        """Print the address, if there is a page; the campaign has its database by now."""
+        self._announced = True
+        for line in self._lines:
             self._print_line(line)
 
     def print_line(self, line: str) -> None:
@@ -106,11 +107,11 @@ class LivePage:
             self._child.end()
 
     def stop(self) -> None:
-        """Close the port; a child that serves shows the end of the campaign first."""
-        if self.place is not None:
-            self.place[0].close()
-        if self._child is not None:
-            self._child.stop(GRACE)
+        """End the child; one whose address was printed shows the end of the campaign first."""
+        if self._child is None:
+            return
+        self._child.stop(GRACE if self._announced else 0.0)
+        if self._announced:
             self._print_line(f"the live page has ended with the run; {page_command(self._directory)} shows it again")
 
     def _print_line(self, line: str) -> None:

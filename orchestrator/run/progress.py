@@ -178,6 +178,8 @@ class SystemdStatus:
         """Notify the watchdog, and send the counts if they have changed."""
         tests = ", ".join(f"{name} {each.tests} tests" for name, each in status.problems.items())
         self._systemd.alive(f"{tests}; {len(status.workers)} workers")
+        if status.loop.done:
+            self._systemd.outside_loop()
 
 
 class Rate:

@@ -37,7 +37,7 @@ from .link import Link
 from .live_page import LivePage, live_page
 from .report_finished import report_finished
 from .revision import revision
-from .systemd import Systemd
+from .systemd import Systemd, with_a_loop
 from .trust import doubted
 
 
@@ -116,7 +116,7 @@ def start_campaign(
         _transport(options, console) as transport,
         created(directory, header, options.origin(reference)) as journal,
     ):
-        page.start()
+        page.announce()
         found = replace(options, system=reference)
         _conduct(directory, journal, transport, page, options=found, console=console, resumed=False)
         page.end()
@@ -142,6 +142,7 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
         give_budget(directory, options, console, max_tests)
     if files.read(directory) is not None:
         console.print(Text(f"{directory}: finished already"), soft_wrap=True)
+        Systemd().ready("finished already")  # else the service would have failed, and be started again and again
         report_finished(directory, options.link, lambda line: console.print(Text(line), soft_wrap=True))
         return False
     link = options.link
@@ -152,8 +153,8 @@ def resume_campaign(directory: Path, options: RunOptions, console: Console, max_
         check_workers(journal.header.spec, options.own, directory)
         if options.own is not None:
             check_own(journal.header, options.own.spec)
+        page.announce()
         with _transport(options, console) as transport:
-            page.start()
             found = replace(options, system=reference)
             _conduct(directory, journal, transport, page, options=found, console=console, resumed=True)
             page.end()
@@ -290,7 +291,7 @@ def _conduct(
     console: Console,
     resumed: bool,
 ) -> None:
-    run, systemd, link = journal.header.run, Systemd(), options.link
+    run, systemd, link = journal.header.run, with_a_loop(), options.link
     report_end: Callable[[], None] | None = None
     with ExitStack() as stack:
         fleet = None
@@ -338,7 +339,6 @@ def _conduct(
             stack.enter_context(_signals(lambda number: service.inbox.put(Interrupted(number))))
             transport.start(run, service.inbox.put)
             systemd.ready(f"workers connect to {transport.endpoint}")
-            stack.callback(systemd.stopping)
             service.run()
             # Whatever happened to the files meanwhile: the certificate names what is there when it is issued.
             while lost := ledger.check_files(journal, whole=True):
@@ -348,6 +348,7 @@ def _conduct(
     journal.check_place()
     from .certify import certify  # noqa: PLC0415
 
+    systemd.ready("issuing the certificate")
     certify(directory, ledger, report_end)
 
 

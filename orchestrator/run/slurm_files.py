@@ -21,7 +21,7 @@ SHARED, SUBMIT = "common.sh", "submit.sh"
 """What the three have in common, and what submits them."""
 WORD = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.,-]{0,99}")
 """A partition, an account, or a quality of service."""
-TIME = re.compile(r"[0-9]{1,3}(-[0-9]{1,2}(:[0-9]{2}){0,2}|(:[0-9]{2}){1,2})?")
+TIME = re.compile(r"[0-9]{1,6}(-[0-9]{1,2}(:[0-9]{2}){0,2}|(:[0-9]{2}){1,2})?")
 """Minutes, MM:SS, H:MM:SS or DAYS-H[:MM[:SS]] with two digits behind each colon; 0 is no limit."""
 MEMORY = re.compile(r"[1-9][0-9]{0,8}[KMGT]?")
 WARNING = 120
@@ -157,7 +157,7 @@ def _variables(options: SlurmOptions, job: str) -> list[str]:
     wanted: Mapping[str, tuple[str, ...]] = {
         ROUTER: ("folder", "programs", "secret", "tls"),
         ORCHESTRATOR: ("folder", "programs", "secret", "tls", "router", "campaign", "directory"),
-        WORKERS: ("folder", "programs", "secret", "tls", "router", "system"),
+        WORKERS: ("folder", "programs", "secret", "tls", "router", "directory", "system"),
     }
     return [_assigned(name, values[name]) for name in wanted[job]]
 

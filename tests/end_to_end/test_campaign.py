@@ -285,6 +285,53 @@ def test_the_exit_code_is_that_of_the_campaign_though_its_link_has_not_ended(sta
     assert not (started.folder / "run" / "campaign.db-wal").exists(), "the database is closed"
 
 
+EVERY_LINE = """
+import atexit, os, signal, sys
+from perfbound.orchestrator.cli import entry, exits, pipes
+
+HERE = {each.__file__ for each in (entry, exits, pipes)}
+
+
+def end_with_a_signal(lines):
+    ended = False
+
+    def trace(frame, event, _):
+        nonlocal lines
+        if ended and event == "line":
+            lines -= 1
+            if lines == 0:
+                os.write(2, b"sent\\n")
+                os.kill(os.getpid(), signal.SIGTERM)
+        return trace if frame.f_code.co_filename in HERE else None
+
+    def command(**_):
+        nonlocal ended
+        ended = True
+        print("result")
+
+    entry.cli = command
+    sys.settrace(trace)
+    entry.main()
+
+
+for lines in range(1, 60):
+    if not os.fork():
+        atexit.register(os._exit, 134)  # called last: the interpreter goes on to its end
+        sys.exit(end_with_a_signal(lines))
+    print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
+"""
+
+
+def test_a_signal_while_a_command_ends_does_not_spoil_its_end(started: Processes) -> None:
+    """At every line between the end of the command and that of its process."""
+    ended = started.run("python", "-c", EVERY_LINE)
+    assert ended.code == 0, ended.err
+    codes = [line for line in ended.out.splitlines() if line != "result"]
+    assert (len(codes), set(codes), ended.out.count("result")) == (59, {"0", "143"}, 59), ended.err
+    assert set(ended.err.splitlines()) == {"sent", "perfbound: stopped; nothing was started"}, ended.err
+    assert ended.err.count("sent") > 20, "the lines at which the signal came"
+
+
 def test_a_signal_before_anything_is_made(started: Processes) -> None:
     process = start(started)
     wait_for(process.children)  # the child that is asked for the systems

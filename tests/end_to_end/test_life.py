@@ -3,6 +3,8 @@
 import json
 import signal
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from tests.end_to_end.processes import Processes, query, recorded, under_way, wait_for, write_campaign
@@ -49,22 +51,86 @@ def test_log_lines_for_programs(started: Processes) -> None:
 
 def test_systemd_is_told(started: Processes) -> None:
     directory, address = started.folder / "run", started.folder / "notify"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-        manager.bind(str(address))
-        manager.settimeout(PATIENCE)
+    with service_manager(address) as manager:
         process = started.start(
             "perfbound",
             *("run", write_campaign(started.folder / "c.toml"), "--out", directory),
             NOTIFY_SOCKET=str(address),
             WATCHDOG_USEC="1000000",
         )
-        told = ""
-        while "STOPPING=1" not in told:
-            told += manager.recv(4096).decode() + "\n"
+        told = up_to(manager, "STOPPING=1")
         assert process.wait().code == 0
-    assert told.startswith("READY=1\nSTATUS=workers connect to tcp/127.0.0.1:")
+    assert "READY=1\nSTATUS=workers connect to tcp/127.0.0.1:" in told
     assert told.count("WATCHDOG=1") >= 1
     assert "STATUS=nominal_robustness 8 tests, sim_gap 8 tests; " in told
+
+
+SLOW = """
+import os, socket, time
+from perfbound.orchestrator.campaign.ledger import Ledger
+from perfbound.orchestrator.cli import campaigns, main
+from perfbound.orchestrator.run import certify
+
+
+def slow(owner, name):
+    quick = getattr(owner, name)
+
+    def called(*arguments, **named):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+            manager.connect(os.environ["NOTIFY_SOCKET"])
+            manager.send(f"begin {name}".encode())
+            time.sleep(3)
+            manager.send(f"end {name}".encode())
+        return quick(*arguments, **named)
+
+    setattr(owner, name, called)
+
+
+slow(Ledger, "replay")
+slow(Ledger, "check_files")
+slow(certify, "certify")
+slow(campaigns, "draw")
+main()
+"""
+
+
+def test_the_watchdog_is_told_whatever_a_campaign_works_at(started: Processes) -> None:
+    """On a slow disk all files are checked for minutes, with no turn of the loop in between."""
+    address, campaign = started.folder / "notify", write_campaign(started.folder / "c.toml", max_tests="2")
+    with service_manager(address) as manager:
+        arguments = ("-c", SLOW, "run", campaign, "--out", "run")
+        process = started.start("python", *arguments, NOTIFY_SOCKET=str(address), WATCHDOG_USEC="1000000")
+        told = up_to(manager, "STOPPING=1")
+        assert process.wait().code == 0, process.err
+    for name in ("replay", "check_files", "certify", "draw"):
+        _, _, rest = told.partition(f"begin {name}\n")
+        during, end, _ = rest.partition(f"end {name}\n")
+        assert end
+        assert during.count("WATCHDOG=1") >= 2, (name, told)
+
+
+def test_a_finished_campaign_is_a_service_that_has_started(started: Processes, calm: Path) -> None:
+    """As after a reboot: a service that ends without its notification has failed, and is started again for ever."""
+    with service_manager(started.folder / "notify") as manager:
+        ended = started.run("perfbound", "resume", calm, NOTIFY_SOCKET=str(started.folder / "notify"))
+        assert ended.code == 0, ended.err
+        assert up_to(manager, "READY=1") == "READY=1\nSTATUS=finished already\n"
+
+
+@contextmanager
+def service_manager(address: Path) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(address))
+        manager.settimeout(PATIENCE)
+        yield manager
+
+
+def up_to(manager: socket.socket, last: str) -> str:
+    """Return all notifications up to one that contains `last`."""
+    told = ""
+    while last not in told:
+        told += manager.recv(4096).decode() + "\n"
+    return told
 
 
 def test_a_changed_file_is_refused_with_the_difference(started: Processes) -> None:

@@ -182,6 +182,31 @@ def test_a_probe_sees_a_loop_that_stands_still(started: Processes) -> None:
     assert process.wait().code == 130
 
 
+@pytest.mark.parametrize("command", ["orchestrate", "resume"])
+def test_a_probe_is_answered_while_no_router_is_there(started: Processes, command: str) -> None:
+    campaign, directory = hurry(write(started.folder)), started.folder / "run"
+    place, router = f"127.0.0.1:{free_port()}", f"tcp/127.0.0.1:{free_port()}"
+    arguments: tuple[str | Path, ...] = (campaign, "--out", directory)
+    if command == "resume":
+        arguments = (directory, "--workers", "0")
+        first = started.start("perfbound", "orchestrate", campaign, "--out", directory, "--listen", "tcp/127.0.0.1:0")
+        wait_for(lambda: "waiting for workers" in first.err)
+        first.popen.terminate()
+        assert first.wait().code == 143
+    waiting = started.start("perfbound", command, *arguments, "--connect", router, "--web", place)
+    wait_for(lambda: "router" in waiting.err or not waiting.running)
+    assert get(f"http://{place}/healthz") == (200, "ok"), waiting.err
+    assert get(f"http://{place}/readyz") == (503, "starting")
+    if command == "orchestrate":  # it begins as soon as there is a router
+        assert get(f"http://{place}/metrics")[0] == 503
+        assert not directory.exists()
+    started.start("perfbound", "router", "--listen", router)
+    wait_for(lambda: answers(f"http://{place}/readyz"))
+    assert get(f"http://{place}/")[0] == 200
+    waiting.popen.terminate()
+    assert waiting.wait().code == 143, waiting.err
+
+
 # TLS
 
 

@@ -59,3 +59,17 @@ def test_units_wait_for_units_that_exist() -> None:
         text = (UNITS / name).read_text()
         for each in re.findall(r"perfbound[\w@-]*\.service", text):
             assert each in NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_service_is_started_again_however_often_it_has_ended(name: str) -> None:
+    """By its limit systemd leaves one alone whose certificate ended ten seconds before it was renewed."""
+    about, _, service = (UNITS / name).read_text().partition("[Service]")
+    assert "\nStartLimitIntervalSec=0\n" in about
+    assert "\nRestartSec=5\n" in service
+
+
+def test_a_campaign_may_take_any_time_to_start() -> None:
+    """It reads its whole database, and waits for its router; systemd would end it after 90 s, again and again."""
+    settings = unit(UNITS / "perfbound.service")
+    assert (settings["Type"], settings["TimeoutStartSec"]) == (["notify"], ["infinity"])

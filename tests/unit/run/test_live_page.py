@@ -3,7 +3,8 @@
 import os
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from io import StringIO
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from perfbound.orchestrator.run.service import RunStatus
 from perfbound.schemas.errors import PerfboundError
 from tests.campaigns import config
 from tests.fakes.inmemory import Log, campaign
+from tests.patience import PATIENCE
 
 BEGAN = time.time()
 
@@ -113,66 +115,78 @@ def said(page: LivePage) -> list[str]:
     return stream.getvalue().splitlines()[1:]  # after its address
 
 
+Opened = Callable[[str], AbstractContextManager[LivePage]]
+
+
 @pytest.fixture
-def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[LivePage]:
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Opened:
+    """Open a page that is served by a shell script."""
     monkeypatch.setattr(live, "GRACE", 0.1)
-    console = Console(file=StringIO())
-    with live_page(PagePlace(), tmp_path / "run", console, insecure=False) as found:
-        yield found
-
-
-def child(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, script: str) -> None:
-    """Let the page be served by a shell script."""
     program = tmp_path / "child"
-    program.write_text(f"#!/bin/sh\n{script}\n")
-    program.chmod(0o755)
     monkeypatch.setattr("sys.executable", str(program))
+
+    @contextmanager
+    def page(script: str) -> Iterator[LivePage]:
+        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.chmod(0o755)
+        with live_page(PagePlace(), tmp_path / "run", Console(file=StringIO()), insecure=False) as found:
+            yield found
+
+    return page
 
 
 def test_a_child_that_takes_nothing_holds_nothing_up(
-    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, status: RunStatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live, "message", lambda _: b"x" * 50_000)
-    child(monkeypatch, tmp_path, "exec sleep infinity")
-    page.start()
-    for _ in range(100):
-        page.show(status)
-    assert said(page) == []
+    with opened("exec sleep infinity") as page:
+        page.announce()
+        for _ in range(100):
+            page.show(status)
+        assert said(page) == []
 
 
-def test_a_child_that_ends_is_said_once(
-    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    child(monkeypatch, tmp_path, "echo something is wrong >&2; exit 3")
-    page.start()
-    while not any("has ended" in line for line in said(page)):
+def test_a_child_that_ends_is_said_once(opened: Opened, status: RunStatus, tmp_path: Path) -> None:
+    with opened("echo something is wrong >&2; exit 3") as page:
+        page.announce()
+        while not any("has ended" in line for line in said(page)):
+            page.show(status)
+            time.sleep(0.01)
+        lines = said(page)
+        (ended,) = [line for line in lines if "has ended" in line]
+        assert ended.startswith("the live page has ended: exit code 3")
+        assert ended.endswith(f". The campaign continues; `perfbound web {tmp_path / 'run'}` shows it")
+        assert "something is wrong" in "\n".join(lines)
         page.show(status)
-        time.sleep(0.01)
-    lines = said(page)
-    (ended,) = [line for line in lines if "has ended" in line]
-    assert ended.startswith("the live page has ended: exit code 3")
-    assert ended.endswith(f". The campaign continues; `perfbound web {tmp_path / 'run'}` shows it")
-    assert "something is wrong" in "\n".join(lines)
-    page.show(status)
-    assert said(page) == lines
+        assert said(page) == lines
 
 
 def test_whatever_cannot_be_told_is_no_end_of_a_run(
-    page: LivePage, status: RunStatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, status: RunStatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live, "message", lambda _: b"x" * 10_000_000)
-    child(monkeypatch, tmp_path, "exec sleep infinity")
-    page.start()
-    page.show(status)
-    (line,) = said(page)
-    assert line.startswith("the live page has ended: [Errno ")
-    page.show(status)
-    assert said(page) == [line]
+    with opened("exec sleep infinity") as page:
+        page.announce()
+        page.show(status)
+        (line,) = said(page)
+        assert line.startswith("the live page has ended: [Errno ")
+        page.show(status)
+        assert said(page) == [line]
+
+
+def test_of_a_page_that_was_not_announced_nothing_is_said(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its run has not begun: the fault is its only line, and comes at once."""
+    monkeypatch.setattr(live, "GRACE", PATIENCE)
+    began = time.monotonic()
+    with opened("exec sleep infinity") as page:
+        pass
+    assert page._console.file.getvalue() == ""  # type: ignore[attr-defined]
+    assert time.monotonic() - began < PATIENCE
 
 
 def test_without_an_address_there_is_no_page(tmp_path: Path, status: RunStatus) -> None:
     console = Console(file=StringIO())
     with live_page(None, tmp_path, console, insecure=False) as page:
-        page.start()
+        page.announce()
         page.show(status)
     assert console.file.getvalue() == ""  # type: ignore[attr-defined]

@@ -5,7 +5,7 @@ import os
 import re
 import resource
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +42,7 @@ OPTIONS = SlurmOptions(
     secret=HOME / ".local" / "state" / "perfbound" / "secret",
     partition="long",
 )
+NOTHING: Mapping[str, str] = {}
 HOSTILE = (
     "; touch HIT;",
     "$(touch HIT)",
@@ -314,8 +315,8 @@ def test_a_submission_that_is_killed_is_known(tmp_path: Path) -> None:
     assert (again.returncode, again.stderr) == (1, "jobs of this campaign are in the queue already: 41\n")
 
 
-def job(folder: Path, name: str, **programs: str) -> "subprocess.Popen[str]":
-    """Start a job, with programs that are shell texts in the place of ours."""
+def job(folder: Path, name: str, more: Mapping[str, str] = NOTHING, **programs: str) -> "subprocess.Popen[str]":
+    """Start a job with `more` in its environment, and with programs that are shell texts in the place of ours."""
     bin_folder = folder / "bin"
     bin_folder.mkdir()
     for program, text in programs.items():
@@ -328,7 +329,7 @@ def job(folder: Path, name: str, **programs: str) -> "subprocess.Popen[str]":
     for file, text in job_files(options).items():
         (folder / file).write_text(text)
     environment = {"PATH": f"{bin_folder}:{os.environ['PATH']}", "SEEN": str(folder / "seen"), "HOME": str(folder)}
-    environment["SLURM_JOB_ID"] = "7"
+    environment |= {"SLURM_JOB_ID": "7", **more}
     words = ["bash", str(folder / f"{name}.sh")]
     return subprocess.Popen(words, env=environment, cwd=folder, stderr=subprocess.PIPE, text=True)
 
@@ -393,6 +394,86 @@ def test_a_campaign_that_ends_after_the_warning_is_not_queued_again(tmp_path: Pa
     assert not (tmp_path / "again").exists()
 
 
+LASTING = """trap 'exit 143' TERM
+touch "$SEEN"
+while :; do sleep 0.05; done
+"""
+
+
+@pytest.mark.parametrize("fault", ["exit 1", "kill -SEGV $$", "exit 2"])
+def test_a_router_that_fails_ends_the_campaign_with_its_reason(tmp_path: Path, fault: str) -> None:
+    """As where its certificate has ended: the other jobs would wait on their nodes, and queue themselves again."""
+    times = 'echo >>"$HOME/times"\necho "the certificate has ended" >&2\n'
+    with job(tmp_path, ROUTER, sleep=":", perfbound=times + fault) as router:
+        _, reason = router.communicate(timeout=PATIENCE)
+    code = {"exit 1": 1, "kill -SEGV $$": 139, "exit 2": 2}[fault]
+    assert router.returncode == code, reason
+    assert (tmp_path / "times").read_text().count("\n") == (1 if code == 2 else 5)
+    assert (tmp_path / "ended").read_text() == f"{code}\n"
+    assert reason.endswith("no router, so the other jobs end as well; fix the cause, and submit the campaign again\n")
+
+
+@pytest.mark.parametrize("code", [0, 143])
+def test_a_router_that_is_ended_says_nothing_of_the_campaign(tmp_path: Path, code: int) -> None:
+    with job(tmp_path, ROUTER, perfbound=f"exit {code}") as router:
+        _, fault = router.communicate(timeout=PATIENCE)
+    assert (router.returncode, fault) == (code, "")
+    assert not (tmp_path / "ended").exists()
+
+
+def test_an_orchestrator_ends_with_its_router(tmp_path: Path) -> None:
+    (tmp_path / "endpoint").write_text("tcp/node:1\n")
+    with job(tmp_path, ORCHESTRATOR, perfbound=LASTING, scontrol=QUEUED_AGAIN) as orchestrator:
+        wait_for((tmp_path / "seen").exists)
+        (tmp_path / "ended").write_text("1\n")
+        _, fault = orchestrator.communicate(timeout=PATIENCE)
+    assert (orchestrator.returncode, (tmp_path / "ended").read_text()) == (143, "1\n")
+    assert fault == "the router of this campaign has failed; the output of its job says why\n"
+    assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize(
+    ("code", "restarts", "finished", "again"),
+    [(0, 0, False, True), (0, 0, True, False), (0, 2, True, False), (1, 0, False, False), (1, 2, False, True)],
+)
+def test_a_worker_without_an_orchestrator_for_ten_minutes_waits_in_the_queue(
+    tmp_path: Path, code: int, restarts: int, *, finished: bool, again: bool
+) -> None:
+    """The job of the orchestrator may wait there as well; without workers its campaign would stand still."""
+    (tmp_path / "endpoint").write_text("tcp/node:1\n")
+    if finished:
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / "certificate.json").touch()
+    age = {"SECONDS": "600", "SLURM_RESTART_COUNT": str(restarts)}
+    with job(tmp_path, WORKERS, age, perfbound_worker=f"exit {code}", scontrol=QUEUED_AGAIN) as worker:
+        worker.communicate(timeout=PATIENCE)
+    assert worker.returncode == code
+    assert (tmp_path / "again").exists() is again
+
+
+def test_a_worker_with_a_fault_is_not_queued_again(tmp_path: Path) -> None:
+    (tmp_path / "endpoint").write_text("tcp/node:1\n")
+    with job(tmp_path, WORKERS, perfbound_worker="exit 1", scontrol=QUEUED_AGAIN) as worker:
+        worker.communicate(timeout=PATIENCE)
+    assert worker.returncode == 1
+    assert not (tmp_path / "again").exists()
+
+
+def test_an_orchestrator_whose_router_moves_in_its_first_session_resumes(tmp_path: Path) -> None:
+    (tmp_path / "endpoint").write_text("tcp/old:1\n")
+    (tmp_path / "run").mkdir()
+    text = """echo "$1 ${!#}" >>"$SEEN"
+[ "${!#}" = tcp/new:2 ] || { touch "$HOME/run/campaign.db"; exec sleep 1000; }
+"""
+    with job(tmp_path, ORCHESTRATOR, perfbound=text) as orchestrator:
+        wait_for((tmp_path / "run" / "campaign.db").exists)
+        (tmp_path / "moved").write_text("tcp/new:2\n")
+        (tmp_path / "moved").replace(tmp_path / "endpoint")
+        _, fault = orchestrator.communicate(timeout=PATIENCE)
+    assert orchestrator.returncode == 0, fault
+    assert (tmp_path / "seen").read_text() == "orchestrate tcp/old:1\nresume tcp/new:2\n"
+
+
 @contextmanager
 def locked_on_another_node(directory: Path) -> Iterator[None]:
     """Lock what NFS shares between nodes: the file alone."""
@@ -446,6 +527,11 @@ def test_when_the_router_has_moved_the_others_connect_to_its_new_place(tmp_path:
         finally:
             job.kill()
     assert seen.read_text() == "tcp/old:1\ntcp/new:2\n"
+
+
+@pytest.mark.parametrize("limit", ["1440", "10080", "0"])
+def test_a_time_limit_in_minutes(limit: str) -> None:
+    assert f"#SBATCH --time={limit}\n" in job_files(replace(OPTIONS, time=limit))["workers.sh"]
 
 
 CAMPAIGN = Path(__file__).parents[3] / "deploy" / "campaigns" / "test-function.toml"

@@ -2,12 +2,14 @@
 
 import os
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from perfbound.orchestrator.run.systemd import Systemd
+from tests.end_to_end.processes import wait_for
 
 
 @pytest.fixture
@@ -48,10 +50,23 @@ def test_ready_alive_and_stopping(manager: socket.socket, monkeypatch: pytest.Mo
     ]
 
 
+def test_alive_outside_the_loop_until_it_turns_again(manager: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", "20000")
+    systemd = Systemd()
+    for _ in range(2):
+        systemd.outside_loop()
+        systemd.outside_loop()  # as well, and by one thread
+        assert [each.name for each in threading.enumerate()].count("watchdog") == 1
+        wait_for(lambda: told(manager).count("WATCHDOG=1") >= 1)
+        systemd.alive("")
+        wait_for(lambda: "watchdog" not in {each.name for each in threading.enumerate()})
+
+
 def test_a_watchdog_of_another_process_is_not_ours(manager: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "20000000")
     monkeypatch.setenv("WATCHDOG_PID", str(os.getpid() + 1))
     Systemd().alive("")
+    Systemd().outside_loop()
     assert told(manager) == []
 
 
