@@ -1,11 +1,12 @@
 """The choice of workers: which of them may get a rollout, and which waiting rollout each idle one gets."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from ...schemas.ids import RolloutId
-from .retries import SAME_WORKER
-from .standing import in_a_row, is_aside, last_failure
-from .state import SERVING, DispatchState
+from .retries import OVER, SAME_WORKER
+from .standing import FOR_GOOD, Place, Standing, in_a_row, is_aside, last_failure
+from .state import SERVING, DispatchState, Worker
 
 
 def eligible(state: DispatchState, at: float) -> list[str]:
@@ -45,8 +46,65 @@ def nearest(state: DispatchState, rollout: RolloutId, at: float) -> int:
     return min((known.rank(name, state.workers[name].host) for name in eligible(state, at)), default=SAME_WORKER)
 
 
-def pairs(state: DispatchState, at: float) -> tuple[list[tuple[str, RolloutId]], tuple[RolloutId, ...]]:
-    """Return idle workers with a waiting rollout each, and the rollouts that continue to wait."""
+def is_alone(state: DispatchState, rollout: RolloutId, at: float) -> bool:
+    """Whether none but workers that have tried an open rollout can try it, now or soon."""
+    return nearest(state, rollout, at) == SAME_WORKER and not others_may_come(state, rollout, at)
+
+
+def others_may_come(state: DispatchState, rollout: RolloutId, at: float) -> bool:
+    """Whether an open rollout is to wait for a worker that is out of reach, or not known yet, and has not tried it."""
+    known = state.open[rollout]
+    blamed = known.is_blamed(state.limits.deadline)
+    # A doubt is one of the system: about that, a repeat by any worker says as much as another one.
+    if known.waits_until == OVER or not (blamed or any(not each.doubtful for each in known.opinions)):
+        return False
+    digests = {each.digest for each in known.opinions if not is_outvoted(state, each.worker)}
+    # Without a dispute a worker that is alone after a restart agrees with itself, as without a restart.
+    if at < state.alone_from and (blamed or len(digests) > 1):
+        return True
+    return any(
+        _is_expected(state, worker, at)
+        and known.rank(name, worker.host) < SAME_WORKER
+        and not is_aside(state.standings, name, worker.host, at)
+        for name, worker in state.workers.items()
+    )
+
+
+def is_outvoted(state: DispatchState, worker: str) -> bool:
+    """Whether a worker has been set aside for good."""
+    return state.standings.get(Place("worker", worker), Standing()).until == FOR_GOOD
+
+
+def has_others(state: DispatchState, worker: str, at: float) -> bool:
+    """Whether another worker can try what a worker has tried, now or soon."""
+    return any(name != worker for name in eligible(state, at)) or any(
+        name != worker and _is_expected(state, other, at) and not is_aside(state.standings, name, other.host, at)
+        for name, other in state.workers.items()
+    )
+
+
+def _is_expected(state: DispatchState, worker: Worker, at: float) -> bool:
+    if worker.leaving or worker.replaced:
+        return False
+    # One that is lost has been removed; a `new` or `shunned` one reports with its next heartbeat, or hangs.
+    reports = worker.phase in ("new", "shunned") and at < worker.started_at + state.limits.hung_after
+    return worker.phase == "gone" or reports
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """What a turn hands out, and what continues to wait."""
+
+    found: list[tuple[str, RolloutId]]
+    """Idle workers with a rollout each."""
+    passed: tuple[RolloutId, ...]
+    """Rollouts that wait for another worker than the idle ones."""
+    rest: tuple[RolloutId, ...]
+    """Rollouts for which no worker was left."""
+
+
+def pairs(state: DispatchState, at: float) -> Pairs:
+    """Choose the waiting rollouts of idle workers."""
     allowed = eligible(state, at)
     # Sorted: the order of the mapping depends on the order in which the workers came.
     free = sorted(name for name in allowed if state.workers[name].phase == "idle")
@@ -55,17 +113,19 @@ def pairs(state: DispatchState, at: float) -> tuple[list[tuple[str, RolloutId]],
         if not free:
             break
         reached += 1
-        worker = _worker(state, rollout, free, allowed)
+        worker = _worker(state, rollout, free, allowed, at)
         if worker is None:
             left.append(rollout)
         else:
             free.remove(worker)
             found.append((worker, rollout))
-    return found, (*left, *state.waiting[reached:])
+    return Pairs(found, tuple(left), state.waiting[reached:])
 
 
-def _worker(state: DispatchState, rollout: RolloutId, free: Sequence[str], allowed: Sequence[str]) -> str | None:
-    """Return the free worker for a rollout; None if a better one is busy."""
+def _worker(
+    state: DispatchState, rollout: RolloutId, free: Sequence[str], allowed: Sequence[str], at: float
+) -> str | None:
+    """Return the free worker for a rollout; None if a better one is busy or may come."""
     known = state.open[rollout]
     if known.is_fresh:
         return free[0]
@@ -75,4 +135,6 @@ def _worker(state: DispatchState, rollout: RolloutId, free: Sequence[str], allow
         for name, host in hosts.items()
     }
     best = min(ranks.values())
+    if best[0] == SAME_WORKER and (known.is_waiting or others_may_come(state, rollout, at)):
+        return None
     return next((name for name in free if ranks[name] == best), None)

@@ -26,10 +26,10 @@ that are late, repeated or of unknown rollouts change nothing but are acknowledg
 
 The first valid result of a rollout wins, whichever attempt it came from, unless it is compared with another one
 (`opinions`). `retries` decides which workers come next after a failure, and when a rollout is poisoned: the campaign
-fails and reports every attempt. `standing` decides which workers and hosts are set aside: their phases change as those
-of all others, but `HandOut` gives them nothing. Closed rollouts leave the state. A failure of the system is recorded
-even if the rollout is closed; those that the machine itself finds (lost, hung, late) are failures of the
-infrastructure.
+fails and reports every attempt. `waits` decides how long a rollout waits for a worker that has not tried it. `standing`
+decides which workers and hosts are set aside: their phases change as those of all others, but `HandOut` gives them
+nothing. Closed rollouts leave the state. A failure of the system is recorded even if the rollout is closed; those that
+the machine itself finds (lost, hung, late) are failures of the infrastructure.
 """
 
 from dataclasses import replace
@@ -38,7 +38,7 @@ from typing import Literal
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from .blame import charge, clear, forget_past, take_back
-from .choice import eligible, nearest, pairs
+from .choice import eligible, is_alone, nearest
 from .events import (
     Acknowledge,
     Action,
@@ -64,10 +64,11 @@ from .events import (
 )
 from .leaving import hand_back, report_leaving
 from .opinions import consider
-from .retries import ELSEWHERE, SAME_WORKER, Open, blames_rollout, is_poison, missed
+from .retries import ELSEWHERE, Open, blames_rollout, is_poison, missed
 from .routes import away, is_lost, link_changed, lost_after, router_changed
 from .standing import Place
 from .state import NEVER, DispatchState, Worker, WorkerPhase
+from .waits import end_waits, given, hand_out
 
 Phase = WorkerPhase | Literal["unknown"]
 KNOWN: tuple[WorkerPhase, ...] = ("new", "idle", "sent", "busy", "shunned")
@@ -173,7 +174,7 @@ def _present(state: DispatchState, event: WorkerUp | WorkerDown | RouterChanged 
 def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     worker = state.workers.get(event.worker)
     if worker is None:
-        return _put(state, event.worker, Worker("new", host=event.host, progress_at=event.at))
+        return _put(state, event.worker, Worker("new", host=event.host, started_at=event.at, progress_at=event.at))
     if worker.phase != "gone":
         return state  # a repeated token
     # A partition, not a death: the rollout has continued, and the time without messages counts against no limit.
@@ -181,6 +182,7 @@ def _up(state: DispatchState, event: WorkerUp) -> DispatchState:
     back = replace(
         worker,
         phase=worker.resumes_as,
+        replaced=False,
         gone_at=NEVER,
         progress_at=event.at,
         sent_at=event.at,
@@ -194,7 +196,8 @@ def _down(state: DispatchState, event: WorkerDown) -> DispatchState:
     if worker is None or worker.phase == "gone":
         return state
     # The attempt is kept for `lost_after` s: a token also disappears when the network does for a moment.
-    return _put(state, event.worker, replace(worker, phase="gone", resumes_as=worker.phase, gone_at=event.at))
+    gone = replace(worker, phase="gone", resumes_as=worker.phase, replaced=event.replaced, gone_at=event.at)
+    return _put(state, event.worker, gone)
 
 
 def _report(state: DispatchState, event: Reported) -> Outcome:
@@ -294,7 +297,7 @@ def _tick(state: DispatchState, at: float) -> Outcome:
     for name, worker in state.workers.items():
         state, more = _watch(state, name, worker, at)
         actions += more
-    return forget_past(state, at), tuple(actions)
+    return forget_past(end_waits(state, at), at), tuple(actions)
 
 
 def _watch(state: DispatchState, name: str, worker: Worker, at: float) -> Outcome:
@@ -344,8 +347,7 @@ def _fail(state: DispatchState, name: str, attempt: Attempt, failure: Failure, a
     known = replace(known, failures=(*known.failures, failed), hosts=(*known.hosts, state.host(name)))
     state = replace(state, open={**state.open, rollout: known})
     state, aside = charge(state, failed, at)
-    limits, rank = state.limits, nearest(state, rollout, at)
-    alone, elsewhere = rank == SAME_WORKER, rank == ELSEWHERE
+    limits, alone, elsewhere = state.limits, is_alone(state, rollout, at), nearest(state, rollout, at) == ELSEWHERE
     if is_poison(state.open[rollout], limits, proven=state.proven, alone=alone, elsewhere=elsewhere):
         state = replace(state, open={**state.open, rollout: replace(state.open[rollout], poisoned=True)})
         return state, (failed, *aside, Poison(rollout, known.failures))
@@ -361,21 +363,18 @@ def _fail(state: DispatchState, name: str, attempt: Attempt, failure: Failure, a
 def _assign(state: DispatchState, at: float) -> Outcome:
     if at < state.hold_until or not state.waiting:
         return state, ()
-    chosen, waiting = pairs(state, at)
-    starts = tuple(Start(name, Attempt(rollout, state.open[rollout].attempts + 1)) for name, rollout in chosen)
-    state, back = take_back(state, [name for name, _ in chosen], at)
+    state, found, waits = hand_out(state, at)
+    starts = tuple(Start(name, Attempt(rollout, state.open[rollout].attempts + 1)) for name, rollout in found)
+    state, back = take_back(state, [name for name, _ in found], at)
     sent = {
         start.worker: replace(
             state.workers[start.worker], phase="sent", attempt=start.attempt, sent_at=at, started_at=at, progress_at=at
         )
         for start in starts
     }
-    tried = {
-        start.attempt.rollout: replace(state.open[start.attempt.rollout], attempts=start.attempt.number)
-        for start in starts
-    }
+    tried = {start.attempt.rollout: given(state.open[start.attempt.rollout], start.attempt) for start in starts}
     workers, opened = {**state.workers, **sent}, {**state.open, **tried}
-    return replace(state, workers=workers, open=opened, waiting=waiting), (*back, *starts)
+    return replace(state, workers=workers, open=opened), (*waits, *back, *starts)
 
 
 def _close_rollouts(state: DispatchState, rollouts: frozenset[RolloutId]) -> DispatchState:

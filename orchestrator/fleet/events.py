@@ -61,6 +61,8 @@ class WorkerDown:
 
     at: float
     worker: str
+    replaced: bool = False
+    """Whether another process takes its place: a local one does not come back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +207,14 @@ class OftenHandedBack:
 
 
 @dataclass(frozen=True, slots=True)
+class AwaitOther:
+    """Report that a rollout waits at most so many seconds for a worker that has not tried it."""
+
+    rollout: RolloutId
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
 class Dismiss:
     """Tell a worker that leaves that it gets nothing more."""
 
@@ -285,6 +295,7 @@ Action = (
     | Acknowledge
     | Requeue
     | OftenHandedBack
+    | AwaitOther
     | Dismiss
     | Fail
     | GiveUp

@@ -12,6 +12,8 @@ class Limits:
     hung_after: float = 10.0
     deadline: float = 600.0
     max_attempts: int = 5
+    others_within: float = 60.0
+    """A worker repeats what it has tried only if no other one comes in this time: longer than the default grace."""
     in_a_row: int = 3
     """Rollouts: two may fail by one cause, such as a network that is cut twice; a third is rarely chance."""
     first_pause: float = 30.0

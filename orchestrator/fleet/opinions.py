@@ -2,9 +2,10 @@
 
 Compared are the rollouts that the campaign chose, and the first three results of every worker while another one is
 there. Of a first result its digest is kept alone; the rollout then waits for a worker that has not simulated it, of
-another host first (`retries`). Where there is none, its only worker is given up, so that a local one is replaced by a
-fresh process, and simulates it again. Two equal digests agree: the rollout is recorded. Two that differ ask a third
-worker; where there is none, the third attempt of the same ones, in a fresh process where it can be, is the last.
+another host first (`retries`), also while one is out of reach or may still come after a restart (`waits`). Where there
+is none, its only worker is given up, so that a local one is replaced by a fresh process, and simulates it again. Two
+equal digests agree: the rollout is recorded. Two that differ ask a third worker; where there is none, the third attempt
+of the same ones, in a fresh process where it can be, is the last.
 Whoever differs from two workers that agree is outvoted: set aside for good, also where it is one of these two, because
 it has contradicted itself. Nothing that an outvoted worker has sent counts as an opinion any more. Without a majority
 the rollout is poisoned: a worker that is alone has to agree with itself each time. What was compared before a restart
@@ -21,9 +22,8 @@ from dataclasses import dataclass, replace
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from .blame import charge
-from .choice import eligible, nearest
+from .choice import has_others, is_alone, is_outvoted
 from .events import Action, Compared, Delivered, Fail, GiveUp, Opinion, Outvoted, Poison, SetAside
-from .retries import SAME_WORKER
 from .standing import FOR_GOOD, Place, Standing, Standings
 from .state import DispatchState
 
@@ -56,7 +56,7 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
     if any((each.attempt, each.worker) == (event.attempt, name) for each in known.opinions):
         return Decision(queued_again(state, rollout), counts=False)  # the acknowledgement was lost
     repeats = any(each.worker == name for each in known.opinions)
-    if repeats and nearest(state, rollout, event.at) != SAME_WORKER:
+    if repeats and not is_alone(state, rollout, event.at):
         return Decision(queued_again(state, rollout), counts=False)  # an attempt of before, and another worker is there
     opinion = Opinion(name, state.host(name), event.attempt, event.digest, doubtful=not compared)
     known = replace(known, opinions=(*known.opinions, opinion))
@@ -71,14 +71,9 @@ def consider(state: DispatchState, event: Delivered) -> Decision:
         return _agreed(state, opinion, agreeing, noted)
     if len(counted) >= MOST:
         return _divided(state, rollout, noted)
-    alone = compared and nearest(state, rollout, event.at) == SAME_WORKER
+    alone = compared and is_alone(state, rollout, event.at)
     fresh = (GiveUp(name),) if alone else ()
     return Decision(queued_again(state, rollout), counts=False, actions=(noted, *fresh))
-
-
-def is_outvoted(state: DispatchState, worker: str) -> bool:
-    """Whether a worker has been set aside for good."""
-    return state.standings.get(Place("worker", worker), Standing()).until == FOR_GOOD
 
 
 def without(standings: Standings, workers: Iterable[str]) -> Standings:
@@ -98,7 +93,7 @@ def queued_again(state: DispatchState, rollout: RolloutId) -> DispatchState:
 def _is_first(state: DispatchState, worker: str, at: float) -> bool:
     if not state.second_opinion or state.comparisons.get(worker, 0) >= FIRST:
         return False
-    return any(name != worker for name in eligible(state, at))
+    return has_others(state, worker, at)
 
 
 def _settled(state: DispatchState, rollout: RolloutId, event: Delivered, *noted: Action) -> Decision:

@@ -121,6 +121,10 @@ class Fleet:
             child.process.kill()
         return bool(found)
 
+    def replaces(self, worker: str) -> bool:
+        """Whether `worker` is a local one, which another process replaces when it ends."""
+        return worker in self.ended or any(child.worker == worker for child in self._children)
+
     @property
     def pids(self) -> list[int]:
         """Process ids of the workers."""

@@ -4,7 +4,8 @@ The retry goes to a worker of another host; where none lives, to another worker;
 same. Among those of another host, one whose host has recorded a rollout and that is not failing itself comes first. The
 retry waits for the best of these while that one is busy: a second failure says more the less it shares with the first,
 and bad machines, which are idle most of the time, cannot use up the attempts. If a failure that blames the rollout hits
-the only worker, this one is given up, so that a local one is replaced by a fresh process.
+the only worker, this one is given up, so that a local one is replaced by a fresh process. It is the only one once no
+other worker is expected (`waits`).
 
 A failure blames its rollout if the system failed, or if the attempt missed its deadline: a system that does not end
 would cost a deadline per attempt. Two of these that are alike, from two workers or from the only one, poison the
@@ -15,6 +16,7 @@ Failures that blame the rollout are kept through a restart, since the system is 
 is alike, of another worker, is poison. Other failures begin anew, since the machines may have been repaired.
 """
 
+import math
 from collections.abc import Container
 from dataclasses import dataclass
 
@@ -25,6 +27,8 @@ from .limits import Limits
 
 ELSEWHERE, SAME_HOST, SAME_WORKER = range(3)
 """Ranks of the workers for a retry."""
+NOT_YET, OVER = math.inf, -math.inf
+"""Values of `Open.waits_until` before the wait for another worker, and after it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,10 @@ class Open:
     poisoned: bool = False
     handed_back: int = 0
     """Attempts that ended because their workers did."""
+    waits_until: float = NOT_YET
+    """The end of its wait for another worker, at the latest."""
+    renewed: bool = False
+    """Whether the worker that repeats it has been given up since that wait."""
 
     def rank(self, worker: str, host: str) -> int:
         """Return how much a worker shares with those that failed or shall be avoided: the lowest comes first."""
@@ -57,6 +65,16 @@ class Open:
     def is_fresh(self) -> bool:
         """Whether any worker may simulate it as well as any other."""
         return not (self.failures or self.opinions) and self.avoid is None
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether it waits for another worker."""
+        return math.isfinite(self.waits_until)
+
+    def is_blamed(self, deadline: float) -> bool:
+        """Whether a failure that counts says something about it; `deadline` of a rollout in s."""
+        counted = (each for each in self.failures if each.attempt not in self.excused)
+        return any(blames_rollout(each.failure, deadline) for each in counted)
 
 
 def missed(deadline: float) -> Failure:

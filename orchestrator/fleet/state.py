@@ -26,10 +26,13 @@ class Worker:
     """Whether it has said that it ends, and gets nothing more."""
     resumes_as: WorkerPhase = "idle"
     """Its phase if its token comes back; of a `gone` worker alone."""
+    replaced: bool = False
+    """Whether another process takes its place, so that its token does not come back; of a `gone` worker alone."""
     gone_at: float = NEVER
     sent_at: float = NEVER
     """Of the last assign message."""
     started_at: float = NEVER
+    """Of its attempt; of a `new` or `shunned` worker, when it became so."""
     progress: int = -1
     progress_at: float = NEVER
 
@@ -37,7 +40,7 @@ class Worker:
         """Return the worker without its assignment, with which it may still be busy."""
         if self.phase == "gone":  # the token decides first whether the process is lost
             return replace(self, attempt=None, resumes_as="shunned")
-        return Worker("shunned", host=self.host, progress_at=at)
+        return Worker("shunned", host=self.host, started_at=at, progress_at=at)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,8 @@ class DispatchState:
     """Seconds for gone workers to return, since a router or the link to it has changed; nothing without a router."""
     patient_until: float = 0.0
     """The end of that time, which was counted from the last change."""
+    alone_from: float = 0.0
+    """Before this time workers that are not known yet may come and decide a dispute: those of before a restart."""
     workers: Mapping[str, Worker] = field(default_factory=dict)
     open: Mapping[RolloutId, Open] = field(default_factory=dict)
     waiting: tuple[RolloutId, ...] = ()

@@ -50,8 +50,11 @@ class Roster:
         """In the order in which their tokens disappeared."""
         self._spec, self._spec_sha256, self._platform = spec, spec.digest, platform
 
-    def token(self, message: Token) -> tuple[events.Event, ...]:
-        """Take a token that appeared or disappeared; return the events for the dispatch machine."""
+    def token(self, message: Token, *, local: bool = False) -> tuple[events.Event, ...]:
+        """Take the token of a worker that came or went; return the events for the dispatch machine.
+
+        A `local` worker is a process of this run, which replaces it.
+        """
         if message.worker not in self.records and (not message.alive or self.is_full):
             return ()
         record = self.records.setdefault(message.worker, WorkerRecord())
@@ -61,7 +64,7 @@ class Roster:
         if record.state is not None:
             # The record outlives the token: after a partition the same process returns, perhaps with its result.
             if not message.alive:
-                return (events.WorkerDown(message.at, message.worker),)
+                return (events.WorkerDown(message.at, message.worker, replaced=local),)
             return (events.WorkerUp(message.at, message.worker, record.state.host),)
         if not message.alive:
             del self.records[message.worker]  # never admitted, so no attempt can come back from it

@@ -137,11 +137,11 @@ class Service:
         self._stop: int | None = None
         self._poisoned: events.Poison | None = None
         self._started = self._next_tick = time.monotonic()
-        limits = _dispatch_limits(ledger.config)
-        # Workers that connect may be busy since before a restart; those of our own fleet have just started.
-        hold = self._started + ADOPTION if resumed and fleet is None else 0.0
-        banned = still_aside(journal.attempts, self._print_line)
-        self._state = DispatchState(limits, hold, standings=banned, second_opinion=ledger.config.second_opinion > 0)
+        limits, banned = _dispatch_limits(ledger.config), still_aside(journal.attempts, self._print_line)
+        self._state = DispatchState(limits, standings=banned, second_opinion=ledger.config.second_opinion > 0)
+        if resumed:
+            elsewhere = fleet is None or bool(journal.origin.options)
+            self._state = _resumed(self._state, self._started, local=fleet is not None, elsewhere=elsewhere)
 
     def run(self) -> None:
         """Serve until every problem has stopped.
@@ -198,7 +198,8 @@ class Service:
             case Token():
                 if self._roster.is_one_too_many(message):
                     self._lines.too_many(message.worker, LIVING)
-                self._events.extend(self._roster.token(message))
+                local = self._fleet is not None and self._fleet.replaces(message.worker)
+                self._events.extend(self._roster.token(message, local=local))
             case Heartbeat():
                 if (reason := self._roster.refusal(message)) is not None:
                     self._lines.refused(message.worker, reason)
@@ -270,7 +271,7 @@ class Service:
             case events.GiveUp(worker):
                 if self._fleet is not None and self._fleet.kill(worker):
                     # Before its token is gone, so that nothing is assigned to it.
-                    self._events.append(events.WorkerDown(time.monotonic(), worker))
+                    self._events.append(events.WorkerDown(time.monotonic(), worker, replaced=True))
             case events.Poison():
                 self._poisoned = action
             case _:
@@ -307,6 +308,13 @@ class Service:
         status = replace(status, loop=LoopFigures(self.inbox.waiting, self._journal.commits, self._done))
         for listener in self._listeners:
             listener.show(status)
+
+
+def _resumed(state: DispatchState, at: float, *, local: bool, elsewhere: bool) -> DispatchState:
+    """Return the first state after a restart, for `local` workers and those that connect from `elsewhere`."""
+    # The latter may be busy since before it; local ones have just started.
+    hold = 0.0 if local else at + ADOPTION
+    return replace(state, hold_until=hold, alone_from=at + ADOPTION + state.limits.others_within if elsewhere else 0.0)
 
 
 def _received(inbox: Inbox[Message], tick: float) -> tuple[list[Message], float]:

@@ -26,7 +26,8 @@ def note(
     | events.Compared
     | events.Outvoted
     | events.Requeue
-    | events.OftenHandedBack,
+    | events.OftenHandedBack
+    | events.AwaitOther,
     log: AttemptLog,
     print_line: Callable[[str], None],
 ) -> None:
@@ -47,6 +48,11 @@ def note(
             print_line(
                 f"{rollout} was handed back {times} times, last by {where}: its workers are stopped before it ends; "
                 "give them more time (--max-hours, --stop-within, the limit of the scheduler), or check that host"
+            )
+        case events.AwaitOther(rollout, seconds):
+            print_line(
+                f"{rollout} waits at most {duration(seconds)} for another worker, since those that are here have tried "
+                "it; all other rollouts continue"
             )
         case events.TakeBack(place):
             log.set_aside(place.kind, place.name, 0.0, "")

@@ -16,6 +16,7 @@ from perfbound.orchestrator.fleet.events import (
     Record,
     Reported,
     Revoke,
+    RouterChanged,
     SetAside,
     Start,
     TakeBack,
@@ -36,6 +37,8 @@ STEP = 0.25
 SECONDS: Mapping[str, float] = {"good": 2.0, "slow": 20.0, "broken": 0.0, "raises": 0.0, "dies": 0.5, "lies": 1.0}
 """Duration of an attempt."""
 COMES_BACK = 5.0
+GRACE = 30.0
+"""Seconds for workers to return after a router has come or gone."""
 FAILURES: Mapping[str, Failure] = {
     "broken": Failure("infrastructure", "no simulator"),
     "raises": Failure("system", "no licence"),
@@ -51,6 +54,8 @@ class Member:
     running: Attempt | None = None
     since: float = 0.0
     dead_since: float | None = None
+    away_until: float = 0.0
+    """Until then it is out of reach, and continues."""
 
 
 @dataclass
@@ -101,7 +106,20 @@ class Fleet:
             self._take(HandOut(self.now))
             self.now += STEP
 
+    def cut(self, seconds: float, lags: Mapping[str, float]) -> None:
+        """End the router for so long; workers return so many seconds after it."""
+        self._take(RouterChanged(self.now, GRACE))
+        for name, lag in lags.items():
+            self.members[name].away_until = self.now + seconds + lag
+        self.run(seconds)
+        self._take(RouterChanged(self.now, GRACE))
+
     def _live(self, name: str, member: Member) -> None:
+        if self.now < member.away_until:
+            if name in self._present:
+                self._present.remove(name)
+                self._take(WorkerDown(self.now, name))
+            return
         if member.dead_since is not None and self.now - member.dead_since >= COMES_BACK:
             member.dead_since = None
         if member.behaviour == "absent" or member.dead_since is not None:
@@ -111,7 +129,9 @@ class Fleet:
             return
         if name not in self._present:
             self._present.add(name)
-            member.running = None
+            if not member.away_until:
+                member.running = None
+            member.away_until = 0.0
             self._take(WorkerUp(self.now, name, member.host))
         if member.running is not None:
             self._work(name, member, member.running)

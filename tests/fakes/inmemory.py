@@ -322,7 +322,7 @@ def hurry(monkeypatch: pytest.MonkeyPatch, *, tick: float) -> None:
     monkeypatch.setattr(service, "ADOPTION", 0.2)
     monkeypatch.setattr(worker_module, "HEARTBEAT", 0.04)
     monkeypatch.setattr(worker_module, "RESEND", 0.1)
-    monkeypatch.setattr(service, "Limits", partial(Limits, resend_after=0.15, lost_after=0.3))
+    monkeypatch.setattr(service, "Limits", partial(Limits, resend_after=0.15, lost_after=0.3, others_within=0.5))
 
 
 def begin(directory: Path, config: CampaignConfig) -> None:

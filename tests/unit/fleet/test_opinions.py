@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perfbound.orchestrator.fleet import dispatch
+from perfbound.orchestrator.fleet.choice import is_outvoted
 from perfbound.orchestrator.fleet.events import (
     Acknowledge,
     Compared,
@@ -25,7 +26,7 @@ from perfbound.orchestrator.fleet.events import (
     WorkerUp,
 )
 from perfbound.orchestrator.fleet.limits import Limits
-from perfbound.orchestrator.fleet.opinions import UNLIKE, is_outvoted, without
+from perfbound.orchestrator.fleet.opinions import UNLIKE, without
 from perfbound.orchestrator.fleet.state import DispatchState
 from perfbound.schemas.failure import Failure
 from perfbound.schemas.ids import Attempt, RolloutId

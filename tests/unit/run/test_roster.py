@@ -45,6 +45,14 @@ def test_dead_workers_are_forgotten_the_oldest_first(monkeypatch: pytest.MonkeyP
     assert set(roster.records) == {"alive", "w0", "w97", "w98", "w99"}
 
 
+@pytest.mark.parametrize("local", [False, True])
+def test_a_local_worker_that_ends_does_not_come_back(local: bool) -> None:
+    roster = Roster(SPEC, ANY)
+    appear(roster, "w")
+    down = roster.token(Token(1.0, "w", alive=False), local=local)
+    assert down == (events.WorkerDown(1.0, "w", replaced=local),)
+
+
 @pytest.mark.parametrize(
     ("here", "there", "what"),
     [

@@ -30,6 +30,7 @@ from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.messages import ResultHeader
 from perfbound.schemas.trajectory import Trajectory, encode, read_mcap
 from perfbound.workers.systems import load_system
+from perfbound.workers.transport import Receiver
 from tests.campaigns import UNCHECKED
 from tests.fakes.altering import AlteringUplink
 from tests.fakes.inmemory import InMemoryUplink, Log, Network, Wrap, begin, campaign, hurry, run_of, serve, working
@@ -64,7 +65,7 @@ class Liar(AlteringUplink):
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything as it is, in a tenth of the time, but nobody is lost on a slow machine: that leaves others alone."""
     hurry(monkeypatch, tick=0.02)
-    monkeypatch.setattr(service, "Limits", partial(Limits, resend_after=0.15))
+    monkeypatch.setattr(service, "Limits", partial(Limits, resend_after=0.15, others_within=0.5))
 
 
 class Heard(AlteringUplink):
@@ -309,6 +310,59 @@ def test_two_that_differed_before_a_restart_are_decided_on_after_it(tmp_path: Pa
     assert {worker for _, worker in opinions(directory, "outvoted")} == {name}
     assert set(read.contradicted(directory)) == set(false) == false_rollouts(directory, tmp_path / "calm")
     assert honesty(found)["status"] == "refuted"
+
+
+class Later(AlteringUplink):
+    """The uplink of an honest worker that joins with an event."""
+
+    def __init__(self, inner: InMemoryUplink, event: threading.Event) -> None:
+        super().__init__(inner)
+        self._event = event
+
+    def join(self, run: str, worker: str, receive: Receiver) -> None:
+        """Pass on, late."""
+        late = patience()
+        while not (self._event.is_set() or late()):
+            time.sleep(0.01)
+        super().join(run, worker, receive)
+
+
+class Awaiting(Log):
+    """A listener that sets an event when a rollout waits for another worker."""
+
+    def __init__(self, event: threading.Event) -> None:
+        super().__init__()
+        self._event = event
+
+    def print_line(self, line: str) -> None:
+        """Keep a line."""
+        super().print_line(line)
+        if "waits at most 30 s for another worker" in line:
+            self._event.set()
+
+
+def test_after_a_resume_the_worker_that_reports_first_does_not_end_the_vote(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "Limits", partial(Limits, resend_after=0.15, others_within=30.0))
+    config, directory, awaited = a_config(second_opinion=0.3), tmp_path / "run", threading.Event()
+    campaign(tmp_path / "calm", config)
+    begin(directory, config)
+    liar: Wrap = lambda uplink: Liar(uplink, lie)  # noqa: E731
+    log = Awaiting(awaited)
+    with Network() as network, working(network, run_of(directory), [liar, partial(Later, event=awaited)]):
+        with pytest.raises(Stopped):
+            serve(directory, network, Log(), stop=lambda seen: seen.recorded >= 12)
+        false, right = recorded(directory), recorded(tmp_path / "calm")
+        with closing(sqlite3.connect(directory / DATABASE)) as connection:
+            ((name,),) = connection.execute("SELECT DISTINCT worker FROM outcomes").fetchall()
+        rollout = next(each for each in right if each not in false)
+        insert(directory, ("compared", rollout, 1, name, "0" * 64), ("compared", rollout, 2, "other", right[rollout]))
+        serve(directory, network, log, resumed=True)
+    (line,) = [each for each in log.lines if "waits at most" in each]
+    assert line.endswith("since those that are here have tried it; all other rollouts continue")
+    assert {worker for _, worker in opinions(directory, "outvoted")} == {name}
+    assert set(read.contradicted(directory)) == set(false) == false_rollouts(directory, tmp_path / "calm")
 
 
 def test_two_that_differ_on_a_rollout_that_is_no_longer_needed_are_decided_on_before_the_certificate(

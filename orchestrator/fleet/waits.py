@@ -1,0 +1,83 @@
+"""The wait of a rollout for a worker that has not tried it, before one repeats it that has.
+
+Such a repeat is the last resort: it is no majority, and a second failure of one worker says little. So a rollout that
+is compared, or that a failure blames, waits while another worker is gone and not lost yet, or has yet to report. If its
+results differ, or a failure blames it, it also waits for workers that may come after a restart (`alone_from`). All
+other rollouts continue. `HandOut` begins a wait. `Tick` ends it, as soon as nobody is expected any more, at the latest
+after `others_within` s in which a worker could have repeated the rollout. The next worker for it is then given up once,
+so that a local one is replaced by a fresh process.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ...schemas.ids import Attempt, RolloutId
+from .choice import eligible, nearest, others_may_come, pairs
+from .events import AwaitOther, GiveUp
+from .retries import NOT_YET, OVER, SAME_WORKER, Open
+from .state import DispatchState
+
+Pair = tuple[str, RolloutId]
+
+
+def hand_out(state: DispatchState, at: float) -> tuple[DispatchState, list[Pair], tuple[AwaitOther | GiveUp, ...]]:
+    """Choose idle workers with a waiting rollout each; all other rollouts continue to wait."""
+    chosen = pairs(state, at)
+    last = [each for each in chosen.found if _is_last_resort(state, *each)]
+    kept = [rollout for _, rollout in last]
+    state = replace(state, waiting=(*kept, *chosen.passed, *chosen.rest))
+    for rollout in kept:
+        state = _with(state, rollout, replace(state.open[rollout], renewed=True))
+    state, begun = _begin_waits(state, chosen.passed, at)
+    return state, [each for each in chosen.found if each not in last], (*begun, *(GiveUp(name) for name, _ in last))
+
+
+def given(known: Open, attempt: Attempt) -> Open:
+    """Return an open rollout that a worker gets: its wait, if it is not over, has been of use."""
+    return replace(known, attempts=attempt.number, waits_until=NOT_YET if known.is_waiting else known.waits_until)
+
+
+def end_waits(state: DispatchState, at: float) -> DispatchState:
+    """End the waits that are over."""
+    waiting = [each for each in state.waiting if state.open[each].is_waiting]
+    if not waiting:
+        return state
+    is_served = bool(eligible(state, at))
+    for rollout in waiting:
+        known = state.open[rollout]
+        if not is_served:  # nobody could repeat it, and those that have not tried it may be the last to return
+            state = _with(state, rollout, replace(known, waits_until=at + state.limits.others_within))
+        elif nearest(state, rollout, at) == SAME_WORKER and not (
+            at < known.waits_until and others_may_come(state, rollout, at)
+        ):
+            state = _with(state, rollout, replace(known, waits_until=OVER))
+    return state
+
+
+def _begin_waits(
+    state: DispatchState, passed: Sequence[RolloutId], at: float
+) -> tuple[DispatchState, tuple[AwaitOther, ...]]:
+    """Begin the waits of those rollouts that none but the same workers can try for now; report the first one."""
+    found = [each for each in passed if not state.open[each].is_waiting and _is_awaiting(state, each, at)]
+    if not found:
+        return state, ()
+    seconds = state.limits.others_within
+    others = any(each.is_waiting for each in state.open.values())
+    for rollout in found:
+        state = _with(state, rollout, replace(state.open[rollout], waits_until=at + seconds))
+    return state, () if others else (AwaitOther(found[0], seconds),)
+
+
+def _is_awaiting(state: DispatchState, rollout: RolloutId, at: float) -> bool:
+    return nearest(state, rollout, at) == SAME_WORKER and others_may_come(state, rollout, at)
+
+
+def _is_last_resort(state: DispatchState, worker: str, rollout: RolloutId) -> bool:
+    """Whether a worker repeats a rollout for which no other one has come, and has not been given up for that."""
+    known = state.open[rollout]
+    is_due = known.waits_until == OVER and not known.renewed
+    return is_due and known.rank(worker, state.host(worker)) == SAME_WORKER
+
+
+def _with(state: DispatchState, rollout: RolloutId, known: Open) -> DispatchState:
+    return replace(state, open={**state.open, rollout: known})
