@@ -256,7 +256,7 @@ def _finished_row(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict)
         value=found.bound,
         required=shortened(required),
         claim=shortened(found.claim),
-        refuted=found.claim.startswith("Refuted"),
+        refuted=listed.refuted,
         reason=shortened(found.reasons[0]) if found.verdict != "SHOWN" and found.reasons else "",
     )
 
