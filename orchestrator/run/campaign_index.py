@@ -18,8 +18,8 @@ from ...schemas.facts import Header
 from ...schemas.values import ProblemProgress
 from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..campaign.forecast import budget
+from ..certificate.bound_text import outward
 from ..certificate.files import CERTIFICATE
-from ..certificate.text import outward
 from ..store import lock
 from ..store.export_tables import robustness_unit
 from ..store.progress import read_progress

@@ -11,7 +11,7 @@ from rich.text import Text
 from ...schemas.errors import PerfboundError, one_line
 from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..certificate import files
-from ..certificate.text import outward
+from ..certificate.bound_text import outward
 from ..store import lock
 from ..store.progress import header_alone
 from ..store.robustness import read_violations

@@ -21,7 +21,6 @@ from ...campaign.ledger import observed_discards
 from ...campaign.software import other_numerics
 from ...fleet.simulate import simulate_to
 from ...store import files as evidence
-from ...store.export_tables import robustness_unit
 from ...store.read import contradicted, irreproducible
 from ...store.untrusted import UntrustedFacts, read_untrusted, read_untrusted_header
 from .. import files
@@ -53,8 +52,8 @@ class Verification:
     checks: Checks
     certificate: Certificate | None
     reissued: Certificate | None
-    unit: str = ""
-    """Of the robustness, if it has one."""
+    header: Header | None = None
+    """Of the campaign, if it was readable."""
 
     def __repr__(self) -> str:
         """Return the result, and the number of checks of each status."""
@@ -88,19 +87,19 @@ def verify_certificate(
         PerfboundError: there is no certificate, or the key cannot be read.
 
     """
-    given, checks, certificate, reissued, unit = VerificationInput.of(path), Checks(), None, None, ""
+    given, checks, certificate, reissued, header = VerificationInput.of(path), Checks(), None, None, None
     try:
         certificate = parsed(signed_text(given, key, checks), checks)
-        reissued, unit = _evidence(given.directory, certificate, checks, Again(again, system), report)
+        reissued, header = _evidence(given.directory, certificate, checks, Again(again, system), report)
     except CheckFailed as failed:
         checks.failed(failed.name, str(failed))
-    return Verification(checks, certificate, reissued, unit)
+    return Verification(checks, certificate, reissued, header)
 
 
 def _evidence(
     directory: Path, certificate: Certificate, checks: Checks, again: Again, report: Report
-) -> tuple[Certificate, str]:
-    """Make the checks of the evidence; return the reissued certificate, and the unit of the robustness."""
+) -> tuple[Certificate, Header]:
+    """Make the checks of the evidence; return the reissued certificate, and the header of the campaign."""
     with checks.making("header"):
         header = _header(directory, certificate, checks)
     with checks.making("manifest"):
@@ -137,7 +136,7 @@ def _evidence(
         else:
             simulate = partial(_simulate, header, again.system)
             _resimulation(directory, entries, again.rollouts, simulate, checks=checks, report=report)
-    return reissued, robustness_unit(header.config, header.spec)
+    return reissued, header
 
 
 def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header:

@@ -6,8 +6,10 @@ from rich.console import Console
 from rich.table import Table as Lines
 from rich.text import Text
 
+from ...store.export_tables import robustness_unit
 from .. import text
 from ..console_lines import heading
+from ..named_starts import parameter_units, with_named_starts
 from .run import Verification
 
 REFUTED = "its claim is REFUTED, do not rely on it"
@@ -26,13 +28,15 @@ def print_verification(found: Verification, console: Console) -> None:
         lines.add_row(check.name, Text(check.status, COLOURS[check.status]), meaning)
     console.print(lines)
     if found.checks.good and found.certificate is not None and found.reissued is not None:
-        text.first_claim(found.certificate, console, found.unit)
-        text.print_assumptions(found.reissued, console)
-    result = _result(found)
+        spec = found.header and found.header.spec
+        unit = robustness_unit(found.header.config, found.header.spec) if found.header else ""
+        text.first_claim(found.certificate, console, unit)
+        text.print_assumptions(with_named_starts(found.reissued, parameter_units(spec) if spec else {}), console)
+    result = _conclusion(found)
     heading(console, result, "bold" if found.checks.good and REFUTED not in result else "bold red")
 
 
-def _result(found: Verification) -> str:
+def _conclusion(found: Verification) -> str:
     """Return whether the certificate is verified, by how many checks, and what that does not say of its claim."""
     counts = {status: sum(check.status == status for check in found.checks.lines()) for status in COLOURS}
     good, signature = found.checks.good, found.checks.found.get("signature")
