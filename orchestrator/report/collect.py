@@ -147,7 +147,7 @@ class Collector:
                 else:
                     for collector in _collectors_of(self._problems.values(), problem):
                         collector.rollouts += number
-            self._complete.add(changes.decisions)
+            self._complete.add(changes.decisions, changes.violations)
         except (KeyError, ValueError) as error:
             raise JournalError(
                 f"{self.directory}: the facts contradict each other ({error}); restore the database from a copy"
