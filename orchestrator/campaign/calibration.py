@@ -330,10 +330,12 @@ def _doubts(measured: ProblemEvidence, choice: Choice) -> Iterator[str]:
 def _jump(measured: ProblemEvidence, _: Choice) -> str:
     descent = max((each for each in measured.descents if each.is_jump), key=lambda each: each.places[-1].difference)
     first, last = descent.places[0], descent.places[-1]
-    a, b = measured.box.starts(np.array([last.a.shares, last.b.shares]))
-    places = (", ".join(f"{value:.6g}" for value in each) for each in (a, b))
+    a, b = (
+        ", ".join(f"{name} = {value:.6g}" for name, value in zip(measured.box.names, start, strict=True))
+        for start in measured.box.starts(np.array([last.a.shares, last.b.shares]))
+    )
     return (
-        f"The objective jumps: it differs by {last.difference:.3g} between the starts ({') and ('.join(places)}), and "
+        f"The objective jumps: it differs by {last.difference:.3g} between the starts ({a}) and ({b}), and "
         f"by {first.difference:.3g} at {2 ** (len(descent.places) - 1)} times their distance. No kernel has a norm "
         "bound for a jump."
     )

@@ -9,24 +9,26 @@ DIGITS = 4
 """After the point, of every printed number."""
 
 
-def counterexample_words(found: Counterexample, unit: str) -> str:
-    """Return what a counterexample is; `unit` is that of the robustness, if it has one."""
-    start = named_start(found.start)
+def counterexample_words(found: Counterexample, unit: str, units: Mapping[str, str] | None = None) -> str:
+    """Return what a counterexample is; `unit` is that of the robustness, `units` those of the parameters."""
+    start = named_start(found.start, units)
     others = f", the worst of its {found.rollouts} rollouts" if found.rollouts > 1 else ""
     margin = margin_words(found.robustness, unit)
     words = f"test {found.test} violates the specification: robustness {margin} at {start}, seed {found.seed}"
-    return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit)}"
+    return f"{words} (rollout {found.rollout}{others}){_shrunk_words(found, unit, units)}"
 
 
-def _shrunk_words(found: Counterexample, unit: str) -> str:
+def _shrunk_words(found: Counterexample, unit: str, units: Mapping[str, str] | None) -> str:
     """Return where the system still fails nearer to the nominal start; empty where that was not sought."""
     near = found.shrunk
     if near is None:
         return ""
-    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {named_start(near.nominal)}"
+    tried = f"{near.rollouts} rollout{'' if near.rollouts == 1 else 's'} towards {named_start(near.nominal, units)}"
     if near.rollout == found.rollout:
         return f"; after {tried} no nearer start fails"
-    where = f"{named_start(near.start)}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
+    where = (
+        f"{named_start(near.start, units)}, robustness {margin_words(near.robustness, unit)} (rollout {near.rollout})"
+    )
     return f"; nearest failing start, after {tried}: {where}"
 
 
@@ -36,10 +38,11 @@ def margin_words(robustness: float, unit: str) -> str:
 
 
 def named_start(start: Mapping[str, float], units: Mapping[str, str] | None = None) -> str:
-    """Return a start with the names of its parameters, and with their units where they are given.
+    """Return a start with the names of its parameters; where units are given, with these, and in their order.
 
-    >>> named_start({"gap": 5.0, "mass": 0.25}, {"gap": "m", "mass": "1"})
+    >>> named_start({"mass": 0.25, "gap": 5.0}, {"gap": "m", "mass": "1"})
     'gap = 5 m, mass = 0.25'
     """
     shown = {name: "" if unit == "1" else one_line(unit) for name, unit in (units or {}).items()}
-    return ", ".join(f"{name} = {value:.7g} {shown.get(name, '')}".rstrip() for name, value in start.items())
+    names = [name for name in shown if name in start] + [name for name in start if name not in shown]
+    return ", ".join(f"{name} = {start[name]:.7g} {shown.get(name, '')}".rstrip() for name in names)

@@ -20,8 +20,10 @@ from ..campaign.clip import SAME
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
+from .bound_text import outward
 from .counterexample import margin_words, named_start
-from .text import claim_words, outward
+from .named_starts import parameter_units
+from .text import claim_words
 
 WORST: dict[Quantity, str] = {
     "rho_star": "robustness risk: mean less {:g} standard deviations",
@@ -277,7 +279,7 @@ def _most_suspicious(pairs: Iterable[tuple[str, float]], required: float) -> _Su
 
 
 def _start_words(header: Header, start: str) -> str:
-    units = {parameter.name: parameter.unit for parameter in header.spec.parameters}
+    units = parameter_units(header.spec)
     return named_start(dict(zip(units, json.loads(start), strict=True)), units)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ...schemas.certificate import RiskAtStart, SpotCheckedProblem
+from ...schemas.certificate import RiskAtStart
 from .assumption_titles import statement
 
 BY_DERIVATION = {"centred_noise"}
@@ -41,16 +41,14 @@ wrong that an observation is right on average (centred_noise of true_risk).'
     return " ".join(f"{source} {_stated(those)}." for source, those in sources.items() if those)
 
 
-def risk_sentence(found: SpotCheckedProblem, at_start: RiskAtStart, risk: str, limit: str) -> str:
+def risk_sentence(subject: str, at_start: RiskAtStart, risk: str, limit: str) -> str:
     """Return whether the risk at a start is below a bound that is refuted there, with the rounded bounds of both."""
-    start = ", ".join(f"{value:.6g}" for value in found.start or ())
-    subject = f"Risk of {found.key} at its start ({start}):"
     if at_start.status == "below":
         shown = f"at most {risk}, below the bound {limit}, by {at_start.rollouts} further rollouts"
-        return f"{subject} {shown}: the claim is false."
+        return f"{subject}: {shown}: the claim is false."
     open_question = f"whether the risk itself is below the bound {limit}"
     rollouts = f"{at_start.rollouts} further rollouts (it is at most {risk})"
-    return f"{subject} the claim has lost its grounds; {open_question} is not decided by {rollouts}."
+    return f"{subject}: the claim has lost its grounds; {open_question} is not decided by {rollouts}."
 
 
 def _stated(refuted: Sequence[str]) -> str:

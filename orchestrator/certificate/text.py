@@ -4,7 +4,6 @@ Bounds are rounded outward, so that no line claims more than the certificate. Ev
 styles, never as markup: names, paths and formulas may contain brackets.
 """
 
-import math
 from collections.abc import Iterator, Mapping, Sequence, Sized
 
 from rich.console import Console
@@ -28,8 +27,10 @@ from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
 from .assumption_text import print_list
+from .bound_text import chance, outward, short_chance
 from .console_lines import hanging, heading, plain_line
 from .counterexample import DIGITS, counterexample_words
+from .named_starts import start_words, with_named_starts
 from .refutation_text import refutation_sentence, risk_sentence
 from .region_text import region_sentences
 
@@ -60,22 +61,6 @@ VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale",
 """Names of the variations of the sensitivity."""
 
 
-def outward(bound: float, sense: str) -> str:
-    """Return a bound with four digits that is no stronger than `bound`.
-
-    >>> outward(0.00019, ">="), outward(-0.00011, ">="), outward(0.00011, "<="), outward(1e305, ">=")
-    ('0.0001', '-0.0002', '0.0002', '1e+305')
-    """
-    scaled = bound * 10**DIGITS
-    if not math.isfinite(scaled):  # a number of a file that nobody has checked yet
-        return f"{bound:g}"
-    nearest = round(scaled)
-    # A bound that has four digits, but for the last bits of a float, keeps them.
-    if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):
-        nearest = math.floor(scaled) if sense == ">=" else math.ceil(scaled)
-    return f"{nearest / 10**DIGITS:.{DIGITS}f}"
-
-
 def quantity_words(quantity: Quantity, starts: int | None) -> str:
     """Return the subject of a claim in words; `starts` is the number of listed starts, None for a box.
 
@@ -102,17 +87,24 @@ def claim_words(claim: CertificateClaim) -> str:
     return words if claim.requirement is None else f"{words}, of requirement {claim.requirement}"
 
 
-def print_certificate(certificate: Certificate, console: Console, unit: str = "", *, assumptions: bool = True) -> None:
-    """Print the whole certificate; `unit` is that of the robustness, if it has one.
+def print_certificate(
+    certificate: Certificate,
+    console: Console,
+    unit: str = "",
+    *,
+    assumptions: bool = True,
+    units: Mapping[str, str] | None = None,
+) -> None:
+    """Print the whole certificate; `unit` is that of the robustness, `units` those of the parameters, in their order.
 
     Without `assumptions` only those that are refuted are listed.
     """
-    predicate = certificate.predicate
+    predicate = with_named_starts(certificate, units or {}).predicate
     # First of all: a claim that rests on a refuted assumption proves nothing, however good its number.
     broken = [each for each in predicate.assumptions if each.status == "refuted"]
     of_first = [each for each in broken if each.id in predicate.claims[0].assumptions]
     _refuted(of_first, "", console)
-    print_counterexample(predicate, console, unit)
+    print_counterexample(predicate, console, unit, units)
     first_claim(certificate, console, unit)
     for number in range(1, len(predicate.claims)):
         _claim("also", certificate, number, console, unit)
@@ -125,7 +117,7 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
         heading(console, "Regions", "bold")
     for sentence in found_regions:
         plain_line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
-    if sentences := check_sentences(predicate):
+    if sentences := check_sentences(predicate, units):
         heading(console, "After the campaign", "bold")
     for sentence in sentences:
         plain_line(console, f"  {sentence}", "bold red" if "REFUTED" in sentence else "")
@@ -137,10 +129,12 @@ def print_certificate(certificate: Certificate, console: Console, unit: str = ""
         print_list([each for each in predicate.assumptions if each.status != "refuted"], console)
 
 
-def print_counterexample(predicate: Predicate, console: Console, unit: str) -> None:
-    """Print the rollout that ended the campaign, if one did; `unit` is that of the robustness."""
+def print_counterexample(
+    predicate: Predicate, console: Console, unit: str, units: Mapping[str, str] | None = None
+) -> None:
+    """Print the rollout that ended the campaign, if one did; `unit` and `units` as in `print_certificate`."""
     if predicate.counterexample is not None:
-        found = counterexample_words(predicate.counterexample, unit)
+        found = counterexample_words(predicate.counterexample, unit, units)
         heading(console, f"COUNTEREXAMPLE  {found}", "bold red")
 
 
@@ -155,9 +149,7 @@ def _on_several(predicate: Predicate) -> tuple[str, ...]:
     """Return what holds of several claims together."""
     if predicate.problems[0].parameters.get("jointly"):
         together = 1.0 - sum(1.0 - claim.probability for claim in predicate.claims)
-        return (
-            f"All {len(predicate.claims)} claims hold together with probability at least {outward(together, '>=')}.",
-        )
+        return (f"All {len(predicate.claims)} claims hold together {chance(together)}.",)
     if predicate.regions is not None:
         return ("Both claims follow from one event, so they hold together with this probability.",)
     return (
@@ -180,7 +172,7 @@ def first_claim(certificate: Certificate, console: Console, unit: str = "") -> N
 def other_claims(predicate: Predicate, unit: str, most: int) -> tuple[str, ...]:
     """Return the claims after the first in a line each, at most so many of them, and how many more there are."""
     others = [
-        f"{_claim_heading(claim, unit)}, probability {outward(claim.probability, '>=')}"
+        f"{_claim_heading(claim, unit)}, {short_chance(claim.probability, claim.assumptions)}"
         + (f", {claim.rule} rule" if composes(claim.rule) else "")
         + (": REFUTED" if claim.refuted else "")
         for claim in predicate.claims[1:]
@@ -237,10 +229,10 @@ def _sentence_on_most_starts(found: MostStarts, clip: object) -> Iterator[str]:
             return  # by rules before 4: the clip alone proves it, and the values themselves may be lower
         clipped = f", clipped to [{', '.join(f'{end:g}' for end in clip)}],"
     margin = f"{'robustness' if found.quantity == 'robustness' else 'expected robustness'}{clipped}"
-    bound, probability = outward(found.bound, ">="), outward(found.probability, ">=")
+    bound = outward(found.bound, ">=")
     yield (
         f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least {bound}, "
-        f"with probability at least {probability}."
+        f"{chance(found.probability)}."
     )
 
 
@@ -278,8 +270,10 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
     claim = predicate.claims[number]
     heading(console, f"{title}  {_claim_heading(claim, unit)}", "bold")
     rule = f"{claim.rule} rule, " if composes(claim.rule) else ""
-    source = f"method {claim.method}, {rule}{_validity(claim)}{_count(claim.assumptions)}"
-    plain_line(console, f"       with probability at least {outward(claim.probability, '>=')} ({source})")
+    source = f"method {claim.method}, {rule}{_validity(claim)}"
+    # Certainty names the assumptions that it rests on itself.
+    counted = source.removesuffix(", ") if claim.probability == 1.0 else f"{source}{_count(claim.assumptions)}"
+    plain_line(console, f"       {chance(claim.probability, claim.assumptions)} ({counted})")
     # The terms of a composition are those of the first claim; the others have none in the certificate.
     if predicate.composition is not None and number == 0:
         _composition(claim, predicate.composition, console)
@@ -309,38 +303,40 @@ def _composition(claim: CertificateClaim, composition: CompositionTerms, console
         plain_line(console, f"       = {line}")
 
 
-def check_sentences(predicate: Predicate) -> tuple[str, ...]:
-    """Return what fresh starts and repeated rollouts showed, a sentence each."""
-    return (*_spot_sentences(predicate.spot_check), *_recheck_sentences(predicate.recheck))
+def check_sentences(predicate: Predicate, units: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """Return what fresh starts and repeated rollouts showed, a sentence each; `units` are those of the parameters."""
+    return (*_spot_sentences(predicate.spot_check, units or {}), *_recheck_sentences(predicate.recheck))
 
 
-def _spot_sentences(spot: SpotCheck | None) -> Iterator[str]:
+def _spot_sentences(spot: SpotCheck | None, units: Mapping[str, str]) -> Iterator[str]:
     if spot is None:
         return
     confidence = outward(1 - spot.level, ">=")
     yield f"Spot check: {spot.starts} fresh starts, drawn uniformly after the campaign; confidence {confidence} each."
     for each in spot.problems:
-        yield f"Bound of {each.key}: {_spot_finding(each, 1 / spot.level)}."
+        yield f"Bound of {each.key}: {_spot_finding(each, spot)}."
         if each.risk is not None:
-            yield risk_sentence(each, each.risk, outward(each.risk.risk, "<="), outward(each.limit, ">="))
+            start = start_words([f"{value:.6g}" for value in each.start or ()], units)
+            subject = f"Risk of {each.key} at its start ({start})"
+            yield risk_sentence(subject, each.risk, outward(each.risk.risk, "<="), outward(each.limit, ">="))
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")
         violate = f"{spot.failures} of {spot.starts} rollouts at fresh starts violate the specification"
         yield f"{violate}; at a uniform start a rollout does so with probability at most {share}."
 
 
-def _spot_finding(found: SpotCheckedProblem, refuting: float) -> str:
+def _spot_finding(found: SpotCheckedProblem, spot: SpotCheck) -> str:
     """Return the finding for one bound: of a deterministic value by its violations, of a noisy one by its evidence."""
     refuted = "REFUTED, " if found.status == "refuted" else "not refuted, "
     if found.status == "not testable":
         return "not tested, because nothing bounds its noise"
     if found.violated_share is not None:
-        share = outward(100 * found.violated_share, "<=")
-        return f"{refuted}{found.violations} starts are beyond the bound, at most {share} % of the box"
+        share, number = outward(100 * found.violated_share, "<="), found.violations
+        seen = f"{number} of {spot.starts} fresh starts {'is' if number == 1 else 'are'} beyond it"
+        return f"{refuted}{seen}; with this confidence at most {share} % of the box is"
     left = f"; at {found.undecided} starts they are too few to tell" if found.undecided else ""
-    return (
-        f"{refuted}evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts, {refuting:g} would refute{left}"
-    )
+    evidence = f"evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts"
+    return f"{refuted}{evidence}, {1 / spot.level:g} would refute{left}"
 
 
 def _recheck_sentences(recheck: Recheck | None) -> Iterator[str]:
@@ -360,8 +356,8 @@ def _problem(problem: ProblemResult, console: Console) -> None:
     plain_line(console, f"  {problem.key}", "bold")
     shown = floored(problem.bound, sense, problem.by_clip)
     alone = " (the clip alone proves it)" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
-    bound, probability = outward(shown, sense), outward(problem.probability, ">=")
-    plain_line(console, f"    {problem.objective} {sense} {bound}{alone}, probability {probability}")
+    bound = outward(shown, sense)
+    plain_line(console, f"    {problem.objective} {sense} {bound}{alone}, {short_chance(problem.probability)}")
     counts = ((problem.rollouts.nominal, "nominal"), (problem.rollouts.true, "true"))
     rollouts = (" and ".join(f"{number} {variant}" for number, variant in counts if number) or "no") + " rollouts"
     plain_line(console, f"    {problem.tests} tests with {rollouts}")

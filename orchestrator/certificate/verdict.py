@@ -23,6 +23,7 @@ from .advice import (
     instead_of_refuted,
 )
 from .bases import bases
+from .bound_text import outward
 from .opposite import (
     SAY_LIMIT,
     WORST,
@@ -39,7 +40,7 @@ from .opposite import (
     violated,
 )
 from .refutation_text import refutation_words
-from .text import CERTAIN, NO_SHARE, VACUOUS, claim_words, nothing_shown, outward
+from .text import CERTAIN, NO_SHARE, VACUOUS, claim_words, nothing_shown
 
 EMPTY = {
     VACUOUS: "The bound shows nothing: it is an end of the clip, and holds without any rollout.",
@@ -223,7 +224,9 @@ def _not_shown(
             advice.append(better(required.bound))
     if too_unlikely(claim, required):
         chance = outward(claim.probability, ">=")
-        reasons.append(f"It holds with probability {chance}, and {required.probability:g} is required.")
+        # What is refuted holds with no probability.
+        holds = f"Its probability would be {chance}" if claim.refuted else f"It holds with probability {chance}"
+        reasons.append(f"{holds}, and {required.probability:g} is required.")
         advice.append(for_the_probability(header.config, claim, required.probability))
     reasons += [where] if where else []
     return Finding("NOT SHOWN", tuple(reasons), tuple(advice))

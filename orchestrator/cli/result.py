@@ -12,6 +12,7 @@ from ...schemas.places import short_path
 from ...schemas.verdict import CampaignVerdict
 from ..certificate import text
 from ..certificate.console_lines import hanging, heading, plain_line
+from ..certificate.named_starts import parameter_units
 from ..certificate.region_text import region_sentences
 from ..run.format import replay_command
 from ..run.verdict import COLOURS, system_file, verdict_lines, verdict_of
@@ -36,14 +37,15 @@ MOST_SENTENCES = 4
 def print_end(directory: Path, header: Header, certificate: Certificate, console: Console) -> CampaignVerdict:
     """Print the verdict, the first claim and what comes next, on one screen of 30 lines; return the verdict."""
     unit, predicate = robustness_unit(header.config, header.spec), certificate.predicate
+    units = parameter_units(header.spec)
     verdict = print_verdict(directory, header, certificate, console)
-    text.print_counterexample(predicate, console, unit)
+    text.print_counterexample(predicate, console, unit, units)
     text.first_claim(certificate, console, unit)
     if others := text.other_claims(predicate, unit, MOST_CLAIMS):
         console.print()
         for each in others:
             hanging(console, Text("also   "), each)
-    if sentences := (*region_sentences(predicate), *text.check_sentences(predicate)):
+    if sentences := (*region_sentences(predicate), *text.check_sentences(predicate, units)):
         console.print()
         for sentence in sentences[:MOST_SENTENCES]:
             plain_line(console, sentence, "bold red" if "REFUTED" in sentence else "")
@@ -63,7 +65,8 @@ def print_everything(
 ) -> None:
     """Print the verdict, every claim, problem and file, and with `assumptions` each of them with its sentence."""
     print_verdict(directory, header, certificate, console)
-    text.print_certificate(certificate, console, robustness_unit(header.config, header.spec), assumptions=assumptions)
+    unit, units = robustness_unit(header.config, header.spec), parameter_units(header.spec)
+    text.print_certificate(certificate, console, unit, assumptions=assumptions, units=units)
     if not assumptions:
         heading(console, f"Assumptions: perfbound show {shlex.quote(str(directory))} --assumptions", "bold")
     print_files(directory, console)

@@ -69,10 +69,10 @@ def _meaning(problem: Problem, method: ProblemMethod) -> str:
                 f"with probability at least {1 - problem.delta:g}"
             )
         case RigorousProblem():
-            return f"at all candidates at once with probability at least {method.probability:g}"
+            return f"at all candidates at once {_likely(method.probability)}"
         case KrigingProblem():
             return (
-                f"of every cell by a bound of all cells at once with probability at least {method.probability:g}; the "
+                f"of every cell by a bound of all cells at once {_likely(method.probability)}; the "
                 "claim needs no such union, so it may be stronger; the mean is that of the interpolated values"
             )
         case SampleProblem():
@@ -83,6 +83,11 @@ def _meaning(problem: Problem, method: ProblemMethod) -> str:
                 f"the lower bound of each start by itself with probability at least {1 - problem.delta:g}; the mean is "
                 f"that of its {mean}; a start by itself has no upper bound"
             )
+
+
+def _likely(probability: float) -> str:
+    # Certainty is that of a system without noise, and rests on the kernel all the same.
+    return f"with probability at least {probability:g}" if probability < 1.0 else "if its assumptions hold"
 
 
 class _Arrays(NamedTuple):

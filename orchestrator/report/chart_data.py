@@ -87,6 +87,24 @@ class RolloutHistogram:
 
 
 @dataclass(frozen=True, slots=True)
+class FailingStart:
+    """A fresh start of the spot check where rollouts violate the specification, or contradict the bound."""
+
+    x: tuple[float, ...]
+    series: str
+    """The spot check."""
+    test: int
+    """Its first test there."""
+    value: float
+    """Mean of all rollouts there, of the objective."""
+    rollouts: int
+    violations: int
+    """Rollouts that violate the specification; 0 where the problem is not about it."""
+    contradicts: bool
+    """Whether the bound is refuted there."""
+
+
+@dataclass(frozen=True, slots=True)
 class ProblemCharts:
     """What the charts of a problem show beyond its tests."""
 
@@ -100,4 +118,6 @@ class ProblemCharts:
     """Share of the candidates at which the mean of the model is beyond these ends, and is drawn at them."""
     importance: Importance | None = None
     prediction: Prediction | None = None
+    failing: tuple[FailingStart, ...] = ()
+    """The worst first, at most 100."""
     rollouts: RolloutHistogram | None = None

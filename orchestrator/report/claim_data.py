@@ -1,11 +1,13 @@
 """The part of the report data about the claims: what they say, what they rest on, and the verdict."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...schemas.certificate import Assumption, Status
 from ...schemas.problems import Quantity
 from ...schemas.verdict import ByRollouts, VerdictWord
 from ..certificate.assumption_titles import title
+from ..certificate.named_starts import with_named_start
 
 NUMBERS = {
     "kernel": {"rkhs_norm": "B", "length_scale": "length scale"},
@@ -75,9 +77,10 @@ class AssumptionRow:
     """The constants of the campaign file that it is about."""
 
 
-def assumption_row(found: Assumption) -> AssumptionRow:
-    """Return an assumption of a certificate with its title."""
-    detail = found.detail[:1].upper() + found.detail[1:]
+def assumption_row(found: Assumption, units: Mapping[str, str] | None = None) -> AssumptionRow:
+    """Return an assumption of a certificate with its title; `units` are those of the parameters, in their order."""
+    sentence = with_named_start(found, units or {}).detail
+    detail = sentence[:1].upper() + sentence[1:]
     return AssumptionRow(found.id, title(found.id), found.status, detail, _constants_of(found))
 
 

@@ -17,6 +17,7 @@ from ...schemas.so_far import SoFar
 from ..campaign.observation import of_requirement
 from ..campaign.plan import plans
 from ..certificate import files
+from ..certificate.named_starts import parameter_units
 from ..certificate.text import check_sentences
 from ..run.continuation import command_with
 from ..run.feed import LiveState
@@ -146,7 +147,7 @@ class Collector:
                 else:
                     for collector in _collectors_of(self._problems.values(), problem):
                         collector.rollouts += number
-            self._complete.add(changes.decisions)
+            self._complete.add(changes.decisions, changes.violations)
         except (KeyError, ValueError) as error:
             raise JournalError(
                 f"{self.directory}: the facts contradict each other ({error}); restore the database from a copy"
@@ -161,7 +162,7 @@ class Collector:
         violations.refresh(header, self._start)
         command = partial(replay_command, self.directory, header, system=self._system)
         results = {each.key: each for each in predicate.problems} if predicate else {}
-        complete = self._complete.data
+        complete, units = self._complete.data, parameter_units(header.spec)
         problems = tuple(complete(each, results.get(key), header, predicate) for key, each in self._problems.items())
         claims = wording.worded(predicate) if predicate else ()
         running = lock.is_held(self.directory) and not self.abandoned
@@ -186,8 +187,8 @@ class Collector:
             now=wording.current_bound(problems, claims),
             claims=claims,
             composition=predicate.composition if predicate else None,
-            assumptions=tuple(map(assumption_row, predicate.assumptions)) if predicate else (),
-            checks=check_sentences(predicate) if predicate else (),
+            assumptions=tuple(assumption_row(each, units) for each in predicate.assumptions) if predicate else (),
+            checks=check_sentences(predicate, units) if predicate else (),
             problems=problems,
             scenes=tuple(
                 bounded_scenes(
@@ -222,7 +223,7 @@ class Collector:
             verdict=self._verdict,
             required=question_words(header, claims[0].quantity if claims else problems[0].quantity),
             closing_rollouts={each: self._closing[each] for each in CLOSING if each in self._closing},
-            live=None if self._certificate else live_card(self._so_far, header.run, running=running),
+            live=None if self._certificate else live_card(self._so_far, header, running=running),
             provenance=provenance(header, self._sessions, self._workers.ended()),
         )
 

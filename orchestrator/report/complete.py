@@ -5,12 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...schemas.certificate import Predicate, ProblemResult
-from ...schemas.facts import Header
+from ...schemas.facts import Header, RolloutFact
 from ..store.export_tables import robustness_unit
 from ..store.rollout_values import RolloutValueReader
 from .chart_data import Prediction, ProblemCharts
 from .data import Problem, RegionMap
-from .prediction import FreshStarts, prediction
+from .fresh_starts import FreshStarts, is_refuted
+from .prediction import prediction
 from .problem import ProblemCollector
 from .rollout_histogram import RolloutValues
 
@@ -26,8 +27,8 @@ class ProblemCompleter:
         self._predicted: dict[str, Prediction | None] = {}
         self._divided: dict[str, RegionMap | None] = {}
 
-    def add(self, facts: Iterable[object]) -> None:
-        """Add the next facts, of which those of a spot check are kept, and read the rollouts since the last call.
+    def add(self, facts: Iterable[object], violations: Iterable[RolloutFact]) -> None:
+        """Add the next facts and violations, those of a spot check, and read the rollouts since the last call.
 
         Raises:
             JournalError: there is no campaign, or its database is damaged.
@@ -35,6 +36,8 @@ class ProblemCompleter:
         """
         for fact in facts:
             self._fresh.add(fact)
+        for violation in violations:
+            self._fresh.add_violation(violation)
         self._values.add(self._reader.read())
 
     def reopen(self) -> None:
@@ -53,18 +56,21 @@ class ProblemCompleter:
         """
         found = collector.data(result)
         charts = self._charts(collector, header, predicate)
-        return replace(found, regions=self._regions(collector, predicate), charts=charts)
+        refuted = predicate is not None and is_refuted(predicate, collector.plan)
+        return replace(found, regions=self._regions(collector, predicate), charts=charts, refuted=refuted)
 
     def _charts(self, collector: ProblemCollector, header: Header, predicate: Predicate | None) -> ProblemCharts:
         plan, fed = collector.plan, collector.fed
         spot = predicate.spot_check if predicate else None
         if spot is not None and fed is not None and plan.key not in self._predicted:
             self._predicted[plan.key] = prediction(spot, self._fresh, plan, *fed)
+        failing = () if predicate is None else self._fresh.failing(predicate, plan)
         # Where starts are drawn another histogram has the bounds; a requirement has the rollouts of the whole.
         by_itself = plan.candidates is None or plan.requirement is not None
         unit = robustness_unit(header.config, header.spec)
         rollouts = None if by_itself else self._values.histogram(plan.name, header.config.clip, unit)
-        return replace(collector.charts, prediction=self._predicted.get(plan.key), rollouts=rollouts)
+        predicted = self._predicted.get(plan.key)
+        return replace(collector.charts, prediction=predicted, failing=failing, rollouts=rollouts)
 
     def _regions(self, collector: ProblemCollector, predicate: Predicate | None) -> RegionMap | None:
         name = collector.problem.name

@@ -7,7 +7,7 @@ from ...schemas.errors import one_line
 from ...schemas.problems import Quantity
 from ...schemas.verdict import ByRollouts, CampaignVerdict
 from ..campaign.clip import is_vacuous
-from ..certificate.text import outward
+from ..certificate.bound_text import outward
 
 CHANGES = {
     ("rkhs_norm", 2.0): "With a norm bound B twice as large the same tests prove",

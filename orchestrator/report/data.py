@@ -6,6 +6,7 @@ lengths. Names and paths are untrusted text: the page never parses them as marku
 """
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
@@ -22,6 +23,13 @@ from .live import LiveCard
 from .provenance import Provenance
 from .rollout_data import FoundCounterexample, RankedTest, Rollout, RolloutsOfTest, ViolatingStarts
 from .worker_data import FailedAttempt, SetAsideRow, Throughput, WorkerRow
+
+EXACT = {"bound", "partner", "probability", "limit", "nominal_bound", "gap_bound", "gap_term", "risk_term"}
+"""Keys of single bounds and probabilities, which the page rounds to the safe side."""
+SAFE_SIDE = {"lower": -1.0, "upper": 1.0}
+"""Keys of series of bounds, and the direction that is safe."""
+ROUND_OFF = 1e-10
+"""A bound that is so near to a rounded number is this number; as in `outward`, which has four decimals."""
 
 State = Literal["running", "stopped", "finished"]
 Series = tuple[float | None, ...]
@@ -185,6 +193,8 @@ class Problem:
     requirement: str | None = None
     """The one that is bounded here on its own, from the tests of the problem; None for the whole specification."""
     charts: ProblemCharts = field(default_factory=ProblemCharts)
+    refuted: bool = False
+    """Whether the bound of a finished campaign rests on a refuted assumption."""
 
     @property
     def key(self) -> str:
@@ -278,16 +288,33 @@ def to_json(data: ReportData | RolloutsOfTest) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _json_value(value: Any) -> Any:
-    """Return a value for json.dumps, numbers rounded to the 7 digits that a page can show: it halves the page."""
+def _json_value(value: Any, name: str = "") -> Any:
+    """Return a value for json.dumps, numbers rounded to the 7 digits that a page can show: it halves the page.
+
+    A bound that were rounded to the nearest here, and to the safe side on the page, could be stronger than the
+    certificate: the few of `EXACT` keep all digits, and series of bounds are rounded to the safe side.
+    """
     match value:
         case float():
-            return float(f"{value:.7g}") if abs(value) < 1e8 else value  # Unix times keep their seconds
+            return value if name in EXACT or abs(value) >= 1e8 else _seven_digits(value, SAFE_SIDE.get(name))
         case BaseModel():
             return _json_value(value.model_dump())
         case dict():
-            return {name: _json_value(each) for name, each in value.items()}
+            return {key: _json_value(each, key) for key, each in value.items()}
         case list() | tuple():
-            return [_json_value(each) for each in value]
+            return [_json_value(each, name) for each in value]
         case _:
             return value
+
+
+def _seven_digits(value: float, side: float | None) -> float:
+    """Return a number with 7 digits: the nearest one, or on a side.
+
+    >>> _seven_digits(1.80669996, None), _seven_digits(1.80669996, -1.0), _seven_digits(0.25, -1.0)
+    (1.8067, 1.806699, 0.25)
+    """
+    nearest = float(f"{value:.7g}")
+    if side is None or side * (nearest - value) >= -ROUND_OFF:
+        return nearest
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) - 6)
+    return float(f"{nearest + side * unit:.7g}")

@@ -14,7 +14,7 @@ from matplotlib.colors import ListedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ..certificate.text import outward
+from ..certificate.bound_text import outward
 from ..mathematics.gp.kernels import Floats
 from . import style
 from .data import Axis, Drawn, Problem, ReportData, Series, Surface

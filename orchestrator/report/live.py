@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 
+from ...schemas.facts import Header
 from ...schemas.so_far import SoFar
 from ...schemas.verdict import VerdictWord
+from ..certificate.named_starts import parameter_units
 from ..run.so_far_text import HEAD, bar_words, consequence_of_key, holding_rows, violations_so_far
 from .claim_data import AssumptionRow, assumption_row
 
@@ -38,10 +40,11 @@ class LiveCard:
     """What a refutation leads to in this campaign."""
 
 
-def live_card(found: SoFar | None, run: str, *, running: bool) -> LiveCard | None:
+def live_card(found: SoFar | None, header: Header, *, running: bool) -> LiveCard | None:
     """Return the card of a campaign without certificate; None where its orchestrator has written nothing yet."""
-    if found is None or found.run != run:
+    if found is None or found.run != header.run:
         return None
+    units = parameter_units(header.spec)
     return LiveCard(
         at=found.at,
         head=HEAD,
@@ -53,7 +56,7 @@ def live_card(found: SoFar | None, run: str, *, running: bool) -> LiveCard | Non
         bar=bar_words(found.expected),
         violations=violations_so_far(found),
         violated=found.violations.violations > 0,
-        tested=tuple(map(assumption_row, found.assumptions)),
+        tested=tuple(assumption_row(each, units) for each in found.assumptions),
         others=found.others,
         then=consequence_of_key(found.on_refuted),
     )

@@ -1,14 +1,11 @@
 """What the model of a finished campaign predicts at the fresh starts of its spot check, beside what was observed."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.certificate import SpotCheck
-from ...schemas.facts import ObservationFact, ProposalFact
-from ...schemas.ids import SPOT_CHECK, closing_check
 from ...schemas.values import Bound
 from ..campaign.methods import ProblemMethod
 from ..campaign.plan import ProblemPlan
@@ -16,6 +13,7 @@ from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.gp.lattice import Lattice
 from . import limits
 from .chart_data import Prediction, Series
+from .fresh_starts import FreshStarts
 from .posterior import anywhere
 
 Floats = NDArray[np.float64]
@@ -24,31 +22,6 @@ MOST_POINTS = 1000
 """Starts in the data; every one outside, and an even choice of the others."""
 SAME = 1e-9
 """Distance from a bound, as a share of its size, that counts as on it: a value may be computed in another order."""
-
-
-@dataclass(slots=True)
-class FreshStarts:
-    """The observed first tests at the fresh starts of each spot check, by its name and the number of the start."""
-
-    _starts: dict[str, dict[int, tuple[float, ...]]] = field(default_factory=dict)
-    _proposed: dict[tuple[str, int], int] = field(default_factory=dict)
-    _observed: dict[str, dict[int, tuple[float, ...]]] = field(default_factory=dict)
-
-    def add(self, fact: object) -> None:
-        """Add a fact of a series; those of problems and other checks are left out."""
-        match fact:
-            case ProposalFact() if closing_check(fact.problem) == SPOT_CHECK:
-                self._proposed[fact.problem, fact.test] = fact.proposal.node
-                self._starts.setdefault(fact.problem, {}).setdefault(fact.proposal.node, fact.proposal.x)
-            case ObservationFact() if closing_check(fact.problem) == SPOT_CHECK:
-                # Follow-ups go to the most suspicious starts: with them the values would no longer be a fair sample.
-                node = self._proposed[fact.problem, fact.test]
-                self._observed.setdefault(fact.problem, {}).setdefault(node, fact.observation.each)
-
-    def latest(self) -> tuple[Mapping[int, tuple[float, ...]], Mapping[int, tuple[float, ...]]]:
-        """Return starts and values of the last spot check; of several, each follows an extension of the campaign."""
-        name = next(reversed(self._observed), None)
-        return ({}, {}) if name is None else (self._starts[name], self._observed[name])
 
 
 def prediction(

@@ -8,9 +8,11 @@ from ...schemas.claims import is_sampled
 from ...schemas.facts import Header
 from ...schemas.verdict import CampaignVerdict
 from ..campaign.clip import is_vacuous
+from ..certificate.bound_text import chance, outward
 from ..certificate.counterexample import counterexample_words
+from ..certificate.named_starts import parameter_units
 from ..certificate.refutation_text import refutation_sentence
-from ..certificate.text import claim_words, notes, nothing_shown, outward, quantity_words
+from ..certificate.text import claim_words, notes, nothing_shown, quantity_words
 from ..run.verdict import violation_words
 from ..store.export_tables import robustness_unit
 from .claim_data import Claim, VerdictCard
@@ -68,7 +70,8 @@ def claim_sentence(claim: document.CertificateClaim) -> str:
     ...                                 rule="single", method="paper", assumptions=(), refuted=()))
     'J* (maximum of the expectation) ≤ 0.5124 with probability at least 0.9876'
     """
-    text = _statement(claim_words(claim), claim.bound, claim.sense, claim.probability)
+    subject = claim_words(claim)
+    text = _statement(subject, claim.bound, claim.sense, chance(claim.probability, claim.assumptions))
     if claim.vacuous:
         text += f". {nothing_shown(claim.quantity).removesuffix('.')}"
     if claim.refuted:
@@ -87,7 +90,8 @@ def current_bound(problems: Sequence[Problem], claims: Sequence[Claim]) -> str:
 
 def counterexample_sentence(found: document.Counterexample, header: Header) -> str:
     """Return the sentence on the rollout that ended a campaign."""
-    words = counterexample_words(found, robustness_unit(header.config, header.spec))
+    unit = robustness_unit(header.config, header.spec)
+    words = counterexample_words(found, unit, parameter_units(header.spec))
     return typeset(f"{words[0].upper()}{words[1:]}.")
 
 
@@ -109,10 +113,9 @@ def _problem_bound(problem: Problem, *, several: bool) -> str:
             f"ended here, it would be {would_be}."
         )
     vacuous = f" {nothing_shown(problem.quantity)}" if is_vacuous(problem.bound, sense, problem.by_clip) else ""
-    return f"{_statement(quantity, problem.bound, sense, problem.probability)}.{vacuous}"
+    return f"{_statement(quantity, problem.bound, sense, chance(problem.probability))}.{vacuous}"
 
 
-def _statement(quantity: str, bound: float, sense: str, probability: float) -> str:
-    return typeset(f"{quantity} {sense} {outward(bound, sense)}") + (
-        f" with probability at least {outward(probability, '>=')}"
-    )
+def _statement(quantity: str, bound: float, sense: str, likely: str) -> str:
+    joined = " " if likely.startswith("with") else ", "
+    return f"{typeset(f'{quantity} {sense} {outward(bound, sense)}')}{joined}{likely}"

@@ -18,8 +18,8 @@ from ...schemas.facts import Header
 from ...schemas.values import ProblemProgress
 from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..campaign.forecast import budget
+from ..certificate.bound_text import outward
 from ..certificate.files import CERTIFICATE
-from ..certificate.text import outward
 from ..store import lock
 from ..store.export_tables import robustness_unit
 from ..store.progress import read_progress
@@ -256,7 +256,7 @@ def _finished_row(row: IndexRow, listed: ListedCampaign, found: CampaignVerdict)
         value=found.bound,
         required=shortened(required),
         claim=shortened(found.claim),
-        refuted=found.claim.startswith("Refuted"),
+        refuted=listed.refuted,
         reason=shortened(found.reasons[0]) if found.verdict != "SHOWN" and found.reasons else "",
     )
 

@@ -11,7 +11,7 @@ from rich.text import Text
 from ...schemas.errors import PerfboundError, one_line
 from ...schemas.verdict import CampaignVerdict, VerdictWord
 from ..certificate import files
-from ..certificate.text import outward
+from ..certificate.bound_text import outward
 from ..store import lock
 from ..store.progress import header_alone
 from ..store.robustness import read_violations
@@ -45,6 +45,8 @@ class ListedCampaign:
     """Unix time of the last change of the database."""
     fault: str = ""
     """Why it cannot be read."""
+    refuted: bool = False
+    """Whether the first claim rests on a refuted assumption."""
 
     def has(self, text: str) -> bool:
         """Whether a text is part of what is shown of it, whatever the case."""
@@ -99,8 +101,9 @@ def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, Camp
         return ListedCampaign(directory, directory.name, "damaged", None, "", 0, 0, changed, one_line(str(error))), None
     seen = found.violations
     bound = _first_claim_of(found)
+    refuted = bool(certificate.predicate.claims[0].refuted)
     return ListedCampaign(
-        directory, found.campaign, state, found.verdict, bound, seen.rollouts, seen.violations, changed
+        directory, found.campaign, state, found.verdict, bound, seen.rollouts, seen.violations, changed, refuted=refuted
     ), found
 
 
@@ -126,6 +129,7 @@ def listing(campaigns: Sequence[ListedCampaign], now: float) -> Iterator[Text]:
 
 def _cells_of(each: ListedCampaign, now: float) -> tuple[str, ...]:
     age = f"{duration(max(0.0, now - each.changed))} ago"
-    shown = each.bound or each.fault or "-"
+    bound = f"refuted ({each.bound})" if each.refuted else each.bound
+    shown = bound or each.fault or "-"
     folder = one_line(str(each.directory))
     return (folder, each.verdict or "-", shown, each.state, f"{each.rollouts:,}", f"{each.violations:,}", age)

@@ -13,6 +13,7 @@ from ...schemas.verdict import Violations
 from ..campaign.ledger import Ledger
 from ..campaign.recheck import Recheck
 from ..campaign.spot_check import spot_check_plan
+from ..certificate.named_starts import parameter_units, with_named_start
 from ..certificate.so_far import AuditSoFar, Holding, claims_nothing_yet
 from ..store import read
 from ..store.export_tables import robustness_unit
@@ -120,7 +121,7 @@ class SoFarListener:
             if each.status == "refuted" and each.id not in self._known:
                 self._known.add(each.id)
                 then = "the first claim does not rest on it" if each.id in holding.others else self._consequence(each)
-                self._output.refuted(each, then)
+                self._output.refuted(with_named_start(each, parameter_units(self._ledger.header.spec)), then)
 
     def _consequence(self, found: Assumption) -> str:
         """Return what follows from a refutation in this run."""

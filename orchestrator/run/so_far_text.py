@@ -6,7 +6,7 @@ from typing import NamedTuple
 from ...schemas.certificate import Assumption
 from ...schemas.errors import one_line
 from ...schemas.so_far import Expected, SoFar, Span
-from ..certificate.text import outward
+from ..certificate.bound_text import outward
 from .format import duration
 
 HEAD = ("", "bound", "probability", "tests", "verdict")

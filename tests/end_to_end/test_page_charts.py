@@ -8,6 +8,8 @@ import pytest
 from playwright.sync_api import Browser
 
 from perfbound.orchestrator.report import data
+from perfbound.orchestrator.report.chart_data import FailingStart
+from perfbound.orchestrator.report.claim_data import VerdictCard
 from tests.end_to_end import browser as chromium
 from tests.end_to_end import example_reports
 from tests.end_to_end.browser import Scheme
@@ -191,3 +193,62 @@ def test_drawing_again_builds_no_chart_anew(browser: Browser, tmp_path: Path) ->
         number, kept = watch.page.evaluate(KEPT)
         assert number >= 4
         assert kept
+
+
+def refuted(report: data.ReportData) -> data.ReportData:
+    """The same with a refuted bound: the worst of two failing fresh starts is worse than every test."""
+    problem = report.problems[0]
+    failing = (
+        FailingStart((2.5, 1.5), "spot_check", 7, -0.9, 16, 16, contradicts=True),
+        FailingStart((1.0, 2.0), "spot_check", 3, -0.1, 1, 1, contradicts=False),
+    )
+    charts = replace(problem.charts, failing=failing)
+    return replace(
+        report,
+        problems=(replace(problem, charts=charts, refuted=True),),
+        violations=17,
+        later_violations=17,
+        rollouts=480,
+        closing_rollouts={"spot_check": 314, "recheck": 20},
+    )
+
+
+CROSS = """([x, y]) => {
+    const canvas = document.getElementById("map-0"), { toX, toY } = mapModels.get(canvas);
+    return [...canvas.getContext("2d").getImageData(toX(x), toY(y), 1, 1).data].slice(0, 3);
+}"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pictures_and_captions_of_a_refuted_bound_say_so(browser: Browser, tmp_path: Path, scheme: Scheme) -> None:
+    with opened(browser, tmp_path, refuted(example_reports.charted()), scheme=scheme) as watch:
+        section = watch.page.locator("section.problem").first
+        facts = section.locator("dl.facts").inner_text()
+        assert "REFUTED" in facts
+        assert "none: an assumption is refuted" in facts
+        text = section.inner_text()
+        assert "and REFUTED by the data: do not rely on it." in text
+        assert "meets the requirement" not in text
+        assert "but these are numbers of a refuted model" in text
+        assert (
+            "at 2 fresh starts of the spot check rollouts violate the specification, and at 1 fresh start the" in text
+        )
+        assert any(each["label"].startswith("refuted ") for each in watch.page.evaluate(LEVELS)["levels"])
+        for start in ([2.5, 1.5], [1.0, 2.0]):
+            assert watch.page.evaluate(CROSS, start) == [213, 94, 0]
+        worst = section.locator(".worst li").first
+        assert "-0.9" in worst.inner_text()
+        assert "16 of 16 rollouts below 0" in worst.inner_text()
+        assert worst.locator("button").get_attribute("data-select") == "spot_check:7"
+        counted = watch.page.locator("#counterexamples p").first.inner_text()
+        assert counted.startswith("17 rollouts of 794 violated the specification")
+        assert "0 of the 480 for the bounds, and 17 after the campaign" in counted
+
+
+def test_a_bound_beyond_the_requirement_does_not_hide_a_violation(browser: Browser, tmp_path: Path) -> None:
+    report = example_reports.charted()
+    card = VerdictCard("VIOLATED", "Margin.", ("A start fails.",), (), "", "probable", (), "", "")
+    with opened(browser, tmp_path, replace(report, verdict=card)) as watch:
+        text = watch.page.locator("section.problem").first.inner_text()
+        assert "but the verdict is VIOLATED" in text
+        assert "meets the requirement" not in text

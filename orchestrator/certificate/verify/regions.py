@@ -9,6 +9,7 @@ from ...mathematics.gp.lattice import Lattice
 from ...store.files import contents
 from .. import files
 from ..regions import boxes_of, campaign_regions, divided
+from .checks import ABSENT
 from .compare import ROUND_OFF, difference
 from .manifest import sha256_of
 
@@ -31,7 +32,7 @@ def compared_regions(directory: Path, ledger: Ledger, certificate: Certificate) 
     found, recorded = campaign_regions(ledger), certificate.predicate.regions
     if found is None or recorded is None:
         one = "the certificate" if recorded else "the evidence" if found else None
-        return one and f"{one} alone gives regions", "no regions"
+        return one and f"{one} alone gives regions", ABSENT["regions"]
     fixed, written = (each.model_dump(exclude=set(OF_BOXES)) for each in (found.document, recorded))
     claimed = [claim.bound for claim in certificate.predicate.claims if claim.quantity == "safe_share"]
     fault = difference(fixed, written, "regions", tolerance=ROUND_OFF) or difference(

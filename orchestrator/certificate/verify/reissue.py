@@ -9,7 +9,7 @@ from ....schemas.requirements import parts_of
 from ...campaign.ledger import observed_discards
 from ..issue import issue, manifest
 from . import compare
-from .checks import plural
+from .checks import ABSENT, plural
 from .compare import ROUND_OFF
 from .rerun import Rerun
 
@@ -28,9 +28,10 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
     _drop_later_keys(header, recomputed["problems"])
     problems, claims = len(recomputed["problems"]), len(recomputed["claims"])
     composition = recomputed["composition"]
-    starts = (recomputed["spot_check"] or {"starts": 0})["starts"]
-    repeated = (recomputed["recheck"] or {"rollouts": 0})["rollouts"]
-    rule = "no composition" if composition is None else f"rule {composition['rule']}"
+    spot_check, recheck = recomputed["spot_check"], recomputed["recheck"]
+    starts = ABSENT["spot check"] if spot_check is None else plural(spot_check["starts"], "start")
+    repeated = ABSENT["recheck"] if recheck is None else plural(recheck["rollouts"], "rollout")
+    rule = ABSENT["composition"] if composition is None else f"rule {composition['rule']}"
     for name, part, tolerance, detail in (
         # Parameters were fixed beforehand, so they are equal; only computed numbers have a tolerance.
         ("problems", _parameters_of, 0.0, ""),
@@ -44,8 +45,8 @@ def compared(header: Header, reissued: Certificate, certificate: Certificate) ->
         ("probabilities", _probabilities_of, ROUND_OFF, f"problems: {problems}, claims: {claims}"),
         ("composition", lambda side: side["composition"], ROUND_OFF, rule),
         ("spot check", lambda side: _without_wealth(side["spot_check"]), ROUND_OFF, ""),
-        ("spot check", lambda side: side["spot_check"], compare.SIX_DIGITS, plural(starts, "start")),
-        ("recheck", lambda side: side["recheck"], ROUND_OFF, plural(repeated, "rollout")),
+        ("spot check", lambda side: side["spot_check"], compare.SIX_DIGITS, starts),
+        ("recheck", lambda side: side["recheck"], ROUND_OFF, repeated),
         ("claims", lambda side: side["sensitivity"], ROUND_OFF, ""),
         (
             "claims",

@@ -52,6 +52,8 @@ class Verification:
     checks: Checks
     certificate: Certificate | None
     reissued: Certificate | None
+    header: Header | None = None
+    """Of the campaign, if it was readable."""
 
     def __repr__(self) -> str:
         """Return the result, and the number of checks of each status."""
@@ -85,16 +87,19 @@ def verify_certificate(
         PerfboundError: there is no certificate, or the key cannot be read.
 
     """
-    given, checks, certificate, reissued = VerificationInput.of(path), Checks(), None, None
+    given, checks, certificate, reissued, header = VerificationInput.of(path), Checks(), None, None, None
     try:
         certificate = parsed(signed_text(given, key, checks), checks)
-        reissued = _evidence(given.directory, certificate, checks, Again(again, system), report)
+        reissued, header = _evidence(given.directory, certificate, checks, Again(again, system), report)
     except CheckFailed as failed:
         checks.failed(failed.name, str(failed))
-    return Verification(checks, certificate, reissued)
+    return Verification(checks, certificate, reissued, header)
 
 
-def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: Again, report: Report) -> Certificate:
+def _evidence(
+    directory: Path, certificate: Certificate, checks: Checks, again: Again, report: Report
+) -> tuple[Certificate, Header]:
+    """Make the checks of the evidence; return the reissued certificate, and the header of the campaign."""
     with checks.making("header"):
         header = _header(directory, certificate, checks)
     with checks.making("manifest"):
@@ -131,7 +136,7 @@ def _evidence(directory: Path, certificate: Certificate, checks: Checks, again: 
         else:
             simulate = partial(_simulate, header, again.system)
             _resimulation(directory, entries, again.rollouts, simulate, checks=checks, report=report)
-    return reissued
+    return reissued, header
 
 
 def _header(directory: Path, certificate: Certificate, checks: Checks) -> Header:

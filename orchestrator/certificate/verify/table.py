@@ -6,14 +6,18 @@ from rich.console import Console
 from rich.table import Table as Lines
 from rich.text import Text
 
+from ...store.export_tables import robustness_unit
 from .. import text
+from ..console_lines import heading
+from ..named_starts import parameter_units, with_named_starts
 from .run import Verification
 
+REFUTED = "its claim is REFUTED, do not rely on it"
 COLOURS = {"passed": "green", "failed": "bold red", "skipped": "yellow"}
 
 
 def print_verification(found: Verification, console: Console) -> None:
-    """Print every check; then the first claim, and the assumptions in the words of this perfbound."""
+    """Print every check, the first claim, the assumptions in the words of this perfbound, and the result last."""
     lines = Lines(box=None, pad_edge=False, header_style="bold")
     lines.add_column("check")
     lines.add_column("", no_wrap=True)
@@ -23,15 +27,24 @@ def print_verification(found: Verification, console: Console) -> None:
         meaning.append(f"\n{check.detail}", "bold red" if check.status == "failed" else "dim")
         lines.add_row(check.name, Text(check.status, COLOURS[check.status]), meaning)
     console.print(lines)
+    if found.checks.good and found.certificate is not None and found.reissued is not None:
+        spec = found.header and found.header.spec
+        unit = robustness_unit(found.header.config, found.header.spec) if found.header else ""
+        text.first_claim(found.certificate, console, unit)
+        text.print_assumptions(with_named_starts(found.reissued, parameter_units(spec) if spec else {}), console)
+    result = _conclusion(found)
+    heading(console, result, "bold" if found.checks.good and REFUTED not in result else "bold red")
+
+
+def _conclusion(found: Verification) -> str:
+    """Return whether the certificate is verified, by how many checks, and what that does not say of its claim."""
     counts = {status: sum(check.status == status for check in found.checks.lines()) for status in COLOURS}
     good, signature = found.checks.good, found.checks.found.get("signature")
     signed = signature is not None and signature.status == "passed"
     verdict = f"VERIFIED{'' if signed else ' (the signature was not checked)'}" if good else "NOT VERIFIED"
     total = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
-    console.print(Text(f"\n{verdict}: {total}", "bold" if good else "bold red"))
-    if good and found.certificate is not None and found.reissued is not None:
-        text.first_claim(found.certificate, console)
-        text.print_assumptions(found.reissued, console)
+    refuted = good and found.certificate is not None and found.certificate.predicate.claims[0].refuted
+    return f"{verdict}: {total}{f'; {REFUTED}' if refuted else ''}"
 
 
 def as_json(found: Verification) -> str:

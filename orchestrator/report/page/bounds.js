@@ -30,7 +30,7 @@ function observedBesideBounds(problem) {
   return observesRobustness(problem) && problem.sense === "max" ? y.map(() => null) : y;
 }
 
-function boundFigure(problem, index) {
+function boundFigure(report, problem, index) {
   const has = (values) => values.some((value) => value !== null);
   const { lower, upper } = problem.tests;
   const names = boundNames(problem);
@@ -48,7 +48,7 @@ function boundFigure(problem, index) {
       has(observed) ? legendItem("key.observed", `observed value of each test${violates ? " (red: below 0, a violation)" : ""}`) : null,
     ),
     el(`p.readout#read-bound-${index}`, { "data-keep": true }, "Point at the chart to read the values of a test."),
-    caption(boundCaption(problem)),
+    caption(boundCaption(report, problem)),
   );
 }
 
@@ -59,7 +59,7 @@ function boundTitle(problem) {
 }
 
 /** What the chart of the bounds shows, where the problem stopped and why, and what is outside of the picture. */
-function boundCaption(problem) {
+function boundCaption(report, problem) {
   const { unit, bound, observed } = problem;
   const side = problem.sense === "max" ? "<=" : ">=";
   const { required } = problem.charts;
@@ -67,9 +67,7 @@ function boundCaption(problem) {
   if (problem.requirement !== null) sentences.push("Each dot is the value of this requirement in one test; its bounds after each test are not recorded, only the last one.");
   else sentences.push(`Each point of the thick line is what the method could claim if the campaign ended with that test.`);
   if (bound !== null && problem.stopped_by !== "refuted") {
-    const meets = problem.sense === "max" ? bound <= required : bound >= required;
-    const compared = required === null ? "" : meets ? `, and meets the requirement of ${SIGN[side]} ${quantity(required, unit)}` : `, and does not meet the requirement of ${SIGN[side]} ${quantity(required, unit)}`;
-    sentences.push(`The ${problem.stopped_by === null ? "current" : "final"} bound is ${SIGN[side]} ${boundText(bound, side, unit)}${compared}.`);
+    sentences.push(`The ${problem.stopped_by === null ? "current" : "final"} bound is ${SIGN[side]} ${boundText(bound, side, unit)}${comparedBound(report, problem, side)}.`);
   }
   const instead = claimedInstead(problem);
   if (instead) sentences.push(instead);
@@ -78,6 +76,17 @@ function boundCaption(problem) {
   const cut = cutBounds(problem);
   if (cut !== null) sentences.push(cut);
   return sentences.join(" ");
+}
+
+/** How a bound compares with what is required, unless the data say otherwise. */
+function comparedBound(report, problem, side) {
+  const { bound, unit, charts: { required } } = problem;
+  if (problem.refuted) return ", and REFUTED by the data: do not rely on it";
+  if (required === null) return "";
+  const limit = `the requirement of ${SIGN[side]} ${quantity(required, unit)}`;
+  const meets = problem.sense === "max" ? bound <= required : bound >= required;
+  if (!meets) return `, and does not meet ${limit}`;
+  return report.verdict?.word === "VIOLATED" ? `, beyond ${limit}; but the verdict is VIOLATED` : `, and meets ${limit}`;
 }
 
 /** Least and greatest value of the chart of the bounds: early bounds that say little must not flatten all others. */
@@ -144,7 +153,7 @@ function boundLevels(problem) {
   const levels = clip.filter((value) => value !== null).map((value) => ({ value, label: `clip ${num(value)}`, colour: "muted", dash: [2, 4] }));
   if (required !== null) levels.push({ value: required, label: `required ${num(required)}`, colour: "red", dash: [7, 4], wide: true });
   if (ofRobustness && required !== 0) levels.push({ value: 0, label: "violated below 0", colour: "red", dash: [2, 3] });
-  if (problem.bound !== null) levels.push({ value: problem.bound, label: `${problem.stopped_by === "refuted" ? "refuted" : "bound"} ${outward(problem.bound, side)}`, colour: "blue" });
+  if (problem.bound !== null) levels.push({ value: problem.bound, label: `${problem.refuted || problem.stopped_by === "refuted" ? "refuted" : "bound"} ${outward(problem.bound, side)}`, colour: "blue" });
   return levels;
 }
 

@@ -13,12 +13,14 @@ function counterexampleSection(report) {
     const text = report.specification === null ? "Not applicable: the campaign has no specification." : none;
     return el("section#counterexamples", { "data-violations": 0 }, head, el("p", text));
   }
-  const after = later ? `, and ${count(later)} after the campaign` : "";
+  // A recheck repeats rollouts that have been counted.
+  const checked = allRollouts(report) - (report.closing_rollouts.recheck ?? 0);
+  const after = later ? `: ${count(violations - later)} of the ${count(report.rollouts)} for the bounds, and ${count(later)} after the campaign` : "";
   return el(
     "section#counterexamples",
     { "data-violations": violations },
     head,
-    el("p", el("strong.bad", plural(violations - later, "rollout")), ` of ${count(report.rollouts)} violated the specification (robustness below 0)${after}. Complete list: `, el("a", { href: "counterexamples.csv" }, "counterexamples.csv"), "."),
+    el("p", el("strong.bad", plural(violations, "rollout")), ` of ${count(checked)} violated the specification (robustness below 0)${after}. Complete list: `, el("a", { href: "counterexamples.csv" }, "counterexamples.csv"), "."),
     report.violating ? violatingGroups(report, report.violating) : rolloutList(report, report.counterexamples),
   );
 }

@@ -13,6 +13,7 @@ function drawMap(canvas, view) {
   ({ lattice: drawLattice, starts: drawStarts, profile: drawProfile })[model.kind](context, model);
   drawAxes(context, model);
   drawDots(context, model);
+  drawFailing(context, model);
   drawCrosshair(context, model);
   mapModels.set(canvas, model);
   const { problem, series, chosen } = model;
@@ -228,6 +229,23 @@ function drawDots(context, { kind, band, dots, box, problem }) {
     const name = [dot.first && "first", dot.last && "last"].filter(Boolean).join(", ");
     if (name) drawName(context, name, dot.at, dot.radius + (own ? 9 : 4) + (dot.selected ? 8 : 0), box);
   }
+}
+
+/** Draw the fresh starts that fail as crosses, the worst one on top. */
+function drawFailing(context, { failing }) {
+  for (const { at: [x, y], worst, off } of [...failing].reverse()) {
+    const reach = worst ? 7 : 5;
+    context.globalAlpha = off ? 0.5 : 1;
+    context.lineCap = "round";
+    for (const [colour, width] of [[WHITE, 5], [worst ? BLACK : WORST, worst ? 4 : 2.5], [WORST, 2.2]]) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      line(context, x - reach, y - reach, x + reach, y + reach);
+      line(context, x - reach, y + reach, x + reach, y - reach);
+    }
+  }
+  context.lineCap = "butt";
+  context.globalAlpha = 1;
 }
 
 function circle([x, y], radius) {

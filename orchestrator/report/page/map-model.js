@@ -39,6 +39,15 @@ function sortedRows(report, problem) {
     .sort((a, b) => sign * (y[a] - y[b]) || withCurves.has(test[b]) - withCurves.has(test[a]) || test[a] - test[b]);
 }
 
+/** Whether the worst observed value is that of a fresh start, and of no test. */
+function freshIsWorst(report, problem) {
+  const [fresh] = problem.charts.failing;
+  const [row] = worstFirst(report, problem);
+  if (!fresh || row === undefined) return Boolean(fresh);
+  const { y } = problem.tests;
+  return problem.sense === "max" && !observesRobustness(problem) ? fresh.value > y[row] : fresh.value < y[row];
+}
+
 /** The axes of a report that a choice of axes names by their numbers. */
 function axesOf(report, chosen) {
   return chosen.map((k) => report.axes[k]);
@@ -127,6 +136,7 @@ function mapModel(view, width) {
   const model = {
     ...over, ...at, nodes,
     dots: markedDots({ ...over, nodes }, at),
+    failing: failingMarks(over, at),
     scale: colourScale(over),
     region: view.kind === "lattice" && band ? worstRegion(band) : null,
   };
@@ -164,7 +174,7 @@ function parameterRange({ low, high }, nodes) {
 
 /** The values of a profile: of all tests and of the mean, and of the band as far as it does not flatten them. */
 function profileRange(band, { tests, charts, bound }) {
-  const core = extent(tests.y, band?.mean ?? [], [bound, charts.required, charts.of_robustness ? 0 : null]) ?? [0, 1];
+  const core = extent(tests.y, band?.mean ?? [], charts.failing.map(({ value }) => value), [bound, charts.required, charts.of_robustness ? 0 : null]) ?? [0, 1];
   const all = extent(core, ...(band ? [band.lower, band.upper] : []));
   const reach = core[1] - core[0] || 1;
   const [low, high] = [Math.max(all[0], core[0] - reach), Math.min(all[1], core[1] + reach)];
@@ -226,6 +236,19 @@ function markedDots(view, { toX, toY, rangeY }) {
   }));
 }
 
+/** The fresh starts that fail, with their pixels; `off` are those beside the plane of the map. */
+function failingMarks(view, { toX, toY }) {
+  const { problem, report, kind, chosen, band } = view;
+  const fresh = freshIsWorst(report, problem);
+  const inPlane = planeTest({ report, problem: { tests: { x: problem.charts.failing.map(({ x }) => x) } }, band, chosen });
+  return problem.charts.failing.map((each, k) => ({
+    ...each,
+    at: [toX(each.x[chosen[0]]), toY(kind === "profile" ? each.value : each.x[chosen[1]])],
+    worst: fresh && k === 0,
+    off: !inPlane(k),
+  }));
+}
+
 /** The radius of a dot of so many tests, where `most` have been made at one of `dots` starts. */
 function dotRadius(tests, most, dots) {
   const least = dots > MANY_DOTS ? 2 : 3; // many starts would cover one another
@@ -238,12 +261,13 @@ function marked({ report, problem, selected, pointed }, dots) {
   const [worst] = worstFirst(report, problem);
   const violations = violating(report, problem);
   const colour = observedColour(report, problem);
+  const fresh = freshIsWorst(report, problem);
   return dots.map((dot) => ({
     ...dot,
     colour: colour(y[dot.rows[0]]),
     first: dot.rows.includes(0),
     last: dot.rows.includes(test.length - 1),
-    worst: dot.rows.includes(worst),
+    worst: !fresh && dot.rows.includes(worst),
     violates: dot.rows.some((row) => violations.has(test[row])),
     selected: dot.rows.some((row) => test[row] === selected),
     pointed: dot.rows.includes(pointed),

@@ -29,7 +29,7 @@ function problemSection(report, index, shown, selected) {
       el("div", problem.drawn ? histogramFigure(problem.drawn, `histogram-${index}`) : null, requirementTable(problem), boundedRequirements(report, problem), parallelFigure(report, index), kind === null ? null : mapFigure(report, index, kind, shown), bars, predictionFigure(problem, index), wide ? null : importanceFigure(report, problem)),
       el(
         "div",
-        boundFigure(problem, index),
+        boundFigure(report, problem, index),
         decayFigure(problem, index),
         wide ? importanceFigure(report, problem) : null,
         rolloutFigure(problem, index),
@@ -49,7 +49,7 @@ function boundedRequirements(report, problem) {
     return el(
       "tr",
       el("th", { scope: "row" }, nameElement(each.requirement, 40)),
-      el("td", each.bound === null ? null : `${SIGN[">="]} ${boundText(each.bound, ">=", each.unit)}`),
+      el("td", each.bound === null ? null : refutedBound(each, `${SIGN[">="]} ${boundText(each.bound, ">=", each.unit)}`)),
       el("td", each.partner === null ? null : `${SIGN["<="]} ${boundText(each.partner, "<=", each.unit)}`),
       el("td", each.stopped_by === null ? "open" : STOPPED[each.stopped_by] ?? short(each.stopped_by)),
       el("td", id === null ? null : el("button", { "data-test": id, "data-select": id }, quantity(each.tests.y[worst], each.unit))),
@@ -63,14 +63,19 @@ function boundedRequirements(report, problem) {
   );
 }
 
+/** A bound in words, with the mark of a refuted one. */
+function refutedBound(problem, text) {
+  return problem.refuted && text !== null ? [el("s", text), " ", el("strong.bad", "REFUTED")] : text;
+}
+
 /** The key numbers of a problem. */
 function problemFacts(problem) {
   const [sense, opposite] = problem.sense === "max" ? ["<=", ">="] : [">=", "<="];
   const bounded = (value, side, unit) => (value === null ? null : sentence(`${side} ${boundText(value, side, unit)}`));
   const facts = [
-    ["Bound", bounded(problem.bound, sense, problem.unit) ?? "none yet"],
+    ["Bound", refutedBound(problem, bounded(problem.bound, sense, problem.unit)) ?? "none yet"],
     [problem.method === "scenario" ? "Limit of the bound" : "Opposite bound", bounded(problem.partner, opposite, problem.unit)],
-    ["Probability", bounded(problem.probability, ">=", "")],
+    ["Probability", problem.refuted ? "none: an assumption is refuted" : problem.probability === 1 ? "certain, if its assumptions hold" : bounded(problem.probability, ">=", "")],
     ["Tests", `${count(problem.observed)} of at most ${count(problem.budget)}`],
     ["Rollouts", count(problem.rollouts)],
     ["Samples that violate the specification", problem.drawn ? `${count(problem.drawn.violations)} of ${count(samplesOf(problem))}` : null],
@@ -116,7 +121,7 @@ function mapCaption(report, problem, kind, band, { series, chosen }) {
     profile: `The curve is the mean of the model of the ${name}, the band what the method allows; dots are tests.`,
   }[kind];
   const plane = band.shape && report.axes.length > 2 ? ` ${planeText(report, band, chosen)}` : "";
-  return [shown + plane, requirementText(problem, kind === "profile" ? null : extent(band[series])), overshootText(problem, series, kind), bandText(band)].filter(Boolean).join(" ");
+  return [shown + plane, requirementText(problem, kind === "profile" ? null : extent(band[series])), failingText(problem), overshootText(problem, series, kind), bandText(problem, band)].filter(Boolean).join(" ");
 }
 
 /** The value that a problem is compared with: what is required, or for a robustness the border of the specification. */
@@ -131,9 +136,21 @@ function requirementText(problem, range) {
   if (limit === null || range === null) return "";
   const [value, name] = limit;
   const text = `${name} ${quantity(value, problem.unit)}`;
-  if (value < range[0]) return `All colours are above ${text}.`;
-  if (value > range[1]) return `All colours are below ${text}.`;
-  return `The line across the colour bar is ${text}.`;
+  const but = problem.refuted ? ", but these are numbers of a refuted model" : "";
+  if (value < range[0]) return `All colours are above ${text}${but}.`;
+  if (value > range[1]) return `All colours are below ${text}${but}.`;
+  return `The line across the colour bar is ${text}${but}.`;
+}
+
+/** What the crosses of a map are; empty where there are none. */
+function failingText(problem) {
+  const { failing } = problem.charts;
+  if (!failing.length) return "";
+  const violating = failing.filter((each) => each.violations).length;
+  const contradicting = failing.filter((each) => each.contradicts).length;
+  const parts = [violating ? `at ${plural(violating, "fresh start")} of the spot check rollouts violate the specification` : null, contradicting ? `at ${plural(contradicting, "fresh start")} the bound is refuted` : null];
+  const text = parts.filter(Boolean).join(", and ");
+  return `The crosses are no tests of this problem: ${text}.`;
 }
 
 /** Where the model goes beyond what a rollout can be. */
@@ -143,8 +160,8 @@ function overshootText({ charts: { overshoots, clip }, unit }, series, kind) {
   return `At ${percent(overshoots)} of the candidates the model goes beyond the clip (${ends}), as no rollout can; its mean is cut there.`;
 }
 
-function bandText(band) {
-  return band?.band ? `Lower and upper bounds are ${sentence(band.band, 400)}.` : "";
+function bandText(problem, band) {
+  return band?.band ? `Lower and upper bounds ${problem.refuted ? "would be" : "are"} ${sentence(band.band, 400)}${problem.refuted ? ", which the data refute" : ""}.` : "";
 }
 
 /** Where a plane is in the other parameters. */
@@ -170,13 +187,15 @@ function seriesSwitch(problem, band, series) {
 function mapLegend(report, problem, kind, band, chosen) {
   const worst = band?.worst ?? [];
   const excludesNone = worst.length > 0 && worst.every(Boolean) && kind !== "starts";
-  const meaning = { lattice: "the worst start may be on the side of the ticks", starts: "thick edge: possible worst start", profile: "possible worst start" }[kind];
+  const model = problem.refuted ? "by the refuted model " : "";
+  const meaning = { lattice: `${model}the worst start may be on the side of the ticks`, starts: `thick edge: ${model}possible worst start`, profile: `${model}possible worst start` }[kind];
   return el(
     "ul.legend",
     ownDots(kind, band) ? legendItem("mark.dot", "listed start, larger where tested more often") : sizeLegend(dotsOf(report, problem, chosen)),
     band ? null : observedLegend(report, problem),
     violating(report, problem).size ? legendItem("mark.violates", "violates the specification") : null,
-    legendItem("mark.worst", "worst observed"),
+    problem.charts.failing.length ? legendItem("mark.failing", "fresh start of the spot check that fails") : null,
+    legendItem(freshIsWorst(report, problem) ? "mark.failing.worst-fresh" : "mark.worst", "worst observed"),
     legendItem("mark.ring", "selected test"),
     worst.some(Boolean) && !excludesNone ? (kind === "lattice" ? el("li", el("span.mark.outline", tickedLine()), meaning) : legendItem(`mark.region-${kind}`, meaning)) : null,
     kind === "profile" ? legendItem("mark.band", "mean and band") : null,
@@ -232,7 +251,7 @@ function startBars(report, index, alone) {
     order.length > MOST_BARS ? el("p.muted", `${order.length - MOST_BARS} starts with better bounds are not shown.`) : null,
     barScale(range, marks),
     el("ul.legend", legendItem("key.open", "possible worst start"), legendItem("key.interval", "excluded"), legendItem("key.mean", "mean; a bar with one bound only ends here")),
-    caption([`Each bar is a start, from its lower to its upper bound; starts of pale bars cannot be the worst any more.`, overshootText(problem, "mean", "profile"), alone ? bandText(band) : ""].filter(Boolean).join(" ")),
+    caption([`Each bar is a start, from its lower to its upper bound; starts of pale bars cannot be the worst any more.`, overshootText(problem, "mean", "profile"), alone ? bandText(problem, band) : ""].filter(Boolean).join(" ")),
   );
 }
 
@@ -271,8 +290,26 @@ function worstTests(report, problem, selected) {
       ),
     );
   };
-  const list = dots.slice(0, MOST_WORST).map(item);
-  return el("div.worst", el("h3", "Worst tests, one per start"), list.length ? el("ol", list) : el("p.muted", "No test observed yet."));
+  const sign = problem.sense === "max" && !observesRobustness(problem) ? -1 : 1;
+  const tested = dots.slice(0, MOST_WORST).map((dot) => [sign * y[dot.rows[0]], () => item(dot)]);
+  const fresh = problem.charts.failing.slice(0, MOST_WORST).map((each) => [sign * each.value, () => freshItem(report, problem, each, selected)]);
+  const list = [...fresh, ...tested].sort((a, b) => a[0] - b[0]).slice(0, MOST_WORST).map(([, make]) => make());
+  return el("div.worst", el("h3", fresh.length ? "Worst tests and fresh starts, one per start" : "Worst tests, one per start"), list.length ? el("ol", list) : el("p.muted", "No test observed yet."));
+}
+
+/** A fresh start that fails, in the list of the worst tests. */
+function freshItem(report, problem, { x, series, test, value, rollouts, violations }, selected) {
+  const id = `${series}:${test}`;
+  const found = violations ? `${count(violations)} of ${plural(rollouts, "rollout")} below 0` : plural(rollouts, "rollout");
+  const start = place(x, report.axes);
+  return el(
+    "li",
+    el(
+      "button",
+      { "data-test": id, "data-select": id, "aria-current": selected?.problem === series && selected.test === test ? "true" : null },
+      el("b.bad", quantity(value, observedUnit(problem))), el("span", `${words(series)} ${test}`), el("span.muted.start", { title: start }, `${start}; ${found}`),
+    ),
+  );
 }
 
 /** The unit of what a test observes, which is not that of its bound where that is a probability. */

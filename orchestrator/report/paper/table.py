@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ....schemas.certificate import Predicate
-from ...certificate.text import outward
+from ...certificate.bound_text import outward
 from .published import TABLE, THEOREM_2, Printed
 from .study import DIRECT, FUNCTION, PAPER, RIGOROUS, SCENARIO
 from .table_text import csv_text, markdown

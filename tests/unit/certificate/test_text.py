@@ -1,12 +1,15 @@
 import io
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from rich.console import Console
 
 from perfbound.orchestrator.certificate import text as summary
-from perfbound.orchestrator.certificate.text import outward
+from perfbound.orchestrator.certificate.bound_text import outward
+from perfbound.orchestrator.certificate.counterexample import counterexample_words
 from perfbound.orchestrator.cli.result import print_files
+from perfbound.orchestrator.report.claim_data import assumption_row
 from perfbound.orchestrator.report.wording import claim_sentence
 from perfbound.orchestrator.run.progress import Plain
 from perfbound.schemas.certificate import (
@@ -15,10 +18,13 @@ from perfbound.schemas.certificate import (
     Certificate,
     CertificateClaim,
     CompositionTerms,
+    Counterexample,
     Evidence,
     Predicate,
     ProblemResult,
     Rollouts,
+    SpotCheck,
+    SpotCheckedProblem,
 )
 
 
@@ -218,3 +224,70 @@ def test_a_term_that_is_subtracted_has_one_sign() -> None:
     predicate = certificate.predicate.model_copy(update={"composition": composition})
     lines = printed(certificate.model_copy(update={"predicate": predicate}))
     assert "       = -1.5800 (nominal) + 1.5300 (gap) - 0.0080 (risk)" in lines
+
+
+def changed(certificate: Certificate, **update: object) -> Certificate:
+    """Return a certificate with a changed first claim and problem, and with other parts of its predicate."""
+    predicate = certificate.predicate
+    parts = {key: value for key, value in update.items() if key in type(predicate).model_fields}
+    others = {key: value for key, value in update.items() if key not in parts}
+    claims = tuple(each.model_copy(update=others) for each in predicate.claims)
+    problems = tuple(each.model_copy(update=others) for each in predicate.problems)
+    found = predicate.model_copy(update={"claims": claims, "problems": problems, **parts})
+    return certificate.model_copy(update={"predicate": found})
+
+
+def test_certainty_is_that_of_the_assumptions_and_no_number() -> None:
+    """What rests on them may be false: "probability at least 1.0000" was printed beside REFUTED."""
+    assumptions = [Assumption(id=name, status="assumed", detail="so.") for name in ("kernel/maximum", "clip/maximum")]
+    certain = changed(a_certificate(*assumptions), probability=1.0)
+    lines = printed(certain)
+    assert "       certain, if its 2 assumptions hold (method paper)" in lines
+    assert "    max over d of E[column] <= 0.5001, certain, if its assumptions hold" in lines
+    assert "1.0000" not in "\n".join(lines)
+    (claim,) = certain.predicate.claims
+    assert claim_sentence(claim).endswith(" ≤ 0.5001, certain, if its 2 assumptions hold")
+    both = certain.predicate.model_copy(update={"claims": (claim, claim)})
+    assert summary.other_claims(both, "", 3)[0].endswith(" <= 0.5001, certain, if its 2 assumptions hold")
+
+
+def test_a_start_has_the_names_and_units_of_its_parameters() -> None:
+    detail = "at the start (55.265, 3.49781) of the spot check the value is beyond the bound 2.5."
+    values: dict[str, int | float | str] = {"limit": 2.5, "start": "55.265, 3.49781"}
+    given = a_certificate(Assumption(id="rkhs_norm/maximum", status="refuted", detail=detail, values=values))
+    console = Console(file=io.StringIO(), width=200)
+    summary.print_certificate(given, console, units={"temp": "K", "load": "1"})
+    assert isinstance(console.file, io.StringIO)
+    assert "at the start (temp = 55.265 K, load = 3.49781) of the spot check" in console.file.getvalue()
+    assert given.predicate.assumptions[0].detail == detail, "the certificate keeps its bytes"
+    row = assumption_row(given.predicate.assumptions[0], {"temp": "K", "load": "1"})
+    assert row.detail.startswith("At the start (temp = 55.265 K, load = 3.49781)")
+
+
+def test_a_counterexample_has_the_order_and_the_units_of_the_parameters() -> None:
+    """Keys of a certificate are sorted."""
+    found = Counterexample(
+        rollout="robustness.5.nominal.0", test=5, rollouts=1, start={"load": 3.1, "temp": 55.4}, seed=7, robustness=-0.5
+    )
+    words = counterexample_words(found, "N", {"temp": "K", "load": "kg"})
+    assert "robustness -0.5000 N at temp = 55.4 K, load = 3.1 kg, seed 7" in words
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "says"),
+    [
+        (0, "not refuted", "not refuted, 0 of 299 fresh starts are beyond it; with this confidence at most 4.3523 %"),
+        (1, "refuted", "REFUTED, 1 of 299 fresh starts is beyond it; with this confidence at most 4.3523 %"),
+    ],
+)
+def test_the_spot_check_has_whole_sentences(number: int, status: Literal["refuted", "not refuted"], says: str) -> None:
+    problem = SpotCheckedProblem(
+        name="robustness", status=status, limit=2.5, noisy=False, rollouts=299, violations=number,
+        violated_share=0.0435222, start=None, wealth=None, undecided=None,
+    )  # fmt: skip
+    spot = SpotCheck(
+        starts=299, rollouts=Rollouts(nominal=299, true=0), level=0.05, failures=None, failure_probability=None,
+        most_starts=None, problems=(problem,),
+    )  # fmt: skip
+    _, sentence = summary.check_sentences(changed(a_certificate(), spot_check=spot).predicate)
+    assert sentence == f"Bound of robustness: {says} of the box is."

@@ -181,6 +181,15 @@ def test_a_refuted_claim_shows_nothing(tmp_path: Path) -> None:
     assert "perfbound calibrate" in found.advice[0]
 
 
+def test_a_refuted_claim_holds_with_no_probability(tmp_path: Path) -> None:
+    refuted = {**RIGOROUS, "rkhs_norm": 0.1, "prior_mean": 0.0, "noise_scale": 0.01}
+    found = verdict(
+        tmp_path, refuted, shifted(0.0, noisy=0.01), noisy=True, clip=[-1.0, 2.0], required_probability=0.99
+    )
+    assert "Do not rely on" in found.reasons[0]
+    assert found.reasons[-1] == "Its probability would be 0.9500, and 0.99 is required."
+
+
 def test_a_refuted_claim_does_not_hide_a_violation(tmp_path: Path) -> None:
     found = verdict(tmp_path, {**RIGOROUS, "rkhs_norm": 0.1, "prior_mean": 0.0}, shifted(-0.9))
     assert found.verdict == "VIOLATED"

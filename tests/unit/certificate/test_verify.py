@@ -22,7 +22,7 @@ from perfbound.orchestrator.certificate import files, keys, sign
 from perfbound.orchestrator.certificate.issue import issue, manifest
 from perfbound.orchestrator.certificate.verify import compare
 from perfbound.orchestrator.certificate.verify import table as show
-from perfbound.orchestrator.certificate.verify.checks import CHECKS, Checks
+from perfbound.orchestrator.certificate.verify.checks import ABSENT, CHECKS, Checks
 from perfbound.orchestrator.certificate.verify.manifest import parse_manifest
 from perfbound.orchestrator.certificate.verify.rerun import Rerun
 from perfbound.orchestrator.certificate.verify.run import Verification, verify_certificate
@@ -44,6 +44,7 @@ from tests.campaigns import table
 from tests.fakes.puppets import Stage
 
 TESTS = 8
+RULES_1 = Path(__file__).parents[2] / "fixtures" / "rules-1"
 
 
 def shortened(name: str, tests: int = TESTS, **changes: Any) -> CampaignConfig:
@@ -89,6 +90,17 @@ def failed(directory: Path, key: Path | None = None) -> list[str]:
     return [line.name for line in check(directory, key).lines() if line.status == "failed"]
 
 
+def skipped(found: Checks) -> set[str]:
+    return {line.name for line in found.lines() if line.status == "skipped"}
+
+
+def absent(directory: Path) -> set[str]:
+    """Return the checks of parts that a certificate does not have."""
+    found = files.read(directory)
+    assert found is not None
+    return {name for name in ABSENT if getattr(found.predicate, name.replace(" ", "_")) is None}
+
+
 # Untouched
 
 
@@ -98,7 +110,30 @@ def test_an_honest_campaign_passes_everything(name: str, tmp_path: Path) -> None
     config = shortened(name, 26 if name == "segway-scenario" else TESTS, **changes)
     found = check(run(tmp_path / "run", config))
     assert {line.name: line.detail for line in found.lines() if line.status == "failed"} == {}
-    assert {line.name for line in found.lines() if line.status == "skipped"} == {"signature", "resimulation"}
+    assert skipped(found) == {"signature", "resimulation"} | absent(tmp_path / "run")
+
+
+def test_a_check_of_nothing_did_not_pass(tmp_path: Path) -> None:
+    one = Path(shutil.copytree(RULES_1 / "scenario-list", tmp_path / "run"))
+    assert skipped(check(one)) >= absent(one) == set(ABSENT)
+
+
+def test_the_result_is_last_and_does_not_hide_a_refuted_claim(campaign: Path, tmp_path: Path) -> None:
+    def printed(directory: Path) -> list[str]:
+        found = verify_certificate(directory, key=None, again=0, report=lambda *_: None)
+        console = Console(file=io.StringIO(), width=100)
+        show.print_verification(found, console)
+        assert isinstance(console.file, io.StringIO)
+        return console.file.getvalue().splitlines()
+
+    claim = next(line for line in printed(campaign) if line.startswith("CLAIM"))
+    assert claim.endswith(" rad"), "the unit of the robustness"
+    refuted, good = (
+        printed(Path(shutil.copytree(RULES_1 / name, tmp_path / name)))[-1] for name in ("paper-pair", "scenario-list")
+    )
+    assert refuted.startswith("VERIFIED (the signature was not checked): ")
+    assert refuted.endswith("skipped; its claim is REFUTED, do not rely on it")
+    assert good.endswith("skipped")
 
 
 def test_a_certificate_of_an_earlier_perfbound() -> None:
@@ -116,7 +151,7 @@ def test_verifying_changes_nothing(campaign: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("gone", "skipped"),
+    ("gone", "more"),
     [
         (["bounds", "observations"], set()),
         (["bounds", "observations", "rollouts"], set()),
@@ -124,13 +159,13 @@ def test_verifying_changes_nothing(campaign: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("drop", [True, False])
-def test_the_evidence_alone_is_enough(campaign: Path, gone: list[str], skipped: set[str], *, drop: bool) -> None:
+def test_the_evidence_alone_is_enough(campaign: Path, gone: list[str], more: set[str], *, drop: bool) -> None:
     with editing(campaign) as database:
         for name in gone:
             database.execute(f"DROP TABLE {name}" if drop else f"DELETE FROM {name}")
     found = check(campaign)
     assert found.good
-    assert {line.name for line in found.lines() if line.status == "skipped"} == {"signature", "resimulation"} | skipped
+    assert skipped(found) == {"signature", "resimulation"} | absent(campaign) | more
 
 
 # The database

@@ -1,6 +1,7 @@
 """The list of campaigns: states, verdicts, order, search, and a damaged one among them."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import robustness, simulate
 
+FIXTURES = Path(__file__).parents[2] / "fixtures" / "rules-1"
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
 
 
@@ -53,6 +55,16 @@ def test_columns_are_aligned_and_ages_said(folder: Path) -> None:
     assert [row[place:].split()[0] for row in rows[:2]] == ["SHOWN", "VIOLATED"]
     assert rows[0].endswith("1 min 0 s ago")
     assert all(row[place - 2 : place] == "  " for row in rows)
+
+
+def test_a_refuted_bound_does_not_look_like_a_good_one(tmp_path: Path) -> None:
+    shutil.copytree(FIXTURES / "paper-pair", tmp_path / "refuted")
+    shutil.copytree(FIXTURES / "scenario-list", tmp_path / "good")
+    found = {each.directory.name: each for each in campaigns_below(tmp_path)}
+    assert (found["refuted"].refuted, found["good"].refuted) == (True, False)
+    _, *rows = (row.plain for row in listing([found["refuted"], found["good"]], now=0.0))
+    assert f"  refuted ({found['refuted'].bound})  " in rows[0]
+    assert "refuted (" not in rows[1]
 
 
 @pytest.mark.parametrize(("text", "names"), [("viol", ["bad"]), ("DEEPER", ["bad"]), ("stopped", ["stopped"])])

@@ -1,0 +1,49 @@
+"""Bounds and their probabilities as text, rounded to the safe side."""
+
+import math
+from collections.abc import Sized
+
+from .counterexample import DIGITS
+
+
+def outward(bound: float, sense: str) -> str:
+    """Return a bound with four digits that is no stronger than `bound`.
+
+    >>> outward(0.00019, ">="), outward(-0.00011, ">="), outward(0.00011, "<="), outward(1e305, ">=")
+    ('0.0001', '-0.0002', '0.0002', '1e+305')
+    """
+    scaled = bound * 10**DIGITS
+    if not math.isfinite(scaled):  # a number of a file that nobody has checked yet
+        return f"{bound:g}"
+    nearest = round(scaled)
+    # A bound that has four digits, but for the last bits of a float, keeps them.
+    if not math.isclose(scaled, nearest, rel_tol=0, abs_tol=1e-6):
+        nearest = math.floor(scaled) if sense == ">=" else math.ceil(scaled)
+    return f"{nearest / 10**DIGITS:.{DIGITS}f}"
+
+
+def chance(probability: float, assumptions: Sized | None = None) -> str:
+    """Return the probability of a bound; `assumptions` are those that it rests on, None where they are not listed.
+
+    Certainty is that of a system without noise, and it rests on assumptions all the same.
+
+    >>> chance(0.95), chance(1.0), chance(1.0, ("kernel/robustness",)), chance(1.0, ())
+    ('with probability at least 0.9500', 'certain, if its assumptions hold', 'certain, if its 1 assumption holds', \
+'certain')
+    """
+    if probability < 1.0:
+        return f"with probability at least {outward(probability, '>=')}"
+    if assumptions is None:
+        return "certain, if its assumptions hold"
+    number = len(assumptions)
+    rests = f", if its {number} assumption{' holds' if number == 1 else 's hold'}" if number else ""
+    return f"certain{rests}"
+
+
+def short_chance(probability: float, assumptions: Sized | None = None) -> str:
+    """Return the same for a line of a list.
+
+    >>> short_chance(0.95), short_chance(1.0, ("kernel/robustness",))
+    ('probability 0.9500', 'certain, if its 1 assumption holds')
+    """
+    return f"probability {outward(probability, '>=')}" if probability < 1.0 else chance(probability, assumptions)
