@@ -41,7 +41,7 @@ def user_secret(environment: Mapping[str, str] = os.environ) -> bytes:
     """
     path = secret_file(environment)
     try:
-        _check_folder(path.parent)
+        check_own_folder(path.parent)
         found = _contents(path)
         if found is None:
             _make(path)
@@ -78,16 +78,24 @@ def _make(path: Path) -> None:
         return  # another process was first: its secret is the one
 
 
-def _check_folder(folder: Path) -> None:
-    """Make the folder; refuse one in which others could put another file in the place of the secret."""
-    if not folder.is_symlink():
+def check_own_folder(folder: Path) -> None:
+    """Make the folder of the secret; refuse one in which others could put another file in the place of the secret.
+
+    Whatever else this user keeps beside the secret is made after it: with its umask others might write in the folder.
+
+    Raises:
+        SecretError: others could.
+        OSError: the folder cannot be made.
+
+    """
+    if not folder.is_symlink() and not folder.is_dir():
         make_folder(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o022:
         raise SecretError(
-            f"{folder}: others could replace the secret in it; choose a folder, no symbolic link, that belongs to this "
-            f"user and that no one else may write, or set {VARIABLE}"
+            f"{folder}: others could replace the secret in it; run `chmod 700` on it, or choose a folder, no symbolic "
+            f"link, that belongs to this user and that no one else may write, or set {VARIABLE}"
         )
 
 

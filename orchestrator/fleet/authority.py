@@ -132,16 +132,19 @@ def checked_order(name: str, role: Role, hosts: Sequence[str]) -> Order:
     return Order(name, role, tuple(dict.fromkeys(map(_checked_host, hosts or [name]))))
 
 
-def check_apart(order: Order, others: Sequence[Order]) -> None:
+def check_apart(order: Order, others: Sequence[Order], ended: Sequence[Order] = ()) -> None:
     """Refuse a name that another role has, or that `--allow` could not tell from that of another worker.
+
+    A name keeps its role when its certificates have `ended`: a router may still list it in that role.
 
     Raises:
         AuthorityError: it is such a name.
 
     """
-    for other in others:
+    for other in (*others, *ended):
         if other.name == order.name and other.role != order.role:
             raise AuthorityError(f"{order.name!r}: is the name of an issued {other.role}; choose another name")
+    for other in others:
         both_workers = order.role == other.role == "worker"
         if both_workers and (other.name.startswith(f"{order.name}-") or order.name.startswith(f"{other.name}-")):
             raise AuthorityError(

@@ -74,7 +74,7 @@ def plan_campaign(config: CampaignConfig, source: Path, workers: int, report: Re
     except Stopped as stop:
         raise Stopped(stop.signal, "the pilot was ended, nothing was written") from None
     checks = tuple(_check_sizes(header, found, problems))
-    return fleet_plan(workers, pilot.figures, problems, checks, config.hung_after)
+    return fleet_plan(workers, pilot.figures, problems, checks, config.hung_after, second_opinion=config.second_opinion)
 
 
 def _rehearsal(plan: ProblemPlan, header: Header, pilot: PilotRollouts, report: Report) -> Rehearsal | None:
@@ -107,15 +107,18 @@ def _matrix_growth(plan: ProblemPlan) -> tuple[int, int]:
 
 def _check_sizes(header: Header, found: Plans, problems: Sequence[ProblemSize]) -> Iterator[ProblemSize]:
     """Yield the closing checks, as far as the campaign file decides them."""
+    evidence = [each.rollouts for each in problems]
     spot = spot_check_plan(header, found.values())
     if spot is not None:
         starts, most = header.config.spot_check, spot.max_tests
         words = f"{starts} starts, and follow-ups" if most > starts else f"{starts} starts"
         # In tests of one rollout: a follow-up has fewer of them than the first test at a start.
         low, high = spot.count(starts), spot.count(most)
-        yield ProblemSize(SPOT_CHECK, Guess((low + high) / 2, low, high), 1, spot.window * len(spot.rollouts), words)
+        tests = Guess((low + high) / 2, low, high)
+        evidence.append(tests)
+        yield ProblemSize(SPOT_CHECK, tests, 1, spot.window * len(spot.rollouts), words)
     if Recheck.wanted(header):
-        fewest, largest = sum(each.rollouts.low for each in problems), sum(each.rollouts.high for each in problems)
+        fewest, largest = sum(each.low for each in evidence), sum(each.high for each in evidence)
         low, high = int(min(header.config.recheck, fewest)), int(min(header.config.recheck, largest))
         yield ProblemSize(RECHECK, Guess(high, low, high), 1, high, "fixed by the campaign file")
 

@@ -26,7 +26,7 @@ from ...schemas.atomic import write_folder, write_new
 from ...schemas.certificates import check_time, hosts_of, name_of, read_certificates, role_of
 from ...schemas.errors import AuthorityError, LinkError, SecretError
 from ...schemas.outside import exposed, read_with_status
-from ...schemas.secret import secret_file
+from ...schemas.secret import check_own_folder, secret_file
 from ..certificate.key_folder import work_tree
 from ..fleet.authority import (
     Order,
@@ -90,6 +90,7 @@ def init_folder(folder: Path, days: int) -> datetime:
     signer = new_authority(_now(), days)
     contents = {CA_KEY: (key_bytes(signer.key), 0o600), CA: (certificate_bytes(signer.certificate), 0o644)}
     try:
+        _check_beside_secret(folder)
         write_folder(folder.resolve(), contents)
     except FileExistsError:
         remedy = (
@@ -113,7 +114,12 @@ def issue_files(folder: Path, order: Order, days: int, out: Path | None) -> tupl
     out = out or folder / HOSTS / order.name
     with _locked(folder):
         signer = load_signer(folder)
-        check_apart(order, [each.order for each in issued(folder) if not each.ended])
+        known = issued(folder)
+        check_apart(
+            order,
+            [each.order for each in known if not each.ended],
+            [each.order for each in known if each.ended],
+        )
         certificate, key = issue_certificate(signer, order, _now(), days)
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise _taken(out)
@@ -180,6 +186,7 @@ def load_signer(folder: Path) -> Signer:
     _check_there(folder)
     path = folder / CA_KEY
     try:
+        _check_beside_secret(folder)
         status = folder.stat()
         data, of_key = read_with_status(path, MAX_KEY)
         certificate = read_certificates(str(folder / CA))[0]
@@ -202,6 +209,19 @@ def load_signer(folder: Path) -> Signer:
     if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
         raise AuthorityError(f"{path}: not the private key of {folder / CA}; restore the two files of `pki init`")
     return Signer(certificate, key)
+
+
+def _check_beside_secret(folder: Path) -> None:
+    """Make the folder of this user's secret as it has to be, if the authority is in it."""
+    try:
+        place = secret_file().parent
+    except SecretError:
+        return
+    if folder.resolve().parent == place.resolve():
+        try:
+            check_own_folder(place)
+        except SecretError as error:
+            raise AuthorityError(str(error)) from None
 
 
 def _check_there(folder: Path) -> None:

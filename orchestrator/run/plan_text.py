@@ -42,6 +42,7 @@ def plan_rows(found: FleetPlan) -> list[Row]:
             "what follows, added up",
         ),
         *map(_size_row, (*found.problems, *found.checks)),
+        *_second_opinion_rows(found),
         (
             "time",
             duration(found.seconds.middle),
@@ -91,8 +92,9 @@ def plan_limits(found: FleetPlan) -> list[str]:
         result.append(f"{waiting} of {found.workers:,} will wait: a larger `window` or `replicates` gives them work.")
     if found.load.limits:
         result.append(
-            f"The orchestrator limits the campaign: it would need {_percent(found.load.whole)} of a core, and has one. "
-            "Fewer workers take as long; several campaigns, each with its own orchestrator, do not share this limit."
+            f"The orchestrator limits the campaign: it would need {_percent(found.load.whole)} of a core, and has one; "
+            "the time above is with that limit. Fewer workers take as long; several "
+            "campaigns, each with its own orchestrator, do not share this limit."
         )
     return result
 
@@ -100,6 +102,20 @@ def plan_limits(found: FleetPlan) -> list[str]:
 def plan_json(found: FleetPlan, name: str) -> str:
     """Return the plan as JSON; times in s, sizes in bytes."""
     return json.dumps({"campaign": name, **asdict(found), "orchestrator_limits": found.load.limits})
+
+
+def _second_opinion_rows(found: FleetPlan) -> list[Row]:
+    more = found.second_opinions
+    if not more.high:
+        return []
+    return [
+        (
+            "second opinions",
+            _whole_number(more.middle),
+            _range(more, _whole_number),
+            "the share in the campaign file, and the first results of each worker",
+        )
+    ]
 
 
 def _size_row(size: ProblemSize) -> Row:

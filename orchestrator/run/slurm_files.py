@@ -21,7 +21,8 @@ SHARED, SUBMIT = "common.sh", "submit.sh"
 """What the three have in common, and what submits them."""
 WORD = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.,-]{0,99}")
 """A partition, an account, or a quality of service."""
-TIME = re.compile(r"[0-9]{1,6}(-[0-9]{1,2}(:[0-9]{2}){0,2}|(:[0-9]{2}){1,2})?")
+NO_LIMIT = "UNLIMITED"
+TIME = re.compile(rf"[0-9]{{1,6}}|[0-9]{{1,3}}(-[0-9]{{1,2}}(:[0-9]{{2}}){{0,2}}|(:[0-9]{{2}}){{1,2}})|{NO_LIMIT}")
 """Minutes, MM:SS, H:MM:SS or DAYS-H[:MM[:SS]] with two digits behind each colon; 0 is no limit."""
 MEMORY = re.compile(r"[1-9][0-9]{0,8}[KMGT]?")
 WARNING = 120
@@ -90,11 +91,13 @@ class SlurmOptions:
 
 
 def seconds_of(limit: str) -> int:
-    """Return the seconds of a time limit as sbatch reads it.
+    """Return the seconds of a time limit as sbatch reads it; 0 for none.
 
     >>> [seconds_of(limit) for limit in ("30", "4:00", "4:00:00", "2-12", "2-12:30")]
     [1800, 240, 14400, 216000, 217800]
     """
+    if limit == NO_LIMIT:
+        return 0
     days, dash, rest = limit.rpartition("-")
     parts = [int(part) for part in rest.split(":")]
     # Hours come first behind days, and before two further parts; else minutes.

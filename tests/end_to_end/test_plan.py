@@ -85,6 +85,23 @@ def test_a_plan_contains_what_the_campaign_then_needs(started: Processes, name: 
     assert contains(found["storage"], size(directory))
 
 
+def test_the_recheck_draws_from_the_spot_check_as_well(started: Processes) -> None:
+    """12 tests of the problem, and over 300 rollouts of the spot check: 20 can be repeated."""
+    text = (FOLDER / "test-function.toml").read_text().replace("max_tests = 1000", "max_tests = 12")
+    path = started.folder / "few.toml"
+    path.write_text(text)
+    found = plan(started, path)
+    (recheck,) = (each for each in found["checks"] if each["name"] == "recheck")
+    assert recheck["tests"] == {"middle": 20, "low": 20, "high": 20}
+
+
+def test_second_opinions_are_part_of_the_plan(started: Processes) -> None:
+    plain = plan(started, campaign(started, keys="spot_check = 0"))
+    compared = plan(started, campaign(started, keys="spot_check = 0\nsecond_opinion = 1.0"))
+    assert plain["second_opinions"]["high"] == 0
+    assert compared["second_opinions"] == compared["rollouts"] == plain["rollouts"]
+
+
 def test_drawn_starts_are_counted_by_the_file(started: Processes) -> None:
     found = plan(started, campaign(started))
     (problem,) = found["problems"]

@@ -23,8 +23,10 @@ def planned(
     problems: list[ProblemSize],
     checks: list[ProblemSize],
     hung_after: float = 10.0,
+    *,
+    share: float = 0.0,
 ) -> FleetPlan:
-    return fleet_plan(workers, pilot, problems, checks, hung_after)
+    return fleet_plan(workers, pilot, problems, checks, hung_after, second_opinion=share)
 
 
 def ordered(guess: Guess) -> bool:
@@ -94,6 +96,51 @@ def test_a_loop_that_limits_sets_the_time() -> None:
     assert found.seconds.middle >= 100_000 * plans.RESULT_SECONDS
 
 
+def test_the_expected_time_is_with_the_limit_of_the_orchestrator() -> None:
+    """Its threads take 250 results a second on one core, beside heartbeats."""
+    fast = PilotFigures(10, 0.1, 0.1, 1.0, 1e5, 10**8)
+    found = planned(200, fast, [size(tests=60_000, window=1000)], [])
+    assert found.load.limits
+    assert found.seconds.middle >= 60_000 * plans.RESULT_LOAD
+    assert found.network < 1 / plans.RESULT_LOAD * 100_600 + 250 * 300 + 1
+    assert ordered(found.seconds)
+
+
+def test_second_opinions_double_the_time_but_neither_files_nor_rate() -> None:
+    plain, both = (planned(4, PILOT, [size(window=8)], [size(window=50)], share=share) for share in (0.0, 1.0))
+    assert both.seconds.middle == pytest.approx(2 * plain.seconds.middle, rel=0.05)
+    assert both.seconds.low > 1.9 * plain.seconds.low
+    assert both.second_opinions == both.rollouts == plain.rollouts
+    assert (both.storage, both.load, both.network, both.useful_workers) == (
+        plain.storage,
+        plain.load,
+        plain.network,
+        plain.useful_workers,
+    )
+
+
+def test_no_more_rollouts_run_side_by_side_with_second_opinions() -> None:
+    """A second opinion begins after the first result: three tests keep three workers busy for two rollouts."""
+    plain, both = (planned(100, PILOT, [size(tests=3, window=64)], [], share=share) for share in (0.0, 1.0))
+    assert both.seconds.middle - plain.seconds.middle == pytest.approx(10.0, rel=0.01)
+
+
+def test_a_small_share_has_the_first_results_of_each_worker_on_top() -> None:
+    """Counted in campaigns of 361 and 359 rollouts: 23 more attempts with four workers, 19 with two."""
+    many, two = (planned(workers, PILOT, [size(tests=360)], [], share=0.05).second_opinions for workers in (4, 2))
+    assert many.low <= 23 <= many.high
+    assert two.low <= 19 <= two.high
+    assert planned(1000, PILOT, [size(tests=10)], [], share=0.5).second_opinions.high == 10
+
+
+def test_a_worker_that_is_alone_starts_anew_for_each_second_opinion() -> None:
+    """Measured at 360 rollouts of no time: 399 s."""
+    quick = PilotFigures(10, 0.001, 0.001, 1.0, 1e3, 10**7)
+    found = planned(1, quick, [size(tests=360)], [], share=1.0).seconds
+    assert found.low < 399 < found.high
+    assert found.middle > 360
+
+
 def test_storage_is_that_of_the_rollouts() -> None:
     found = planned(1, PILOT, [size(tests=1000)], [])
     assert found.rollouts == exactly(1000)
@@ -113,14 +160,16 @@ def test_the_network_carries_results_and_heartbeats() -> None:
 
 @pytest.mark.parametrize("workers", [1, 3, 64, 10_000])
 @pytest.mark.parametrize("seconds", [0.0, 0.001, 30.0])
-def test_ranges_are_ordered_and_finite(workers: int, seconds: float) -> None:
+@pytest.mark.parametrize("share", [0.0, 0.05, 1.0])
+def test_ranges_are_ordered_and_finite(workers: int, seconds: float, share: float) -> None:
     pilot = PilotFigures(1, seconds, seconds / 2, 0.5, 1e3, 10**7)
     problems = [
         ProblemSize("nominal_robustness", Guess(50, 10, 200), 1, 1, "", Guess(1.0, 0.5, 4.0), (1, 2601)),
         ProblemSize("sim_gap", Guess(50, 10, 200), 2, 4, "", Guess(1.0, 0.5, 4.0), (1, 2601)),
     ]
     checks = [ProblemSize("spot_check", Guess(150, 100, 200), 1, 64, "")]
-    found: FleetPlan = planned(workers, pilot, problems, checks)
+    found: FleetPlan = planned(workers, pilot, problems, checks, share=share)
+    assert ordered(found.second_opinions)
     for guess in (found.seconds, found.rollouts, found.files, found.storage, found.memory):
         assert ordered(guess)
         assert 0 < guess.low <= guess.high < float("inf")

@@ -126,7 +126,10 @@ def is_apart(order: Order, others: list[Order]) -> bool:
 def test_a_name_has_one_role() -> None:
     with pytest.raises(AuthorityError, match="'main': is the name of an issued orchestrator; choose another name"):
         check_apart(Order("main", "worker"), [Order("main", "orchestrator")])
+    with pytest.raises(AuthorityError, match="'main': is the name of an issued orchestrator"):
+        check_apart(Order("main", "worker"), [], [Order("main", "orchestrator")])
     check_apart(Order("main", "worker"), [Order("main", "worker"), Order("main-2", "orchestrator")])
+    check_apart(Order("node-1", "worker"), [], [Order("node-1-2", "worker"), Order("node-1", "worker")])
 
 
 @pytest.mark.parametrize("role", ["worker", "orchestrator", "router"])

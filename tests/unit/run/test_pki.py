@@ -21,6 +21,7 @@ from perfbound.orchestrator.run.pki import load_signer, pki_folder
 from perfbound.schemas import atomic
 from perfbound.schemas.certificates import check_host, check_link_files
 from perfbound.schemas.errors import AuthorityError, PerfboundError
+from perfbound.schemas.secret import user_secret
 from tests.fakes.certificates import DAY, now
 
 
@@ -192,6 +193,37 @@ def test_a_name_is_free_again_when_its_certificates_have_ended(
     assert re.search(r"worker +node-1 +ended at ", listed)
     assert "options" not in listed, "there is no router"
     assert "'node-1': is not apart" in refused("issue", "node-1", "--worker", "--folder", home, "--out", tmp_path / "x")
+
+
+def test_a_name_keeps_its_role_when_its_certificates_have_ended(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A router that still lists it as an orchestrator would take the worker for one."""
+    monkeypatch.setattr("perfbound.orchestrator.run.pki._now", lambda: now() - 2 * DAY)
+    done("issue", "main", "--orchestrator", "--days", 1)
+    monkeypatch.undo()
+    assert "'main': is the name of an issued orchestrator" in refused("issue", "main", "--worker", "--folder", home)
+    done("issue", "main", "--orchestrator", "--folder", home, "--out", tmp_path / "new")
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_the_folder_of_the_secret_is_for_its_user_alone_whoever_makes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: bool
+) -> None:
+    """The authority comes first, with a umask by which the group may write."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    folder = tmp_path / "state" / "perfbound"
+    before = os.umask(0o002)
+    try:
+        done("init", *(("--folder", folder / "pki") if given else ()))
+        assert mode(folder) == 0o700
+        assert user_secret()
+    finally:
+        os.umask(before)
+    done("issue", "node-1", "--worker")
+    folder.chmod(0o775)
+    assert refused("issue", "node-2", "--worker").startswith(f"{folder}: others could replace")
+    assert "run `chmod 700` on it" in refused("issue", "node-2", "--worker")
 
 
 def test_a_private_key_in_a_git_work_tree_is_warned_about(home: Path, tmp_path: Path) -> None:

@@ -40,3 +40,12 @@ def test_json_has_seconds_and_bytes() -> None:
     assert (found["campaign"], found["workers"], found["orchestrator_limits"]) == ("segway", 8, False)
     assert found["rollouts"] == {"middle": 800, "low": 400, "high": 800}
     assert found["pilot"]["size"] == 100_000.0
+
+
+def test_second_opinions_have_a_row_where_there_are_any() -> None:
+    plain, compared = (
+        {row[0]: row[1:] for row in plan_rows(fleet_plan(8, PILOT, [problem()], [], 10.0, second_opinion=share))}
+        for share in (0.0, 0.1)
+    )
+    assert "second opinions" not in plain
+    assert compared["second opinions"][:2] == ("91", "40 to 102")

@@ -156,6 +156,8 @@ def test_a_shell_takes_every_value_as_it_is(tmp_path: Path, hostile: str) -> Non
         ("account", "$(id)"),
         ("time", "4 hours"),
         ("time", "infinite;"),
+        ("time", "UNLIMITED 1"),
+        ("time", "1234-0"),
         ("memory", "2G "),
         ("memory", "-1"),
     ],
@@ -172,7 +174,10 @@ def test_a_job_does_not_end_before_it_has_begun_to_work(text: str) -> None:
         replace(OPTIONS, time=text)
 
 
-@pytest.mark.parametrize("text", ["0", "4", "30", "30:00", "0:04:00", "4:00:00", "2-0", "2-12:30", "14-00:00:00"])
+@pytest.mark.parametrize(
+    "text",
+    ["0", "4", "30", "1440", "20160", "UNLIMITED", "30:00", "0:04:00", "4:00:00", "2-0", "2-12:30", "14-00:00:00"],
+)
 def test_times_of_slurm_are_taken(text: str) -> None:
     assert f"#SBATCH --time={text}" in job_files(replace(OPTIONS, time=text))["workers.sh"]
 
