@@ -41,21 +41,22 @@ STATES: dict[str, Callable[[], object]] = {
 }
 
 
-def measure_trials(trials: Sequence[Trial], answers: TextIO, folder: str) -> None:
+def measure_trials(trials: Sequence[Trial], answers: TextIO, folder: str, keep: str | None = None) -> None:
     """Run `trials` in their order, and write a line of JSON after loading and after each of them.
 
-    New files are looked for in `folder`, where the system writes those without a path.
+    New files are looked for in `folder`, where the system writes those without a path. The folder `keep` gets the file
+    of each rollout, by its number.
     """
     gc.freeze()  # what is loaded now need not be searched for garbage after every rollout
     surroundings = _Surroundings.now(folder)
     started = threading.enumerate()
     _answer(answers, Measured(printed=_printed(), memory=_memory(), peak=_peak(), tasks=_tasks()))
-    for trial in trials:
+    for number, trial in enumerate(trials):
         if trial.reseed is not None:
             random.seed(trial.reseed)
             np.random.seed(trial.reseed)  # noqa: NPY002  (the one that a system may use by mistake)
         before = _Surroundings.now(folder, files=surroundings.files)
-        found = _measured(trial)
+        found = _measured(trial, None if keep is None else Path(keep, str(number)))
         after = _Surroundings.now(folder)
         changes = {
             "printed": after.printed - before.printed,
@@ -85,7 +86,7 @@ class _Surroundings:
         return cls(_printed(), states, _entries(folder) if files is None else files)
 
 
-def _measured(trial: Trial) -> Measured:
+def _measured(trial: Trial, kept: Path | None) -> Measured:
     request = trial.request
     started = time.perf_counter()
     try:
@@ -94,6 +95,8 @@ def _measured(trial: Trial) -> Measured:
         if len(payload) > MAX_RESULT:
             raise SimulationError(f"the trajectory's file has {len(payload)} bytes, more than the {MAX_RESULT} allowed")
         trajectory = decode(payload)
+        if kept is not None:
+            kept.write_bytes(payload)
     except (Exception, SystemExit) as error:  # noqa: BLE001  (any: the judge is the orchestrator)
         return _failed(error, time.perf_counter() - started)
     t = trajectory.samples[:, 0]

@@ -276,7 +276,8 @@ def print_visual(path: Path) -> None:
 @system_option
 @click.option("--answers", type=int, required=True, help="Pipe for the measurements, a line of JSON each.")
 @click.option("--folder", default=None, help="Of a program, where it is started; default: the present one.")
-def measure(answers: int, folder: str | None) -> None:
+@click.option("--keep", default=None, help="Folder that gets the file of each rollout.")
+def measure(answers: int, folder: str | None, keep: str | None) -> None:
     """Run the rollouts on stdin, a JSON list of trials, and measure each of them, for `perfbound check-system`."""
     from pydantic import TypeAdapter  # noqa: PLC0415
 
@@ -288,7 +289,7 @@ def measure(answers: int, folder: str | None) -> None:
     os.set_inheritable(answers, False)
     trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())
     with os.fdopen(answers, "w") as stream:
-        measure_trials(trials, stream, folder or os.getcwd())
+        measure_trials(trials, stream, folder or os.getcwd(), keep)
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
 STATEMENTS = {
     "accounting": "failure probabilities of the two problems are added",
-    "bounded_values": "no rollout has a value beyond the clip",
+    "bounded_values": "the clip bounds the value of every rollout",
     "bounds_agree": "the bounds from both sides do not contradict each other",
     "centred_noise": "an observation is right on average",
     "clip": "the claim is about the clipped robustness",

@@ -29,7 +29,7 @@ from ..mathematics.bounds.rigorous import RigorousMethod
 from ..mathematics.gp.lattice import Lattice
 from .kriging_assumptions import kriging_assumptions
 from .sampled_assumptions import sampled_assumptions
-from .sentences import assumption
+from .sentences import assumption, form_at_start
 
 DISCARDED = "discarded_"
 """Of the ids of discarded rollouts, before their number."""
@@ -147,7 +147,7 @@ def _spot_checked(found: Iterable[Assumption], name: str, check: SpotCheck | Non
             continue
         start = "one of its starts" if result.start is None else ", ".join(f"{v:.6g}" for v in result.start)
         values: dict[str, int | float | str] = {"limit": result.limit, "start": start}
-        yield assumption(each.id, "refuted", values, form="norm_noisy_start" if result.noisy else "norm_start")
+        yield assumption(each.id, "refuted", values, form=form_at_start(result))
 
 
 def _of_regions(found: Iterable[Assumption], name: str, regions: CertifiedRegions | None) -> Iterator[Assumption]:

@@ -45,14 +45,15 @@ def claims(
     assumptions: Sequence[document.Assumption],
     *,
     at_each_start: bool = True,
+    first_alone: bool = False,
 ) -> Claimed:
-    """Return the claim of every basis, in their order.
+    """Return the claim of every basis, in their order; with `first_alone` that of the first one.
 
     Each has its own probability; the failure probability of several together is at most their sum. Without
     `at_each_start` the bands of a pair are not combined at each start, which takes seconds: the bound is a weaker one.
     """
     found: list[tuple[document.CertificateClaim, document.CompositionTerms | None]] = []
-    for basis in bases(config):
+    for basis in bases(config)[: 1 if first_alone else None]:
         if basis.drawn is not None:
             found.append((_of_drawn_starts(basis, plans, results, methods, assumptions), None))
             continue

@@ -37,7 +37,7 @@ def region_sentences(predicate: Predicate) -> tuple[str, ...]:
     if found is None:
         # Only a refuted campaign has none, although its file asks for them.
         return (NONE,) if predicate.question.get("regions") else ()
-    subject, words = SUBJECTS[predicate.claims[0].quantity], shares(found)
+    subject, words = _subject(predicate), shares(found)
     refuted = predicate.claims[0].refuted
     return (
         f"{words[0].upper()}{words[1:]}.",
@@ -47,6 +47,14 @@ def region_sentences(predicate: Predicate) -> tuple[str, ...]:
         f"All boxes are right at once, and the first claim with them, {_chance(found.probability)}.",
         *_fresh_starts(found),
     )
+
+
+def _subject(predicate: Predicate) -> str:
+    """Return the objective in words; one of clipped values names the clip where that may change its sign."""
+    quantity, clip = predicate.claims[0].quantity, predicate.question.get("clip")
+    if quantity == "robustness" or not isinstance(clip, (list, tuple)):
+        return SUBJECTS[quantity]
+    return f"{SUBJECTS[quantity]}, clipped to [{', '.join(f'{end:g}' for end in clip)}],"
 
 
 def _chance(probability: float) -> str:

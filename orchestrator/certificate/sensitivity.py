@@ -44,13 +44,13 @@ def with_clip(results: Results, config: CampaignConfig) -> Results:
 def without_rollouts(
     claims: Sequence[document.CertificateClaim], config: CampaignConfig, plans: Plans, results: Results
 ) -> tuple[document.CertificateClaim, ...]:
-    """Return the claims with what follows without any rollout, from the clip and from the constants."""
+    """Return the first claims, or all, with what follows without any rollout, from the clip and from the constants."""
     alone = {
         name: each.model_copy(update={"bound": _without_data(plans[name], each.bound)})
         for name, each in results.items()
     }
     found = []
-    for basis, claim in zip(bases(config), claims, strict=True):
+    for basis, claim in zip(bases(config)[: len(claims)], claims, strict=True):
         limit = _limit(basis, config, results)
         update: dict[str, float | bool | None] = {"by_clip": limit, "bound": floored(claim.bound, claim.sense, limit)}
         if limit is not None:

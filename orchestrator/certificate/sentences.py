@@ -5,7 +5,8 @@ A new assumption is a row of `SENTENCES` and a line in `assumptions.py`. The fie
 
 from collections.abc import Mapping
 
-from ...schemas.certificate import Assumption, Status
+from ...schemas.certificate import Assumption, SpotCheckedProblem, Status
+from ...schemas.problems import OBJECTIVES
 
 SIGNIFICANT = 6
 """Digits of a value: fewer than two types of CPU agree in."""
@@ -246,6 +247,11 @@ SENTENCES: dict[str, dict[Status, str]] = {
         "refuted": "at the start ({start}) of the spot check the value is beyond the bound {limit}: the norm bound, "
         "the kernel or the prior mean is wrong, and the bound is false there.",
     },
+    "norm_risk_start": {
+        "refuted": "at the start ({start}) of the spot check the function whose mean bounds the risk is beyond the "
+        "bound {limit}: the norm bound, the kernel or the prior mean is wrong. The claim has lost its grounds, and the "
+        "risk itself may keep the bound there.",
+    },
     "norm_regions": {
         "refuted": "at {starts} of the fresh starts of the spot check the value has another sign than the certified "
         "box around it: the norm bound, the kernel or the prior mean is wrong.",
@@ -361,6 +367,14 @@ SENTENCES: dict[str, dict[Status, str]] = {
     },
 }
 """By form, then status."""
+
+
+def form_at_start(found: SpotCheckedProblem) -> str:
+    """Return the form of an assumption on a norm that a start of the spot check refutes."""
+    if found.noisy:
+        return "norm_noisy_start"
+    # A value of the function that bounds the risk says nothing of the risk itself.
+    return "norm_risk_start" if OBJECTIVES[found.name].risk else "norm_start"
 
 
 def assumption(

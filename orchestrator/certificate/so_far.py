@@ -101,17 +101,21 @@ class AuditSoFar:
         yield one_law(plan, law.finding(account.nodes, account.each))
 
     def _predicate(self, accounts: Mapping[str, Account], found: list[Assumption]) -> Predicate | None:
-        """Return claims and problems as a certificate would have them now; None while one of them has no bound."""
+        """Return the first claim and the problems as a certificate would have them now.
+
+        None while a problem that this claim follows from has no bound; the others may have none.
+        """
         config, methods, rules = self.ledger.config, self.ledger.methods, self.ledger.header.rules
-        needed = {key for basis in bases(config) for key in basis.problems}
-        if not needed <= accounts.keys() or not all(map(self._has_bound, accounts.values())):
+        accounts = {key: account for key, account in accounts.items() if self._has_bound(account)}
+        first = bases(config)[:1]
+        if not set(first[0].problems) <= accounts.keys():
             return None
         plans = {key: account.plan for key, account in accounts.items()}
         results: Results = {key: result(_as_ended(account), rules) for key, account in accounts.items()}
-        made = claims(config, plans, results, methods, found, at_each_start=False).claims
+        made = claims(config, plans, results, methods, found, at_each_start=False, first_alone=True).claims
         if rules >= 2:
             results = with_clip(results, config)
-            made = of_listed_starts(without_rollouts(made, config, plans, results), bases(config), plans)
+            made = of_listed_starts(without_rollouts(made, config, plans, results), first, plans)
         # Nothing else is asked of it: it is no certificate, and has no evidence. Its closing checks are still to come.
         content: dict[str, Any] = {"claims": made, "problems": tuple(results.values()), "assumptions": tuple(found)}
         content |= {"counterexample": None, "spot_check": None}

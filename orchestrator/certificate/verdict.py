@@ -48,6 +48,7 @@ EMPTY = {
     NO_SHARE: "The bound shows nothing: no start is certified safe.",
 }
 """The reasons, by the sentences beside such claims."""
+ONE_ROLLOUT = "This is about one next rollout alone: it does not say how many of many rollouts are below the bound."
 
 
 def campaign_verdict(
@@ -156,6 +157,8 @@ def _shown(header: Header, predicate: Predicate, required: Required) -> Finding 
         return None
     limit = margin_text(f"{required.bound:g}", claim, required.unit)
     reasons = [f"Required {'at least' if claim.sense == '>=' else 'at most'} {limit}."]
+    if claim.quantity == "next_rollout":
+        reasons.append(ONE_ROLLOUT)
     if (partner := other_side(predicate)) is not None:
         least = claim.sense == ">="
         other = margin_text(outward(partner, "<=" if least else ">="), claim, required.unit)

@@ -1,6 +1,7 @@
 """The result of a finished campaign on a terminal: the end of a run on one screen, and everything on request."""
 
 import shlex
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -38,6 +39,7 @@ def print_end(directory: Path, header: Header, certificate: Certificate, console
     """Print the verdict, the first claim and what comes next, on one screen of 30 lines; return the verdict."""
     unit, predicate = robustness_unit(header.config, header.spec), certificate.predicate
     units = parameter_units(header.spec)
+    shown = shlex.quote(str(directory))
     verdict = print_verdict(directory, header, certificate, console)
     text.print_counterexample(predicate, console, unit, units)
     text.first_claim(certificate, console, unit)
@@ -47,10 +49,9 @@ def print_end(directory: Path, header: Header, certificate: Certificate, console
             hanging(console, Text("also   "), each)
     if sentences := (*region_sentences(predicate), *text.check_sentences(predicate, units)):
         console.print()
-        for sentence in sentences[:MOST_SENTENCES]:
+        for sentence in first_sentences(sentences, shown):
             plain_line(console, sentence, "bold red" if "REFUTED" in sentence else "")
     console.print()
-    shown = shlex.quote(str(directory))
     if again := _repeat_command(directory, header, certificate):
         plain_line(console, f"draw it       {again}")
     plain_line(console, f"report        {directory / 'report.html'}")
@@ -58,6 +59,17 @@ def print_end(directory: Path, header: Header, certificate: Certificate, console
     plain_line(console, f"everything    perfbound show {shown}")
     plain_line(console, f"check it      {_verify_command(directory, header)}")
     return verdict
+
+
+def first_sentences(sentences: Sequence[str], shown: str) -> Iterator[str]:
+    """Yield the sentences that fit, refuted ones first, and a line that counts the others; `shown` is the directory."""
+    further = len(sentences) - MOST_SENTENCES
+    # A line that counts one sentence is as long as this sentence.
+    if further <= 1:
+        yield from sentences
+        return
+    yield from sorted(sentences, key=lambda each: "REFUTED" not in each)[:MOST_SENTENCES]
+    yield f"{further} further lines: perfbound show {shown}"
 
 
 def print_everything(

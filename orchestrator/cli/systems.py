@@ -39,7 +39,7 @@ def simulate(
     out: Path | None,
     plot: Path | None,
 ) -> None:
-    """Run one rollout of SYSTEM without workers, and write or draw its trajectory.
+    """Run one rollout of SYSTEM without workers, print the range of each column, and write or draw its trajectory.
 
     SYSTEM is an installed one, FILE.py:NAME or a campaign file. What the system prints goes to stderr. The exit code is
     1 for a rollout that fails or that a campaign would refuse.
@@ -47,8 +47,6 @@ def simulate(
     from ..fleet.simulate import WantedRollout  # noqa: PLC0415
     from ..report.single import simulate_once  # noqa: PLC0415
 
-    if out is None and plot is None:
-        raise click.UsageError("give --out FILE.mcap, --plot FILE.png, or both")
     wanted = WantedRollout(system, start, variant, seed, horizon, options, timeout)
     for line in simulate_once(wanted, out=out, plot=plot, on_line=lambda text: click.echo(text, err=True)):
         click.echo(line)

@@ -72,6 +72,7 @@ def constants_table(found: Calibration, problem: ProblemCalibration) -> Table:
 
 def closing_lines(found: Calibration, folder: Path) -> Iterator[str]:
     """Yield what follows below the tables."""
+    yield from found.violations
     for problem in found.problems:
         if problem.choice.chosen is None:
             yield f"{problem.name}: no kernel is trustworthy."

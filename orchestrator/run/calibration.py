@@ -61,6 +61,8 @@ class Calibration:
     """The campaign file; None where no method fits."""
     instead: tuple[Instead, ...] = ()
     """Comparisons with method `kriging`, of problems that name no method."""
+    violations: tuple[str, ...] = ()
+    """How many rollouts of each problem violate the specification, and the worst one, in a sentence each."""
 
     @property
     def trusted(self) -> bool:
@@ -87,6 +89,7 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
     if needs_clip and len(config.problems) > 1:
         raise PerfboundError(f"{source}: clip: the problems share it; give [low, high], a range of the robustness")
     system, clip, found = ChildSystem(reference, spec, config.deadline, SECONDS), None, []
+    seen: list[str] = []
     try:
         for number, problem in enumerate(config.problems):
             with rollouts(system, config, number, seed=wish.seed, workers=wish.workers) as simulated:
@@ -95,11 +98,12 @@ def calibrate_draft(wish: CalibrationWish, report: Report) -> Calibration:
                 pilot = CalibrationPilot(draft, number, spec, simulated, propose_clip=needs_clip)
                 found.append(pilot.calibrated(wish.rollouts, wish.seed))
                 clip = clip or pilot.clip
+                seen.append(f"{problem.name}: {words}" if (words := simulated.margins.words) else "")
     except ChildRolloutError as error:
         raise PerfboundError(f"{source}: {error}") from None
     except Stopped as stop:
         raise Stopped(stop.signal, "the calibration was ended, nothing was written") from None
-    return with_file(Calibration(wish, draft, spec, clip, tuple(found), (), None))
+    return with_file(Calibration(wish, draft, spec, clip, tuple(found), (), None, violations=tuple(filter(None, seen))))
 
 
 def _needs_clip(config: CampaignConfig, spec: SystemSpec) -> bool:

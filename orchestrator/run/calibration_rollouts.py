@@ -24,6 +24,7 @@ from ..campaign.objectives import measured
 from ..campaign.observation import Observer
 from ..campaign.region import Start
 from .child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
+from .seen_margins import SeenMargins
 
 Report = Callable[[int], None]
 """Progress callback: rollouts so far."""
@@ -61,6 +62,7 @@ class CalibrationRollouts:
         options, horizon = config.system.options, config.horizon
         self._template = RequestTemplate.of(system.spec, options, horizon=horizon, visual=False, campaign=NAME)
         self._batches = 0
+        self.margins = SeenMargins(config, system.spec)
         self.report: Report = lambda _: None
         self.count = 0
         """Rollouts so far."""
@@ -161,6 +163,7 @@ class CalibrationRollouts:
                 found[request.variant] = trajectory
                 try:
                     check_whole(trajectory, columns, self._horizon)
+                    self.margins.add(request, trajectory)
                     if len(found) == len(self._variants):
                         yield (request.test, request.replicate), measured(value(found), "the objective")
                         found = {}

@@ -242,7 +242,7 @@ def _listed_row(row: IndexRow, listed: ListedCampaign) -> IndexRow:
         verdict=listed.verdict,
         bound=shortened(listed.bound),
         rollouts=listed.rollouts,
-        violations=listed.violations,
+        violations=listed.violations or 0,
         # The place is in the row; a page has no use for the path on this machine.
         fault=shortened(listed.fault.replace(f"{listed.directory}/", "").replace(f"{listed.directory}: ", "")),
     )

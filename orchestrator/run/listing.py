@@ -9,12 +9,12 @@ from typing import Literal
 from rich.text import Text
 
 from ...schemas.errors import PerfboundError, one_line
-from ...schemas.verdict import CampaignVerdict, VerdictWord
+from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
 from ..certificate import files
 from ..certificate.bound_text import outward
 from ..store import lock
 from ..store.progress import header_alone
-from ..store.robustness import read_violations
+from ..store.robustness import read_number_of_rollouts, read_violations
 from ..store.rows import DATABASE
 from .format import duration
 from .verdict import COLOURS, verdict_of
@@ -39,8 +39,9 @@ class ListedCampaign:
     bound: str
     """Of the first claim with its sense and unit, rounded to the safe side; empty while there is no certificate."""
     rollouts: int
-    violations: int
-    """Rollouts that violate the specification."""
+    """All that are recorded."""
+    violations: int | None
+    """Rollouts of the tested variant that violate the specification; None where none of it has a robustness."""
     changed: float
     """Unix time of the last change of the database."""
     fault: str = ""
@@ -92,19 +93,27 @@ def read_campaign(directory: Path, changed: float) -> tuple[ListedCampaign, Camp
         header, certificate, running = header_alone(directory), files.read(directory), lock.is_held(directory)
         state: ListedState = "running" if running else "finished" if certificate else "stopped"
         if certificate is None or running:
-            seen = read_violations(directory, header.claimed_variant)
+            seen, recorded = read_violations(directory, header.claimed_variant), read_number_of_rollouts(directory)
             return ListedCampaign(
-                directory, header.config.name, state, None, "", seen.rollouts, seen.violations, changed
+                directory, header.config.name, state, None, "", recorded, _count_of(seen), changed
             ), None
-        found = verdict_of(directory, header, certificate, repeatable=False)
+        found, recorded = (
+            verdict_of(directory, header, certificate, repeatable=False),
+            read_number_of_rollouts(directory),
+        )
     except (PerfboundError, OSError) as error:
-        return ListedCampaign(directory, directory.name, "damaged", None, "", 0, 0, changed, one_line(str(error))), None
-    seen = found.violations
-    bound = _first_claim_of(found)
+        return ListedCampaign(
+            directory, directory.name, "damaged", None, "", 0, None, changed, one_line(str(error))
+        ), None
+    bound, violations = _first_claim_of(found), _count_of(found.violations)
     refuted = bool(certificate.predicate.claims[0].refuted)
     return ListedCampaign(
-        directory, found.campaign, state, found.verdict, bound, seen.rollouts, seen.violations, changed, refuted=refuted
+        directory, found.campaign, state, found.verdict, bound, recorded, violations, changed, refuted=refuted
     ), found
+
+
+def _count_of(seen: Violations) -> int | None:
+    return seen.violations if seen.rollouts else None
 
 
 def _first_claim_of(found: CampaignVerdict) -> str:
@@ -132,4 +141,5 @@ def _cells_of(each: ListedCampaign, now: float) -> tuple[str, ...]:
     bound = f"refuted ({each.bound})" if each.refuted else each.bound
     shown = bound or each.fault or "-"
     folder = one_line(str(each.directory))
-    return (folder, each.verdict or "-", shown, each.state, f"{each.rollouts:,}", f"{each.violations:,}", age)
+    violations = "-" if each.violations is None else f"{each.violations:,}"
+    return (folder, each.verdict or "-", shown, each.state, f"{each.rollouts:,}", violations, age)

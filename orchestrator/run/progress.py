@@ -24,7 +24,7 @@ from .service import RunStatus
 from .so_far_table import so_far_view
 from .so_far_text import refutation_line, so_far_line
 from .systemd import Systemd
-from .table import bound_in_sense, progress_table, remaining_distance
+from .table import bound_in_sense, bound_text, progress_table, remaining_distance
 
 PLAIN_PERIOD = 10.0
 """Seconds between two progress lines where there is no terminal."""
@@ -134,7 +134,8 @@ class Plain:
             distance = "" if alpha is None else f"{name} {figure(away)} (alpha {alpha:g}), "
             early = problem.bound_at_end and not end
             words = "with this budget the bound would be" if early and bound is not None else "bound so far"
-            self.print_line(f"{problem.name}: test {progress.tests}, {distance}{words} {figure(bound, 3)}{end}")
+            shown = bound_text(config, problem, progress)
+            self.print_line(f"{problem.name}: test {progress.tests}, {distance}{words} {shown}{end}")
             return
         self._json.line(
             "problem ended" if progress.stopped_by else "progress",

@@ -8,6 +8,7 @@ from ...schemas.errors import one_line
 from ...schemas.so_far import Expected, SoFar, Span
 from ..certificate.bound_text import outward
 from .format import duration
+from .verdict import violations_in_words
 
 HEAD = ("", "bound", "probability", "tests", "verdict")
 
@@ -91,7 +92,7 @@ def violations_so_far(found: SoFar) -> str:
     if not seen.rollouts or seen.least is None:
         return ""
     margin = _in_unit(f"{seen.least:.4f}", found)
-    return f"{seen.violations:,} of {seen.rollouts:,} rollouts violate the specification so far; the worst {margin}"
+    return f"{violations_in_words(seen)} so far; the worst {margin}"
 
 
 def so_far_line(found: SoFar) -> str:

@@ -3,7 +3,9 @@
 import json
 import os
 import shlex
+import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,10 +15,12 @@ from rich.table import Table
 from rich.text import Text
 
 from ...schemas.campaign_check import check_against
-from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.errors import PerfboundError, Stopped, TrajectoryError
 from ...schemas.parameters import signal_shapes
+from ...schemas.rollout import RolloutRequest
 from ...schemas.system import SystemSpec, Variant
 from ...schemas.system_check import ChildRun, Trial
+from ...schemas.trajectory import decode
 from ..campaign.draws import check_where
 from ..campaign.system_check.findings import SystemFinding
 from ..campaign.system_check.judge import judge
@@ -26,6 +30,7 @@ from ..certificate.verify.stages import Report
 from ..fleet.child import named_campaign, system_options, system_spec
 from ..fleet.measure import measure_in_child
 from ..fleet.simulate import chosen_horizon, chosen_options
+from .seen_margins import SeenMargins
 
 LIMIT = 60.0
 """Seconds that a rollout may take where neither `--timeout` nor a campaign file says otherwise."""
@@ -39,6 +44,8 @@ class SystemCheck:
     spec: SystemSpec
     horizon: float
     findings: tuple[SystemFinding, ...]
+    violations: str = ""
+    """How many rollouts violate the specification of a campaign file, and the worst one; empty without one."""
 
     @property
     def good(self) -> bool:
@@ -93,7 +100,10 @@ def checked_system(
         trials = replace(trials, where=config.where)
     program = config is not None and config.system.program is not None
     folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()
-    rolled = partial(_in_child, arguments=(*system_options(reference), *folder), limit=limit, report=report)
+    margins = None if config is None else SeenMargins(config, spec)
+    rolled = partial(
+        _in_child, arguments=(*system_options(reference), *folder), limit=limit, report=report, margins=margins
+    )
     fresh, ended = rolled("start", trials.fresh()), []
     if fresh.ended and fresh.loaded is not None:  # a start that no process survives must not hide the others
         ended, trials = [fresh], replace(trials, start=trials.start + 1)
@@ -119,25 +129,46 @@ def checked_system(
         own_horizon=own is not None,
         program=shlex.join((config and config.system.program) or ()),
     )
-    return SystemCheck(spec, trials.horizon, judge(measurements))
+    return SystemCheck(spec, trials.horizon, judge(measurements), margins.words if margins else "")
 
 
 def _in_child(
-    stage: str, trials: Sequence[Trial], *, arguments: Sequence[str], limit: float, report: Report
+    stage: str,
+    trials: Sequence[Trial],
+    *,
+    arguments: Sequence[str],
+    limit: float,
+    report: Report,
+    margins: SeenMargins | None,
 ) -> ChildRun:
     done = 0
+    longest = max(trial.request.horizon for trial in trials)
 
     def advance() -> None:
         nonlocal done
+        # Those of a shorter horizon are none of a campaign.
+        if margins is not None and trials[done].request.horizon == longest:
+            _score(trials[done].request, Path(keep, str(done)), margins)
         done += 1
         report(stage, done, len(trials))
 
     report(stage, 0, len(trials))
     try:
-        return measure_in_child(trials, arguments, limit=limit, done=advance)
+        with tempfile.TemporaryDirectory(prefix="perfbound-check-") as keep:
+            kept = () if margins is None else ("--keep", keep)
+            return measure_in_child(trials, (*arguments, *kept), limit=limit, done=advance)
     except Stopped as stop:
         state = f"the check was ended after {done} of {len(trials)} rollouts ({stage}), nothing was written"
         raise Stopped(stop.signal, state) from None
+
+
+def _score(request: RolloutRequest, file: Path, margins: SeenMargins) -> None:
+    """Add a rollout to those that the specification is evaluated on, and remove its file."""
+    # A rollout without a file has failed; one that the formula does not fit is a finding of another check.
+    with suppress(FileNotFoundError, TrajectoryError, ValueError):
+        data = file.read_bytes()
+        file.unlink()
+        margins.add(request, decode(data))
 
 
 def print_findings(found: SystemCheck, console: Console) -> None:
@@ -153,6 +184,8 @@ def print_findings(found: SystemCheck, console: Console) -> None:
             text.append(f"\n{finding.remedy[0].upper()}{finding.remedy[1:]}.", "default")
         table.add_row(finding.check, Text(finding.status, COLOURS[finding.status]), text)
     console.print(table)
+    if found.violations:
+        console.print(Text(f"\n{found.violations}"), soft_wrap=True)
     counts = ", ".join(f"{found.count(status)} {status}" for status in COLOURS if found.count(status))
     verdict = "no check failed" if found.good else "fix what failed before you run a campaign"
     line = f"\n{found.spec.name}, rollouts of {found.horizon:g} s: {counts}; {verdict}"

@@ -11,6 +11,7 @@ from ...schemas.requirements import alpha_of
 from ...schemas.values import ProblemProgress
 from ..campaign import forecast
 from ..campaign.clip import by_clip, floored
+from ..certificate.bound_text import outward
 from .format import ENDS, figure
 
 
@@ -21,6 +22,12 @@ def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemPr
         return None
     sense = config.sense_of(problem)
     return floored(-upper if sense == "min" else upper, sense, by_clip(config, problem))
+
+
+def bound_text(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> str:
+    """Return the bound so far, rounded to the safe side; a dash without one."""
+    bound = bound_in_sense(config, problem, progress)
+    return "-" if bound is None else outward(bound, ">=" if config.sense_of(problem) == "min" else "<=")
 
 
 def remaining_distance(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
@@ -50,7 +57,7 @@ def progress_table(
             f"{progress.tests} of {forecast.budget(config, problem, progress.extended)}",
             figure(remaining_distance(config, problem, progress)),
             figure(alpha) if alpha is None else f"{alpha:g}",
-            figure(bound_in_sense(config, problem, progress)),
+            bound_text(config, problem, progress),
             str(progress.rollouts),
             ENDS[progress.stopped_by] if progress.stopped_by else left,
             style="green" if progress.stopped_by == "converged" else "",

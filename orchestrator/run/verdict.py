@@ -6,7 +6,7 @@ from pathlib import Path
 from ...schemas.certificate import Certificate
 from ...schemas.errors import one_line
 from ...schemas.facts import Header
-from ...schemas.verdict import CampaignVerdict, VerdictWord
+from ...schemas.verdict import CampaignVerdict, VerdictWord, Violations
 from ..certificate.advice import Commands
 from ..certificate.verdict import campaign_verdict
 from ..fleet.child import in_file
@@ -64,14 +64,24 @@ def verdict_lines(found: CampaignVerdict) -> Iterator[str]:
         yield count
 
 
+def violations_in_words(seen: Violations) -> str:
+    """Return how many rollouts violate the specification.
+
+    >>> violations_in_words(Violations(rollouts=320, violations=1, starts=9, violating_starts=1, least=-1, rollout="a"))
+    '1 of 320 rollouts violates the specification'
+    """
+    verb = "violates" if seen.violations == 1 else "violate"
+    return f"{seen.violations:,} of {seen.rollouts:,} rollouts {verb} the specification"
+
+
 def violation_words(found: CampaignVerdict) -> str:
     """Return how many rollouts violate the specification; empty where none has a robustness."""
     seen = found.violations
     if not seen.rollouts or seen.least is None:
         return ""
-    margin = f"{seen.least:.4f} {one_line(found.unit)}".rstrip()
+    margin = f"{seen.least:.4f} {'' if found.unit == '1' else one_line(found.unit)}".rstrip()
     worst = f"the worst {margin}, or lower: the clip" if found.clipped else f"the worst {margin}"
-    count = f"{seen.violations:,} of {seen.rollouts:,} rollouts violate the specification"
+    count = violations_in_words(seen)
     if not seen.violations:
         return f"{count}; {worst}."
     return f"{count}, at {seen.violating_starts:,} of {seen.starts:,} starts, {worst}."

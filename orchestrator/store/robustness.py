@@ -38,6 +38,7 @@ _STARTS = """
     WHERE problem IN (SELECT value FROM json_each(?)) AND robustness IS NOT NULL
     GROUP BY x HAVING violations > 0
 """
+_RECORDED = "SELECT count(*) FROM rollouts"
 _VALUES = f"SELECT test, replicate, x, robustness {_OF} ORDER BY test, replicate"
 
 
@@ -99,6 +100,18 @@ def read_violations(directory: Path, variant: str) -> Violations:
         least=least,
         rollout=worst and str(RolloutId(worst[0], worst[1], variant, worst[2])),
     )
+
+
+def read_number_of_rollouts(directory: Path) -> int:
+    """Return how many rollouts are recorded, of whatever variant and purpose, with a robustness or without.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    with snapshot(directory) as connection:
+        return int(connection.execute(_RECORDED).fetchone()[0])
 
 
 def read_ranked(directory: Path, variant: str, problems: Sequence[str]) -> RankedRollouts | None:

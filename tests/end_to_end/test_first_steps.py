@@ -271,10 +271,11 @@ def test_a_failed_attempt_of_a_campaign_has_its_place(folder: Processes, tmp_pat
     assert failed.last_line.count("ZeroDivisionError: float division by zero (bad.py, line 14)") == 1
 
 
-def test_a_rollout_needs_a_place(folder: Processes) -> None:
-    refused = folder.run("perfbound", "simulate", "test-function", "--x", "1,1")
-    assert refused.code == 2
-    assert "give --out FILE.mcap, --plot FILE.png, or both" in refused.err
+def test_a_rollout_without_a_file_has_its_ranges(folder: Processes, tmp_path: Path) -> None:
+    shown = folder.run("perfbound", "simulate", "test-function", "--x", "1,1")
+    assert shown.code == 0, shown.err
+    assert [line.split()[0] for line in shown.out.splitlines()[1:]] == ["y"]
+    assert not list(tmp_path.iterdir())
 
 
 # new-system

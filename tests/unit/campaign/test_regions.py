@@ -8,6 +8,7 @@ import math
 import shutil
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,7 +18,7 @@ from rich.console import Console
 from perfbound.orchestrator.campaign.ledger import Ledger
 from perfbound.orchestrator.campaign.plan import plan, unsafe_below
 from perfbound.orchestrator.certificate import files, regions
-from perfbound.orchestrator.certificate.region_text import NONE, unsafe_words
+from perfbound.orchestrator.certificate.region_text import NONE, region_sentences, unsafe_words
 from perfbound.orchestrator.certificate.text import print_certificate
 from perfbound.orchestrator.certificate.verify import regions as check
 from perfbound.orchestrator.mathematics.bounds.regions import MARGIN, Regions
@@ -193,6 +194,20 @@ class TestRisk:
         config = robustness(problem, regions=True, clip=clip, horizon=1.0)
         system = spec(noisy=True).model_copy(update={"variants": ("true",), "noisy": ("true",)})
         assert unsafe_below(plan(config, system, config.problems[0])) == limit
+
+    @pytest.mark.parametrize(
+        ("quantity", "named"), [("expected_robustness", True), ("rho_star", True), ("robustness", False)]
+    )
+    def test_the_sentences_name_a_clip_that_may_change_a_sign(self, quantity: Any, *, named: bool) -> None:
+        """A clipped value has the sign of the value; a mean of clipped values may have another."""
+        shares: dict[str, Any] = {"safe": 1.0, "unsafe": 0.0, "undecided": 0.0, "probability": 0.95, "boxes": 1}
+        found = CertifiedRegions(**shares, sha256="", checked=None, contradicted=None, unsafe_below=0.0)
+        claim = SimpleNamespace(quantity=quantity, refuted=())
+        predicate: Any = SimpleNamespace(regions=found, claims=[claim], question={"clip": [-0.2, 1]})
+        _, safe, unsafe, *_ = region_sentences(predicate)
+        assert [", clipped to [-0.2, 1], is" in each for each in (safe, unsafe)] == [named] * 2
+        predicate.question = {}
+        assert "clipped" not in "".join(region_sentences(predicate)), "without a clip"
 
     def test_the_sentences_name_the_threshold(self) -> None:
         shares: dict[str, Any] = {"safe": 0.5, "unsafe": 0.0, "undecided": 0.5, "probability": 0.95, "boxes": 2}

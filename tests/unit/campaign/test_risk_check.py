@@ -24,7 +24,7 @@ from perfbound.schemas.certificate import Predicate, SpotCheckedProblem
 from perfbound.schemas.facts import RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import SystemSpec
-from tests.fakes.simulators import noise, robustness, simulate, spec, verified
+from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, verified
 
 CLIP = (-0.05, 0.75)
 RISK: dict[str, Any] = {
@@ -52,6 +52,26 @@ def system(*, seed_bits: int = 53) -> SystemSpec:
 def a_campaign(**changes: Any) -> CampaignConfig:
     found: dict[str, Any] = {"clip": CLIP, "risk_weight": 1.0, "horizon": 1.0, "max_tests": 6, "window": 2}
     return robustness(RISK, **found | {"spot_check": 8, "spot_check_followups": 300, "recheck": 3} | changes)
+
+
+def test_without_noise_a_refuted_norm_does_not_say_that_the_bound_is_false(tmp_path: Path) -> None:
+    """The values are better than the constants suppose where no test is: the risk there is higher, and X is lower."""
+    exact = system().model_copy(update={"noisy": ()})
+    problem = {**RISK, "noise_scale": 0.0, "rkhs_norm": 0.05, "prior_mean": -0.63, "linearised": CENTRED}
+    config = a_campaign(problems=[problem], clip=(-1.0, 1.5), spot_check=40)
+    found = predicate(simulate(tmp_path, config, better_between, noisy=False, system=exact))
+    (refuted,) = (each for each in found["assumptions"] if each["id"] == "rkhs_norm/true_risk")
+    assert refuted["status"] == "refuted"
+    assert "The claim has lost its grounds, and the risk itself may keep the bound there." in refuted["detail"]
+    assert "false" not in refuted["detail"]
+
+
+CENTRED = {"centre": 0.7, "spread": 0.1}
+
+
+def better_between(request: RolloutRequest) -> float:
+    unseen = not request.rollout.startswith("true_risk.") and request.x[0] > 0.5
+    return 1.4 if unseen else 0.7
 
 
 def with_hole(mean: float) -> Callable[[RolloutRequest], float]:

@@ -18,6 +18,11 @@ def test_every_assumption_of_a_certificate_has_a_statement() -> None:
     assert found <= set(STATEMENTS)
 
 
+def test_a_clip_bounds_values_whatever_the_rollouts_are() -> None:
+    """Rollouts beyond the clip count as its ends, so that none of them may be denied."""
+    assert statement("bounded_values/true_risk") == "the clip bounds the value of every rollout"
+
+
 def test_statements_are_clauses() -> None:
     for name, words in STATEMENTS.items():
         assert words[0].islower(), name

@@ -10,7 +10,7 @@ import pytest
 
 from perfbound.orchestrator.certificate import files, opposite
 from perfbound.orchestrator.run.extend import extend_campaign
-from perfbound.orchestrator.run.verdict import verdict_lines, verdict_of
+from perfbound.orchestrator.run.verdict import verdict_lines, verdict_of, violation_words
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.rollout import RolloutRequest
@@ -345,6 +345,20 @@ def test_who_accepts_no_violation_gets_none(tmp_path: Path) -> None:
 def test_claims_about_drawn_starts(tmp_path: Path, claim: dict[str, Any], by: float, expected: str) -> None:
     found = verdict(tmp_path, SAMPLE, shifted(by), max_tests=200, clip=[-2.0, 2.0], claims=[claim])
     assert found.verdict == expected
+
+
+def test_a_claim_about_the_next_rollout_says_that_it_is_about_one(tmp_path: Path) -> None:
+    claim = {"quantity": "next_rollout", "level": 0.1}
+    found = verdict(tmp_path, SAMPLE, shifted(-0.31), max_tests=200, clip=[-2.0, 2.0], claims=[claim])
+    assert (found.verdict, found.violations.violations > 0) == ("SHOWN", True)
+    assert found.reasons[-1].startswith("This is about one next rollout alone")
+
+
+def test_one_violation_has_a_verb_and_a_unit_of_one_is_no_number(tmp_path: Path) -> None:
+    found = verdict(tmp_path, RIGOROUS, smooth)
+    one = found.violations.model_copy(update={"violations": 1, "violating_starts": 1, "rollouts": 320, "starts": 9})
+    words = violation_words(found.model_copy(update={"unit": "1", "violations": one}))
+    assert re.fullmatch(r"1 of 320 rollouts violates the specification, at 1 of 9 starts, the worst 0\.\d{4}\.", words)
 
 
 def test_a_smaller_probability_than_required_is_said(tmp_path: Path) -> None:

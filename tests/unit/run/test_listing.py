@@ -10,7 +10,7 @@ import pytest
 from perfbound.orchestrator.run.listing import DEPTH, campaigns_below, listing, run_directories
 from perfbound.schemas.errors import PerfboundError
 from perfbound.schemas.rollout import RolloutRequest
-from tests.fakes.simulators import robustness, simulate
+from tests.fakes.simulators import robustness, simulate, spec
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "rules-1"
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 2.0, "noise_scale": 0.0, "kernel": {"length_scale": 0.7}}
@@ -45,8 +45,22 @@ def test_each_has_its_state_and_verdict_and_the_last_one_is_first(folder: Path) 
         ("damaged", "damaged", None),
     ]
     assert found[0].bound.startswith(">= 0.")
-    assert found[1].violations > 0 == found[0].violations
+    assert found[0].violations == 0
+    assert found[1].violations
+    assert found[3].violations is None
     assert "campaign.db: not a campaign database" in found[3].fault
+
+
+def test_rollouts_without_a_robustness_are_counted(tmp_path: Path) -> None:
+    column = {**RIGOROUS, "name": "maximum", "column": "value"}
+    config = robustness(column, spot_check=0, recheck=0, specification=None)
+    true = spec(noisy=False).model_copy(update={"variants": ("true",)})
+    assert simulate(tmp_path / "column", config, slope, noisy=False, system=true)
+    (found,) = campaigns_below(tmp_path)
+    assert found.rollouts > 1
+    assert found.violations is None
+    (row,) = list(listing([found], now=found.changed))[1:]
+    assert row.plain.split()[-5:-3] == [str(found.rollouts), "-"]
 
 
 def test_columns_are_aligned_and_ages_said(folder: Path) -> None:

@@ -38,7 +38,7 @@ from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.so_far import Expected, SoFar, Span
 from perfbound.schemas.values import MARKED, Bound, ProblemProgress
 from tests.campaigns import FOLDER
-from tests.fakes.simulators import noise, robustness, simulate
+from tests.fakes.simulators import noise, robustness, simulate, spec
 
 RIGOROUS: dict[str, Any] = {
     "method": "rigorous",
@@ -283,6 +283,35 @@ def test_every_kind_of_campaign_has_it_at_any_moment(
     assert found.tests == tests
     assert found.verdict in ("SHOWN", "NOT SHOWN")
     assert holding_rows(found)[1].verdict
+
+
+RISK = {"centre": 0.5, "spread": 0.1}
+
+
+def test_the_first_claim_needs_no_bound_of_other_problems(tmp_path: Path) -> None:
+    pair = ["nominal_robustness", "sim_gap"]
+    changes = {
+        "problems": [
+            {**RIGOROUS, "name": "true_risk", "noise_scale": 0.5, "max_tests": 4, "linearised": RISK},
+            {**RIGOROUS, "name": pair[0], "noise_scale": 0.0},
+            {**KRIGING, "name": pair[1], "max_tests": 40},
+        ],
+        "claims": [{"rule": "single", "problems": ["true_risk"]}, {"rule": "sum", "problems": pair}],
+        "clip": [-1, 2],
+        "risk_weight": 0.2,
+        "horizon": 1.0,
+        "gap": {"kind": "signal_sup", "column": "value", "lipschitz": 1.0},
+    }
+    table = a_rigorous_one().model_dump(mode="json", exclude_unset=True, exclude={"composition"})
+    config = CampaignConfig.model_validate_json(json.dumps(table | changes))
+    both = spec(noisy=True).model_copy(update={"variants": ("nominal", "true"), "noisy": ("true",)})
+    last = "sim_gap.20.true.0"
+    assert simulate(tmp_path, config, quiet, noisy=True, system=both, stop=lambda each: each.rollout == last) is None
+    found, output = shown(tmp_path)
+    assert output.lines == []
+    assert found.bound is not None
+    assert found.claim.startswith("Margin at least ")
+    assert holding_rows(found)[0].bound != "nothing yet"
 
 
 def test_what_further_claims_alone_rest_on_is_no_refutation_of_the_first() -> None:
