@@ -48,7 +48,7 @@ def copies(account: Account, noisy: Set[str], load: Load) -> tuple[int, int]:
     """
     seen: dict[tuple[int, float], RolloutId] = {}
     compared = found = 0
-    for node, values, rollouts in _tests(account, noisy):
+    for node, values, rollouts in _closed_tests(account, noisy):
         for value, rollout in zip(values, rollouts, strict=True):
             earlier = seen.setdefault((node, value), rollout)
             if earlier != rollout and compared < MOST:
@@ -60,21 +60,21 @@ def copies(account: Account, noisy: Set[str], load: Load) -> tuple[int, int]:
 def tested_copies(account: Account, noisy: Set[str], load: Load) -> TestedCopies:
     """Test that rollouts differ as much within tests as between those of one start, in the order of the tests."""
     test, all_alike, read = CopiedBlocks(), True, 0
-    often = Counter((node, value) for node, values, _ in _tests(account, noisy) for value in values)
-    for node, values, rollouts in _tests(account, noisy):
+    often = Counter((node, value) for node, values, _ in _closed_tests(account, noisy) for value in values)
+    for node, values, rollouts in _closed_tests(account, noisy):
         if read >= MOST_FILES:
             break  # by the tests before: no test is left out for what it shows
         block = []
         for value, rollout in zip(values, rollouts, strict=True):
             repeated = often[node, value] > 1
             read += repeated
-            block.append((value, _content(load(rollout)) if repeated else ""))
+            block.append((value, _digest_of(load(rollout)) if repeated else ""))
         all_alike = all_alike and len(set(block)) == 1
         test.observe(node, block)
     return TestedCopies(test.evidence, test.refutes, all_alike)
 
 
-def _tests(account: Account, noisy: Set[str]) -> Iterator[tuple[int, tuple[float, ...], list[RolloutId]]]:
+def _closed_tests(account: Account, noisy: Set[str]) -> Iterator[tuple[int, tuple[float, ...], list[RolloutId]]]:
     """Yield start, values and rollouts of every closed test."""
     plan, variant = account.plan, max(noisy)
     for test, (node, each) in enumerate(zip(account.nodes, account.each, strict=True)):
@@ -83,7 +83,7 @@ def _tests(account: Account, noisy: Set[str]) -> Iterator[tuple[int, tuple[float
         yield node, values, [RolloutId(plan.name, test, *plan.replicate(variant, number)) for number in numbers]
 
 
-def _content(trajectory: Trajectory) -> str:
+def _digest_of(trajectory: Trajectory) -> str:
     """Return a digest that two trajectories share if they are the same, see `same_trajectory`."""
     head = repr((trajectory.columns, trajectory.samples.shape))
     return hashlib.sha256(head.encode() + trajectory.samples.tobytes()).hexdigest()

@@ -51,7 +51,7 @@ class Required:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class VerdictFinding:
     """A verdict with its reasons, and what would help."""
 
     word: VerdictWord
@@ -98,7 +98,7 @@ def violated(
     required: Required,
     violations: Violations,
     values: Callable[[], Values],
-) -> Finding | None:
+) -> VerdictFinding | None:
     """Return the finding that what is required of the first claim is wrong; None where nothing shows that."""
     claim = predicate.claims[0]
     if required.bound is not None:
@@ -134,15 +134,15 @@ def is_deterministic(header: Header) -> bool:
     return header.claimed_variant not in header.spec.noisy
 
 
-def _any_violation(values: Values) -> Finding | None:
+def _any_violation(values: Values) -> VerdictFinding | None:
     """Return the finding where some rollout violates the specification: who names no acceptable share accepts none."""
     if all(each.robustness >= 0.0 for each in values):
         return None
     reason = "A rollout violates the specification, and the campaign file names no acceptable probability of that."
-    return Finding("VIOLATED", (reason,), (f"If some are acceptable, {SAY_LIMIT}",), "certain")
+    return VerdictFinding("VIOLATED", (reason,), (f"If some are acceptable, {SAY_LIMIT}",), "certain")
 
 
-def _by_partner(predicate: Predicate, required: Required) -> Finding | None:
+def _by_partner(predicate: Predicate, required: Required) -> VerdictFinding | None:
     """Return the finding where the bound from the other side is beyond what is required.
 
     It has the probability and the assumptions of the claim: with a kernel those about B and R, too.
@@ -154,7 +154,7 @@ def _by_partner(predicate: Predicate, required: Required) -> Finding | None:
     if not (partner < limit if claim.sense == ">=" else partner > limit):
         return None
     beyond = margin_text(outward(partner, other), claim, required.unit)
-    return Finding("VIOLATED", (f"{capitalised(claim_words(claim))} {other} {beyond}, {chance_words(claim)}.",))
+    return VerdictFinding("VIOLATED", (f"{capitalised(claim_words(claim))} {other} {beyond}, {chance_words(claim)}.",))
 
 
 def other_side(predicate: Predicate) -> float | None:
@@ -177,7 +177,7 @@ def _is_two_sided(problem: ProblemResult) -> bool:
 
 def _by_rollouts(
     header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
-) -> Finding | None:
+) -> VerdictFinding | None:
     """Return the finding where the robustness of rollouts shows the opposite, which needs no smoothness."""
     if claim.requirement is not None:
         return None  # the stored robustness is that of the whole specification
@@ -188,7 +188,7 @@ def _by_rollouts(
 
 def _worst_below(
     header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
-) -> Finding | None:
+) -> VerdictFinding | None:
     """Return the finding about a worst start; a risk is at most the expectation, which therefore shows it too."""
     if is_deterministic(header):
         return _one_start_below(header, claim, required, values())
@@ -203,7 +203,7 @@ def _worst_below(
 
 def _drawn_below(
     header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
-) -> Finding | None:
+) -> VerdictFinding | None:
     """Return the finding about rollouts at drawn starts."""
     samples = (each.robustness for each in _drawn_samples(header.config, values()))
     if claim.quantity in ("mean", "risk"):
@@ -217,7 +217,7 @@ def _drawn_below(
     return None
 
 
-def _one_start_below(header: Header, claim: CertificateClaim, required: float, values: Values) -> Finding | None:
+def _one_start_below(header: Header, claim: CertificateClaim, required: float, values: Values) -> VerdictFinding | None:
     below = min((each for each in values if each.robustness < required), key=lambda each: each.robustness, default=None)
     if below is None:
         return None
@@ -225,7 +225,7 @@ def _one_start_below(header: Header, claim: CertificateClaim, required: float, v
     unit = robustness_unit(header.config, header.spec)
     margin = margin_words(below.robustness, unit)
     least = "" if required == 0 else f", less than the required {margin_text(f'{required:g}', claim, unit)}"
-    return Finding(
+    return VerdictFinding(
         "VIOLATED",
         (f"At {start} the robustness is {margin}{least}, and nothing there is random.",),
         by_rollouts="certain",
@@ -285,7 +285,7 @@ def _start_words(header: Header, start: str) -> str:
 
 def _mean_below(
     config: CampaignConfig, required: float, probability: float, pairs: Iterable[tuple[str, float]], whose: str
-) -> Finding | None:
+) -> VerdictFinding | None:
     """Return the finding where some mean of the values, each with its start, is below the margin."""
     if config.clip is None or not config.clip[0] < required < config.clip[1]:
         return None
@@ -296,7 +296,7 @@ def _mean_below(
     return _refuting(test, probability, f"{whose} is below {required:g}")
 
 
-def _too_many_below(share: float, margin: float, probability: float, samples: Iterable[float]) -> Finding | None:
+def _too_many_below(share: float, margin: float, probability: float, samples: Iterable[float]) -> VerdictFinding | None:
     """Return the finding where more than a share of the values is below the margin."""
     if not share < 1.0:
         return None
@@ -308,10 +308,10 @@ def _too_many_below(share: float, margin: float, probability: float, samples: It
     )
 
 
-def _refuting(test: OppositeTest, probability: float, words: str) -> Finding | None:
+def _refuting(test: OppositeTest, probability: float, words: str) -> VerdictFinding | None:
     if not test.refutes(1.0 - probability):
         return None
-    return Finding(
+    return VerdictFinding(
         "VIOLATED", (f"{words}, with probability at least {outward(probability, '>=')}.",), by_rollouts="probable"
     )
 

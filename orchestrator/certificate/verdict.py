@@ -27,9 +27,9 @@ from .bound_text import outward
 from .opposite import (
     SAY_LIMIT,
     WORST,
-    Finding,
     Required,
     Values,
+    VerdictFinding,
     capitalised,
     chance_words,
     is_deterministic,
@@ -149,7 +149,7 @@ def _required_probability(config: CampaignConfig, claim: CertificateClaim) -> fl
     return 1.0 - (max(found) if basis.rule == "every" else math.fsum(found))
 
 
-def _shown(header: Header, predicate: Predicate, required: Required) -> Finding | None:
+def _shown(header: Header, predicate: Predicate, required: Required) -> VerdictFinding | None:
     claim = predicate.claims[0]
     if claim.refuted or claim.vacuous or _falls_short(claim, required) or too_unlikely(claim, required):
         return None
@@ -166,7 +166,7 @@ def _shown(header: Header, predicate: Predicate, required: Required) -> Finding 
         reasons.append(f"With the same probability and assumptions it is at {side} {other} at the worst start.")
     if _is_about_a_box(header, predicate) and predicate.spot_check is None and not header.config.spot_check:
         reasons.append("No fresh start tested this bound: `spot_check = 0`.")
-    return Finding("SHOWN", tuple(reasons))
+    return VerdictFinding("SHOWN", tuple(reasons))
 
 
 def _is_contradicted(header: Header, claim: CertificateClaim, violations: Violations) -> bool:
@@ -201,7 +201,7 @@ def _falls_short(claim: CertificateClaim, required: Required) -> bool:
 
 def _not_shown(
     header: Header, predicate: Predicate, required: Required, better: Callable[[float], str], where: str
-) -> Finding:
+) -> VerdictFinding:
     """Return the reasons, and what would help.
 
     `better` says what would bring the bound to a limit, and `where` at which start the opposite is suspected.
@@ -232,7 +232,7 @@ def _not_shown(
         reasons.append(f"{holds}, and {required.probability:g} is required.")
         advice.append(for_the_probability(header.config, claim, required.probability))
     reasons += [where] if where else []
-    return Finding("NOT SHOWN", tuple(reasons), tuple(advice))
+    return VerdictFinding("NOT SHOWN", tuple(reasons), tuple(advice))
 
 
 def _budget_words(predicate: Predicate) -> str:

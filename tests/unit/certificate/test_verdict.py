@@ -260,7 +260,7 @@ def test_the_opposite_needs_the_required_probability_too(tmp_path: Path) -> None
     assert opposite._by_partner(predicate, opposite.Required(partner, 0.5, "")) is None
 
 
-def _reasons(found: opposite.Finding | None) -> tuple[str, ...]:
+def _reasons(found: opposite.VerdictFinding | None) -> tuple[str, ...]:
     assert found is not None
     return found.reasons
 
