@@ -10,7 +10,7 @@ import stat
 from collections.abc import Mapping
 from pathlib import Path
 
-from .atomic import make_folder, write_new
+from .atomic import make_private_folder, write_new
 from .errors import SecretError
 
 VARIABLE = "PERFBOUND_SECRET"
@@ -81,8 +81,7 @@ def _make(path: Path) -> None:
 def _check_folder(folder: Path) -> None:
     """Make the folder; refuse one in which others could put another file in the place of the secret."""
     if not folder.is_symlink():
-        make_folder(folder.parent)
-        folder.mkdir(mode=0o700, exist_ok=True)
+        make_private_folder(folder)
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o022:
         raise SecretError(

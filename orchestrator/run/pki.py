@@ -22,7 +22,7 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-from ...schemas.atomic import write_folder, write_new
+from ...schemas.atomic import make_private_folder, write_folder, write_new
 from ...schemas.certificates import check_time, hosts_of, name_of, read_certificates, role_of
 from ...schemas.errors import AuthorityError, LinkError, SecretError
 from ...schemas.outside import exposed, read_with_status
@@ -90,6 +90,9 @@ def init_folder(folder: Path, days: int) -> datetime:
     signer = new_authority(_now(), days)
     contents = {CA_KEY: (key_bytes(signer.key), 0o600), CA: (certificate_bytes(signer.certificate), 0o644)}
     try:
+        # In its parent others could put another authority in its place; beside the default one is the user's secret.
+        if not (parent := folder.resolve().parent).exists():
+            make_private_folder(parent)
         write_folder(folder.resolve(), contents)
     except FileExistsError:
         remedy = (

@@ -21,6 +21,7 @@ from perfbound.orchestrator.run.pki import load_signer, pki_folder
 from perfbound.schemas import atomic
 from perfbound.schemas.certificates import check_host, check_link_files
 from perfbound.schemas.errors import AuthorityError, PerfboundError
+from perfbound.schemas.secret import user_secret
 from tests.fakes.certificates import DAY, now
 
 
@@ -58,6 +59,20 @@ def contents(folder: Path) -> set[str]:
 
 
 # init
+
+
+def test_the_state_folder_is_of_this_user_alone_whichever_command_makes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under the umask of many users the group could write it, and every later command would refuse its secret."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    before = os.umask(0o002)
+    try:
+        done("init")
+    finally:
+        os.umask(before)
+    assert mode(tmp_path / "state" / "perfbound") == 0o700
+    assert user_secret()
 
 
 def test_an_authority_is_for_its_owner_alone(home: Path) -> None:
