@@ -48,6 +48,13 @@ def make_folder(folder: Path) -> None:
         sync(folder.parent)
 
 
+def make_private_folder(folder: Path) -> None:
+    """Make a folder in which this user alone may do anything, whatever the umask; one that is there stays as it is."""
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        folder.mkdir(mode=0o700, exist_ok=True)
+
+
 def move(source: Path, path: Path) -> None:
     """Put a file that is on the disk into its place, replacing what is there."""
     source.replace(path)

@@ -10,7 +10,7 @@ import stat
 from collections.abc import Mapping
 from pathlib import Path
 
-from .atomic import make_folder, write_new
+from .atomic import make_private_folder, write_new
 from .errors import SecretError
 
 VARIABLE = "PERFBOUND_SECRET"
@@ -88,9 +88,8 @@ def check_own_folder(folder: Path) -> None:
         OSError: the folder cannot be made.
 
     """
-    if not folder.is_symlink() and not folder.is_dir():
-        make_folder(folder.parent)
-        folder.mkdir(mode=0o700, exist_ok=True)
+    if not folder.is_symlink():
+        make_private_folder(folder)
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o022:
         raise SecretError(

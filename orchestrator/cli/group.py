@@ -25,4 +25,4 @@ def output_console() -> Any:
     """Return a console for the output of a command, on stdout."""
     from rich.console import Console  # noqa: PLC0415
 
-    return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 100)
+    return Console(soft_wrap=True, width=None if sys.stdout and sys.stdout.isatty() else 100)
