@@ -223,17 +223,21 @@ def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
 
 def _sentence_on_most_starts(found: MostStarts, clip: object) -> Iterator[str]:
     """Yield the sentence on all starts but a share, which the spot check proves without a kernel."""
+    if margin := margin_at_most_starts(found, clip):
+        yield (
+            f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least "
+            f"{outward(found.bound, '>=')}, {chance(found.probability)}."
+        )
+
+
+def margin_at_most_starts(found: MostStarts, clip: object) -> str:
+    """Return what is bounded at all starts but a share; empty where the clip alone proves it, by rules before 4."""
     clipped = ""
     if isinstance(clip, (list, tuple)):
         if found.bound <= clip[0]:
-            return  # by rules before 4: the clip alone proves it, and the values themselves may be lower
+            return ""  # the values themselves may be lower
         clipped = f", clipped to [{', '.join(f'{end:g}' for end in clip)}],"
-    margin = f"{'robustness' if found.quantity == 'robustness' else 'expected robustness'}{clipped}"
-    bound = outward(found.bound, ">=")
-    yield (
-        f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least {bound}, "
-        f"{chance(found.probability)}."
-    )
+    return f"{'robustness' if found.quantity == 'robustness' else 'expected robustness'}{clipped}"
 
 
 def _nothing(claim: CertificateClaim, value: float | None) -> bool:
