@@ -278,6 +278,9 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
     # Certainty names the assumptions that it rests on itself.
     counted = source.removesuffix(", ") if claim.probability == 1.0 else f"{source}{_count(claim.assumptions)}"
     plain_line(console, f"       {chance(claim.probability, claim.assumptions)} ({counted})")
+    # Behind every bound as well: a reader may copy these lines alone.
+    if claim.refuted:
+        hanging(console, Text("       ", "bold red"), refutation_sentence(claim.refuted))
     # The terms of a composition are those of the first claim; the others have none in the certificate.
     if predicate.composition is not None and number == 0:
         _composition(claim, predicate.composition, console)
@@ -285,9 +288,6 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
         plain_line(console, f"       {nothing_shown(claim.quantity)}", "bold red")
     for note in notes(predicate, number):
         hanging(console, Text("       "), note)
-    # Beside every claim as well: a reader may copy these lines alone.
-    if claim.refuted:
-        hanging(console, Text("       ", "bold red"), refutation_sentence(claim.refuted))
 
 
 def _validity(claim: CertificateClaim) -> str:

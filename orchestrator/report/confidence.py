@@ -29,7 +29,8 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate, *, repe
     claim = predicate.claims[0]
     if claim.refuted:
         number = len(claim.assumptions)
-        yield f"Not at all: {len(claim.refuted)} of its {number} assumption{'' if number == 1 else 's'} refuted."
+        its = f"{number} assumption{'' if number == 1 else 's'}"
+        yield f"Not at all: the campaign refutes {len(claim.refuted)} of its {its}."
     # The bound from the other side shows a violation with the probability of the claim, however weak its own bound is.
     elif not claim.vacuous or verdict.verdict == "VIOLATED":
         yield _wrong_at_most(claim)

@@ -63,12 +63,15 @@ def test_other_constants_have_the_unit_and_are_those_of_the_first_claim() -> Non
 
 def test_what_is_refuted_is_not_sure_at_all_and_needs_no_constants() -> None:
     found = sentences({"refuted": ("kernel/robustness",)}, sensitivity=rows(0.5, 0.5))
-    assert found == ["Not at all: 1 of its 1 assumption refuted.", ""]
+    assert found == ["Not at all: the campaign refutes 1 of its 1 assumption.", ""]
 
 
 def test_every_refuted_assumption_is_counted() -> None:
     names = ("kernel/robustness", "rkhs_norm/robustness", "workers_honest")
-    assert sentences({"assumptions": names, "refuted": names[:2]})[0] == "Not at all: 2 of its 3 assumptions refuted."
+    assert (
+        sentences({"assumptions": names, "refuted": names[:2]})[0]
+        == "Not at all: the campaign refutes 2 of its 3 assumptions."
+    )
 
 
 def test_fresh_starts_need_no_kernel() -> None:
