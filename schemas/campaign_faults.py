@@ -166,6 +166,8 @@ def _describe(fault: Any, key: str, one_problem: bool) -> str:
         return f"{key}: {_unknown(location, _keys_at(fault['loc'], one_problem))}"
     if kind == "json_invalid":
         return f"not a value that JSON can represent: {message}"
+    if kind == "string_pattern_mismatch" and location == ("system", "python"):
+        return f"{key}: {fault['input']!r} is not allowed: allowed is FILE.py:NAME, a function or class in a file"
     known = "a list of texts" if listed in LISTS and location[1:2] == ("header",) else _allowed(location)
     most = f"at most {fault['ctx']['max_length']} entries" if kind == "too_long" else ""
     allowed_text = known or most or message.removeprefix("Input should be ").replace("an object", "a table")

@@ -57,7 +57,8 @@ def check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float
         raise UnusableTrajectoryError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
     t = trajectory.samples[:, 0]
     if fault := uncovered(float(t[0]), float(t[-1]), float(np.max(np.diff(t), initial=0.0)), horizon):
-        raise UnusableTrajectoryError(f"{fault}, the campaign requests 0 to {horizon:g} s")
+        remedy = "; its rollouts are one sample: remove `horizon` from the campaign file" if t[-1] == 0 else ""
+        raise UnusableTrajectoryError(f"{fault}, the campaign requests 0 to {horizon:g} s{remedy}")
 
 
 def uncovered(first: float, last: float, step: float, horizon: float) -> str | None:

@@ -15,6 +15,10 @@ from ..campaign.needed_tests import FOR_A_FORECAST, FURTHEST, NeededTests, neede
 Progress = Callable[[], Sequence[ProblemProgress]]
 MORE = "More tests: a larger `max_tests` in a new campaign."
 CALIBRATE = "`perfbound calibrate` proposes constants from rollouts, and says which budget they need."
+ENDED_EARLY = (
+    "A new campaign without `falsify` and `until_counterexample`: a counterexample ended this one before all its tests "
+    "were made, and they show how often the system fails."
+)
 TEST_ALONE = (
     "This start alone in a campaign by method `scenario` (`scenarios = [[...]]` under `[space]`), which needs no other "
     "constants than the clip: it shows whether the mean there is below what is required."
@@ -51,6 +55,8 @@ class ShortBound:
     """Whether the tested variant of the system is random."""
     progress: Progress
     """Of every problem, for a forecast; empty where there is no time for one."""
+    failed_samples: Callable[[], int] = int
+    """Returns how many samples of the only problem, the first rollouts at drawn starts, violate the specification."""
 
     @property
     def missing(self) -> float:
@@ -89,6 +95,8 @@ def for_a_better_bound(short: ShortBound) -> str:
     if claim.vacuous and problems[0].method == "kriging":
         return "Method `rigorous`: where means differ more than noise, more tests by `kriging` help little."
     spent = [each for each in problems if each.stopped_by == "budget"]
+    if any(each.stopped_by == "counterexample" for each in problems):
+        return ENDED_EARLY
     if not spent:
         return "A smaller `alpha` in a new campaign, which costs more tests."
     if claim.quantity == "failure_probability":
@@ -207,10 +215,10 @@ def _about(number: int) -> int:
 def _more_samples(short: ShortBound) -> str:
     """Return how many drawn starts would show that few enough of them violate the specification."""
     claim, (problem, *_) = short.predicate.claims[0], short.predicate.problems
-    seen, samples = short.violations, claim.samples or problem.tests
-    needed = needed_samples(samples, seen.violations, short.required, 1.0 - claim.probability)
+    failed, samples = short.failed_samples(), claim.samples or problem.tests
+    needed = needed_samples(samples, failed, short.required, 1.0 - claim.probability)
     if needed is None:
-        share = f"{seen.violations} of {samples} rollouts violate the specification"
+        share = f"{failed} of {samples} samples violate the specification"
         return f"More samples will hardly do: {share}, and the required share is {short.required:g}."
-    rate = "none of them violates" if not seen.violations else "as large a share of them violates"
+    rate = "none of them violates" if not failed else "as large a share of them violates"
     return f"About {_about(needed)} samples in a new campaign with another seed, if {rate} the specification."

@@ -205,7 +205,7 @@ def _drawn_below(
     header: Header, claim: CertificateClaim, required: float, probability: float, values: Callable[[], Values]
 ) -> VerdictFinding | None:
     """Return the finding about rollouts at drawn starts."""
-    samples = (each.robustness for each in _drawn_samples(header.config, values()))
+    samples = (each.robustness for each in drawn_samples(header.config, values()))
     if claim.quantity in ("mean", "risk"):
         pairs = (("", each) for each in samples)
         return _mean_below(header.config, required, probability, pairs, "The mean robustness at drawn starts")
@@ -316,7 +316,7 @@ def _refuting(test: OppositeTest, probability: float, words: str) -> VerdictFind
     )
 
 
-def _drawn_samples(config: CampaignConfig, values: Values) -> Values:
+def drawn_samples(config: CampaignConfig, values: Values) -> Values:
     """Return the first rollout at each start that was drawn; further ones there are no samples of their own."""
     (problem,), search = config.problems, config.falsify
     of_problem = (each for each in values if each.series == problem.name and each.replicate == 0)

@@ -223,17 +223,21 @@ def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
 
 def _sentence_on_most_starts(found: MostStarts, clip: object) -> Iterator[str]:
     """Yield the sentence on all starts but a share, which the spot check proves without a kernel."""
+    if margin := margin_at_most_starts(found, clip):
+        yield (
+            f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least "
+            f"{outward(found.bound, '>=')}, {chance(found.probability)}."
+        )
+
+
+def margin_at_most_starts(found: MostStarts, clip: object) -> str:
+    """Return what is bounded at all starts but a share; empty where the clip alone proves it, by rules before 4."""
     clipped = ""
     if isinstance(clip, (list, tuple)):
         if found.bound <= clip[0]:
-            return  # by rules before 4: the clip alone proves it, and the values themselves may be lower
+            return ""  # the values themselves may be lower
         clipped = f", clipped to [{', '.join(f'{end:g}' for end in clip)}],"
-    margin = f"{'robustness' if found.quantity == 'robustness' else 'expected robustness'}{clipped}"
-    bound = outward(found.bound, ">=")
-    yield (
-        f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least {bound}, "
-        f"{chance(found.probability)}."
-    )
+    return f"{'robustness' if found.quantity == 'robustness' else 'expected robustness'}{clipped}"
 
 
 def _nothing(claim: CertificateClaim, value: float | None) -> bool:
@@ -274,6 +278,9 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
     # Certainty names the assumptions that it rests on itself.
     counted = source.removesuffix(", ") if claim.probability == 1.0 else f"{source}{_count(claim.assumptions)}"
     plain_line(console, f"       {chance(claim.probability, claim.assumptions)} ({counted})")
+    # Behind every bound as well: a reader may copy these lines alone.
+    if claim.refuted:
+        hanging(console, Text("       ", "bold red"), refutation_sentence(claim.refuted))
     # The terms of a composition are those of the first claim; the others have none in the certificate.
     if predicate.composition is not None and number == 0:
         _composition(claim, predicate.composition, console)
@@ -281,9 +288,6 @@ def _claim(title: str, certificate: Certificate, number: int, console: Console, 
         plain_line(console, f"       {nothing_shown(claim.quantity)}", "bold red")
     for note in notes(predicate, number):
         hanging(console, Text("       "), note)
-    # Beside every claim as well: a reader may copy these lines alone.
-    if claim.refuted:
-        hanging(console, Text("       ", "bold red"), refutation_sentence(claim.refuted))
 
 
 def _validity(claim: CertificateClaim) -> str:

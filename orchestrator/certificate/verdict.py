@@ -32,6 +32,7 @@ from .opposite import (
     VerdictFinding,
     capitalised,
     chance_words,
+    drawn_samples,
     is_deterministic,
     margin_text,
     other_side,
@@ -69,9 +70,13 @@ def campaign_verdict(
     limit = config.required_margin if claim.sense == ">=" else config.required_at_most
     required = Required(limit, _required_probability(config, claim), unit)
 
+    def failed() -> int:
+        return sum(each.robustness < 0 for each in drawn_samples(config, values()))
+
     def better(limit: float) -> str:
         noisy = not is_deterministic(header)
-        return for_a_better_bound(ShortBound(config, predicate, limit, violations, commands, noisy, progress))
+        short = ShortBound(config, predicate, limit, violations, commands, noisy, progress, failed)
+        return for_a_better_bound(short)
 
     # Rollouts that show the opposite need no kernel, so they come before a claim that rests on one.
     found = violated(header, predicate, required, violations, values)

@@ -25,6 +25,7 @@ from ..run.format import replay_command
 from ..run.verdict import verdict_of
 from ..store import lock
 from ..store.changes import ChangeReader, Changes, Session
+from ..store.robustness import is_repeated
 from ..store.so_far import read_so_far
 from . import rollouts, wording
 from .claim_data import VerdictCard, assumption_row
@@ -121,7 +122,10 @@ class Collector:
         _check_same(self.directory, certificate, header)
         self._certificate = certificate
         if certificate is not None and self._verdict is None:
-            self._verdict = wording.verdict_card(verdict_of(self.directory, header, certificate), certificate.predicate)
+            found = verdict_of(self.directory, header, certificate)
+            worst = found.violations.rollout
+            repeated = found.by_rollouts == "certain" and worst is not None and is_repeated(self.directory, worst)
+            self._verdict = wording.verdict_card(found, certificate.predicate, repeated=repeated)
         if not self._problems:
             self._problems.update(_collectors(header))
         self._sessions = changes.sessions

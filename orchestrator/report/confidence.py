@@ -8,6 +8,7 @@ from ...schemas.problems import Quantity
 from ...schemas.verdict import ByRollouts, CampaignVerdict
 from ..campaign.clip import is_vacuous
 from ..certificate.bound_text import outward
+from ..certificate.text import margin_at_most_starts
 
 CHANGES = {
     ("rkhs_norm", 2.0): "With a norm bound B twice as large the same tests prove",
@@ -19,16 +20,19 @@ IN_UNIT: tuple[Quantity, ...] = ("rho_star", "robustness", "expected_robustness"
 """Quantities of a claim that have the unit of the robustness."""
 
 
-def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate) -> Iterator[str]:
-    """Yield how sure a verdict is."""
+def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate, *, repeated: bool = False) -> Iterator[str]:
+    """Yield how sure a verdict is; `repeated` tells whether a repetition of the worst rollout gave the same."""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
     if verdict.by_rollouts:
-        yield _shown_by_rollouts(verdict.by_rollouts, verdict.required_probability)
+        yield _shown_by_rollouts(verdict.by_rollouts, verdict.required_probability, repeated=repeated)
         return
     claim = predicate.claims[0]
     if claim.refuted:
-        yield "Not at all: the campaign refutes one of its assumptions."
-    elif not claim.vacuous:
+        number = len(claim.assumptions)
+        its = f"{number} assumption{'' if number == 1 else 's'}"
+        yield f"Not at all: the campaign refutes {len(claim.refuted)} of its {its}."
+    # The bound from the other side shows a violation with the probability of the claim, however weak its own bound is.
+    elif not claim.vacuous or verdict.verdict == "VIOLATED":
         yield _wrong_at_most(claim)
         if verdict.verdict == "SHOWN":
             yield from _with_other_constants(predicate, unit, verdict.required)
@@ -36,9 +40,11 @@ def confidence_sentences(verdict: CampaignVerdict, predicate: Predicate) -> Iter
         yield "Nothing is claimed that could be wrong: the bound holds without any rollout."
 
 
-def _shown_by_rollouts(how: ByRollouts, probability: float) -> str:
-    if how == "certain":
+def _shown_by_rollouts(how: ByRollouts, probability: float, *, repeated: bool) -> str:
+    if how == "certain" and repeated:
         return "Certain of the simulator: the rollout shows it, and its repetition shows the same."
+    if how == "certain":
+        return "Certain of the simulator: the rollout shows it. This rollout was not repeated."
     wrong = outward(1.0 - probability, "<=")
     return f"Wrong with probability at most {wrong}, by the chance in the rollouts. Kernel and norm bound are not used."
 
@@ -48,7 +54,8 @@ def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
     most = predicate.spot_check and predicate.spot_check.most_starts
     if verdict.verdict == "VIOLATED":
         return ""
-    return _of_fresh_starts(most, "" if verdict.unit == "1" else one_line(verdict.unit)) if most else ""
+    unit = "" if verdict.unit == "1" else one_line(verdict.unit)
+    return _of_fresh_starts(most, unit, predicate.question.get("clip")) if most else ""
 
 
 def _with_other_constants(predicate: Predicate, unit: str, required: float | None) -> Iterator[str]:
@@ -75,8 +82,10 @@ def _bound_with(claim: CertificateClaim, row: Sensitivity, unit: str, required: 
     return f"{bound}, still SHOWN" if enough else f"{bound}, so NOT SHOWN"
 
 
-def _of_fresh_starts(found: MostStarts, unit: str) -> str:
-    margin = "robustness" if found.quantity == "robustness" else "expected robustness"
+def _of_fresh_starts(found: MostStarts, unit: str, clip: object) -> str:
+    margin = margin_at_most_starts(found, clip)
+    if not margin:
+        return ""
     bound = f"{outward(found.bound, '>=')} {unit}".rstrip()
     share, probability = f"{100 * found.share:g} %", outward(found.probability, ">=")
     return (

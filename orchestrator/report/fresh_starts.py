@@ -86,7 +86,7 @@ def _failing(
 ) -> FailingStart | None:
     """Return a start if it fails: its value is the mean of all rollouts there, with the sign of the objective."""
     finding = tested[place]
-    values = [value for each in start.every for value in _signed(each[place :: len(tested)], plan.sense)]
+    values = [value for each in start.every for value in _of_objective(each[place :: len(tested)], plan.sense)]
     # The values are no robustness where a risk is bounded through an expectation, so its rollouts are counted.
     counted = start.violations if limits.is_robustness(plan) else {}
     violations = sum(number for variant, number in counted.items() if variant in plan.variants)
@@ -99,7 +99,7 @@ def _failing(
     return FailingStart(start.x, name, start.test, mean, len(values), violations, contradicts)
 
 
-def _signed(values: Values, sense: str) -> Iterator[float]:
+def _of_objective(values: Values, sense: str) -> Iterator[float]:
     return (found for value in values if (found := signed(value, sense)) is not None)
 
 

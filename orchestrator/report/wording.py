@@ -47,13 +47,13 @@ def worded(predicate: document.Predicate) -> tuple[Claim, ...]:
     )
 
 
-def verdict_card(found: CampaignVerdict, predicate: document.Predicate) -> VerdictCard:
-    """Return the verdict in sentences with real signs."""
+def verdict_card(found: CampaignVerdict, predicate: document.Predicate, *, repeated: bool) -> VerdictCard:
+    """Return the verdict in sentences with real signs; `repeated` as in `confidence_sentences`."""
     return VerdictCard(
         found.verdict,
         typeset(f"{found.claim}."),
         tuple(map(typeset, found.reasons)),
-        tuple(map(typeset, confidence_sentences(found, predicate))),
+        tuple(map(typeset, confidence_sentences(found, predicate, repeated=repeated))),
         typeset(anyway(found, predicate)),
         found.by_rollouts,
         found.advice,

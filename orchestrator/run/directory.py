@@ -1,5 +1,6 @@
 """The run directory of a new campaign: empty, or with the leftovers of an attempt to start one; locked."""
 
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,6 +30,11 @@ def check_vacant(directory: Path, config: CampaignConfig) -> None:
             raise PerfboundError(
                 f"{directory}: the campaign stored here differs from the file: {found}. A campaign never "
                 "changes after its start; choose another --out"
+            )
+        if (directory / files.CERTIFICATE).exists():
+            raise PerfboundError(
+                f"{directory}: a finished campaign is here; `perfbound show {shlex.quote(str(directory))}` prints it. "
+                "Choose another --out for a new one"
             )
         raise PerfboundError(
             f"{directory}: a campaign is here already; continue it with `{continue_command(directory)}`, "

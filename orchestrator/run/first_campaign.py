@@ -86,6 +86,10 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
     except PilotError as error:
         basis = _guess(wish, spec, horizon, str(error))
         news = f"{question.values} guessed, because the pilot failed: {error}"
+    if basis.horizon == 0 and wish.horizon:
+        raise PerfboundError(
+            f"--horizon {wish.horizon:g}: rollouts of {spec.name} are one sample, which has none; remove this option"
+        )
     if basis.horizon == 0 and not all(OBJECTIVES[problem].static for problem in question.problems):
         raise PerfboundError(
             f"--question {wish.question}: rollouts of {spec.name} are one sample, and this question needs longer ones; "

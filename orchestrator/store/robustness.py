@@ -41,6 +41,13 @@ _STARTS = """
 _RECORDED = "SELECT count(*) FROM rollouts"
 _VALUES = f"SELECT test, replicate, x, robustness {_OF} ORDER BY test, replicate"
 
+# A recheck observes 1 where both trajectories agree; their files differ, because each names its rollout.
+_SAME = """
+    SELECT again.problem FROM rollouts JOIN rollouts AS again USING (variant, seed)
+    JOIN observations ON observations.problem = again.problem AND observations.test = again.test
+    WHERE rollouts.problem = ? AND rollouts.test = ? AND variant = ? AND rollouts.replicate = ? AND y = 1
+"""
+
 
 class RolloutValue(NamedTuple):
     """The robustness of one rollout, clipped."""
@@ -173,6 +180,19 @@ def read_values(directory: Path, variant: str, problems: Sequence[str]) -> Itera
         for series in sorted(_new_series(connection), key=lambda name: series_order(problems, name)):
             for test, replicate, start, robustness in connection.execute(_VALUES, [variant, json.dumps([series])]):
                 yield RolloutValue(series, test, replicate, start, robustness)
+
+
+def is_repeated(directory: Path, rollout: str) -> bool:
+    """Whether a recheck repeated a rollout and got the same trajectory.
+
+    Raises:
+        JournalError: there is no campaign, or its database is damaged.
+        OSError: the disk is full or fails.
+
+    """
+    with snapshot(directory) as connection:
+        rows = connection.execute(_SAME, RolloutId.parse(rollout)).fetchall()
+    return any(closing_check(problem) == RECHECK for (problem,) in rows)
 
 
 def _new_series(connection: sqlite3.Connection) -> list[str]:

@@ -46,7 +46,7 @@ def test_log_lines_for_programs(started: Processes) -> None:
     failed = started.run("perfbound", "run", campaign, "--out", directory, "--log", "json")
     (line,) = [json.loads(text) for text in failed.err.splitlines()]
     assert (failed.code, line["level"]) == (1, "error")
-    assert "a campaign is here already" in line["message"]
+    assert "a finished campaign is here; `perfbound show" in line["message"]
 
 
 def test_systemd_is_told(started: Processes) -> None:

@@ -88,4 +88,7 @@ def _existing(connection: Connection, header: Header, rollout: RolloutId, of_tes
     last = connection.execute(sa.select(sa.func.max(_rollouts.test)).where(_rollouts.problem == rollout.problem))
     if (number := last.scalar()) is not None:
         return f"choose a test of {rollout.problem} from 0 to {number}"
-    return f"choose a problem: {', '.join(problem.name for problem in header.config.problems)}"
+    first = sa.func.min(_rollouts.seq)
+    recorded = connection.execute(sa.select(_rollouts.problem).group_by(_rollouts.problem).order_by(first)).scalars()
+    names = dict.fromkeys([*recorded, *(problem.name for problem in header.config.problems)])
+    return f"choose a problem or a check: {', '.join(names)}"

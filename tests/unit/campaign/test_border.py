@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perfbound.orchestrator.campaign.admission import check_whole
 from perfbound.orchestrator.campaign.ledger import Ledger, observed_discards
 from perfbound.orchestrator.certificate import files
 from perfbound.orchestrator.certificate.verify.run import verify_certificate
@@ -23,7 +24,7 @@ from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.lock import campaign_lock
 from perfbound.orchestrator.store.rows import DATABASE
 from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.errors import PerfboundError
+from perfbound.schemas.errors import PerfboundError, UnusableTrajectoryError
 from perfbound.schemas.ids import RolloutId
 from perfbound.schemas.messages import Assign, Request
 from perfbound.schemas.rollout import RolloutRequest
@@ -357,3 +358,12 @@ def test_verify_finds_a_false_discard(stuck: Path, monkeypatch: pytest.MonkeyPat
         with closing(sqlite3.connect(stuck / DATABASE)) as connection:
             connection.executescript("DROP TRIGGER discards_no_update; UPDATE discards SET reason = 'none'")
     assert check in verify(stuck)
+
+
+@pytest.mark.parametrize(("end", "remedy"), [(0.0, "; its rollouts are one sample: remove `horizon`"), (1.9, "")])
+def test_a_horizon_for_one_sample_is_to_be_removed(end: float, remedy: str) -> None:
+    samples = np.array([[0.0, 1.0], [end, 1.0]])[: 1 if end == 0 else 2]
+    with pytest.raises(UnusableTrajectoryError) as refused:
+        check_whole(Trajectory(("t", "y"), samples), ("t", "y"), 5.0)
+    assert f"the campaign requests 0 to 5 s{remedy}" in str(refused.value)
+    assert ("remove" in str(refused.value)) == bool(remedy)

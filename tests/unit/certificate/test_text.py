@@ -165,6 +165,10 @@ def test_one_line_at_a_claim_says_what_refutes_it() -> None:
     both = "REFUTED by its own data: rkhs_norm of nominal_robustness and sim_gap. Do not rely on it."
     certificate = a_certificate(*found[:2])
     assert f"       {both}" in printed(certificate), "it fits into the width of the lines"
+    lines_of_claim = printed(certificate)[
+        printed(certificate).index("CLAIM  J* (maximum of the expectation) <= 0.5001") :
+    ]
+    assert lines_of_claim[2] == f"       {both}", "directly behind the bound and its probability"
     assert claim_sentence(certificate.predicate.claims[0]).endswith(f". {both.removesuffix('.')}")
     lines = "\n".join(printed(a_certificate(*found)))
     assert (

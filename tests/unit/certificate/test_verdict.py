@@ -322,6 +322,29 @@ def test_a_failure_probability_needs_a_limit(tmp_path: Path, required: float | N
         assert "required_at_most" in found.advice[0]
 
 
+def test_the_advice_counts_samples_and_not_their_replicates(tmp_path: Path) -> None:
+    """One rollout of 50 violates: about 4 of 200 samples, which have 16 violations with their replicates."""
+
+    def rare(request: RolloutRequest) -> float:
+        return 0.5 - 0.1 * noise(request.seed) - (1.0 if noise(request.seed) > 2.05 else 0.0)
+
+    changes: dict[str, Any] = {"max_tests": 200, "replicates": 4, "required_at_most": 0.025, "clip": [-2.0, 2.0]}
+    found = verdict(tmp_path, SAMPLE, rare, noisy=True, **changes)
+    assert found.verdict == "NOT SHOWN"
+    assert found.violations.violations > 0.025 * 200, "of all 800 rollouts"
+    (advice,) = found.advice
+    assert advice.startswith("About ")
+    assert "samples in a new campaign with another seed" in advice
+
+
+def test_a_counterexample_that_ended_a_campaign_leaves_no_bound_to_improve(tmp_path: Path) -> None:
+    """Method `sample` has no alpha."""
+    changes: dict[str, Any] = {"max_tests": 200, "required_at_most": 0.05, "until_counterexample": True}
+    found = verdict(tmp_path, SAMPLE, shifted(-0.35), **changes)
+    assert found.verdict == "NOT SHOWN"
+    assert found.advice[0].startswith("A new campaign without `falsify` and `until_counterexample`")
+
+
 def test_who_accepts_no_violation_gets_none(tmp_path: Path) -> None:
     """A noisy system, of which one rollout is enough."""
     found = verdict(tmp_path, SAMPLE, shifted(-0.2, noisy=0.1), noisy=True, max_tests=200)

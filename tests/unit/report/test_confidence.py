@@ -4,14 +4,19 @@ from typing import Any
 
 from perfbound.orchestrator.report.confidence import anyway, confidence_sentences
 from perfbound.schemas.certificate import CertificateClaim, MostStarts, Rollouts, Sensitivity, SpotCheck
-from perfbound.schemas.verdict import ByRollouts, CampaignVerdict, Violations
+from perfbound.schemas.verdict import ByRollouts, CampaignVerdict, VerdictWord, Violations
 from tests.unit.certificate.test_text import a_certificate
 
 NONE = Violations(rollouts=3, violations=0, starts=3, violating_starts=0, least=1.0, rollout="a")
 
 
 def sentences(
-    claim: dict[str, Any] | None = None, *, by_rollouts: ByRollouts | None = None, **changes: Any
+    claim: dict[str, Any] | None = None,
+    *,
+    by_rollouts: ByRollouts | None = None,
+    repeated: bool = False,
+    verdict: VerdictWord = "SHOWN",
+    **changes: Any,
 ) -> list[str]:
     """Return the sentences on a claim `worst expected robustness >= 1.25 m`."""
     found = CertificateClaim(
@@ -19,12 +24,12 @@ def sentences(
         assumptions=("kernel/robustness",), refuted=(), by_clip=-1.0,
     ).model_copy(update=claim or {})  # fmt: skip
     predicate = a_certificate().predicate.model_copy(update={"claims": (found,)} | changes)
-    verdict = CampaignVerdict(
-        verdict="SHOWN", campaign="c", seed=1, claim="", reasons=(), advice=(), bound=1.25, sense=">=", required=0.0,
+    card = CampaignVerdict(
+        verdict=verdict, campaign="c", seed=1, claim="", reasons=(), advice=(), bound=1.25, sense=">=", required=0.0,
         probability=0.9, required_probability=0.95, unit="m", violations=NONE, by_rollouts=by_rollouts,
         repeat="",
     )  # fmt: skip
-    return [*confidence_sentences(verdict, predicate), anyway(verdict, predicate)]
+    return [*confidence_sentences(card, predicate, repeated=repeated), anyway(card, predicate)]
 
 
 def rows(*bounds: float | None) -> tuple[Sensitivity, ...]:
@@ -58,7 +63,15 @@ def test_other_constants_have_the_unit_and_are_those_of_the_first_claim() -> Non
 
 def test_what_is_refuted_is_not_sure_at_all_and_needs_no_constants() -> None:
     found = sentences({"refuted": ("kernel/robustness",)}, sensitivity=rows(0.5, 0.5))
-    assert found == ["Not at all: the campaign refutes one of its assumptions.", ""]
+    assert found == ["Not at all: the campaign refutes 1 of its 1 assumption.", ""]
+
+
+def test_every_refuted_assumption_is_counted() -> None:
+    names = ("kernel/robustness", "rkhs_norm/robustness", "workers_honest")
+    assert (
+        sentences({"assumptions": names, "refuted": names[:2]})[0]
+        == "Not at all: the campaign refutes 2 of its 3 assumptions."
+    )
 
 
 def test_fresh_starts_need_no_kernel() -> None:
@@ -71,6 +84,9 @@ def test_fresh_starts_need_no_kernel() -> None:
         last = sentences(claim, spot_check=spot)[-1]
         assert last.startswith("Without B and the kernel, by fresh starts alone: expected robustness at least 0.7500 m")
     assert sentences({"vacuous": True}, spot_check=spot)[0].startswith("Nothing is claimed")
+    clipped = sentences(spot_check=spot, question={"clip": [-0.2, 1.0]})[-1]
+    assert "by fresh starts alone: expected robustness, clipped to [-0.2, 1], at least 0.7500 m from all" in clipped
+    assert sentences(spot_check=spot, question={"clip": [0.75, 1.0]})[-1] == "", "the clip alone"
 
 
 def test_a_violation_by_rollouts_uses_no_kernel() -> None:
@@ -78,5 +94,13 @@ def test_a_violation_by_rollouts_uses_no_kernel() -> None:
     assert noisy == (
         "Wrong with probability at most 0.0500, by the chance in the rollouts. Kernel and norm bound are not used."
     )
-    exact, _ = sentences(by_rollouts="certain")
-    assert exact.startswith("Certain of the simulator")
+    exact, _ = sentences(by_rollouts="certain", repeated=True)
+    assert exact == "Certain of the simulator: the rollout shows it, and its repetition shows the same."
+    once, _ = sentences(by_rollouts="certain")
+    assert once == "Certain of the simulator: the rollout shows it. This rollout was not repeated."
+
+
+def test_a_violation_by_the_other_bound_has_the_chance_of_the_claim() -> None:
+    """Its own bound may hold without any rollout."""
+    likely, _ = sentences({"vacuous": True}, verdict="VIOLATED")
+    assert likely.startswith("If its assumptions hold, it is wrong with probability at most 0.1000")

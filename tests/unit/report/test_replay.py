@@ -150,6 +150,8 @@ def test_a_rollout_of_a_closing_check_is_replayed_and_drawn(tmp_path: Path) -> N
         lines = list(replay.replay_rollout(directory, rollout, out=picture))
         assert lines[1] == "bitwise the same as the recorded trajectory"
         assert picture.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(PerfboundError, match="choose a problem or a check: maximum, spot_check, recheck"):
+        load_recorded(directory, "spotcheck.1.true.0")
 
 
 @pytest.mark.usefixtures("spoil")
@@ -258,7 +260,7 @@ def test_a_path_out_of_the_run_directory_is_not_read(tmp_path: Path, monkeypatch
             r"no rollout .* is recorded; choose one of its test: sim_gap.0.nominal.0, sim_gap.0.true.0",
         ),
         ("sim_gap.2.true.0", "choose a test of sim_gap from 0 to 1"),
-        ("maximum.0.true.0", "choose a problem: nominal_robustness, sim_gap"),
+        ("maximum.0.true.0", "choose a problem or a check: nominal_robustness, sim_gap"),
     ],
 )
 def test_a_rollout_that_is_not_there(segway: Path, rollout: str, text: str) -> None:

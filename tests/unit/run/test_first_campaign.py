@@ -9,6 +9,7 @@ import pytest
 from perfbound.orchestrator.run import first_campaign
 from perfbound.orchestrator.run.first_campaign import Wish, write_first_campaign
 from perfbound.schemas.campaign_file import parse_campaign
+from perfbound.schemas.errors import PerfboundError
 
 HANGS = """import time
 from pathlib import Path
@@ -20,6 +21,14 @@ def hangs(x, *, seed):
         Path(__file__).with_name("hangs").touch()
         time.sleep(0.01)
     return x
+"""
+
+
+ONE_SAMPLE = """import perfbound as pb
+
+@pb.system(parameters={"x": pb.Parameter(0, 1)}, columns={"y": "m"})
+def one(x):
+    return 1 + x
 """
 
 
@@ -52,3 +61,14 @@ def test_a_pilot_that_hangs_names_the_rollout_and_the_place(folder: Path) -> Non
     assert "Put your formula here" not in text
     assert text.count("This one is a guess.") == 3, "clip, prior_mean and rkhs_norm"
     assert parse_campaign((folder / "hangs.toml").read_bytes(), "c").specification == "y >= 0.5"
+
+
+def test_a_horizon_for_rollouts_of_one_sample_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was ignored, and the file had none."""
+    (tmp_path / "own.py").write_text(ONE_SAMPLE)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PerfboundError, match=r"--horizon 5: rollouts of one are one sample, .* remove this option"):
+        list(write_first_campaign(Wish("own.py:one", "worst", "y >= 0.5", 5.0, None)))
+    assert not (tmp_path / "one.toml").exists()
+    list(write_first_campaign(Wish("own.py:one", "worst", "y >= 0.5", None, None)))
+    assert (tmp_path / "one.toml").exists()

@@ -199,6 +199,10 @@ def test_the_name_is_that_of_the_file() -> None:
         (changed("horizon = 15.0", "horizon = 0.0"), "horizon: problem 'nominal_robustness' needs a rollout longer"),
         (changed("clip = [-0.05, 0.75]", "clip = [1.0]"), "clip.1: [1.0] is not allowed: allowed is [low, high]"),
         (changed('name = "segway-paper"', 'name = "A"'), "name: 'A' is not allowed: allowed is 1 to 64 of a-z"),
+        (
+            changed('name = "segway"\n', 'python = "hole:hole3"\n'),
+            "system.python: 'hole:hole3' is not allowed: allowed is FILE.py:NAME, a function or class in a file",
+        ),
         (changed('name = "segway"\n', ""), 'system.name: give one of name = "...", an installed system, python'),
         (changed('gains = "paper"', "gains = [1]"), "system.gains: [1] is not allowed: allowed is text or a number"),
         (
