@@ -168,7 +168,7 @@ class _ImpatientProtocol(H11Protocol):
     @property
     def is_idle(self) -> bool:
         """Whether no response is under way."""
-        return self.cycle is None or self.cycle.response_complete
+        return _answered(self.cycle)
 
     def _check_later(self) -> None:
         self.loop.call_later(COMPLETE_REQUEST, self._drop_if_idle, self.cycle)
@@ -176,9 +176,13 @@ class _ImpatientProtocol(H11Protocol):
     def _drop_if_idle(self, before: RequestResponseCycle | None) -> None:
         if self.transport.is_closing():
             return
-        answered = before is None or before.response_complete
         # For the first request, for a further one, or for the body of an answered one uvicorn waits without a limit.
-        if answered and self.cycle is before:
+        if _answered(before) and self.cycle is before:
             self.transport.abort()
         else:
             self._check_later()
+
+
+def _answered(cycle: RequestResponseCycle | None) -> bool:
+    """Whether there is no request, or its response is complete."""
+    return cycle is None or cycle.response_complete
