@@ -35,12 +35,17 @@ def refusal(host: str, port: int, tls: "Tls") -> str | None:
         context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # as in Zenoh, an authority need not be a root
         context.load_verify_locations(tls.ca)
         context.load_cert_chain(tls.certificate, tls.key, password="")
-        with (
-            socket.create_connection((host, port), PATIENCE) as plain,
-            context.wrap_socket(plain, server_hostname=host) as link,
-        ):
+        with socket.create_connection((host, port), PATIENCE) as plain:
+            try:
+                link = context.wrap_socket(plain, server_hostname=host)
+            except TimeoutError:
+                return (
+                    f"{place} takes connections and begins no TLS handshake within {PATIENCE:g} s; choose the tls/ "
+                    "endpoint of a router or orchestrator, and fix its firewall if others flood this port"
+                )
             # In TLS 1.3 the other side examines our certificate when the handshake has ended for us.
-            link.recv(1)
+            with link:
+                link.recv(1)
     except ssl.SSLCertVerificationError as error:
         return f"the certificate of {place} {_wrong_certificate(error, host, tls)}"
     except ssl.SSLError as error:

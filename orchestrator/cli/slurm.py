@@ -47,7 +47,7 @@ def slurm(
     from ...schemas.campaign_file import load_campaign  # noqa: PLC0415
     from ...schemas.secret import given_secret, secret_file, user_secret  # noqa: PLC0415
     from ..fleet.child import system_options  # noqa: PLC0415
-    from ..run.slurm_files import SlurmOptions, job_files, missing_files  # noqa: PLC0415
+    from ..run.slurm_files import ORCHESTRATOR, SlurmOptions, job_files, missing_files  # noqa: PLC0415
 
     config = load_campaign(campaign)
     if jobs["router"] is not None:
@@ -81,6 +81,10 @@ def slurm(
         click.echo(f"written to {options.folder}; submit with: {shlex.join(command)}")
         return
     _submit(command)
+    click.echo(
+        f"once the job {ORCHESTRATOR} runs: {shlex.join(['perfbound', 'status', str(options.directory)])}; before, "
+        "there is no campaign"
+    )
 
 
 def _check_router(endpoint: str, tls: Path | None) -> None:

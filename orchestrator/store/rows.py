@@ -58,7 +58,8 @@ def existing(directory: Path) -> Path:
     path = directory / DATABASE
     if not path.is_file():
         raise JournalError(
-            f"{directory}: no campaign here (no {DATABASE}); start one with `perfbound run CAMPAIGN.toml`"
+            f"{directory}: no campaign here (no {DATABASE}); start one with `perfbound run CAMPAIGN.toml`, or wait "
+            "until a submitted job has begun it"
         )
     return path
 

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-FUNCTIONS = frozenset({"rate", "increase", "sum", "max", "histogram_quantile", "time", "label_values"})
+FUNCTIONS = frozenset({"rate", "increase", "sum", "max", "max_over_time", "histogram_quantile", "time", "label_values"})
 LISTS = frozenset({"by", "without", "on", "ignoring", "group_left", "group_right"})
 """Words before a list of labels."""
 OPERATORS = frozenset({"and", "or", "unless", "bool"})

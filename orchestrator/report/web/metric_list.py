@@ -86,7 +86,8 @@ METRICS = (
         "gauge",
         ("problem", "sense"),
         "database",
-        "Worst value of the objective in a test; the bound cannot pass it.",
+        "Worst value of the objective in a test of the problem; the bound cannot pass it. Starts of the spot check are "
+        "not among them: for these see perfbound_violations_total.",
     ),
     DeclaredMetric(
         "perfbound_rollouts_open",

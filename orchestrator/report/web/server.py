@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
-from starlette.types import ASGIApp
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 from ...run.address import Address
@@ -20,9 +21,11 @@ from .index_app import index_application
 from .index_cache import IndexCache
 from .open_campaigns import OpenCampaigns
 from .run_feed import RunFeed
+from .security import HEADERS, HEALTH
 from .snapshots import SnapshotCache
 
 MOST_CONNECTIONS = 128
+"""Clients with a request under way. Those without one make room for others from here on."""
 COMPLETE_REQUEST = 10.0
 """Seconds in which a client must complete a request; at most twice as long behind another one."""
 _TOO_MANY = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
@@ -40,7 +43,7 @@ class PageServer(uvicorn.Server):
         tls = access.tls
         super().__init__(
             uvicorn.Config(
-                web_application,
+                _BusyLimit(web_application),
                 http=_ImpatientProtocol,
                 loop="asyncio",
                 ws="none",
@@ -51,7 +54,6 @@ class PageServer(uvicorn.Server):
                 access_log=False,
                 server_header=False,
                 proxy_headers=False,
-                limit_concurrency=MOST_CONNECTIONS,
                 backlog=MOST_CONNECTIONS,
                 timeout_graceful_shutdown=SHUTDOWN,
                 ssl_certfile=tls.certificate if tls else None,
@@ -116,18 +118,57 @@ class IndexServer(PageServer):
         self._index.begin()
 
 
+class _BusyLimit:
+    """An application with `MOST_CONNECTIONS` requests under way at most; the probe of its life is always answered.
+
+    The server itself would count connections, also idle ones, and refuse the probe too: whoever opens enough of them
+    could have the run restarted.
+    """
+
+    def __init__(self, inner: ASGIApp) -> None:
+        self._inner, self._under_way = inner, 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] == HEALTH:
+            await self._inner(scope, receive, send)
+            return
+        if self._under_way >= MOST_CONNECTIONS:
+            refusal = PlainTextResponse(f"{MOST_CONNECTIONS} requests are under way; try again later\n", 503, HEADERS)
+            await refusal(scope, receive, send)
+            return
+        self._under_way += 1
+        try:
+            await self._inner(scope, receive, send)
+        finally:
+            self._under_way -= 1
+
+
 class _ImpatientProtocol(H11Protocol):
-    """HTTP that drops a connection on which no request is completed: idle ones would use up `MOST_CONNECTIONS`.
+    """HTTP that drops a connection on which no request is completed, early if there are many.
 
     A response under way may take its time.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        if len(self.connections) > 2 * MOST_CONNECTIONS:
-            transport.abort()  # up to there a client is told why; files stay free for the database
-        else:
-            self._check_later()
+        self._since = self.loop.time()
+        if len(self.connections) > MOST_CONNECTIONS:
+            self._make_room()
+        self._check_later()
+
+    def _make_room(self) -> None:
+        """Drop the connection that has been without a request for longest; without any, and with too many, this one."""
+        others = (each for each in self.connections if each is not self and isinstance(each, _ImpatientProtocol))
+        idle = [each for each in others if each.is_idle and not each.transport.is_closing()]
+        if idle:
+            min(idle, key=lambda each: each._since).transport.abort()
+        elif len(self.connections) > 2 * MOST_CONNECTIONS:
+            self.transport.abort()  # up to there a client is told why; files stay free for the database
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no response is under way."""
+        return _answered(self.cycle)
 
     def _check_later(self) -> None:
         self.loop.call_later(COMPLETE_REQUEST, self._drop_if_idle, self.cycle)
@@ -135,9 +176,13 @@ class _ImpatientProtocol(H11Protocol):
     def _drop_if_idle(self, before: RequestResponseCycle | None) -> None:
         if self.transport.is_closing():
             return
-        answered = before is None or before.response_complete
         # For the first request, for a further one, or for the body of an answered one uvicorn waits without a limit.
-        if answered and self.cycle is before:
+        if _answered(before) and self.cycle is before:
             self.transport.abort()
         else:
             self._check_later()
+
+
+def _answered(cycle: RequestResponseCycle | None) -> bool:
+    """Whether there is no request, or its response is complete."""
+    return cycle is None or cycle.response_complete

@@ -30,7 +30,8 @@ def samples() -> dict[str, frozenset[str]]:
     return found
 
 
-SAMPLES = samples()
+SAMPLES = {**samples(), "up": TARGET}
+"""Of `up`, Prometheus itself makes one for each page."""
 
 
 def check(query: str, legend: str = "") -> None:
@@ -107,12 +108,30 @@ def test_every_alert_is_about_metrics_that_there_are_and_is_described() -> None:
         assert f"`{name}`" in page
 
 
+def alerts() -> dict[str, str]:
+    text = (FOLDER / "alerts.yaml").read_text()
+    return dict(re.findall(r"- alert: (\w+)\n +expr: (.+)\n", text))
+
+
+def test_a_campaign_that_died_and_one_that_is_violated_have_an_alert() -> None:
+    """A page ends with its run: after a kill no metric of it is left to compare with."""
+    queries = {name: parsed(query).metrics for name, query in alerts().items()}
+    assert "up" in queries["PerfboundGone"]
+    assert "perfbound_verdict" in queries["PerfboundViolated"]
+    assert "perfbound_violations_total" in queries["PerfboundViolation"]
+
+
+def test_no_worker_is_wanted_while_the_link_is_down() -> None:
+    """All of them are then out of reach."""
+    assert alerts()["PerfboundNoWorker"].endswith(" unless on (instance) perfbound_router_link_up == 0")
+
+
 @pytest.mark.parametrize(
     "query",
     [
         *("", "1 + 1", "perfbound_bound{", "perfbound_bound}", "sum(perfbound_bound", "perfbound_bound{problem}"),
         *('perfbound_bound{problem="a" sense="b"}', "perfbound_bound[5 minutes]", "median(perfbound_bound)"),
-        *("median by (host) (perfbound_attempts_total)", "sum by host (perfbound_bound)", "sum(up)"),
+        *("median by (host) (perfbound_attempts_total)", "sum by host (perfbound_bound)", "sum(down)"),
         *("perfbound_bond", 'perfbound_bound{host="a"}', "sum by (host) (perfbound_bound)", "perfbound_commit_seconds"),
         'perfbound_commit_seconds_sum{le="1"}',
     ],

@@ -84,6 +84,45 @@ def test_a_client_that_does_not_go_on_is_dropped(port: int, sent: list[bytes]) -
         assert ends(client)
 
 
+def answer(port: int, request: bytes) -> bytes:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as client:
+        client.sendall(request + b"Connection: close\r\n\r\n")
+        found = b""
+        while more := client.recv(65536):
+            found += more
+        return found
+
+
+def test_connections_without_a_request_keep_no_probe_out(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More of them than may be open, by a client that opens each again when it is dropped."""
+    monkeypatch.setattr(server_module, "COMPLETE_REQUEST", PATIENCE)
+    with ExitStack() as clients:
+        for number in range(3 * server_module.MOST_CONNECTIONS):
+            client = clients.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE))
+            if number % 2:
+                client.sendall(b"GET /hea")
+            if number % 50 == 0:
+                assert answer(port, HEALTH).startswith(b"HTTP/1.1 200 ")
+        for _ in range(5):
+            assert answer(port, HEALTH).startswith(b"HTTP/1.1 200 ")
+            assert not answer(port, HEALTH.replace(b"/healthz", b"/story.json")).startswith(b"HTTP/1.1 503 ")
+
+
+@pytest.mark.parametrize("port", [False], indirect=True)
+def test_requests_under_way_have_a_limit_and_the_probe_is_beside_it(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "MOST_CONNECTIONS", 2)
+    with ExitStack() as clients:
+        for _ in range(2):
+            client = clients.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE))
+            client.sendall(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            assert client.recv(65536).startswith(b"HTTP/1.1 200 ")
+        refused = answer(port, HEALTH.replace(b"/healthz", b"/story.json"))
+        assert refused.startswith(b"HTTP/1.1 503 ")
+        assert b"x-content-type-options: nosniff" in refused
+        assert b"2 requests are under way" in refused
+        assert answer(port, HEALTH).startswith(b"HTTP/1.1 200 ")
+
+
 @pytest.mark.parametrize("port", [False], indirect=True)
 def test_a_stream_without_a_change_stays_open(port: int) -> None:
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as client:

@@ -555,6 +555,22 @@ def test_a_dry_run_writes_and_submits_nothing(tmp_path: Path, monkeypatch: pytes
     assert (tmp_path / "state" / "perfbound" / "secret").stat().st_mode & 0o077 == 0
 
 
+def test_a_submission_says_from_when_on_there_is_a_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PERFBOUND_SECRET", "a secret of the test")
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "sbatch").write_text("#!/bin/bash\necho 41\n")
+    (tmp_path / "bin" / "sbatch").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
+    run = tmp_path / "my run"
+    arguments = [str(CAMPAIGN), "--workers", "3", "--folder", str(tmp_path / "jobs"), "--out", str(run)]
+    found = CliRunner().invoke(cli, ["slurm", *arguments])
+    assert found.exit_code == 0, found.output
+    line = f"once the job orchestrator runs: perfbound status '{run}'; before, there is no campaign"
+    assert found.stdout.splitlines()[-1] == line
+    status = CliRunner().invoke(cli, ["status", str(run)])
+    assert str(status.exception).endswith("or wait until a submitted job has begun it")
+
+
 def test_on_a_full_disk_the_files_of_jobs_in_the_queue_stay_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
