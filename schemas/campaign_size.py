@@ -11,7 +11,8 @@ class CampaignSize(Model):
     """Name, seed and size of a campaign; a problem may have its own size."""
 
     name: str = Field(
-        pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$", description="also names the run directory; without it that of the file"
+        pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$",
+        description="also names the run directory, and with `seed` decides on all seeds; without it that of the file",
     )
     seed: int = Field(default=1, ge=0, lt=2**53, description="determines every random choice; `--seed` overrides it")
     window: int = Field(default=1, ge=1, le=10_000, description="tests in flight per problem")

@@ -67,7 +67,8 @@ def _fresh_starts(found: CertifiedRegions) -> tuple[str, ...]:
     if found.checked is None:
         return ()
     verdict = "REFUTED: " if found.contradicted else ""
-    return (f"{verdict}{found.contradicted} of {found.checked} fresh starts in certified boxes have another sign.",)
+    verb = "has" if found.contradicted == 1 else "have"
+    return (f"{verdict}{found.contradicted} of {found.checked} fresh starts in certified boxes {verb} another sign.",)
 
 
 def unsafe_words(subject: str, found: CertifiedRegions) -> str:

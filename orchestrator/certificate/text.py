@@ -24,7 +24,7 @@ from ...schemas.certificate import (
 from ...schemas.claims import PROBABILITIES, is_sampled
 from ...schemas.composition import composes
 from ...schemas.errors import one_line
-from ...schemas.problems import Quantity
+from ...schemas.problems import OBJECTIVES, Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
 from .assumption_text import print_list
 from .bound_text import chance, outward, short_chance
@@ -325,7 +325,8 @@ def _spot_sentences(spot: SpotCheck | None, units: Mapping[str, str]) -> Iterato
             yield risk_sentence(subject, each.risk, outward(each.risk.risk, "<="), outward(each.limit, ">="))
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")
-        violate = f"{spot.failures} of {spot.starts} rollouts at fresh starts violate the specification"
+        verb = "violates" if spot.failures == 1 else "violate"
+        violate = f"{spot.failures} of {spot.starts} rollouts at fresh starts {verb} the specification"
         yield f"{violate}; at a uniform start a rollout does so with probability at most {share}."
 
 
@@ -337,6 +338,8 @@ def _spot_finding(found: SpotCheckedProblem, spot: SpotCheck) -> str:
     if found.violated_share is not None:
         share, number = outward(100 * found.violated_share, "<="), found.violations
         seen = f"{number} of {spot.starts} fresh starts {'is' if number == 1 else 'are'} beyond it"
+        if OBJECTIVES[found.name].risk:  # of which its value at a start is no bound
+            seen = f"at {number} of {spot.starts} fresh starts the function that bounds the risk is beyond it"
         return f"{refuted}{seen}; with this confidence at most {share} % of the box is"
     left = f"; at {found.undecided} starts they are too few to tell" if found.undecided else ""
     evidence = f"evidence {found.wealth or 0.0:.3g} after {found.rollouts} rollouts"

@@ -18,7 +18,7 @@ from ..certificate import files
 from ..run.continuation import continue_command
 from ..run.format import duration
 from ..run.so_far_table import so_far_view
-from ..run.table import bound_in_sense, progress_table, remaining_distance
+from ..run.table import bound_in_sense, legend_lines, progress_table, remaining_distance
 from ..run.verdict import verdict_of
 from ..store import lock
 from ..store.progress import CampaignProgress, read_progress
@@ -54,7 +54,7 @@ def print_status(directory: Path, console: Console) -> None:
     outlooks = outlook_lines(config, found.problems)
     if certificate is None and any(isinstance(each, KrigingProblem) for each in config.problems):
         outlooks = _planned_outlooks(directory)
-    for line in (*outlooks, *_work(found, running=running)):
+    for line in (*legend_lines(config), *outlooks, *_work(found, running=running)):
         console.print(Text(line), soft_wrap=True)
     if certificate is not None:
         print_end(directory, found.header, certificate, console)

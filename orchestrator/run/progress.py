@@ -24,7 +24,7 @@ from .service import RunStatus
 from .so_far_table import so_far_view
 from .so_far_text import refutation_line, so_far_line
 from .systemd import Systemd
-from .table import bound_in_sense, bound_text, progress_table, remaining_distance
+from .table import LEGEND, bound_in_sense, bound_text, legend_lines, progress_table, remaining_distance
 
 PLAIN_PERIOD = 10.0
 """Seconds between two progress lines where there is no terminal."""
@@ -60,7 +60,8 @@ class Terminal:
             (each, "-" if is_down(status.link) else _time_left(config, problem, each, rate / max(1, running)))
             for problem, each in zip(config.problems, status.problems.values(), strict=True)
         ]
-        lines = [*outlook_lines(config, list(status.problems.values())), worker_line(status, rate)]
+        outlooks = outlook_lines(config, list(status.problems.values()))
+        lines = [*legend_lines(config), *outlooks, worker_line(status, rate)]
         above: list[RenderableType] = [so_far_view(self._so_far), Text()] if self._so_far else []
         below = (Text(line, style="dim") for line in lines)
         self._live.update(Group(*above, progress_table(config, rows, status.closing), *below))
@@ -75,6 +76,7 @@ class Plain:
         self._rate = Rate()
         self._last = time.monotonic()
         self._ended: set[str] = set()
+        self._has_legend = False
         self._so_far: SoFar | None = None
 
     def print_line(self, line: str) -> None:
@@ -136,6 +138,9 @@ class Plain:
             words = "with this budget the bound would be" if early and bound is not None else "bound so far"
             shown = bound_text(config, problem, progress)
             self.print_line(f"{problem.name}: test {progress.tests}, {distance}{words} {shown}{end}")
+            if problem.method == "paper" and not self._has_legend:
+                self._has_legend = True
+                self.print_line(LEGEND)
             return
         self._json.line(
             "problem ended" if progress.stopped_by else "progress",

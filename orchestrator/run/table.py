@@ -14,6 +14,16 @@ from ..campaign.clip import by_clip, floored
 from ..certificate.bound_text import outward
 from .format import ENDS, figure
 
+LEGEND = (
+    "F: width of the confidence band at the start of a test, before its outcome; it may rise from test to test, and a "
+    "problem ends when it is at most alpha"
+)
+
+
+def legend_lines(config: CampaignConfig) -> tuple[str, ...]:
+    """Return what F means, for a campaign that has one."""
+    return (LEGEND,) if any(problem.method == "paper" for problem in config.problems) else ()
+
 
 def bound_in_sense(config: CampaignConfig, problem: Problem, progress: ProblemProgress) -> float | None:
     """Return the bound so far in the unit and sense of the problem: -eps for a minimum; never weaker than the clip."""

@@ -274,7 +274,7 @@ def test_a_failed_attempt_of_a_campaign_has_its_place(folder: Processes, tmp_pat
 def test_a_rollout_without_a_file_has_its_ranges(folder: Processes, tmp_path: Path) -> None:
     shown = folder.run("perfbound", "simulate", "test-function", "--x", "1,1")
     assert shown.code == 0, shown.err
-    assert [line.split()[0] for line in shown.out.splitlines()[1:]] == ["y"]
+    assert [line.split()[0] for line in shown.out.splitlines()] == ["column", "t", "value", "horizon"]
     assert not list(tmp_path.iterdir())
 
 

@@ -20,7 +20,7 @@ from perfbound.orchestrator.run import service
 from perfbound.orchestrator.store import export, read
 from perfbound.orchestrator.store.journal import Journal
 from perfbound.schemas.campaign import CampaignConfig
-from perfbound.schemas.certificate import Predicate, SpotCheckedProblem
+from perfbound.schemas.certificate import Predicate, SpotCheck, SpotCheckedProblem
 from perfbound.schemas.facts import RolloutFact
 from perfbound.schemas.rollout import RolloutRequest
 from perfbound.schemas.system import SystemSpec
@@ -64,6 +64,14 @@ def test_without_noise_a_refuted_norm_does_not_say_that_the_bound_is_false(tmp_p
     assert refuted["status"] == "refuted"
     assert "The claim has lost its grounds, and the risk itself may keep the bound there." in refuted["detail"]
     assert "false" not in refuted["detail"]
+    spot = SpotCheck.model_validate_json(json.dumps(found["spot_check"]))
+    sentences = check_sentences(Predicate.model_construct(spot_check=spot, recheck=None))
+    assert "fresh starts the function that bounds the risk is beyond it; with this confidence" in sentences[1]
+    (check,) = found["spot_check"]["problems"]
+    assert check["violations"] > 1
+    assert check["status"] == "refuted"
+    words = check_sentences(Predicate.model_construct(spot_check=spot.model_copy(update={"failures": 1}), recheck=None))
+    assert any("1 of 40 rollouts at fresh starts violates the specification" in each for each in words)
 
 
 CENTRED = {"centre": 0.7, "spread": 0.1}

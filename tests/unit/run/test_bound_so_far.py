@@ -7,7 +7,7 @@ from rich.console import Console
 
 from perfbound.orchestrator.run.progress import Plain
 from perfbound.orchestrator.run.service import RunStatus
-from perfbound.orchestrator.run.table import bound_text, progress_table
+from perfbound.orchestrator.run.table import LEGEND, bound_text, progress_table
 from perfbound.schemas.values import Bound, ProblemProgress
 from tests.campaigns import config
 
@@ -38,4 +38,6 @@ def test_it_is_rounded_to_the_safe_side(place: int, upper: float | None, shown: 
     Plain(Console(file=lines, width=150)).show(
         RunStatus(CAMPAIGN, problems, {}, workers={}, known={}, recorded=7, waiting=0, seconds=1.0)
     )
-    assert f"bound so far {shown}; budget ended" in lines.getvalue().splitlines()[place]
+    first, legend, second = lines.getvalue().splitlines()
+    assert f"bound so far {shown}; budget ended" in (first, second)[place]
+    assert legend == LEGEND, "once, after the first line with an F"
