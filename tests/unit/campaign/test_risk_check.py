@@ -65,13 +65,18 @@ def test_without_noise_a_refuted_norm_does_not_say_that_the_bound_is_false(tmp_p
     assert "The claim has lost its grounds, and the risk itself may keep the bound there." in refuted["detail"]
     assert "false" not in refuted["detail"]
     spot = SpotCheck.model_validate_json(json.dumps(found["spot_check"]))
-    sentences = check_sentences(Predicate.model_construct(spot_check=spot, recheck=None))
+    sentences = check_sentences(with_check(spot))
     assert "fresh starts the function that bounds the risk is beyond it; with this confidence" in sentences[1]
     (check,) = found["spot_check"]["problems"]
     assert check["violations"] > 1
     assert check["status"] == "refuted"
-    words = check_sentences(Predicate.model_construct(spot_check=spot.model_copy(update={"failures": 1}), recheck=None))
+    words = check_sentences(with_check(spot.model_copy(update={"failures": 1})))
     assert any("1 of 40 rollouts at fresh starts violates the specification" in each for each in words)
+
+
+def with_check(spot: SpotCheck) -> Predicate:
+    content: dict[str, Any] = {"spot_check": spot, "recheck": None}
+    return Predicate.model_construct(**content)
 
 
 CENTRED = {"centre": 0.7, "spread": 0.1}
