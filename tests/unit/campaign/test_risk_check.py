@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -65,12 +66,14 @@ def test_without_noise_a_refuted_norm_does_not_say_that_the_bound_is_false(tmp_p
     assert "The claim has lost its grounds, and the risk itself may keep the bound there." in refuted["detail"]
     assert "false" not in refuted["detail"]
     spot = SpotCheck.model_validate_json(json.dumps(found["spot_check"]))
-    sentences = check_sentences(Predicate.model_construct(spot_check=spot, recheck=None))
+    checked: Any = SimpleNamespace(spot_check=spot, recheck=None)
+    sentences = check_sentences(checked)
     assert "fresh starts the function that bounds the risk is beyond it; with this confidence" in sentences[1]
     (check,) = found["spot_check"]["problems"]
     assert check["violations"] > 1
     assert check["status"] == "refuted"
-    words = check_sentences(Predicate.model_construct(spot_check=spot.model_copy(update={"failures": 1}), recheck=None))
+    checked.spot_check = spot.model_copy(update={"failures": 1})
+    words = check_sentences(checked)
     assert any("1 of 40 rollouts at fresh starts violates the specification" in each for each in words)
 
 
