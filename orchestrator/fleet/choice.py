@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...schemas.ids import RolloutId
-from .retries import OVER, SAME_WORKER
+from .retries import ELSEWHERE, OVER, SAME_WORKER
 from .standing import FOR_GOOD, Place, Standing, in_a_row, is_aside, last_failure
 from .state import SERVING, DispatchState, Worker
 
@@ -99,6 +99,8 @@ class Pairs:
     """Idle workers with a rollout each."""
     passed: tuple[RolloutId, ...]
     """Rollouts that wait for another worker than the idle ones."""
+    tried: tuple[RolloutId, ...]
+    """Those of them that every worker which may get one has tried."""
     rest: tuple[RolloutId, ...]
     """Rollouts for which no worker was left."""
 
@@ -108,27 +110,28 @@ def pairs(state: DispatchState, at: float) -> Pairs:
     allowed = eligible(state, at)
     # Sorted: the order of the mapping depends on the order in which the workers came.
     free = sorted(name for name in allowed if state.workers[name].phase == "idle")
-    found, left, reached = list[tuple[str, RolloutId]](), list[RolloutId](), 0
+    found, left, tried, reached = list[tuple[str, RolloutId]](), list[RolloutId](), list[RolloutId](), 0
     for rollout in state.waiting:
         if not free:
             break
         reached += 1
-        worker = _worker(state, rollout, free, allowed, at)
+        worker, rank = _worker(state, rollout, free, allowed, at)
         if worker is None:
             left.append(rollout)
+            tried += [rollout] if rank == SAME_WORKER else []
         else:
             free.remove(worker)
             found.append((worker, rollout))
-    return Pairs(found, tuple(left), state.waiting[reached:])
+    return Pairs(found, tuple(left), tuple(tried), state.waiting[reached:])
 
 
 def _worker(
     state: DispatchState, rollout: RolloutId, free: Sequence[str], allowed: Sequence[str], at: float
-) -> str | None:
-    """Return the free worker for a rollout; None if a better one is busy or may come."""
+) -> tuple[str | None, int]:
+    """Return the free worker for a rollout, None if a better one is busy or may come; and the lowest `Open.rank`."""
     known = state.open[rollout]
     if known.is_fresh:
-        return free[0]
+        return free[0], ELSEWHERE
     hosts = {name: state.workers[name].host for name in allowed}
     ranks = {
         name: (known.rank(name, host), host not in state.proven or in_a_row(state.standings, name) > 0)
@@ -136,5 +139,5 @@ def _worker(
     }
     best = min(ranks.values())
     if best[0] == SAME_WORKER and (known.is_waiting or others_may_come(state, rollout, at)):
-        return None
-    return next((name for name in free if ranks[name] == best), None)
+        return None, best[0]
+    return next((name for name in free if ranks[name] == best), None), best[0]

@@ -28,7 +28,7 @@ def hand_out(state: DispatchState, at: float) -> tuple[DispatchState, list[Pair]
     state = replace(state, waiting=(*kept, *chosen.passed, *chosen.rest))
     for rollout in kept:
         state = _with(state, rollout, replace(state.open[rollout], renewed=True))
-    state, begun = _begin_waits(state, chosen.passed, at)
+    state, begun = _begin_waits(state, chosen.tried, at)
     return state, [each for each in chosen.found if each not in last], (*begun, *(GiveUp(name) for name, _ in last))
 
 
@@ -55,10 +55,10 @@ def end_waits(state: DispatchState, at: float) -> DispatchState:
 
 
 def _begin_waits(
-    state: DispatchState, passed: Sequence[RolloutId], at: float
+    state: DispatchState, tried: Sequence[RolloutId], at: float
 ) -> tuple[DispatchState, tuple[AwaitOther, ...]]:
     """Begin the waits of those rollouts that none but the same workers can try for now; report the first one."""
-    found = [each for each in passed if not state.open[each].is_waiting and _is_awaiting(state, each, at)]
+    found = [each for each in tried if not state.open[each].is_waiting and others_may_come(state, each, at)]
     if not found:
         return state, ()
     seconds = state.limits.others_within
@@ -66,10 +66,6 @@ def _begin_waits(
     for rollout in found:
         state = _with(state, rollout, replace(state.open[rollout], waits_until=at + seconds))
     return state, () if others else (AwaitOther(found[0], seconds),)
-
-
-def _is_awaiting(state: DispatchState, rollout: RolloutId, at: float) -> bool:
-    return nearest(state, rollout, at) == SAME_WORKER and others_may_come(state, rollout, at)
 
 
 def _is_last_resort(state: DispatchState, worker: str, rollout: RolloutId) -> bool:
