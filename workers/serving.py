@@ -82,7 +82,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
         LinkError: the endpoint is malformed, or a TLS file is missing or no longer valid.
 
     """
-    started, finished = identity or keys.fresh_id(name), set[str]()
+    started, finished = identity or keys.fresh_id(name), set[str]()  # orchestrators that need this worker no more
     # What a local worker does, its orchestrator shows.
     print_news = _print_line if identity is None else _print_nothing
     lines = StateLines(
@@ -96,6 +96,7 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
     with connect(link.endpoints, link.tls, waiting, link.secret) as uplink:
         lines.see(lasts=False)
         while True:
+            served = life.served
             orchestrator, chosen = _choose(uplink, run, link, life, finished)
             check = _link_checks(link, uplink, orchestrator, chosen, None if identity else name)
             check()
@@ -106,12 +107,17 @@ def serve_campaigns(link: LinkOptions, life: Life, name: str, *, run: str | None
             try:
                 end = worker.serve(_abandoned(uplink, chosen, worker, life, check, pinned=run is not None))
             except RefusedError as error:
-                fail(str(error))
+                finished |= _of_run(uplink, chosen)
+                # A router may have campaigns of other systems: the one that this worker is for may still be announced.
+                if run is not None or (life.ends.idle_exit is None and not _to_serve(uplink, run, finished)):
+                    fail(str(error))
+                _print_line(f"{error}; waits for another run")
+                life.served, end = served, "left"
             uplink.leave()
             if end == "finished":
                 print_news(f"run {chosen} is finished")
                 # Its token may stay for a while; a new orchestrator of this run has another name.
-                finished |= {each for each, served in uplink.orchestrators() if served == chosen}
+                finished |= _of_run(uplink, chosen)
                 if life.ends.until_done and not _to_serve(uplink, run, finished):
                     return 0
             started = keys.fresh_id(name)
@@ -170,6 +176,11 @@ def _print_nothing(_line: str) -> None:
 def _to_serve(uplink: ZenohUplink, run: str | None, finished: set[str]) -> list[tuple[str, str]]:
     """Return (orchestrator, run) of those that may be served, the oldest first."""
     return [(name, found) for name, found in uplink.orchestrators() if run in (None, found) and name not in finished]
+
+
+def _of_run(uplink: ZenohUplink, run: str) -> set[str]:
+    """Return the orchestrators that are announced for a run."""
+    return {name for name, found in uplink.orchestrators() if found == run}
 
 
 def _choose(uplink: ZenohUplink, run: str | None, link: LinkOptions, life: Life, finished: set[str]) -> tuple[str, str]:

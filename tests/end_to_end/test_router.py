@@ -3,6 +3,8 @@
 import signal
 from datetime import timedelta
 
+import pytest
+
 from tests.campaigns import with_few_checks
 from tests.end_to_end.processes import Processes, wait_for
 from tests.fakes.certificates import DAY, Site
@@ -32,6 +34,51 @@ def test_two_campaigns_share_a_router_and_its_workers(started: Processes) -> Non
     ended = router.wait()
     assert ended.code == 0
     assert f"router: listening at {endpoint}" in ended.err.splitlines()
+
+
+OTHER = """
+import perfbound as pb
+
+@pb.system(parameters={"z": pb.Parameter(0, 1)}, columns={"v": ""})
+def other(z):
+    return 1.0 + z
+"""
+ITS_CAMPAIGN = """
+specification = "v >= 0"
+max_tests = 8
+alpha = 0.001
+noise_scale = 0.0
+rkhs_norm = 4.0
+spot_check = 0
+kernel = { length_scale = 0.5 }
+[system]
+python = "other.py:other"
+[space]
+z = { low = 0, high = 1 }
+"""
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_a_worker_without_the_system_of_one_campaign_serves_the_other_one(started: Processes, *, waits: bool) -> None:
+    folder, endpoint = started.folder, f"tcp/127.0.0.1:{free_port()}"
+    (folder / "other.py").write_text(OTHER)
+    (folder / "other.toml").write_text(ITS_CAMPAIGN)
+    campaign = with_few_checks(folder / "c.toml", "test-function")
+    started.start("perfbound", "router", "--listen", endpoint)
+    older = started.start(
+        "perfbound", "orchestrate", folder / "other.toml", "--out", folder / "other", "--connect", endpoint
+    )
+    wait_for(lambda: "waiting for workers" in older.err)
+    worker = started.start("perfbound-worker", "--connect", endpoint, *(["--until-done"] if waits else []))
+    if not waits:
+        ended = worker.wait()
+        assert (ended.code, "has no system 'other'" in ended.err) == (1, True), ended.err
+        return
+    wait_for(lambda: "; waits for another run" in worker.err)
+    own = started.start("perfbound", "orchestrate", campaign, "--out", folder / "own", "--connect", endpoint)
+    assert own.wait().code == 0, own.err
+    assert worker.wait().code == 0, worker.err
+    assert older.running
 
 
 def test_a_router_ends_with_its_certificate(started: Processes) -> None:

@@ -43,8 +43,8 @@ class CopiedBlocks:
     ...     honest.observe("start", ["fell", "stood", "fell", "stood"])
     >>> for noise in range(3):
     ...     copied.observe("start", [noise] * 4)
-    >>> honest.evidence < 1, copied.refutes
-    (True, True)
+    >>> honest.refutes, copied.refutes
+    (False, True)
     """
 
     _counts: dict[Hashable, Counter[Hashable]] = field(default_factory=lambda: defaultdict(Counter))
