@@ -253,7 +253,7 @@ def rewrite(directory: Path, edit: Callable[[Any], object]) -> None:
         (lambda p: p["assumptions"][0].update(status="derived"), "audit"),
         (lambda p: p["assumptions"].pop(), "audit"),
         (lambda p: p["assumptions"][0]["values"].update(rkhs_norm=0.31), "audit"),
-        (lambda p: p["assumptions"][0].pop("values"), None),
+        (lambda p: p["assumptions"][0].pop("values"), "audit"),
         (lambda p: p["assumptions"][-1].update(detail="all is well"), None),
         (lambda p: p.update(rules=1), "header"),
         (lambda p: p.pop("rules"), "header"),
