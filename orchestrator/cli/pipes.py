@@ -20,13 +20,32 @@ class _Output(io.FileIO):
     unread = False
 
     def write(self, data: "ReadableBuffer", /) -> int:
-        """Write; after the reader has ended, drop the data."""
+        """Write; after the reader has ended, drop the data.
+
+        Raises:
+            OSError: the disk under a file is full or fails; it names stdout, and none of the files of the command.
+
+        """
         if not self.unread:
             try:
                 return super().write(data)
             except BrokenPipeError:
                 self.unread = True
+            except OSError as error:
+                error.filename = "stdout"
+                raise
         return memoryview(data).nbytes
+
+
+class _News(_Output):
+    """The descriptor of stderr: a line that a full disk does not take is lost, and nothing else."""
+
+    def write(self, data: "ReadableBuffer", /) -> int:
+        """Write, or drop the data."""
+        try:
+            return super().write(data)
+        except OSError:
+            return memoryview(data).nbytes
 
 
 @contextmanager
@@ -34,8 +53,8 @@ def readers_may_end() -> Iterator[None]:
     """Let stdout and stderr lose their readers; a success whose stdout was not read to its end exits with 141."""
     before = sys.stdout, sys.stderr
     try:
-        out, stdout = _unbroken(sys.stdout, by_line=sys.stdout.isatty())
-        err, stderr = _unbroken(sys.stderr, by_line=True)
+        out, stdout = _unbroken(_Output, sys.stdout, by_line=sys.stdout.isatty())
+        err, stderr = _unbroken(_News, sys.stderr, by_line=True)
     except (OSError, AttributeError):  # closed from the start
         yield
         return
@@ -58,8 +77,8 @@ def readers_may_end() -> Iterator[None]:
                 raw.unread = True
 
 
-def _unbroken(stream: TextIO, *, by_line: bool) -> tuple[_Output, TextIO]:
-    raw = _Output(stream.fileno(), "w", closefd=False)
+def _unbroken(kind: type[_Output], stream: TextIO, *, by_line: bool) -> tuple[_Output, TextIO]:
+    raw = kind(stream.fileno(), "w", closefd=False)
     text = io.TextIOWrapper(
         io.BufferedWriter(raw), encoding=stream.encoding, errors=stream.errors, line_buffering=by_line
     )

@@ -47,7 +47,16 @@ def test_files_are_whole_although_nobody_reads_their_names(tmp_path: Path) -> No
 
 def test_a_full_disk_at_stdout_is_one_line(tmp_path: Path) -> None:
     ended = piped(tmp_path, "perfbound --help > /dev/full | cat")
-    assert (ended.code, ended.err) == (1, "perfbound: file system: No space left on device\n")
+    assert (ended.code, ended.err) == (1, "perfbound: stdout: No space left on device\n")
+
+
+def test_a_full_disk_at_stderr_loses_lines_alone(tmp_path: Path) -> None:
+    """As that of the log of a job: the run directory is elsewhere."""
+    with_few_checks(tmp_path / "c.toml", "test-function")
+    ended = piped(tmp_path, "perfbound run c.toml --out run 2>/dev/full | cat")
+    assert ended.code == 0
+    assert "VERDICT" in ended.out
+    assert {"certificate.json", "report.html"} <= {each.name for each in (tmp_path / "run").iterdir()}
 
 
 def test_without_a_stdout_the_files_of_a_campaign_are_whole(tmp_path: Path) -> None:
