@@ -52,9 +52,18 @@ def test_copies_are_found(law: str, replicates: int, power: float) -> None:
     assert np.mean(found) >= power
 
 
+@pytest.mark.parametrize(("replicates", "once", "twice"), [(8, 400, 3), (4, 400, 6), (2, 50, 12)])
+def test_copies_are_found_though_most_starts_have_one_test(replicates: int, once: int, twice: int) -> None:
+    """Starts with one test can show nothing, and hide nothing."""
+    rng, test = np.random.default_rng(4), CopiedBlocks()
+    for start in [*range(once), *range(twice), *range(twice)]:
+        test.observe(start, [float(rng.random())] * replicates)
+    assert test.refutes
+
+
 def test_a_forgotten_factor_would_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the sizes of the classes, results that repeat look like copies."""
-    monkeypatch.setattr(copied_blocks, "_log_ways", lambda counts: math.lgamma(counts.total() + 1))
+    monkeypatch.setattr(copied_blocks, "_least_surprise", lambda counts: math.lgamma(counts.total() + 1))
     rng = np.random.default_rng(5)
     found = [campaign(rng, LAWS["pass or fail"], replicates=8).refutes for _ in range(200)]
     assert sum(found) > 10, "where the level allows 2"

@@ -3,18 +3,21 @@
 | symbol | name       | meaning                                                                       | shape  |
 |--------|------------|-------------------------------------------------------------------------------|--------|
 |        | block      | the rollouts of one test; each is known by its class: equal for equal results | (n,)   |
-| c_k, N | `counts`   | number of rollouts of class k at a start, and of all of them there            | (K,)   |
-| m_j    |            | number of classes with j rollouts                                             |        |
+| c_k    | `counts`   | number of rollouts of class k at a start, classes in the order of appearance  | (K,)   |
+| p_k    |            | probability of class k                                                        | (K,)   |
+| v_k    |            | p_k/(1 - p_1 - .. - p_(k-1))                                                  | (K,)   |
+| a, b   |            | c_k - 1, and the sum of c_j over j > k                                        | ()     |
 | q      |            | a prediction of classes that expects blocks of copies or of different results |        |
 | theta  |            | expected share of blocks that are copies, by the blocks before                | ()     |
-| E      | `evidence` | product over starts of q(classes) prod_k c_k! prod_j m_j! / N!, in reverse    | ()     |
+| eta    |            | expected share of rollouts that agree with the first of their block           | ()     |
+| E      | `evidence` | product over starts of q(classes) prod_k (a + b)^(a + b)/(a^a b^b)            | ()     |
 
-Independent rollouts of one law at a start are exchangeable: given how often each result occurs, every order of them is
-equally probable. There are N!/(prod c_k! prod m_j!) ways to divide them into unnamed classes of these sizes, so no law
-gives the observed one a larger probability than the reciprocal, however many results are possible. A prediction q that
-is made before each rollout, divided by it, is therefore at most a likelihood ratio: with independent rollouts its mean
-is at most 1 at every moment, for any rule that chose the starts by what came before, and it reaches 1/alpha with
-probability at most alpha [Ville]. A result that is frequent costs nothing: it repeats between tests as well.
+Independent rollouts of one law at a start: given all before it, a rollout is of class k with probability p_k, and of a
+new one with 1 - p_1 - .. - p_K, whatever its value then is. A prediction q made before each rollout, divided by these
+probabilities, is a martingale of mean 1 whatever rule chooses starts and the end by the values themselves. The
+probabilities of all rollouts at a start multiply to prod_k v_k^a (1 - v_k)^b, which no law makes larger than
+prod_k a^a b^b/(a + b)^(a + b). So E is at most this martingale for every law, and reaches 1/alpha with probability at
+most alpha [Ville]. A result that is frequent costs nothing: it repeats between tests as well.
 
 Only starts with several tests can tell copies from results that repeat.
 """
@@ -26,8 +29,8 @@ from dataclasses import dataclass, field
 
 LEVEL = 0.01
 """Failure probability of the test."""
-SURE = 0.99
-"""Of a prediction: that a copy is one, or that a result is new."""
+NEW = 0.99
+"""Of the prediction of different results: that the next one is new."""
 OLD = 0.5
 """Of a prediction: that the first rollout of a block of copies, or one that is none, has a known result."""
 LARGEST = 1e12
@@ -50,6 +53,8 @@ class CopiedBlocks:
     _counts: dict[Hashable, Counter[Hashable]] = field(default_factory=lambda: defaultdict(Counter))
     _copied: float = 0.5
     _blocks: float = 1.0
+    _agreed: float = 0.5
+    _pairs: float = 1.0
     _log: float = 0.0
     _largest: float = 0.0
 
@@ -68,32 +73,44 @@ class CopiedBlocks:
         if len(block) < 2:
             return  # nothing to be a copy of
         counts, theta = self._counts[start], self._copied / self._blocks
-        before = _log_ways(counts)
-        copies, different = _copies(counts, block), _different(counts, block)
+        before = _least_surprise(counts)
+        copies, different = _copies(counts, block, self._agreed / self._pairs), _different(counts, block)
         counts.update(block)
         likelier = max(copies, different)
         mixed = theta * math.exp(copies - likelier) + (1.0 - theta) * math.exp(different - likelier)
-        self._log += likelier + math.log(mixed) + _log_ways(counts) - before
+        self._log += likelier + math.log(mixed) + _least_surprise(counts) - before
         self._largest = max(self._largest, self._log)
-        # Krichevsky and Trofimov's estimate, by what the block most probably is.
+        # Krichevsky and Trofimov's estimates; a block counts as what it most probably is.
         self._copied += theta * math.exp(copies - likelier) / mixed
         self._blocks += 1.0
+        self._agreed += sum(each == block[0] for each in block[1:])
+        self._pairs += len(block) - 1
 
 
-def _log_ways(counts: Counter[Hashable]) -> float:
-    """Return the logarithm of the number of divisions into unnamed classes of these sizes."""
-    sizes = Counter(counts.values())
-    named = math.lgamma(counts.total() + 1) - sum(math.lgamma(size + 1) for size in counts.values())
-    return named - sum(math.lgamma(number + 1) for number in sizes.values())
+def _least_surprise(counts: Counter[Hashable]) -> float:
+    """Return minus the logarithm of the largest probability that a law gives to these classes in their order.
+
+    The keys of a counter are in the order in which they appeared.
+    """
+    found, later = 0.0, counts.total()
+    for count in counts.values():
+        later -= count
+        found += _entropy(count - 1, later)
+    return found
 
 
-def _copies(counts: Counter[Hashable], block: Sequence[Hashable]) -> float:
+def _entropy(a: int, b: int) -> float:
+    """Return ln((a + b)^(a + b)/(a^a b^b)), 0 where one of them is 0."""
+    return (a + b) * math.log(a + b) - a * math.log(a) - b * math.log(b) if a and b else 0.0
+
+
+def _copies(counts: Counter[Hashable], block: Sequence[Hashable], eta: float) -> float:
     """Return the logarithm of what is predicted of a block of copies."""
     first, *others = block
     found = _one(counts, first, new=1.0 - OLD)
     seen = counts + Counter([first])
     for each in others:
-        found += math.log(SURE) if each == first else math.log(1.0 - SURE) + _one(seen, each, new=1.0 - OLD)
+        found += math.log(eta) if each == first else math.log1p(-eta) + _one(seen, each, new=1.0 - OLD)
         seen[each] += 1
     return found
 
@@ -102,7 +119,7 @@ def _different(counts: Counter[Hashable], block: Sequence[Hashable]) -> float:
     """Return the logarithm of what is predicted of a block of different results."""
     seen, found = counts.copy(), 0.0
     for each in block:
-        found += _one(seen, each, new=SURE)
+        found += _one(seen, each, new=NEW)
         seen[each] += 1
     return found
 

@@ -17,7 +17,8 @@
 Noise that is sub-Gaussian of scale R has the factor exp(lambda e - lambda^2 R^2/2), whose mean is at most 1 under the
 claim for every lambda >= 0; the test is then one of the claim and of R together. With a range and an R both kinds of
 factors share the wealth: where the range is many times R, a bet that no value of the range may ruin gains next to
-nothing.
+nothing. Follow-ups end by the bets within the range: a start that is named by R and one rollout would leave little to
+see of it.
 
 A deterministic J shows at each start whether the claim is true there: one violation refutes it, and k of m bound the
 violated share of D (Clopper-Pearson). For a noisy J, 0 <= lambda <= CAP/(u - low) is a function of the rollouts before
@@ -239,6 +240,31 @@ class SpotTests:
         return Proposal(node, self._starts[node], mu, sigma, None, None)
 
 
+class _Wealth:
+    """The wealth of one kind of bets: own ones of every start, and the joint one of follow-ups."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._own = np.full((len(DEFICITS), size), 1.0 / len(DEFICITS))  # (S, m)
+        self._joint = np.full(len(DEFICITS), 1.0 / len(DEFICITS))  # (S,)
+
+    def bet(self, node: int, factors: Sequence[float], *, joins: bool) -> None:
+        """Multiply the wealth of every strategy at a start, and of follow-ups if this is one that `joins` them."""
+        # As numbers of Python: one that overflows is infinite, and not a warning.
+        for s, factor in enumerate(factors):
+            self._own[s, node] = min(float(self._own[s, node]) * factor, RICHEST)
+            self._joint[s] = min(float(self._joint[s]) * factor, RICHEST) if joins else self._joint[s]
+
+    def own(self, node: int) -> float:
+        """W_j of a start."""
+        return math.fsum(self._own[:, node])
+
+    @property
+    def whole(self) -> float:
+        """W."""
+        return (math.fsum(self._own.ravel()) / self._size + math.fsum(self._joint)) / 2.0
+
+
 class _Record:
     """The rollouts of one hypothesis at every start, the bets on them, and the finding."""
 
@@ -252,15 +278,12 @@ class _Record:
             *([self._bounded_factor] if self.bounded else []),
             *([self._scaled_factor] if hypothesis.scale else []),
         ]
-        self._strategies = [(factor, deficit) for factor in kinds for deficit in DEFICITS]  # S of them
-        self._testable = bool(kinds)
+        self._kinds = [(factor, _Wealth(size)) for factor in kinds]
         width = 4.0 * hypothesis.scale if hypothesis.scale is not None else math.inf
-        self._spread = Spread(size, min(self._high - self._low, width))
-        number = len(self._strategies)
-        self._wealth = np.full((number, size), 1.0 / max(number, 1))  # (S, m)
-        self._joint = np.full(number, 1.0 / max(number, 1))  # (S,)
+        self._spread = Spread(size, self._high - self._low if self.bounded else width)
         self._peak = 1.0  # of W
         self._own_peak = np.ones(size)  # (m,)
+        self._first_peak = np.ones(size)  # (m,) of the first kind of bets alone
 
     @property
     def count(self) -> Floats:
@@ -269,17 +292,16 @@ class _Record:
 
     @property
     def followed(self) -> bool:
-        """Whether follow-ups can change the finding."""
-        return (
-            self._hypothesis.noisy and self._testable and self._hypothesis.limit < self._high and self._named() is None
-        )
+        """Whether follow-ups can change the finding, or what the rollouts show without any noise scale."""
+        open_ = self._hypothesis.limit < self._high and _richest(self._first_peak) < self._threshold
+        return self._hypothesis.noisy and bool(self._kinds) and open_
 
     def add(self, node: int, value: float) -> None:
         """Bet on one value in the range, then add it to the past; without noise a second value adds nothing."""
         if not self._hypothesis.noisy and self.count[node]:
             return
         excess = value - self._hypothesis.limit
-        if self._hypothesis.noisy and self._testable:
+        if self._hypothesis.noisy and self._kinds:
             self._bet(node, excess)
         if not self.count[node]:
             self.first[node] = value
@@ -309,7 +331,7 @@ class _Record:
             share = clopper_pearson_upper(violations + self._size - starts, self._size, self._delta)
             worst = int(np.argmax(excess)) if violations else None
             return replace(found, status="refuted" if violations else "not refuted", share=share, start=worst)
-        if not self._testable:
+        if not self._kinds:
             return replace(found, status="not testable")
         status: SpotStatus = "refuted" if self._peak >= (1.0 + ROUND_OFF) / self._delta else "not refuted"
         undecided = int(np.count_nonzero(self._suspicious() & (self._own_peak < self._threshold)))
@@ -321,8 +343,7 @@ class _Record:
         return 2.0 * self._size * (1.0 + ROUND_OFF) / self._delta
 
     def _named(self) -> int | None:
-        richest = int(np.argmax(self._own_peak))
-        return richest if self._own_peak[richest] >= self._threshold else None
+        return int(np.argmax(self._own_peak)) if _richest(self._own_peak) >= self._threshold else None
 
     def _suspicious(self) -> Marks:
         """Return whether the mean excess of every start (m,) may be positive."""
@@ -333,14 +354,14 @@ class _Record:
         """Move the wealth of one start; the bets are functions of the rollouts before this one."""
         sd = float(self._spread.sd()[node])
         # At a start whose past mean keeps the limit, V can only lose.
-        joins = self.count[node] > 0 and self._spread.mean[node] > 0
-        for s, (kind, deficit) in enumerate(self._strategies):
-            factor = kind(deficit, sd, excess)
-            self._wealth[s, node] = min(self._wealth[s, node] * factor, RICHEST)
-            self._joint[s] = min(self._joint[s] * factor, RICHEST) if joins else self._joint[s]
-        own = math.fsum(self._wealth[:, node])
+        joins = bool(self.count[node] > 0 and self._spread.mean[node] > 0)
+        for factor, wealth in self._kinds:
+            wealth.bet(node, [factor(deficit, sd, excess) for deficit in DEFICITS], joins=joins)
+        each = [wealth for _, wealth in self._kinds]
+        own = math.fsum(wealth.own(node) for wealth in each) / len(each)
         self._own_peak[node] = max(self._own_peak[node], own)
-        self._peak = max(self._peak, (math.fsum(self._wealth.ravel()) / self._size + math.fsum(self._joint)) / 2.0)
+        self._first_peak[node] = max(self._first_peak[node], each[0].own(node))
+        self._peak = max(self._peak, math.fsum(wealth.whole for wealth in each) / len(each))
 
     def _bounded_factor(self, deficit: float, sd: float, excess: float) -> float:
         # Every factor is at least 1 - CAP, also for a value that leaves the range by round-off. A limit below the range
@@ -352,6 +373,10 @@ class _Record:
         # The best lambda for a mean excess of `deficit` scales; the exponent is capped, so that nothing overflows.
         assert self._hypothesis.scale is not None
         return math.exp(min(deficit * excess / self._hypothesis.scale - deficit * deficit / 2.0, MOST_EXPONENT))
+
+
+def _richest(wealth: Floats) -> float:
+    return float(wealth.max())
 
 
 def failure_share(failures: int, count: int, theta: float, delta: float) -> float:

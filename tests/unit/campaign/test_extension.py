@@ -55,6 +55,11 @@ def wave(request: RolloutRequest) -> float:
     return 0.7 + 0.4 * math.sin(4 * z1) * math.cos(3 * z2)
 
 
+def copied(request: RolloutRequest) -> float:
+    """All replicates of a test have one value."""
+    return wave(request) + 0.05 * noise(request.test)
+
+
 def shaken(request: RolloutRequest) -> float:
     return wave(request) + 0.05 * noise(request.seed)
 
@@ -253,7 +258,11 @@ def test_requirements_share_an_extension(tmp_path: Path) -> None:
         ),
         ({"method": "sample"}, {"max_tests": 70, "clip": [-1, 1]}, "number of samples was fixed at 70"),
         (EXACT | {"alpha": 10.0}, {}, "no problem ended by its budget (robustness: converged)"),
-        (NOISY, {"clip": [-1, 1], "resolution": 2}, "the certificate refutes independent_rollouts/robustness"),
+        (
+            NOISY,
+            {"clip": [-1, 1], "resolution": 2, "replicates": 8, "recheck": 0},
+            "the certificate refutes independent_rollouts/robustness",
+        ),
         (EXACT, {"max_tests": 20}, "no more than the 20 tests so far"),
         (EXACT, {"resolution": 2, "max_tests": 4}, "every start has been tested"),
     ],
@@ -262,7 +271,8 @@ def test_an_extension_that_proves_nothing_is_refused_with_the_reason(
     tmp_path: Path, problem: dict[str, Any], changes: dict[str, Any], reason: str
 ) -> None:
     directory = tmp_path / "run"
-    assert simulate(directory, campaign(problem, **changes), wave, noisy=problem.get("noise_scale") != 0.0)
+    function = copied if "refutes" in reason else wave
+    assert simulate(directory, campaign(problem, **changes), function, noisy=problem.get("noise_scale") != 0.0)
     before = {path: path.read_bytes() for path in directory.glob("*.json")}
     with pytest.raises(CampaignError, match="cannot be extended") as refused:
         extend(directory, 20)

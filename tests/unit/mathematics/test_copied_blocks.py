@@ -4,6 +4,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Hashable, Sequence
+from functools import partial
 
 import pytest
 
@@ -23,19 +24,38 @@ def divisions(known: Sequence[int], length: int) -> list[tuple[int, ...]]:
 @pytest.mark.parametrize("length", [2, 3])
 def test_both_predictions_are_probabilities(known: list[int], length: int) -> None:
     counts: Counter[Hashable] = Counter(known)
-    for predicted in (copied_blocks._copies, copied_blocks._different):
+    for predicted in (partial(copied_blocks._copies, eta=0.7), copied_blocks._different):
         total = math.fsum(math.exp(predicted(counts, block)) for block in divisions(known, length))
         assert 0.5 < total <= 1.0 + 1e-12
 
 
-@pytest.mark.parametrize("length", [1, 2, 4, 6])
-def test_the_ways_are_counted(length: int) -> None:
-    """Of every division into classes: as many as have the same sizes."""
-    every = divisions([], length)
-    sizes = Counter(tuple(sorted(Counter(each).values())) for each in every)
-    for each in every:
-        ways = math.exp(copied_blocks._log_ways(Counter(each)))
-        assert ways == pytest.approx(sizes[tuple(sorted(Counter(each).values()))])
+@pytest.mark.parametrize("classes", [(0, 1), (0, 0, 1), (0, 1, 1, 0), (0, 1, 0, 2, 1), (0, 0, 0), (0, 1, 2)])
+def test_no_law_gives_the_classes_a_larger_probability(classes: tuple[int, ...]) -> None:
+    """Each rollout's probability given those before it: of its class, or of a new one. Over a grid of laws."""
+    least, number = copied_blocks._least_surprise(Counter(classes)), max(classes) + 1
+    largest = 0.0
+    for parts in itertools.product(range(13), repeat=number):
+        if sum(parts) > 12 or 0 in parts:
+            continue
+        law, found = [part / 12 for part in parts], 1.0
+        for place, k in enumerate(classes):
+            seen = set(classes[:place])
+            found *= law[k] if k in seen else 1.0 - sum(law[j] for j in seen)
+        largest = max(largest, found)
+    assert largest <= math.exp(-least) * (1 + 1e-12)
+    assert largest >= 0.7 * math.exp(-least), "and some law comes near"
+
+
+def test_a_rule_that_reads_the_values_gains_nothing() -> None:
+    """Going on where the first result was the rare one only; by the number of equal orders alone it would gain .14."""
+    total = 0.0
+    for outcome in itertools.product((0, 1), repeat=4):
+        test = CopiedBlocks()
+        test.observe("a", outcome[:2])
+        if outcome[0] == 0:
+            test.observe("a", outcome[2:])
+        total += math.prod((0.1, 0.9)[k] for k in outcome) * math.exp(test._log)
+    assert total <= 1.0
 
 
 @pytest.mark.parametrize("chances", [(0.5, 0.5), (0.9, 0.1), (0.4, 0.3, 0.3), (1.0,)])

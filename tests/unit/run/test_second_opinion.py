@@ -362,7 +362,8 @@ def test_after_a_resume_the_worker_that_reports_first_does_not_end_the_vote(
     (line,) = [each for each in log.lines if "waits at most" in each]
     assert line.endswith("since those that are here have tried it; all other rollouts continue")
     assert {worker for _, worker in opinions(directory, "outvoted")} == {name}
-    assert set(read.contradicted(directory)) == set(false) == false_rollouts(directory, tmp_path / "calm")
+    # It may record one more before it is outvoted.
+    assert set(false) <= set(read.contradicted(directory)) == false_rollouts(directory, tmp_path / "calm")
 
 
 def test_two_that_differ_on_a_rollout_that_is_no_longer_needed_are_decided_on_before_the_certificate(
