@@ -29,7 +29,8 @@ class TestedCopies:
 
     evidence: float
     refuted: bool
-    all_alike: bool
+    all_alike: bool | None
+    """None where every test has one rollout, so that nothing was tested."""
 
 
 def same_trajectory(a: Trajectory, b: Trajectory) -> bool:
@@ -59,7 +60,7 @@ def copies(account: Account, noisy: Set[str], load: Load) -> tuple[int, int]:
 
 def tested_copies(account: Account, noisy: Set[str], load: Load) -> TestedCopies:
     """Test that rollouts differ as much within tests as between those of one start, in the order of the tests."""
-    test, all_alike, read = CopiedBlocks(), True, 0
+    test, read, alike = CopiedBlocks(), 0, list[bool]()
     often = Counter((node, value) for node, values, _ in _closed_tests(account, noisy) for value in values)
     for node, values, rollouts in _closed_tests(account, noisy):
         if read >= MOST_FILES:
@@ -69,9 +70,10 @@ def tested_copies(account: Account, noisy: Set[str], load: Load) -> TestedCopies
             repeated = often[node, value] > 1
             read += repeated
             block.append((value, _digest_of(load(rollout)) if repeated else ""))
-        all_alike = all_alike and len(set(block)) == 1
+        if len(block) > 1:
+            alike.append(len(set(block)) == 1)
         test.observe(node, block)
-    return TestedCopies(test.evidence, test.refutes, all_alike)
+    return TestedCopies(test.evidence, test.refutes, all(alike) if alike else None)
 
 
 def _closed_tests(account: Account, noisy: Set[str]) -> Iterator[tuple[int, tuple[float, ...], list[RolloutId]]]:

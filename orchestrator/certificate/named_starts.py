@@ -31,10 +31,19 @@ def start_words(numbers: Sequence[str], units: Mapping[str, str]) -> str:
 def with_named_start(found: Assumption, units: Mapping[str, str]) -> Assumption:
     """Return an assumption with names and units in its sentence, to be shown."""
     start = (found.values or {}).get("start")
-    if not isinstance(start, str):
+    if not isinstance(start, str) or not all(map(_is_number, start.split(BETWEEN))):
         return found
+    # Every sentence has it at the end of a parenthesis; a bound may have the same digits.
     words = start_words(start.split(BETWEEN), units)
-    return found.model_copy(update={"detail": found.detail.replace(start, words)})
+    return found.model_copy(update={"detail": found.detail.replace(f"{start})", f"{words})")})
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def with_named_starts(certificate: Certificate, units: Mapping[str, str]) -> Certificate:

@@ -48,7 +48,8 @@ def _independent(
     tested = {**values, "evidence": found.evidence, "threshold": 1 / LEVEL, "level": LEVEL}
     if found.refuted:
         return assumption(name, "refuted", tested, form="copied_tests")
-    return assumption(name, "assumed", tested, form="all_alike" if found.all_alike else "repeated_results")
+    form = {None: "single_rollouts", True: "all_alike", False: "repeated_results"}[found.all_alike]
+    return assumption(name, "assumed", tested, form=form)
 
 
 def one_law(plan: ProblemPlan, finding: audit.Finding) -> Assumption:

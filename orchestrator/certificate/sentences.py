@@ -181,13 +181,19 @@ SENTENCES: dict[str, dict[Status, str]] = {
     "copied_tests": {
         "refuted": "rollouts of one test agree with each other bit by bit, more than with those of other tests at its "
         "start (evidence {evidence} against {threshold}, a false alarm of probability {level}): replicates are copies "
-        "of each other although their seeds differ, so {rollouts} rollouts are fewer independent ones.",
+        "of each other although their seeds differ, or their law changes from test to test, so {rollouts} rollouts are "
+        "fewer independent ones.",
     },
     "repeated_results": {
         "assumed": "{copies} of {compared} pairs of rollouts with equal values agree bit by bit although their seeds "
         "differ, not more within tests than between those of one start (evidence for copies {evidence}, {threshold} "
         "would refute): so do results that repeat, such as a saturated margin; that the simulator draws its noise from "
         "the seed alone is assumed.",
+    },
+    "single_rollouts": {
+        "assumed": "{copies} of {compared} pairs of rollouts with equal values agree bit by bit although their seeds "
+        "differ: results that repeat, such as a saturated margin, or copies, which tests of one rollout each cannot "
+        "tell apart; that the simulator draws its noise from the seed alone is assumed.",
     },
     "all_alike": {
         "assumed": "no two rollouts of a test differ although the variant is declared noisy: its noise did not show, "

@@ -218,7 +218,10 @@ def _not_shown(
         advice += [TEST_ALONE, instead_of_refuted(claim)] if where else [instead_of_refuted(claim)]
     if _ended_untested(header, predicate):
         reasons.append("A violation ended the campaign before any fresh start tested the bound.")
-        advice.append("A new campaign with a new seed that no violation ends: its fresh starts test the bound.")
+        checked = "" if header.config.spot_check else ", and that has a `spot_check`"
+        advice.append(
+            f"A new campaign with a new seed that no violation ends{checked}: its fresh starts test the bound."
+        )
     if claim.vacuous:
         reasons.append(EMPTY[nothing_shown(claim.quantity)])
     if required.bound is None:

@@ -38,7 +38,7 @@ from typing import Literal
 from ...schemas.failure import Failure
 from ...schemas.ids import Attempt, RolloutId
 from .blame import charge, clear, forget_past, take_back
-from .choice import eligible, is_alone, nearest
+from .choice import eligible, has_others, is_alone, nearest
 from .events import (
     Acknowledge,
     Action,
@@ -138,6 +138,7 @@ def _want(state: DispatchState, event: Wanted) -> Outcome:
     # A process that repeats its own rollouts repeats what it drew at its start as well: another one shows it.
     alone = eligible(state, event.at)
     repeats = len(alone) == 1 and any(known.avoid == alone[0] for known in new.values())
+    repeats = repeats and not has_others(state, alone[0], event.at)
     return state, tuple(map(GiveUp, alone)) if repeats else ()
 
 

@@ -11,7 +11,8 @@ from perfbound.orchestrator.mathematics.bounds.betting import BOLD_AND_CAREFUL
 from perfbound.orchestrator.mathematics.bounds.predictable import LEAST_SPREAD, RENEWAL, STRATEGIES
 from perfbound.orchestrator.mathematics.bounds.rollout_spread import BORROWED
 from perfbound.orchestrator.mathematics.bounds.rounding import ROUND_OFF
-from perfbound.orchestrator.mathematics.bounds.spot_check import CAP, DEFICITS, EXPLORE, OUTSIDE, SUSPICIOUS
+from perfbound.orchestrator.mathematics.bounds.spot_check import CAP, EXPLORE, OUTSIDE, SUSPICIOUS
+from perfbound.orchestrator.mathematics.bounds.spot_wealth import DEFICITS
 
 DELTA = 0.05
 

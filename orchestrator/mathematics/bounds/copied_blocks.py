@@ -27,6 +27,10 @@ from collections import Counter, defaultdict
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from ..gp.kernels import Floats
+
 LEVEL = 0.01
 """Failure probability of the test."""
 NEW = 0.99
@@ -92,16 +96,13 @@ def _least_surprise(counts: Counter[Hashable]) -> float:
 
     The keys of a counter are in the order in which they appeared.
     """
-    found, later = 0.0, counts.total()
-    for count in counts.values():
-        later -= count
-        found += _entropy(count - 1, later)
-    return found
+    each = np.fromiter(counts.values(), float, len(counts))
+    a, b = each - 1.0, each.sum() - np.cumsum(each)
+    return float(np.sum(_xlogx(a + b) - _xlogx(a) - _xlogx(b)))
 
 
-def _entropy(a: int, b: int) -> float:
-    """Return ln((a + b)^(a + b)/(a^a b^b)), 0 where one of them is 0."""
-    return (a + b) * math.log(a + b) - a * math.log(a) - b * math.log(b) if a and b else 0.0
+def _xlogx(x: Floats) -> Floats:
+    return np.asarray(x * np.log(np.maximum(x, 1.0)))  # of whole numbers; 0 for 0
 
 
 def _copies(counts: Counter[Hashable], block: Sequence[Hashable], eta: float) -> float:

@@ -45,15 +45,14 @@ from ....schemas.values import Proposal
 from ..gp.kernels import Floats
 from ..gp.lattice import check_index
 from .rollout_spread import Spread
-from .rounding import RICHEST, ROUND_OFF, decimal, floor_to_step
+from .rounding import ROUND_OFF, decimal, floor_to_step
 from .share import clopper_pearson_upper
+from .spot_wealth import DEFICITS, SpotWealth
 
 VIOLATION = 1e-9
 """A deterministic value violates the limit from this excess on: less is the round-off of the simulator."""
 CAP = 0.95
 """Largest share of the wealth of a start that one rollout may cost."""
-DEFICITS = (0.25, 0.5, 1.0, 2.0)
-"""Each strategy bets what is best (Kelly, second order) for this mean excess, in standard deviations of a rollout."""
 MOST_EXPONENT = 500.0
 OUTSIDE = 1e-9
 """A value may leave its range by this much, which is round-off."""
@@ -240,31 +239,6 @@ class SpotTests:
         return Proposal(node, self._starts[node], mu, sigma, None, None)
 
 
-class _Wealth:
-    """The wealth of one kind of bets: own ones of every start, and the joint one of follow-ups."""
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._own = np.full((len(DEFICITS), size), 1.0 / len(DEFICITS))  # (S, m)
-        self._joint = np.full(len(DEFICITS), 1.0 / len(DEFICITS))  # (S,)
-
-    def bet(self, node: int, factors: Sequence[float], *, joins: bool) -> None:
-        """Multiply the wealth of every strategy at a start, and of follow-ups if this is one that `joins` them."""
-        # As numbers of Python: one that overflows is infinite, and not a warning.
-        for s, factor in enumerate(factors):
-            self._own[s, node] = min(float(self._own[s, node]) * factor, RICHEST)
-            self._joint[s] = min(float(self._joint[s]) * factor, RICHEST) if joins else self._joint[s]
-
-    def own(self, node: int) -> float:
-        """W_j of a start."""
-        return math.fsum(self._own[:, node])
-
-    @property
-    def whole(self) -> float:
-        """W."""
-        return (math.fsum(self._own.ravel()) / self._size + math.fsum(self._joint)) / 2.0
-
-
 class _Record:
     """The rollouts of one hypothesis at every start, the bets on them, and the finding."""
 
@@ -278,7 +252,7 @@ class _Record:
             *([self._bounded_factor] if self.bounded else []),
             *([self._scaled_factor] if hypothesis.scale else []),
         ]
-        self._kinds = [(factor, _Wealth(size)) for factor in kinds]
+        self._kinds = [(factor, SpotWealth(size)) for factor in kinds]
         width = 4.0 * hypothesis.scale if hypothesis.scale is not None else math.inf
         self._spread = Spread(size, self._high - self._low if self.bounded else width)
         self._peak = 1.0  # of W

@@ -1,15 +1,20 @@
 """What the fresh starts of the spot check show of gaps and of the clip."""
 
 import json
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from perfbound.orchestrator.certificate import files, text
+from perfbound.orchestrator.run.extend import extend_campaign
 from perfbound.orchestrator.run.verdict import verdict_of
+from perfbound.orchestrator.store.journal import Journal
 from perfbound.orchestrator.store.read import stored_header
 from perfbound.schemas.campaign import CampaignConfig
+from perfbound.schemas.facts import Header
 from perfbound.schemas.rollout import RolloutRequest
 from tests.fakes.simulators import noise, predicate, robustness, simulate, spec, statuses, verified
 
@@ -80,6 +85,23 @@ def test_a_gap_that_dominates_is_not_refuted(tmp_path: Path) -> None:
     system = spec(noisy=False).model_copy(update={"variants": ("nominal", "true")})
     config = composed(gap={"kind": "signal_sup", "column": "value", "lipschitz": 8.0})
     assert statuses(simulate(tmp_path, config, narrow, noisy=False, system=system))[DOMINATED] == "assumed"
+
+
+def test_a_campaign_of_rules_3_keeps_what_it_was_and_may_be_extended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing tested the pairs of the spot check then, and its extension is a fact."""
+    new = Header.new
+    monkeypatch.setattr(Header, "new", staticmethod(lambda *given, **more: replace(new(*given, **more), rules=3)))
+    system = spec(noisy=False).model_copy(update={"variants": ("nominal", "true")})
+    found = simulate(tmp_path, composed(), narrow, noisy=False, system=system)
+    assert (statuses(found)[DOMINATED], predicate(found)["rules"]) == ("assumed", 3)
+    assert not verified(tmp_path)
+    with closing(Journal.open(tmp_path)) as journal:
+        assert extend_campaign(tmp_path, journal, 9)
+    again = simulate(tmp_path, composed(), narrow, noisy=False, system=system)
+    assert statuses(again)[DOMINATED] == "assumed"
+    assert not verified(tmp_path)
 
 
 RIGOROUS = {"method": "rigorous", "alpha": 0.1, "rkhs_norm": 0.5, "prior_mean": -0.3, "kernel": {"length_scale": 0.7}}

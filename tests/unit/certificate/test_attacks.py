@@ -202,6 +202,13 @@ def test_results_that_repeat_are_no_copies(tmp_path: Path, config: CampaignConfi
     assert verified(tmp_path / "run") == []
 
 
+def test_repeated_results_of_tests_with_one_rollout_are_listed(tmp_path: Path) -> None:
+    single = robustness(NOISY | {"replicates": 1, "max_tests": 40}, clip=[0.0, 1.4], **CHECKS)
+    text = simulate(tmp_path / "run", single, lambda r: min(honest(r), 0.7), noisy=True)
+    assert refuted(text) == []
+    assert "which tests of one rollout each cannot tell apart" in sentence(text, "independent_rollouts/robustness")
+
+
 def test_noise_that_rollouts_share_without_a_copy_is_listed(tmp_path: Path) -> None:
     """One large error for the whole campaign, and a digit of each rollout's own: nothing shows that they depend."""
 

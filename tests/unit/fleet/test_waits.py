@@ -167,9 +167,7 @@ def test_it_does_not_wait_for_one_that_is_set_aside_or_has_tried_it_as_well() ->
 def test_what_any_worker_may_repeat_waits_for_nobody(wanted: Wanted, answers: list[Event]) -> None:
     state, _ = play(DispatchState(LIMITS, alone_from=60.0), *up(0.0, "a", "b"), DOWN)
     _, actions = play(state, wanted, *answers)
-    # That of a recheck would be made by another process, if the worker were a local one.
-    given_up = [GiveUp("a")] if wanted.avoid else []
-    assert actions == [*given_up, *(starts("a", 1 + number) for number in range(1 + len(answers)))]
+    assert actions == [starts("a", 1 + number) for number in range(1 + len(answers))]
 
 
 # What waits
