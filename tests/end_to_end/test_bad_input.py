@@ -253,7 +253,7 @@ def test_a_run_directory_that_exists_or_cannot_be_made(here: Here, calm: Path) -
     write_campaign(here.folder / "c.toml")
     ended = here.run("run", "c.toml", "--out", str(calm))
     assert ended.code == 1
-    assert f"continue it with `perfbound resume {calm}`" in ended.fault
+    assert f"a finished campaign is here; `perfbound show {calm}` prints it" in ended.fault
     (here.folder / "full").mkdir()
     (here.folder / "full" / "mine").write_text("keep")
     for out, reason in (
