@@ -1,7 +1,7 @@
 """Bounds and their probabilities as text, rounded to the safe side."""
 
 import math
-from collections.abc import Sized
+from collections.abc import Sequence, Sized
 
 from .counterexample import DIGITS
 
@@ -35,9 +35,26 @@ def chance(probability: float, assumptions: Sized | None = None) -> str:
         return f"with probability at least {outward(probability, '>=')}"
     if assumptions is None:
         return "certain, if its assumptions hold"
+    return f"certain, {if_they_hold(assumptions)}" if assumptions else "certain"
+
+
+def if_they_hold(assumptions: Sized) -> str:
+    """Return the condition of a claim that rests on assumptions.
+
+    >>> if_they_hold(("kernel/robustness",)), if_they_hold("ab")
+    ('if its 1 assumption holds', 'if its 2 assumptions hold')
+    """
     number = len(assumptions)
-    rests = f", if its {number} assumption{' holds' if number == 1 else 's hold'}" if number else ""
-    return f"certain{rests}"
+    return f"if its {number} assumption{' holds' if number == 1 else 's hold'}"
+
+
+def clip_words(clip: Sequence[float]) -> str:
+    """Return the words that a margin is clipped.
+
+    >>> clip_words((-0.2, 1.0))
+    'clipped to [-0.2, 1]'
+    """
+    return f"clipped to [{', '.join(f'{end:g}' for end in clip)}]"
 
 
 def short_chance(probability: float, assumptions: Sized | None = None) -> str:

@@ -20,7 +20,7 @@ from ..campaign.clip import SAME
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
-from .bound_text import outward
+from .bound_text import if_they_hold, outward
 from .counterexample import margin_words, named_start
 from .named_starts import parameter_units
 from .text import claim_words
@@ -78,8 +78,7 @@ def chance_words(claim: CertificateClaim) -> str:
     ...                               method="rigorous", assumptions=("rkhs_norm/robustness",), refuted=()))
     'if its 1 assumption holds'
     """
-    number = len(claim.assumptions)
-    rests = f"if its {number} assumption{' holds' if number == 1 else 's hold'}"
+    rests = if_they_hold(claim.assumptions)
     # Certainty is that of a system without noise, and of nothing else.
     if claim.probability == 1.0:
         return rests
@@ -104,17 +103,18 @@ def violated(
     if required.bound is not None:
         if _is_clipped_below(header, claim, required.bound):
             return None
-        # Where no value is below the limit, none can show that a mean is: most campaigns need not be read for that.
-        beyond = claim.quantity in WORST and violations.least is not None and violations.least >= required.bound
-        found = (
-            None
-            if beyond or _are_unfounded(predicate)
-            else _by_rollouts(header, claim, required.bound, required.probability, values)
-        )
+        found = None
+        if not (_are_all_beyond(claim, required.bound, violations) or _are_unfounded(predicate)):
+            found = _by_rollouts(header, claim, required.bound, required.probability, values)
         return found or _by_partner(predicate, required)
     if claim.quantity == "failure_probability" and claim.requirement is None:
         return _any_violation(values())
     return None
+
+
+def _are_all_beyond(claim: CertificateClaim, required: float, violations: Violations) -> bool:
+    """Whether no value is below what is required of the worst start: most campaigns need not be read to see that."""
+    return claim.quantity in WORST and violations.least is not None and violations.least >= required
 
 
 def _are_unfounded(predicate: Predicate) -> bool:
@@ -192,13 +192,22 @@ def _worst_below(
     """Return the finding about a worst start; a risk is at most the expectation, which therefore shows it too."""
     if is_deterministic(header):
         return _one_start_below(header, claim, required, values())
-    if claim.rule == "every":
-        return None  # the mean of the least of several requirements may be below that of each
+    if not _has_means(claim):
+        return None
     pairs = [(each.start, each.robustness) for each in values()]
     found = _mean_below(header.config, required, probability, pairs, "At some start the expected robustness")
+    if found is None:
+        return None
     # What is shown is that some start is bad, and not which.
-    worst = _most_suspicious(pairs, required)
-    return found and replace(found, reasons=(*found.reasons, *([worst.words(header, required)] if worst else [])))
+    return replace(found, reasons=(*found.reasons, *_most_suspicious(header, pairs, required)))
+
+
+def _has_means(claim: CertificateClaim) -> bool:
+    """Whether the means of the stored robustness are those of a claim about the worst start.
+
+    It is that of the whole specification, and the mean of the least of several requirements may be below that of each.
+    """
+    return claim.quantity in WORST and claim.requirement is None and claim.rule != "every"
 
 
 def _drawn_below(
@@ -232,41 +241,23 @@ def _one_start_below(header: Header, claim: CertificateClaim, required: float, v
     )
 
 
-def suspected(header: Header, claim: CertificateClaim, required: Required, values: Values) -> str:
-    """Return at which start the rollouts most suggest the opposite of a claim, in a sentence; empty for nowhere.
+def suspected(
+    header: Header, claim: CertificateClaim, required: Required, violations: Violations, values: Callable[[], Values]
+) -> tuple[str, ...]:
+    """Return at which start the rollouts most suggest the opposite of a claim, in a sentence; none for nowhere.
 
-    That it is below what is required is not shown, so the sentence has the numbers alone.
+    That its mean is below what is required is not shown, so the sentence has the numbers alone.
     """
-    if required.bound is None or claim.quantity not in WORST or claim.requirement is not None or claim.rule == "every":
-        return ""
-    if _is_clipped_below(header, claim, required.bound):
-        return ""
-    found = _most_suspicious([(each.start, each.robustness) for each in values], required.bound)
-    return found.words(header, required.bound) if found is not None else ""
+    limit = required.bound
+    if limit is None or is_deterministic(header) or not _has_means(claim):
+        return ()
+    if _is_clipped_below(header, claim, limit) or _are_all_beyond(claim, limit, violations):
+        return ()
+    return _most_suspicious(header, [(each.start, each.robustness) for each in values()], limit)
 
 
-@dataclass(frozen=True, slots=True)
-class _Suspicious:
-    """A start, and the robustness of its rollouts."""
-
-    start: str
-    values: tuple[float, ...]
-
-    @property
-    def mean(self) -> float:
-        return math.fsum(self.values) / len(self.values)
-
-    def words(self, header: Header, required: float) -> str:
-        mean = margin_words(self.mean, robustness_unit(header.config, header.spec))
-        number, below = len(self.values), sum(value < required for value in self.values)
-        return (
-            f"{below:,} of {number:,} rollout{'' if number == 1 else 's'} at {_start_words(header, self.start)} "
-            f"{'is' if below == 1 else 'are'} below {required:g}; the mean there is {mean}."
-        )
-
-
-def _most_suspicious(pairs: Iterable[tuple[str, float]], required: float) -> _Suspicious | None:
-    """Return the start where the values are furthest below what is required, all of them together; None for nowhere.
+def _most_suspicious(header: Header, pairs: Iterable[tuple[str, float]], required: float) -> tuple[str, ...]:
+    """Return the sentence on the start where the values are furthest below what is required, all of them together.
 
     Not that of the lowest mean: among many starts it is one with few rollouts, which show little.
     """
@@ -275,7 +266,14 @@ def _most_suspicious(pairs: Iterable[tuple[str, float]], required: float) -> _Su
         values.setdefault(start, []).append(value)
     missing = {start: math.fsum(required - value for value in found) for start, found in values.items()}
     worst = max(missing, key=lambda start: (missing[start], start), default=None)
-    return _Suspicious(worst, tuple(values[worst])) if worst is not None and missing[worst] > 0.0 else None
+    if worst is None or missing[worst] <= 0.0:
+        return ()
+    number, below = len(values[worst]), sum(value < required for value in values[worst])
+    mean = margin_words(math.fsum(values[worst]) / number, robustness_unit(header.config, header.spec))
+    return (
+        f"{below:,} of {number:,} rollout{'' if number == 1 else 's'} at {_start_words(header, worst)} "
+        f"{'is' if below == 1 else 'are'} below {required:g}; the mean there is {mean}.",
+    )
 
 
 def _start_words(header: Header, start: str) -> str:

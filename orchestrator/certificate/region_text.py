@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from ...schemas.certificate import CertifiedRegions, Predicate
 from ...schemas.problems import Quantity
+from .bound_text import clip_words
 
 SUBJECTS: Mapping[Quantity, str] = {
     "robustness": "robustness",
@@ -54,7 +55,7 @@ def _subject(predicate: Predicate) -> str:
     quantity, clip = predicate.claims[0].quantity, predicate.question.get("clip")
     if quantity == "robustness" or not isinstance(clip, (list, tuple)):
         return SUBJECTS[quantity]
-    return f"{SUBJECTS[quantity]}, clipped to [{', '.join(f'{end:g}' for end in clip)}],"
+    return f"{SUBJECTS[quantity]}, {clip_words(clip)},"
 
 
 def _chance(probability: float) -> str:

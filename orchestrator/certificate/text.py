@@ -27,7 +27,7 @@ from ...schemas.errors import one_line
 from ...schemas.problems import OBJECTIVES, Quantity
 from ..campaign.clip import SAME, floored, is_vacuous
 from .assumption_text import print_list
-from .bound_text import chance, outward, short_chance
+from .bound_text import chance, clip_words, outward, short_chance
 from .console_lines import hanging, heading, plain_line
 from .counterexample import DIGITS, counterexample_words
 from .named_starts import start_words, with_named_starts
@@ -236,7 +236,7 @@ def margin_at_most_starts(found: MostStarts, clip: object) -> str:
     if isinstance(clip, (list, tuple)):
         if found.bound <= clip[0]:
             return ""  # the values themselves may be lower
-        clipped = f", clipped to [{', '.join(f'{end:g}' for end in clip)}],"
+        clipped = f", {clip_words(clip)},"
     return f"{'robustness' if found.quantity == 'robustness' else 'expected robustness'}{clipped}"
 
 

@@ -23,7 +23,7 @@ from .advice import (
     instead_of_refuted,
 )
 from .bases import bases
-from .bound_text import outward
+from .bound_text import clip_words, outward
 from .opposite import (
     SAY_LIMIT,
     WORST,
@@ -84,9 +84,7 @@ def campaign_verdict(
     if found is None and not contradicted:
         found = _shown(header, predicate, required)
     if found is None:
-        # Where no value is below the limit, no start is suspected.
-        below = violations.least is not None and required.bound is not None and violations.least < required.bound
-        where = suspected(header, claim, required, values()) if below and not is_deterministic(header) else ""
+        where = suspected(header, claim, required, violations, values)
         found = _not_shown(header, predicate, required, better, where)
         if contradicted:
             least, bound = outward(violations.least or 0.0, ">="), outward(claim.bound, ">=")
@@ -132,7 +130,7 @@ def guarantee(
         return f"{words} {claim.sense} {margin_text(bound, claim, unit)}, {chance}"
     where = "every start" if claim.starts is None else f"each of the {claim.starts} listed starts"
     of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
-    ends = "" if hidden_by is None else f", clipped to [{hidden_by[0]:g}, {hidden_by[1]:g}]"
+    ends = "" if hidden_by is None else f", {clip_words(hidden_by)}"
     margin = f"{margin_text(bound, claim, unit)} ({meaning.format(risk_weight)}{of}{ends})"
     head = (
         "Refuted: margin at least" if claim.refuted else "Guaranteed margin" if claim.bound > 0 else "Margin at least"
@@ -205,7 +203,7 @@ def _falls_short(claim: CertificateClaim, required: Required) -> bool:
 
 
 def _not_shown(
-    header: Header, predicate: Predicate, required: Required, better: Callable[[float], str], where: str
+    header: Header, predicate: Predicate, required: Required, better: Callable[[float], str], where: tuple[str, ...]
 ) -> VerdictFinding:
     """Return the reasons, and what would help.
 
@@ -239,8 +237,7 @@ def _not_shown(
         holds = f"Its probability would be {chance}" if claim.refuted else f"It holds with probability {chance}"
         reasons.append(f"{holds}, and {required.probability:g} is required.")
         advice.append(for_the_probability(header.config, claim, required.probability))
-    reasons += [where] if where else []
-    return VerdictFinding("NOT SHOWN", tuple(reasons), tuple(advice))
+    return VerdictFinding("NOT SHOWN", (*reasons, *where), tuple(advice))
 
 
 def _budget_words(predicate: Predicate) -> str:

@@ -316,7 +316,7 @@ def end_with_a_signal(lines):
 
 for lines in range(1, 60):
     if not os.fork():
-        atexit.register(os._exit, 134)  # called last: the interpreter goes on to its end
+        atexit.register(os._exit, 134)  # called last: the interpreter continues to its end
         sys.exit(end_with_a_signal(lines))
     print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
 """

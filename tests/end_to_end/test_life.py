@@ -58,11 +58,11 @@ def test_systemd_is_told(started: Processes) -> None:
             NOTIFY_SOCKET=str(address),
             WATCHDOG_USEC="1000000",
         )
-        told = up_to(manager, "STOPPING=1")
+        received = up_to(manager, "STOPPING=1")
         assert process.wait().code == 0
-    assert "READY=1\nSTATUS=workers connect to tcp/127.0.0.1:" in told
-    assert told.count("WATCHDOG=1") >= 1
-    assert "STATUS=nominal_robustness 8 tests, sim_gap 8 tests; " in told
+    assert "READY=1\nSTATUS=workers connect to tcp/127.0.0.1:" in received
+    assert received.count("WATCHDOG=1") >= 1
+    assert "STATUS=nominal_robustness 8 tests, sim_gap 8 tests; " in received
 
 
 SLOW = """
@@ -100,17 +100,17 @@ def test_the_watchdog_is_told_whatever_a_campaign_works_at(started: Processes) -
     with service_manager(address) as manager:
         arguments = ("-c", SLOW, "run", campaign, "--out", "run")
         process = started.start("python", *arguments, NOTIFY_SOCKET=str(address), WATCHDOG_USEC="1000000")
-        told = up_to(manager, "STOPPING=1")
+        received = up_to(manager, "STOPPING=1")
         assert process.wait().code == 0, process.err
     for name in ("replay", "check_files", "certify", "draw"):
-        _, _, rest = told.partition(f"begin {name}\n")
+        _, _, rest = received.partition(f"begin {name}\n")
         during, end, _ = rest.partition(f"end {name}\n")
         assert end
-        assert during.count("WATCHDOG=1") >= 2, (name, told)
+        assert during.count("WATCHDOG=1") >= 2, (name, received)
 
 
 def test_a_finished_campaign_is_a_service_that_has_started(started: Processes, calm: Path) -> None:
-    """As after a reboot: a service that ends without its notification has failed, and is started again for ever."""
+    """As after a reboot: a service that ends without its notification has failed, and is started again without end."""
     with service_manager(started.folder / "notify") as manager:
         ended = started.run("perfbound", "resume", calm, NOTIFY_SOCKET=str(started.folder / "notify"))
         assert ended.code == 0, ended.err
@@ -127,10 +127,10 @@ def service_manager(address: Path) -> Iterator[socket.socket]:
 
 def up_to(manager: socket.socket, last: str) -> str:
     """Return all notifications up to one that contains `last`."""
-    told = ""
-    while last not in told:
-        told += manager.recv(4096).decode() + "\n"
-    return told
+    received = ""
+    while last not in received:
+        received += manager.recv(4096).decode() + "\n"
+    return received
 
 
 def test_a_changed_file_is_refused_with_the_difference(started: Processes) -> None:

@@ -121,7 +121,7 @@ class IndexServer(PageServer):
 class _BusyLimit:
     """An application with `MOST_CONNECTIONS` requests under way at most; the probe of its life is always answered.
 
-    The server itself would count connections, also idle ones, and refuse the probe too: whoever opens enough of them
+    The server itself would count connections, also idle ones, and refuse the probe too: a client with enough of them
     could have the run restarted.
     """
 
@@ -163,7 +163,7 @@ class _ImpatientProtocol(H11Protocol):
         if idle:
             min(idle, key=lambda each: each._since).transport.abort()
         elif len(self.connections) > 2 * MOST_CONNECTIONS:
-            self.transport.abort()  # up to there a client is told why; files stay free for the database
+            self.transport.abort()  # up to there a client gets the reason; files stay free for the database
 
     @property
     def is_idle(self) -> bool:

@@ -499,7 +499,7 @@ def test_a_recheck_goes_to_another_worker_while_one_serves() -> None:
 
 
 def test_the_only_worker_repeats_its_rollouts_in_another_process() -> None:
-    """What a process draws at its start it would repeat; a local worker is replaced, another one goes on."""
+    """What a process draws at its start it would repeat; a local worker is replaced, another one continues."""
     repeated = Wanted(0, ((R[0], 0), (R[1], 0)), {R[0]: "a", R[1]: "a"})
     state, found = after(*up("a"), repeated)
     assert found == [GiveUp("a"), Start("a", first(R[0]))]

@@ -95,7 +95,7 @@ def program(folder: Path, name: str) -> None:
 
 @pytest.mark.parametrize("hostile", HOSTILE)
 def test_a_shell_takes_every_value_as_it_is(tmp_path: Path, hostile: str) -> None:
-    """The files are run, with programs that print their arguments in the place of ours."""
+    """The files are run, with programs that print their arguments in the place of the real ones."""
     (tmp_path / "home").mkdir()
     home = tmp_path / "home" / hostile
     for folder in ("bin", "jobs", "tls"):
@@ -321,7 +321,7 @@ def test_a_submission_that_is_killed_is_known(tmp_path: Path) -> None:
 
 
 def job(folder: Path, name: str, more: Mapping[str, str] = NOTHING, **programs: str) -> "subprocess.Popen[str]":
-    """Start a job with `more` in its environment, and with programs that are shell texts in the place of ours."""
+    """Start a job with `more` in its environment, and with shell texts in the place of its programs."""
     bin_folder = folder / "bin"
     bin_folder.mkdir()
     for program, text in programs.items():

@@ -21,7 +21,7 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.
         yield sock
 
 
-def told(manager: socket.socket) -> list[str]:
+def notified(manager: socket.socket) -> list[str]:
     messages = []
     while True:
         try:
@@ -40,7 +40,7 @@ def test_ready_alive_and_stopping(manager: socket.socket, monkeypatch: pytest.Mo
     systemd.alive("1 of 5 tests")
     systemd.alive("2 of 5 tests")
     systemd.stopping()
-    assert told(manager) == [
+    assert notified(manager) == [
         "READY=1\nSTATUS=serving",
         "WATCHDOG=1",
         "STATUS=1 of 5 tests",
@@ -57,7 +57,7 @@ def test_alive_outside_the_loop_until_it_turns_again(manager: socket.socket, mon
         systemd.outside_loop()
         systemd.outside_loop()  # as well, and by one thread
         assert [each.name for each in threading.enumerate()].count("watchdog") == 1
-        wait_for(lambda: told(manager).count("WATCHDOG=1") >= 1)
+        wait_for(lambda: notified(manager).count("WATCHDOG=1") >= 1)
         systemd.alive("")
         wait_for(lambda: "watchdog" not in {each.name for each in threading.enumerate()})
 
@@ -67,7 +67,7 @@ def test_a_watchdog_of_another_process_is_not_ours(manager: socket.socket, monke
     monkeypatch.setenv("WATCHDOG_PID", str(os.getpid() + 1))
     Systemd().alive("")
     Systemd().outside_loop()
-    assert told(manager) == []
+    assert notified(manager) == []
 
 
 def test_an_abstract_address(monkeypatch: pytest.MonkeyPatch) -> None:
