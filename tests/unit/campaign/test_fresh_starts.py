@@ -125,6 +125,21 @@ def test_values_that_the_clip_hides_at_fresh_starts_are_said_beside_the_claim(tm
     assert any(note.startswith("It is about the clipped robustness: ") for note in text.notes(certificate.predicate, 0))
 
 
+def test_a_clip_many_times_the_noise_hides_no_fresh_start(tmp_path: Path) -> None:
+    """No bet within the range of the clip shows it: the noise scale that the claim rests on does."""
+
+    def lower(request: RolloutRequest) -> float:
+        return (0.1 if 0.43 < request.x[0] < 0.57 and request.x[0] != 0.5 else 0.5) + 0.02 * noise(request.seed)
+
+    little = {**RIGOROUS, "noise_scale": 0.05, "rkhs_norm": 0.05, "prior_mean": -0.5}
+    config = robustness(little, clip=[-100.0, 100.0], max_tests=8, spot_check=60, spot_check_followups=60)
+    found = predicate(simulate(tmp_path, config, lower, noisy=True))
+    (checked,) = found["spot_check"]["problems"]
+    assert found["claims"][0]["bound"] > 0.1
+    assert checked["status"] == "refuted"
+    assert checked["start"] is not None
+
+
 def test_of_most_starts_nothing_is_claimed_that_the_clip_alone_proves(tmp_path: Path) -> None:
     """On a fifth of the box the robustness is far below the clip."""
 
