@@ -18,7 +18,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup slurm run test test-all other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas names diagrams docs images lock clean
+.PHONY: help setup slurm run test test-all other-pythons mujoco smoke announce checks lint types imports doctests unit explore fuzz faults coverage reproduce bench bench-compare schemas diagrams docs images lock clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -142,9 +142,6 @@ bench-compare: $(INSTALLED)-dev ## Two results side by side: OLD=... NEW=... (JS
 
 schemas: $(INSTALLED)-dev ## Write schemas/json/v1 anew from the models
 	$(BIN)/python -m perfbound.schemas
-
-names: $(INSTALLED)-dev ## Names that are defined in more than one module
-	$(BIN)/python -m tests.architecture.names
 
 diagrams: $(INSTALLED)-dev ## Draw the diagrams of docs/architecture.md from tables and imports, write the table of metrics
 	$(BIN)/python -m tests.architecture

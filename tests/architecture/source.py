@@ -1,7 +1,6 @@
 """The source code as `ast` reads it: modules, definitions with their sizes, imports between modules and rooms."""
 
 import ast
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -24,16 +23,6 @@ def modules() -> Mapping[str, ast.Module]:
 def lines(module: str) -> int:
     """Return the number of lines of a file."""
     return (ROOT / module).read_text().count("\n")
-
-
-def shared_names() -> dict[str, list[str]]:
-    """Return the top-level classes and functions that are defined in more than one module, with these modules."""
-    homes: dict[str, set[str]] = defaultdict(set)
-    for module, tree in modules().items():
-        for node in tree.body:
-            if isinstance(node, ast.ClassDef | Function):
-                homes[node.name].add(module)
-    return {name: sorted(found) for name, found in sorted(homes.items()) if len(found) > 1}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Names, sizes and arrows of the source code stay within their limits."""
+"""Sizes and arrows of the source code stay within their limits."""
 
 import ast
 import graphlib
@@ -6,12 +6,11 @@ from collections import defaultdict
 from pathlib import Path
 
 from tests.architecture import source
-from tests.architecture.names import LIMIT
 
 ROOMS = ("cli", "report", "run", "certificate", "campaign", "store", "fleet", "mathematics")
 """From the top to the ground; the last three are independent of one another."""
 FLOORS = {room: -min(place, 5) for place, room in enumerate(ROOMS)} | {"schemas": -6}
-MODULE_LINES, CLASS_LINES, METHODS, PARAMETERS, ARROWS = 400, 200, 15, 7, 32
+MODULE_LINES, CLASS_LINES, METHODS, PARAMETERS, ARROWS = 600, 300, 20, 7, 32
 
 LARGE_MODULES: dict[str, str] = {}
 """Name -> reason, here and below. An entry that is no longer larger than the limit fails the test, too."""
@@ -20,10 +19,6 @@ LARGE_CLASSES: dict[str, str] = {}
 MANY_PARAMETERS: dict[str, str] = {
     "workers/systems/function.py:system": "the public decorator: keywords, of which most have a default",
 }
-
-
-def test_few_names_are_defined_twice() -> None:
-    assert len(source.shared_names()) <= LIMIT, "`make names` lists them"
 
 
 def test_the_orchestrator_has_eight_rooms_and_no_loose_module() -> None:
