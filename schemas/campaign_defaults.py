@@ -46,7 +46,10 @@ def with_stand_ins(table: Mapping[str, Any]) -> dict[str, Any]:
 
     It can be simulated and checked; `perfbound init` makes a campaign of it.
     """
-    if not is_description(table):
+    # A worker reads a draft as well for the files of a function, and `perfbound calibrate` proposes its constants.
+    system = table.get("system")
+    lists_files = leaves_out_problems(table) and isinstance(system, Mapping) and "files" in system
+    if not (lists_files or is_description(table)):
         return dict(table)
     method = table.get("method", _method(table, table))
     needed = OF_CAMPAIGN | PROBLEM_MODELS.get(method, RigorousProblem).model_fields.keys()

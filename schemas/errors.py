@@ -82,6 +82,10 @@ class SimulationError(PerfboundError):
     """The rollout has no usable trajectory: a start outside the specification, or a state that is not finite."""
 
 
+class ReplacedError(SimulationError):
+    """A file of the system is another one than when the worker loaded the system."""
+
+
 class UnknownSystemError(PerfboundError):
     """The system is not installed here."""
 

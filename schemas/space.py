@@ -43,6 +43,14 @@ class SystemChoice(Model, extra="allow"):
         description="FILE.py:NAME, a function or class in a file; its path is relative to the campaign file",
     )
 
+    files: tuple[str, ...] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        min_length=1,
+        max_length=1000,
+        description="of a function in a file and of a program: what its rollouts read, such as an FMU or weights; "
+        'files, folders and patterns ("tables/*.csv"), relative to the campaign file',
+    )
     program: tuple[str, ...] | None = Field(
         default=None,
         min_length=1,
@@ -81,6 +89,8 @@ class SystemChoice(Model, extra="allow"):
                 'name: give one of name = "...", an installed system, python = "FILE.py:NAME", a function in a file, '
                 'and program = ["./NAME"]'
             )
+        if self.name and self.files:
+            raise ValueError("files: an installed system lists its files itself, in its class: files = [...]")
         if self.program is not None and self.columns is None:
             raise ValueError('columns: required by a program: its columns with their units, { distance = "m" }')
         given = [key for key in PROGRAM_KEYS if getattr(self, key) is not None]
@@ -94,8 +104,11 @@ class SystemChoice(Model, extra="allow"):
         return "name" if self.name else "python" if self.python is not None else "program"
 
     def reference(self, file: Path) -> str:
-        """Return the system as a worker finds it: its name, FILE.py:NAME, or for a program the campaign file `file`."""
-        if self.python is not None:
+        """Return the system as a worker finds it: its name, FILE.py:NAME, or the campaign file `file`.
+
+        That describes a program, and lists files that the function in a file does not list itself.
+        """
+        if self.python is not None and self.files is None:
             return str(file.absolute().parent / self.python)
         return self.name or str(file.absolute())
 

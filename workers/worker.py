@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from ..schemas import __version__
-from ..schemas.errors import PerfboundError, RefusedError
+from ..schemas.errors import PerfboundError, RefusedError, ReplacedError
 from ..schemas.failure import Failure, FailureKind
 from ..schemas.heartbeats import HEARTBEAT
 from ..schemas.messages import (
@@ -190,6 +190,8 @@ class WorkerProcess:
             payload = run_request_on(system, request, lambda step: self._advance(key, step))
         except ImportError as fault:  # this worker lacks a part of the system: it never ran
             return Failure("infrastructure", fault_text(fault))
+        except ReplacedError as fault:  # another system: its rollouts say nothing about the one of the campaign
+            return Failure("infrastructure", str(fault))
         except PerfboundError as fault:
             return Failure(kind, str(fault) or type(fault).__name__)
         except (Exception, SystemExit) as fault:  # noqa: BLE001  (any: the orchestrator decides on a retry)

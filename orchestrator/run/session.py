@@ -250,9 +250,10 @@ def check_own(header: Header, spec: SystemSpec) -> None:
 
     """
     if spec.digest_by(header.rules) != header.system_sha256:
+        others = "; ".join(header.spec.differences(spec))
         raise JournalError(
-            f"{spec.name}: not the function with which this campaign was started; give that one, or start a new "
-            "campaign"
+            f"{spec.name}: not the function with which this campaign was started ({others}); give that one, or start a "
+            "new campaign"
         )
 
 
@@ -273,12 +274,13 @@ def _check_code(header: Header, reference: str, options: RunOptions, console: Co
         console.print(Text(text), soft_wrap=True)
     if not campaign.code:
         return
-    changed = sorted({name for name, _ in found.code.items() ^ campaign.code.items()})
-    if changed or header.system_sha256 not in found.identities:
+    if found.code != campaign.code or header.system_sha256 not in found.identities:
         others = "; ".join(campaign.differences(found))
-        what = f"{', '.join(changed)}: not the code" if changed else f"{reference}: {others}: not the system"
         remedy = "with the version of then" if installed else "with the files of then (--system, if they are elsewhere)"
-        raise JournalError(f"{what} with which this campaign was started; resume it {remedy}, or start a new campaign")
+        raise JournalError(
+            f"{reference}: not the system with which this campaign was started: {others}; resume it {remedy}, or start "
+            "a new campaign"
+        )
 
 
 def _conduct(

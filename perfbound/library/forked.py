@@ -35,7 +35,8 @@ from ..schemas.messages import (
 )
 from ..schemas.system import SystemSpec
 from ..workers.lifeline import die_with_parent
-from ..workers.systems.base import SystemUnderTest, WithSpec
+from ..workers.systems.base import SystemUnderTest
+from ..workers.systems.declared import WithSpec
 
 STATE, RESULT = b"state ", b"result "
 """First bytes of a message of a worker."""

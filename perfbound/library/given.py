@@ -13,6 +13,7 @@ from ..orchestrator.fleet import child
 from ..schemas.errors import CampaignError, DefinitionError, PerfboundError
 from ..schemas.system import SystemSpec
 from ..workers.systems.base import SystemUnderTest
+from ..workers.systems.declared import DeclaredFiles, WithSpec, declared_files
 from ..workers.systems.files import loading
 from .rig import Rig
 
@@ -116,9 +117,15 @@ def _session(target: object, found: SystemUnderTest, reason: str, step: float | 
     except (OSError, TypeError):  # typed into an interpreter that keeps no text
         kind, text = "bytecode", "\n".join(_bytecode(target))
     name = found.spec.name
-    code = {f"{name} (its own {kind})": hashlib.sha256(text.encode()).hexdigest()}
+    try:
+        declared = DeclaredFiles(declared_files(getattr(found, "files", ()), Path.cwd()))
+    except DefinitionError as error:
+        raise CampaignError(f"{name}: {error}") from None
+    code = {f"{name} (its own {kind})": hashlib.sha256(text.encode()).hexdigest()} | declared.digests
     spec = found.spec.model_copy(update={"code": code, "repeated": "session"})
-    return replace(_known_by_name(spec, step), here=found, reason=reason)
+    return replace(
+        _known_by_name(spec, step), here=WithSpec(found, declared) if declared.digests else found, reason=reason
+    )
 
 
 def _bytecode(target: object) -> Iterator[str]:

@@ -124,7 +124,7 @@ def test_a_changed_function_does_not_resume(started: Processes, tmp_path: Path) 
     code.write_text(before.replace("7 * np.maximum", "9 * np.maximum"))
     refused = started.run("perfbound", "resume", directory)
     assert refused.code == 1
-    assert "cars.py: not the code with which this campaign was started; resume it with the files of then" in (
+    assert "this campaign was started: cars.py is another one here; resume it with the files of then" in (
         refused.last_line
     )
     elsewhere = tmp_path / "elsewhere"

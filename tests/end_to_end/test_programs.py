@@ -110,7 +110,7 @@ def test_another_build_does_not_resume(started: Processes, tmp_path: Path) -> No
     subprocess.run(["cc", "-O2", "-o", "pendulum", "pendulum.c", "-lm"], cwd=folder, check=True)
     refused = started.run("perfbound", "resume", directory)
     assert refused.code == 1
-    assert "./pendulum: not the code with which this campaign was started" in refused.last_line
+    assert "campaign was started: ./pendulum is another one here; resume" in refused.last_line
 
 
 def test_references_of_all_kinds(started: Processes, folder: Path, tmp_path: Path) -> None:

@@ -1,14 +1,17 @@
 """The systems under test of this worker: those that are installed, and the files that its command line names."""
 
+import sys
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import cast
 
 from ...schemas.errors import DefinitionError, PerfboundError, UnknownSystemError
 from ...schemas.system import SystemSpec
 from ..faults import fault_text
-from .base import SystemUnderTest, WithSpec
-from .fingerprint import code_of_module
+from .base import SystemUnderTest
+from .declared import DeclaredFiles, WithSpec, declared_files
+from .fingerprint import code_of_files, files_of_module, versions_of
 
 GROUP = "perfbound.systems"
 
@@ -81,7 +84,14 @@ def _of_entry_point(name: str) -> SystemUnderTest:
     system = cast(SystemUnderTest, loaded() if isinstance(loaded, type) else loaded)
     if system.spec.name != name:  # a request names the system, and would not find it
         raise DefinitionError(f"the entry point {name!r} leads to {system.spec.name!r}; give both the same name")
-    return WithSpec(system, code=code_of_module(found[name].module))
+    files, above = files_of_module(found[name].module)
+    place = getattr(sys.modules[type(system).__module__], "__file__", None)
+    try:
+        declared = DeclaredFiles(declared_files(system.files, Path(place or above).parent, above))
+    except DefinitionError as error:
+        raise DefinitionError(f"{name}: {error}") from None
+    versions = versions_of(each for each in files if each.suffix == ".py") | system.spec.versions
+    return WithSpec(system, declared, code=code_of_files(files, above) | declared.digests, versions=versions)
 
 
 def _entry_points() -> dict[str, EntryPoint]:

@@ -25,6 +25,9 @@ class SystemUnderTest(Protocol):
     Derive from this class to inherit what is optional.
     """
 
+    files: Sequence[str] = ()
+    """Files, folders and patterns that the rollouts read, relative to the file of the class; optional."""
+
     @property
     def spec(self) -> SystemSpec:
         """The specification of the system: its parameters, columns and options."""
@@ -61,28 +64,6 @@ class SystemUnderTest(Protocol):
         Optional: None, the default, draws nothing.
         """
         return None
-
-
-class WithSpec(SystemUnderTest):
-    """A system under another specification, which says more of it, such as the code behind it."""
-
-    def __init__(self, system: SystemUnderTest, **keys: Any) -> None:
-        self._system = system
-        self._spec = system.spec.model_copy(update=keys)
-
-    @property
-    def spec(self) -> SystemSpec:
-        """The specification that says more."""
-        return self._spec
-
-    def rollout(self, x: Sequence[Any], **arguments: Any) -> Trajectory:
-        """Simulate with the system."""
-        return self._system.rollout(x, **arguments)
-
-    def visual(self, trajectory: Trajectory) -> Visual | None:
-        """Return the visual part that the system gives, if it gives any: a class need not derive from the port."""
-        visual = getattr(self._system, "visual", None)
-        return None if visual is None else visual(trajectory)
 
 
 def checked_options(

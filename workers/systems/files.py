@@ -4,13 +4,15 @@ import importlib.util
 import sys
 import sysconfig
 import traceback
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
 from ...schemas.campaign_file import load_description
 from ...schemas.errors import DefinitionError
 from ...schemas.places import PACKAGES
-from .base import SystemUnderTest, WithSpec
+from .base import SystemUnderTest
+from .declared import DeclaredFiles, WithSpec, declared_files
 from .fingerprint import code_of_files, sources_of, versions_of
 from .program import load_program
 
@@ -31,16 +33,18 @@ def load_reference(reference: str) -> SystemUnderTest:
     path = Path(reference)
     config = load_description(path)
     if config.system.program is not None:
-        return load_program(path, config)
+        program = load_program(path, config)
+        return WithSpec(program, program.declared)
     if config.system.python is None:
         raise DefinitionError(f"{path}: its system {config.system.name!r} is installed, and needs no reference")
-    return load_file(config.system.reference(path))
+    return load_file(str(path.absolute().parent / config.system.python), config.system.files or (), path)
 
 
-def load_file(reference: str) -> SystemUnderTest:
+def load_file(reference: str, files: Sequence[str] = (), campaign: Path | None = None) -> SystemUnderTest:
     """Return the system `FILE.py:NAME`; its spec carries the digests of the file and of what it imports beside it.
 
-    The versions of the packages that these import are in the spec, too.
+    The digests of the files that it declares, and of the `files` that the file `campaign` declares for it, are in the
+    spec, too, and the versions of the packages that it imports.
 
     Raises:
         DefinitionError: the file or the name is not there, or is no system, or the file cannot be imported.
@@ -63,7 +67,21 @@ def load_file(reference: str) -> SystemUnderTest:
     # What it has imported, by whatever way, and what its functions will import.
     sources = sources_of(path) | set(_beside(path.parent).values())
     versions = versions_of(sources) | system.spec.versions
-    return WithSpec(system, code=code_of_files(sources, path.parent), versions=versions)
+    # A class need not derive from the port.
+    declared = _declared(getattr(system, "files", ()), path, path.parent) | (
+        {} if campaign is None else _declared(files, campaign.absolute(), path.parent)
+    )
+    found_files = DeclaredFiles({name: each for name, each in declared.items() if each not in sources})
+    return WithSpec(
+        system, found_files, code=code_of_files(sources, path.parent) | found_files.digests, versions=versions
+    )
+
+
+def _declared(files: object, place: Path, base: Path) -> dict[str, Path]:
+    try:
+        return declared_files(files, place.parent, base)
+    except DefinitionError as error:
+        raise DefinitionError(f"{place}: {error}") from None
 
 
 def _beside(folder: Path) -> dict[str, Path]:

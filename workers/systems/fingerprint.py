@@ -19,20 +19,20 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def code_of_module(name: str) -> dict[str, str]:
-    """Return file -> sha256 of an installed module: of a package its folder, else the file and what it imports beside.
+def files_of_module(name: str) -> tuple[list[Path], Path]:
+    """Return the files of an installed module, and the folder from which they are named.
 
-    Names are relative to the folder above the package, or to that of the file; files of a package above 1 MB are data,
-    and not among them.
+    Of a package they are those of its folder, named from the folder above, else the file and what it imports beside.
+    Files of a package above 1 MB are data, and not among them.
     """
     found = importlib.util.find_spec(name)
     if found is None or found.origin is None:
-        return {}
+        return [], Path()
     file = Path(found.origin)
     if found.submodule_search_locations is None:
-        return code_of_files(sources_of(file), file.parent) if file.is_file() else {}
+        return (sorted(sources_of(file)) if file.is_file() else []), file.parent
     files = (each for each in file.parent.rglob("*") if each.is_file() and not CACHES.intersection(each.parts))
-    return code_of_files((each for each in files if each.stat().st_size <= LARGEST), file.parent.parent)
+    return [each for each in files if each.stat().st_size <= LARGEST], file.parent.parent
 
 
 def code_of_files(files: Iterable[Path], folder: Path) -> dict[str, str]:

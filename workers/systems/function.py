@@ -45,11 +45,13 @@ class FunctionSystem(SystemUnderTest):
         spec: SystemSpec,
         step: float | None,
         keywords: Sequence[inspect.Parameter],
+        files: Sequence[str] = (),
     ) -> None:
         functools.update_wrapper(self, function)
         self._function, self._spec, self._step = function, spec, step
         self._passed = tuple(each.name for each in keywords if each.name in PASSED)
         self._instance: Callable[..., Any] | None = None if inspect.isclass(function) else function
+        self.files = files
         self._whole = {each.name for each in keywords if isinstance(each.default, int)}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
@@ -116,6 +118,7 @@ def system(
     versions: Mapping[str, str] | None = None,
     seed_bits: int = SEED_BITS,
     trajectory_bytes: int | None = None,
+    files: Sequence[str] = (),
 ) -> Callable[[Callable[..., Any]], FunctionSystem]:
     """Make a system under test of a function, or of a class with `__call__`.
 
@@ -123,7 +126,8 @@ def system(
     `step`, in seconds, the time of a sample follows from its number, else it is the column `t`. `noisy` names the
     variants that depend on the seed, by default all of a function that takes one. Seeds are below 2^`seed_bits`, which
     is 31 to 53: 32 for Gymnasium and for libraries in C. The name is that of the function. A file of more than
-    ten times `trajectory_bytes` is a failed rollout.
+    ten times `trajectory_bytes` is a failed rollout. `files` are those that a rollout reads, such as an FMU or weights:
+    files, folders and patterns, relative to the file of the function; a changed one is another system.
 
     The function returns one array (T,) for each column, one array (T, n), or a dict of arrays; a number for each column
     is one sample at time 0.
@@ -186,7 +190,7 @@ def system(
             fault = error.errors(include_url=False)[0]
             where = ".".join(map(str, fault["loc"]))
             raise DefinitionError(f"{place}: {where}: {fault['msg']}; it is {fault.get('input')!r}") from None
-        return FunctionSystem(function, spec, step, keywords)
+        return FunctionSystem(function, spec, step, keywords, files)
 
     return decorate
 

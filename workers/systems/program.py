@@ -29,7 +29,7 @@ from ...schemas.space import ProgramLimits, SampleFormat, SystemChoice
 from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
-from .fingerprint import file_sha256
+from .declared import NO_FILES, DeclaredFiles, declared_files
 from .running import Command, EndedError, RunningProgram
 
 KEPT = ("PATH", "HOME", "LANG")
@@ -49,8 +49,11 @@ Floats = NDArray[np.float64]
 class ProgramSystem(SystemUnderTest):
     """The program of a campaign file; it is started by the first rollout, and again after a failed one."""
 
-    def __init__(self, spec: SystemSpec, choice: SystemChoice, folder: Path) -> None:
+    def __init__(
+        self, spec: SystemSpec, choice: SystemChoice, folder: Path, declared: DeclaredFiles = NO_FILES
+    ) -> None:
         assert choice.program is not None, "of a program"
+        self.declared = declared
         self._spec, self._choice, self._folder = spec, choice, folder
         # The script of an interpreter, else the program itself.
         self._program = next(reversed(spec.code))
@@ -241,12 +244,19 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
     choice, folder = config.system, file.absolute().parent
     assert choice.program is not None, "of a program"
     assert choice.columns is not None, "required by a program"
-    code = _code(choice.program, folder, f"{file}: system.program")
+    named = _named_files(choice.program, folder, f"{file}: system.program")
+    try:
+        declared = declared_files(choice.files or (), folder)
+        # The program itself is last. It is started anew after a failed rollout, or after each.
+        others = {name: path for name, path in declared.items() if path not in named.values()}
+        files = DeclaredFiles(others | named)
+    except DefinitionError as error:
+        raise DefinitionError(f"{file}: system.{error}") from None
     variants: tuple[Variant, ...] = choice.variants or ("nominal",)
     noisy = (variants if choice.noisy else ()) if isinstance(choice.noisy, bool | None) else choice.noisy
     try:
         spec = SystemSpec(
-            name=_name(next(reversed(code))),
+            name=_name(next(reversed(named))),
             doc=f"the program {shlex.join(choice.program)}",
             parameters=tuple(_space_parameters(config)),
             columns=tuple(Column(name=name, unit=unit) for name, unit in {"t": "s", **choice.columns}.items()),
@@ -256,12 +266,12 @@ def load_program(file: Path, config: CampaignConfig) -> ProgramSystem:
             max_horizon=MAX_HORIZON,
             default_horizon=config.horizon,
             seed_bits=choice.seed_bits or SEED_BITS,
-            code=code,
+            code=files.digests,
         )
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         raise DefinitionError(f"{file}: system: {fault['msg']}; it is {fault.get('input')!r}") from None
-    return ProgramSystem(spec, choice, folder)
+    return ProgramSystem(spec, choice, folder, files)
 
 
 def _space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
@@ -298,8 +308,8 @@ def _name(path: str) -> str:
     return found if re.match("[a-z]", found) else f"program-{found}".strip("-")
 
 
-def _code(command: Sequence[str], folder: Path, where: str) -> dict[str, str]:
-    """Return the sha256 of the program, and of the files beside it that its arguments name.
+def _named_files(command: Sequence[str], folder: Path, where: str) -> dict[str, Path]:
+    """Return the program, and the files beside it that its arguments name.
 
     The last one is the file that simulates: a script behind its interpreter, or the program itself.
     """
@@ -310,5 +320,4 @@ def _code(command: Sequence[str], folder: Path, where: str) -> dict[str, str]:
         )
     if not os.access(program, os.X_OK):
         raise DefinitionError(f"{where}: {command[0]} is not executable; chmod +x {program}")
-    named = {command[0]: Path(program)} | {each: folder / each for each in command[1:] if (folder / each).is_file()}
-    return {name: file_sha256(path) for name, path in named.items()}
+    return {command[0]: Path(program)} | {each: folder / each for each in command[1:] if (folder / each).is_file()}
