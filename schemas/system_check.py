@@ -55,6 +55,9 @@ class Measured(Model):
     threads: tuple[str, ...] = Field(default=(), description="names of the threads that are there since the start")
     tasks: int = Field(default=0, description="threads of the process, those of libraries included")
     processes: tuple[str, ...] = Field(default=(), description="names of processes that run on after the rollout")
+    undeclared: tuple[str, ...] = Field(
+        default=(), description="files that were read so far and are no part of the system"
+    )
     files: tuple[str, ...] = Field(default=(), description="new entries of the working and of the temporary directory")
 
 

@@ -25,7 +25,9 @@ from ..schemas.messages import MAX_RESULT
 from ..schemas.places import of_perfbound, own_place
 from ..schemas.system_check import Measured, SampleTimes, Trial
 from ..schemas.trajectory import Trajectory, decode
+from .opened import Opened
 from .simulate import requested_system, run_request_on
+from .systems import load_system
 
 STDOUT = 1
 LIBC = ctypes.CDLL(None)
@@ -41,7 +43,9 @@ STATES: dict[str, Callable[[], object]] = {
 }
 
 
-def measure_trials(trials: Sequence[Trial], answers: TextIO, folder: str, keep: str | None = None) -> None:
+def measure_trials(
+    trials: Sequence[Trial], answers: TextIO, folder: str, opened: Opened, keep: str | None = None
+) -> None:
     """Run `trials` in their order, and write a line of JSON after loading and after each of them.
 
     New files are looked for in `folder`, where the system writes those without a path. The folder `keep` gets the file
@@ -67,6 +71,7 @@ def measure_trials(trials: Sequence[Trial], answers: TextIO, folder: str, keep: 
             "tasks": _tasks(),
             "memory": _memory(),
             "peak": _peak(),
+            "undeclared": opened.undeclared(load_system(trial.request.system).spec)[:MOST],
         }
         surroundings = after
         _answer(answers, found.model_copy(update=changes))

@@ -1,6 +1,7 @@
 """The commands of the worker side, in a child of `perfbound`: a crash of a simulator stays out of the orchestrator."""
 
 import contextlib
+import json
 import os
 import resource
 import sys
@@ -24,6 +25,7 @@ from .failing import fail
 from .lifeline import adopt_orphans, die_with_parent
 from .stopping import Stopping
 
+OPENED = "perfbound.opened"
 HELP = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
 
@@ -38,6 +40,15 @@ def _add_files(_context: click.Context, _option: click.Parameter, references: tu
     for reference in references:
         _add_file(reference)
     return references
+
+
+def _add_watched(context: click.Context, option: click.Parameter, references: tuple[str, ...]) -> tuple[str, ...]:
+    """Load the systems in files, and watch which files are opened from then on."""
+    from .opened import Opened  # noqa: PLC0415
+
+    if references:
+        context.meta[OPENED] = Opened.of(references)
+    return _add_files(context, option, references)
 
 
 def _add_file(reference: str) -> str:
@@ -59,6 +70,10 @@ system_option = click.option(
     callback=_add_files,
     expose_value=False,
     help="A system in a file, beside those that are installed; may be repeated.",
+)
+
+watched_system_option = click.option(
+    "--system", "references", multiple=True, metavar="FILE.py:NAME", callback=_add_watched, expose_value=False
 )
 
 
@@ -212,7 +227,7 @@ def simulate(request: str, out: Path) -> None:
 
 
 @group.command()
-@system_option
+@watched_system_option
 @click.option("--requests", type=click.Path(dir_okay=False, path_type=Path), required=True, help="One JSON a line.")
 @click.option("--seconds", type=float, required=True, help="No rollout starts later than this.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the files.")
@@ -220,7 +235,7 @@ def pilot(requests: Path, seconds: float, out: Path) -> None:
     """Run rollouts one after the other in this process; `K.mcap` is the file of the K-th request, from 0.
 
     A first file, `loaded`, says that the systems in files are loaded; at the end it has the memory of this process at
-    most, in kB.
+    most, in kB, and the files that the rollouts read and that are no part of the system.
     """
     _be_child()
     (out / "loaded").touch()
@@ -230,7 +245,20 @@ def pilot(requests: Path, seconds: float, out: Path) -> None:
             break
         (out / f"{number}.mcap").write_bytes(_trajectory_file(request))
     status = Path("/proc/self/status").read_text()  # `getrusage` counts the process that started this one as well
-    (out / "loaded").write_text(status.partition("VmHWM:")[2].split()[0])
+    found = {"memory": int(status.partition("VmHWM:")[2].split()[0]), "opened": _undeclared(requests)}
+    (out / "loaded").write_text(json.dumps(found))
+
+
+def _undeclared(requests: Path) -> tuple[str, ...]:
+    """Return the files that rollouts have read, and that are no part of their system."""
+    from .systems import load_system  # noqa: PLC0415
+
+    opened = click.get_current_context().meta.get(OPENED)
+    if opened is None:  # an installed system lists its files itself
+        return ()
+    name = json.loads(requests.read_text().partition("\n")[0])["system"]
+    found: tuple[str, ...] = opened.undeclared(load_system(name).spec)
+    return found
 
 
 def _trajectory_file(request: str) -> bytes:
@@ -273,7 +301,7 @@ def print_visual(path: Path) -> None:
 
 
 @group.command(hidden=True)
-@system_option
+@watched_system_option
 @click.option("--answers", type=int, required=True, help="Pipe for the measurements, a line of JSON each.")
 @click.option("--folder", default=None, help="Of a program, where it is started; default: the present one.")
 @click.option("--keep", default=None, help="Folder that gets the file of each rollout.")
@@ -283,13 +311,15 @@ def measure(answers: int, folder: str | None, keep: str | None) -> None:
 
     from ..schemas.system_check import Trial  # noqa: PLC0415
     from .check_system import measure_trials  # noqa: PLC0415
+    from .opened import Opened  # noqa: PLC0415
 
     _be_child()
     adopt_orphans()
     os.set_inheritable(answers, False)
     trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())
+    opened = click.get_current_context().meta.get(OPENED) or Opened.of((), trials[0].request.system)
     with os.fdopen(answers, "w") as stream:
-        measure_trials(trials, stream, folder or os.getcwd(), keep)
+        measure_trials(trials, stream, folder or os.getcwd(), opened, keep)
 
 
 def main() -> None:

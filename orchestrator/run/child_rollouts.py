@@ -1,9 +1,11 @@
 """Rollouts before there is a campaign: in one child process, one after the other, recorded nowhere."""
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ...schemas.errors import PerfboundError, TrajectoryError
 from ...schemas.rollout import RolloutRequest
@@ -78,7 +80,17 @@ def finished(
 
 def peak_memory(folder: Path) -> int:
     """Return the bytes of memory that the child had at most, after its rollouts."""
-    return 1024 * int((folder / "loaded").read_text())
+    return 1024 * int(_loaded(folder)["memory"])
+
+
+def undeclared_files(folder: Path) -> tuple[str, ...]:
+    """Return the files that the rollouts of the child have read and that are no part of the system."""
+    return tuple(map(str, _loaded(folder)["opened"]))
+
+
+def _loaded(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "loaded").read_text())
+    return found
 
 
 def _file(folder: Path, number: int) -> Path:

@@ -2,7 +2,7 @@
 
 import os
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from ..campaign.first_size import first_samples, first_size
 from ..campaign.first_values import Constants, FirstValues
 from ..campaign.forecast import least_distance
 from ..campaign.questions import QUESTIONS, unknown_question
+from ..campaign.system_check.files import to_declare
 from ..fleet.child import in_file, named_campaign, resolved, system_spec
 from ..fleet.simulate import chosen_horizon
 from .first_pilot import SECONDS, Pilot, PilotError, PilotPlan, run_pilot
@@ -83,6 +84,7 @@ def write_first_campaign(wish: Wish) -> Iterator[str]:
             f"{question.values} proposed from {found.size}",
             found.cost,
         )
+        choice = _with_files(choice, found.undeclared)
     except PilotError as error:
         basis = _guess(wish, spec, horizon, str(error))
         news = f"{question.values} guessed, because the pilot failed: {error}"
@@ -242,6 +244,15 @@ def _first_campaign(
     )
 
 
+def _with_files(choice: SystemChoice, undeclared: Sequence[str]) -> SystemChoice:
+    """Return `[system]` with the files that rollouts have read, which are named from the folder of the system."""
+    if not undeclared:
+        return choice
+    folder = os.path.dirname(choice.python or "")
+    names = (name if os.path.isabs(name) else os.path.normpath(os.path.join(folder, name)) for name in undeclared)
+    return choice.model_copy(update={"files": (*(choice.files or ()), *to_declare(names))})
+
+
 def _system_choice(reference: str, out: Path) -> SystemChoice:
     """Return `[system]` of a campaign file `out`; the path of a system in a file is relative to it.
 
@@ -258,7 +269,9 @@ def _system_choice(reference: str, out: Path) -> SystemChoice:
             )
         return campaign.system
     if campaign is not None:
-        raise PerfboundError(f"{file}: this is a campaign file already; give the name of its system: {found}")
+        raise PerfboundError(
+            f"{file}: this is a campaign file already; give its system: {campaign.system.python or found}"
+        )
     if not in_file(found):
         return SystemChoice.model_validate({"name": found})
     path, _, name = found.rpartition(":")

@@ -14,7 +14,7 @@ from ...schemas.system import OptionValue, SystemSpec, Variant
 from ...schemas.trajectory import Floats, Trajectory
 from ..campaign.admission import check_whole
 from ..campaign.pilot import NOISY_ROLLOUTS, Score, pilot_starts, settled_horizon
-from .child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child
+from .child_rollouts import ChildRolloutError, ChildSystem, finished, simulate_in_child, undeclared_files
 
 SECONDS = 60.0
 """No rollout of a pilot starts later than this, and none may take longer: there would be too few."""
@@ -39,6 +39,8 @@ class Pilot:
     """Shape (n, k), k rollouts at each start."""
     cost: float | None = None
     """Seconds of a rollout; None after a single one."""
+    undeclared: tuple[str, ...] = ()
+    """Files that the rollouts have read and that are no part of the system, relative to its folder."""
 
     @property
     def size(self) -> str:
@@ -85,8 +87,8 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     """
     requests = plan.requests()
     scores: dict[Variant, list[float]] = {variant: [] for variant in plan.variants}
-    horizon, written = None, []
-    for request, trajectory, at in _finished(plan, requests):
+    horizon, written, undeclared = None, [], set[str]()
+    for request, trajectory, at in _finished(plan, requests, undeclared):
         written.append(at)
         if horizon is None:
             horizon = settled_horizon(plan.horizon, trajectory)
@@ -105,15 +107,19 @@ def run_pilot(plan: PilotPlan, score: Score) -> Pilot:
     }
     # The first rollout loads the simulator.
     cost = float(np.median(np.diff(written))) if len(written) > 1 else None
-    return Pilot(np.array(pilot_starts(plan.spec.parameters)[:whole]), horizon, shaped, cost)
+    starts = np.array(pilot_starts(plan.spec.parameters)[:whole])
+    return Pilot(starts, horizon, shaped, cost, tuple(sorted(undeclared)))
 
 
-def _finished(plan: PilotPlan, requests: list[RolloutRequest]) -> Iterator[tuple[RolloutRequest, Trajectory, float]]:
-    """Yield the rollouts that one child simulates in its time, and when."""
+def _finished(
+    plan: PilotPlan, requests: list[RolloutRequest], undeclared: set[str]
+) -> Iterator[tuple[RolloutRequest, Trajectory, float]]:
+    """Yield the rollouts that one child simulates in its time, and when; fill in the files that they have read."""
     system = ChildSystem(plan.reference, plan.spec, plan.limit, SECONDS)
     try:
         with tempfile.TemporaryDirectory() as name:
             simulate_in_child(system, requests, Path(name))
+            undeclared.update(undeclared_files(Path(name)))
             yield from finished(system, requests, Path(name))
     except ChildRolloutError as error:
         raise PilotError(str(error)) from None

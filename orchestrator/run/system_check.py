@@ -100,7 +100,8 @@ def checked_system(
         trials = replace(trials, where=config.where)
     program = config is not None and config.system.program is not None
     folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()
-    margins = None if config is None else SeenMargins(config, spec)
+    # A file that describes a system alone has no specification yet.
+    margins = SeenMargins(config, spec) if config is not None and config.formula != "" else None
     rolled = partial(
         _in_child, arguments=(*system_options(reference), *folder), limit=limit, report=report, margins=margins
     )

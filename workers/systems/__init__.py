@@ -94,5 +94,11 @@ def _of_entry_point(name: str) -> SystemUnderTest:
     return WithSpec(system, declared, code=code_of_files(files, above) | declared.digests, versions=versions)
 
 
+def module_of(name: str) -> str | None:
+    """Return the module of an installed system; None for one that is not installed."""
+    found = _entry_points().get(name)
+    return None if found is None else found.module
+
+
 def _entry_points() -> dict[str, EntryPoint]:
     return {entry.name: entry for entry in entry_points(group=GROUP)}

@@ -18,6 +18,7 @@ SYSTEM_CHECKS = {
     "memory": "the memory of the process does not grow with its rollouts",
     "output": "no rollout prints to stdout",
     "leftovers": "no rollout leaves threads, processes or files behind",
+    "files": "every file that a rollout reads is part of the system",
     "speed": "time of a rollout, size of its file",
 }
 """Every check in the order of the table, and what it tests."""

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from ....schemas.errors import one_line
-from . import costs, repeats, trajectories
+from . import costs, files, repeats, trajectories
 from .findings import OF_PROGRAM, SystemFinding
 from .measurements import Measurements
 
@@ -21,6 +21,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "memory": costs.judge_memory,
     "output": costs.judge_output,
     "leftovers": costs.judge_leftovers,
+    "files": files.judge_files,
     "speed": costs.judge_speed,
 }
 _COMPARING = {"seed", "horizon"}
