@@ -100,6 +100,11 @@ class WorkerState(Model):
     systems: dict[Key, Identities] = Field(
         max_length=200, description="of each system, the identities by which campaigns may know it"
     )
+    parts: dict[Key, tuple[Key, ...]] = Field(
+        default_factory=dict,
+        max_length=200,
+        description="of each system with few of them, short digests of its files and packages",
+    )
     state: Literal["idle", "busy"]
     rollout: Rollout | None = None
     attempt: AttemptNumber | None = None

@@ -1,5 +1,6 @@
 """The specification of a system under test, which workers announce so that the orchestrator need not import it."""
 
+import hashlib
 import re
 from collections.abc import Iterable
 from typing import Any, Literal
@@ -15,6 +16,8 @@ ADDED = ("timed", "code", "default_horizon", "seed_bits", "repeated", "trajector
 """Keys of a SystemSpec that no campaign of rules 1 has."""
 DECIDES_NO_ROLLOUT = {"default_horizon", "trajectory_bytes"}
 """Keys that are no part of a system's identity: every request has its own horizon, and no file depends on its limit."""
+PART = 12
+"""Digits of the digest of one file or package in a heartbeat."""
 SPARE = 10
 """A trajectory's file may be so many times as large as its system declares."""
 ASSUMED_HORIZON = 10.0
@@ -183,6 +186,13 @@ class SystemSpec(Model):
         less: tuple[dict[str, Any], ...] = ({"code": {}}, {"versions": {}}) if self.code else ()
         specs = (self, *(self.model_copy(update=without) for without in less))
         return tuple({spec.digest_by(rules): None for rules in sorted(KNOWN, reverse=True) for spec in specs})
+
+    @property
+    def parts(self) -> dict[str, str]:
+        """Short digest -> name of every file and package of the system, with which a worker shows what it has."""
+        files = {f"{name} {sha256}": name for name, sha256 in self.code.items()}
+        packages = {f"{name} {version}": f"{name} {version}" for name, version in self.versions.items()}
+        return {hashlib.sha256(text.encode()).hexdigest()[:PART]: label for text, label in (files | packages).items()}
 
     def differences(self, here: "SystemSpec") -> list[str]:
         """Return in what the same system is another one here: files, versions, then other keys, with both values.

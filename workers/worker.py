@@ -40,6 +40,8 @@ RESEND = 1.0
 """Seconds between two deliveries of a result that is not acknowledged."""
 POLL, POLL_AT_END = 1.0, 0.1
 """Seconds between two questions whether the run is over for this worker, and while it leaves."""
+MOST_PARTS = 1_000
+"""Files and packages whose short digests are in every heartbeat."""
 SIGNAL_TIME = 0.1
 """Seconds in which a signal that ends a program of the system reaches this worker as well."""
 DISMISSAL = 3.0
@@ -66,7 +68,13 @@ class WorkerProcess:
         self._leaving_since: float | None = None
         self._signalled = threading.Event()
         self._changed = threading.Event()
-        self._systems = {name: each.identities for name, each in usable().items() if isinstance(each, SystemSpec)}
+        specs = {name: each for name, each in usable().items() if isinstance(each, SystemSpec)}
+        self._systems = {name: each.identities for name, each in specs.items()}
+        self._parts, room = dict[str, tuple[str, ...]](), MOST_PARTS
+        for system, each in specs.items():
+            if len(each.parts) <= room:  # of more, a refusal names none: heartbeats are many
+                self._parts[system] = tuple(each.parts)
+                room -= len(each.parts)
 
     def receive(self, message: Request) -> None:
         """Take a message of the orchestrator; called by the transport's thread."""
@@ -241,6 +249,7 @@ class WorkerProcess:
             platform=platform_class(),
             pid=os.getpid(),
             systems=self._systems,
+            parts=self._parts,
             state="busy" if current else "idle",
             rollout=current.request.rollout if current else None,
             attempt=current.attempt if current else None,

@@ -5,7 +5,7 @@ worker that fits the campaign is `up` for the dispatch machine from its first he
 once and then ignored.
 """
 
-from collections.abc import Container, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from ...schemas import __version__
@@ -140,8 +140,8 @@ class Roster:
             return f"the worker has no system {spec.name!r}; {remedy}"
         if self._spec_sha256 not in state.systems[spec.name]:
             # Another build may give other trajectories for the same seed; one certificate names one build.
-            what = _what_differs(spec, state.systems[spec.name])
-            return f"the worker's {spec.name!r} has other {what} than the campaign's; use the same on both"
+            what = _what_differs(spec, state.parts.get(spec.name))
+            return f"the worker's {spec.name!r} has {what} than the campaign's; use the same on both"
         if self._platform not in (ANY, state.platform):
             return (
                 f"the worker's platform is {state.platform or 'unknown'}, the campaign's {self._platform}, and their "
@@ -151,16 +151,15 @@ class Roster:
         return None
 
 
-def _what_differs(spec: SystemSpec, theirs: Container[str]) -> str:
-    """Return in what a worker's system of the same name is another one; `theirs` are its identities."""
-    # A system has an identity without its files, and one without the versions of its packages.
-    if spec.code and spec.model_copy(update={"code": {}}).digest in theirs:
-        return f"files ({_first_names(sorted(spec.code))})"
-    if spec.versions and spec.model_copy(update={"versions": {}}).digest in theirs:
-        return (
-            f"versions of packages ({_first_names([f'{name} {version}' for name, version in spec.versions.items()])})"
-        )
-    return "files or versions of packages"
+def _what_differs(spec: SystemSpec, parts: Collection[str] | None) -> str:
+    """Return in what a worker's system of the same name is another one; `parts` are its files and packages."""
+    if parts is None:  # too many for a heartbeat
+        return "other files or versions of packages"
+    missing = [name for part, name in spec.parts.items() if part not in parts]
+    if missing:
+        return f"another or no {_first_names(missing)}"
+    more = len(set(parts) - spec.parts.keys())
+    return f"{more} files or packages more" if more else "other parameters, columns or options"
 
 
 def _first_names(names: Sequence[str]) -> str:

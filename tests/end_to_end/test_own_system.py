@@ -142,7 +142,7 @@ def test_workers_elsewhere_need_the_same_code(started: Processes, folder: Path, 
     connect = ("perfbound-worker", "--connect", endpoint, "--system")
     refused = started.run(*connect, f"{other}:cars")
     assert refused.code == 1
-    assert "the worker's 'cars' has other files (cars.py) than the campaign's; use the same on both" in refused.err
+    assert "the worker's 'cars' has another or no cars.py than the campaign's; use the same on both" in refused.err
     worker = started.start(*connect, f"{folder / 'cars.py'}:cars")
     assert server.wait().code == 0
     worker.popen.terminate()

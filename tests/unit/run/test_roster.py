@@ -56,13 +56,14 @@ def test_a_local_worker_that_ends_does_not_come_back(local: bool) -> None:
 @pytest.mark.parametrize(
     ("here", "there", "what"),
     [
-        ({"code": {"cars.py": "0" * 64}}, {"code": {"cars.py": "1" * 64}}, "files (cars.py)"),
+        ({"code": {"cars.py": "0" * 64}}, {"code": {"cars.py": "1" * 64}}, "another or no cars.py"),
+        ({}, {"code": {"cars.py": "0" * 64, "b.py": "1" * 64}}, "1 files or packages more"),
         (
             {"versions": dict.fromkeys("abcde", "1.0")},
             {"versions": {"a": "2.0"}},
-            "versions of packages (a 1.0, b 1.0, c 1.0 and 2 more)",
+            "another or no a 1.0, b 1.0, c 1.0 and 2 more",
         ),
-        ({"max_horizon": 2.0}, {}, "files or versions of packages"),
+        ({"max_horizon": 2.0}, {}, "other parameters, columns or options"),
     ],
 )
 def test_a_refusal_says_in_one_short_sentence_what_differs(
@@ -72,9 +73,11 @@ def test_a_refusal_says_in_one_short_sentence_what_differs(
     ours, theirs = base.model_copy(update=here), base.model_copy(update=there)
     roster = Roster(ours, ANY)
     roster.token(Token(0.0, "w", alive=True))
-    state = state_of("w").model_copy(update={"systems": {SPEC.name: theirs.identities}})
+    state = state_of("w").model_copy(
+        update={"systems": {SPEC.name: theirs.identities}, "parts": {SPEC.name: tuple(theirs.parts)}}
+    )
     reason = roster.refusal(Heartbeat(0.0, "w", state))
-    assert reason == f"the worker's 'test-function' has other {what} than the campaign's; use the same on both"
+    assert reason == f"the worker's 'test-function' has {what} than the campaign's; use the same on both"
 
 
 def test_tokens_without_heartbeats_leave_nothing() -> None:

@@ -74,5 +74,5 @@ def test_a_worker_of_before_drops_an_interval_and_takes_what_follows(monkeypatch
 
 
 def test_a_heartbeat_has_the_fields_that_an_orchestrator_of_before_knows() -> None:
-    known = {"protocol", "version", "worker", "host", "pid", "systems", "state", "progress", "platform"}
+    known = {"protocol", "version", "worker", "host", "pid", "systems", "parts", "state", "progress", "platform"}
     assert a_state().model_dump(exclude_none=True).keys() == known
