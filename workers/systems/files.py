@@ -65,8 +65,12 @@ def load_file(reference: str, files: Sequence[str] = (), campaign: Path | None =
         raise DefinitionError(f"{path}: {name} is {type(found).__name__} and no system; put @perfbound.system above it")
     system: SystemUnderTest = found
     # What it has imported, by whatever way, and what its functions will import.
-    sources = sources_of(path) | set(_beside(path.parent).values())
-    versions = versions_of(sources) | system.spec.versions
+    beside = _beside(path.parent)
+    sources = sources_of(path) | set(beside.values())
+    bound = (each for own in (module, *map(sys.modules.get, beside)) for each in vars(own).values())
+    # Also what importlib has imported by a computed name.
+    modules = {each.__name__ for each in bound if isinstance(each, ModuleType) and each.__name__ not in beside}
+    versions = versions_of(sources, modules) | system.spec.versions
     # A class need not derive from the port.
     declared = _declared(getattr(system, "files", ()), path, path.parent) | (
         {} if campaign is None else _declared(files, campaign.absolute(), path.parent)

@@ -3,13 +3,16 @@
 import ast
 import hashlib
 import importlib.util
+import re
 import sys
 from collections.abc import Iterable, Iterator
-from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, distribution, packages_distributions, requires, version
 from pathlib import Path
 
 LARGEST = 2**20
 """Bytes of a file of an installed package that belongs to its code; larger ones are data."""
+REQUIREMENT = re.compile(r"[A-Za-z0-9._-]+")
 CACHES = frozenset({"__pycache__"})
 
 
@@ -52,11 +55,34 @@ def sources_of(file: Path) -> set[Path]:
     return known
 
 
-def versions_of(files: Iterable[Path]) -> dict[str, str]:
-    """Return distribution -> version of the installed packages that Python files import, perfbound left out."""
-    tops = {name.partition(".")[0] for file in files for level, name in _imports(file) if not level}
-    outside = tops - set(sys.stdlib_module_names) - {"perfbound", "__future__"}
-    return dict(sorted(found for name in outside if (found := _distribution(name))))
+def versions_of(files: Iterable[Path], modules: Iterable[str] = ()) -> dict[str, str]:
+    """Return distribution -> version of the installed packages that Python files import, perfbound left out.
+
+    Of the packages that these require in turn as well. `modules` are further ones that were imported. What else a
+    process has loaded changes nothing: every worker finds the same.
+    """
+    names = {name for file in files for level, name in _imports(file) if not level} | set(modules)
+    outside = {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names) - {"perfbound", "__future__"}
+    found = dict(each for name in outside if (each := _distribution(name)))
+    waiting = list(found)
+    while waiting:
+        for name, number in _required(waiting.pop()):
+            if name not in found:
+                found[name] = number
+                waiting.append(name)
+    return dict(sorted(found.items()))
+
+
+def _required(name: str) -> Iterator[tuple[str, str]]:
+    """Yield the installed distributions that one requires, without its extras, and their versions."""
+    for line in requires(name) or ():
+        match = REQUIREMENT.match(line)
+        if match is None or "extra ==" in line:
+            continue
+        with suppress(PackageNotFoundError):  # one of another platform or Python
+            found = distribution(match[0])
+            if (known := found.metadata["Name"]) != "perfbound":
+                yield known, found.version
 
 
 def _imported_files(source: Path, folder: Path) -> Iterator[Path]:
@@ -90,6 +116,6 @@ def _distribution(name: str) -> tuple[str, str] | None:
     try:
         return name, version(name)
     except PackageNotFoundError:
-        for distribution in packages_distributions().get(name, ()):  # as of `sklearn`; takes a while
-            return distribution, version(distribution)
+        for found in packages_distributions().get(name, ()):  # as of `sklearn`; takes a while
+            return found, version(found)
     return None
