@@ -77,7 +77,10 @@ class RolloutId(NamedTuple):
 
         """
         problem, test, variant, replicate = text.split(".")
-        return cls(problem, int(test), variant, int(replicate))
+        found = cls(problem, int(test), variant, int(replicate))
+        if str(found) != text:  # `int` takes 0_1 and digits of other scripts: one rollout has one name
+            raise ValueError(f"{text!r} is no name of a rollout")
+        return found
 
 
 @dataclass(frozen=True, slots=True)

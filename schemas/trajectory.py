@@ -40,6 +40,7 @@ from .base import canonical_json
 from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, Evidence, canonical_evidence
 from .errors import TrajectoryError, UnusableTrajectoryError
 from .file_checks import check_checksums, check_length, check_sizes
+from .real_numbers import real_array
 from .visual import Floats, Transform, Visual, channels
 
 __all__ = [
@@ -79,7 +80,10 @@ class Trajectory:
     visual: Visual | None = None
 
     def __post_init__(self) -> None:
-        samples = np.array(self.samples, dtype=np.float64, order="C")
+        try:
+            samples = np.array(real_array(self.samples), order="C")
+        except ValueError as error:
+            raise ValueError(f"samples: an array that {error}") from None
         samples.flags.writeable = False
         object.__setattr__(self, "samples", samples)
         _check_columns(self.columns)

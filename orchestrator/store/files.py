@@ -72,7 +72,10 @@ class Batch:
         partial = self._written[path] = temporary(path)
         with fresh(partial) as file:
             file.write(data)
-        self._syncing.append(self._pool.submit(sync, partial))
+        try:
+            self._syncing.append(self._pool.submit(sync, partial))
+        except RuntimeError:  # the main thread has ended, and another one goes on: Python starts no thread any more
+            sync(partial)
 
     def __enter__(self) -> None:
         """Begin with nothing."""
@@ -135,6 +138,8 @@ def contents(path: Path, most: int) -> bytes:
         return read_outside(path, most)
     except OSError as error:
         raise EvidenceError(f"{path}: {error.strerror}; restore it from a copy") from None
+    except ValueError:  # a NUL in it, or half a character
+        raise EvidenceError(f"{str(path)!r}: no path of a file; give another one") from None
 
 
 def damaged(

@@ -60,6 +60,7 @@ class Journal:
         self, directory: Path, engine: Engine, header: Header, origin: Origin, held: RunLock | None = None
     ) -> None:
         self.directory, self.header, self.origin, self._held = directory, header, origin, held
+        self._process = os.getpid()
         self._engine = engine
         self._connection = engine.connect()
         self._place = os.stat(directory / DATABASE)
@@ -188,7 +189,9 @@ class Journal:
             )
 
     def close(self) -> None:
-        """Fold the write-ahead log into the database, and close it."""
+        """Fold the write-ahead log into the database, and close it; a fork of this process leaves both alone."""
+        if os.getpid() != self._process:  # SQLite allows no use of a connection across a fork, not even its close
+            return
         # SQLite folds the log when the last connection closes: with a reader at that moment, no connection would.
         # Without the lock the database may be another orchestrator's.
         kept = self._held is None or self._held.is_kept()

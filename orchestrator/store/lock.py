@@ -85,7 +85,7 @@ def campaign_lock(directory: Path) -> Iterator[RunLock]:
     with ExitStack() as stack:
         # CLOEXEC: a child that outlives a killed orchestrator must not keep its lock.
         folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        stack.callback(os.close, folder)
+        stack.callback(_release, folder, os.getpid())
         # The folder first, everywhere: else two orchestrators that start at once could refuse each other.
         if not any(_locked_at(folder, directory) for _ in _attempts()):
             raise _running(directory)
@@ -93,12 +93,20 @@ def campaign_lock(directory: Path) -> Iterator[RunLock]:
         descriptor = next((found for _ in _attempts() if (found := _take_file(path)) is not None), None)
         if descriptor is None:
             raise _running(directory)
-        stack.callback(os.close, descriptor)
+        stack.callback(_release, descriptor, os.getpid())
         held = RunLock(path, descriptor, secrets.token_hex(TOKEN // 2).encode())
         _write_token(held)
         stop_request.withdraw_request(directory)  # of before: it was meant for an orchestrator that has ended
         stack.callback(stop_request.withdraw_request, directory)
         yield held
+
+
+def _release(descriptor: int, holder: int) -> None:
+    """Release a lock that the process `holder` took."""
+    # A fork of a notebook has the descriptor too: the lock must not last as long as the fork, nor end with it.
+    if os.getpid() == holder:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+    os.close(descriptor)
 
 
 def forget_lock(held: RunLock) -> None:

@@ -62,7 +62,7 @@ class Campaign:
         file = Path(path)
         config = load_campaign(file, **overrides)
         campaign = cls.__new__(cls)
-        campaign._begin(given_system(config.system.reference(file), str(file)), config, file)
+        campaign._begin(given_system(config.system.reference(file.absolute()), str(file)), config, file.absolute())
         campaign._text = toml(config.model_dump(mode="json", exclude_defaults=True), str(file))
         return campaign
 
@@ -121,7 +121,8 @@ class Campaign:
         return open_study(self._directory(out), self.config, self._subject)
 
     def _directory(self, out: str | Path | None) -> Path:
-        return Path("runs") / self.name if out is None else Path(out)
+        # Absolute: a later chdir must not lead to another directory.
+        return (Path("runs") / self.name if out is None else Path(out)).absolute()
 
     def __repr__(self) -> str:
         """Name, system and specification."""

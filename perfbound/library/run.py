@@ -25,6 +25,7 @@ from ..schemas.errors import EvidenceError, PerfboundError
 from ..schemas.facts import Header
 from ..schemas.ids import closing_check
 from ..schemas.link import LOCAL
+from ..schemas.real_numbers import real_array
 from ..schemas.trajectory import Trajectory
 from ..schemas.verdict import CampaignVerdict
 from .forked import Forked
@@ -65,8 +66,9 @@ class Run(_Shown):
     """A run directory, read from its files at every access; it changes nothing there."""
 
     def __init__(self, directory: Path) -> None:
+        # Absolute: a later chdir must not lead to another run.
+        self.directory = Path(directory).absolute()
         existing(directory)
-        self.directory = directory
 
     @cached_property
     def header(self) -> Header:
@@ -162,7 +164,10 @@ class Run(_Shown):
         """
         from ..orchestrator.report.posterior import posterior  # noqa: PLC0415  (late: it loads the numerics)
 
-        starts = np.atleast_2d(np.asarray(x, dtype=np.float64))
+        try:
+            starts = np.atleast_2d(real_array(x))
+        except ValueError as error:
+            raise PerfboundError(f"posterior: x {error}") from None
         with reproducible():
             return BandAt(*posterior(self.directory, problem, starts))
 
@@ -242,7 +247,7 @@ def resume_run(
     found = None if system is None else given_system(system, "resume")
     own = Forked(found.here, found.spec) if found is not None and found.here is not None else None
     reference = found.reference if found is not None and own is None else None
-    path, console = Path(directory), output(progress=progress)
+    path, console = Path(directory).absolute(), output(progress=progress)
     with reproducible(), interruptible(path, console):
         session.resume_campaign(path, _run_options(workers, reference, own), console, max_tests)
     return Run(path)

@@ -5,12 +5,13 @@ durable before the next request follows from it.
 """
 
 import os
+import threading
 import weakref
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from rich.console import Console
 
@@ -27,7 +28,7 @@ from ..orchestrator.store import read
 from ..orchestrator.store.journal import Journal
 from ..orchestrator.store.rows import DATABASE
 from ..schemas.campaign import CampaignConfig
-from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryError
+from ..schemas.errors import PerfboundError, RequestError, UnusableTrajectoryError, shortened
 from ..schemas.facts import RECORDED, RESTORED, Header
 from ..schemas.failure import Failure
 from ..schemas.ids import Attempt, RolloutId
@@ -97,14 +98,16 @@ class _Rollouts:
                 self._take(self._ledger.outstanding())
             self._certify()
 
-    def known(self, name: str) -> RolloutId:
+    def known(self, name: object) -> RolloutId:
         """Return the rollout of a request that is wanted, or was told before; raises `RequestError`."""
+        if not isinstance(name, str):
+            raise _no_request(name)
         try:
             rollout = RolloutId.parse(name)
         except ValueError:
-            raise RequestError(f"{name!r} is no request; give what ask() returned, or its id") from None
+            raise _no_request(name) from None
         if rollout not in self.wanted and all(rollout != fact.rollout for fact in self._journal.recorded()):
-            raise RequestError(f"{name}: not wanted, or no longer; ask again")
+            raise RequestError(f"{rollout}: not wanted, or no longer; ask again")
         return rollout
 
     def request(self, rollout: RolloutId) -> RolloutRequest:
@@ -165,14 +168,16 @@ class _Rollouts:
 
 
 class Study:
-    """A campaign that is asked and told, under the lock of its run directory; use it from one thread.
+    """A campaign that is asked and told, under the lock of its run directory, by any threads of one process.
 
     Every `tell` is durable when it returns: the process may end at any time, and the same call continues. `close`
-    releases the directory, and so does the end of a `with` block.
+    releases the directory, and so does the end of a `with` block. Threads that make rollouts at the same time take them
+    from `requests`, because `ask` returns the same one to all.
     """
 
     def __init__(self, directory: Path, journal: Journal, stack: ExitStack, step: float | None) -> None:
         self.directory, self._stack, self._step = directory, stack, step
+        self._process, self._lock = os.getpid(), threading.RLock()
         self._open: _Rollouts | None = _Rollouts(directory, journal)
 
     @property
@@ -183,14 +188,14 @@ class Study:
     @property
     def requests(self) -> tuple[TrialRequest, ...]:
         """Every rollout that is wanted now, in the order of the tests: these may be made at the same time."""
-        rollouts = self._rollouts
-        return tuple(TrialRequest.of(rollouts.request(each), rollouts.spec) for each in rollouts.wanted)
+        with self._locked() as rollouts:
+            return tuple(TrialRequest.of(rollouts.request(each), rollouts.spec) for each in rollouts.wanted)
 
     def ask(self) -> TrialRequest | None:
         """Return the next rollout that is wanted, the same one until it is told; None when the campaign is done."""
-        rollouts = self._rollouts
-        first = next(iter(rollouts.wanted), None)
-        return None if first is None else TrialRequest.of(rollouts.request(first), rollouts.spec)
+        with self._locked() as rollouts:
+            first = next(iter(rollouts.wanted), None)
+            return None if first is None else TrialRequest.of(rollouts.request(first), rollouts.spec)
 
     def tell(self, request: TrialRequest | str, data: object, *, step: float | None = None) -> None:
         """Hand in the trajectory of a request, or of its id.
@@ -208,18 +213,16 @@ class Study:
                 before.
 
         """
-        rollouts, rollout = self._rollouts, self._known(request)
-        told = admitted(rollouts.request(rollout), rollouts.spec, data, self._step if step is None else step)
-        if rollout not in rollouts.wanted:
-            if not rollouts.same(rollout, told):
-                raise RequestError(f"{rollout}: another trajectory was told before, and a record never changes")
-            return
-        rollouts.check(rollout, told)
-        try:
-            rollouts.record(rollout, told)
-        except BaseException:
-            self.close()  # the ledger may be ahead of its journal, which alone counts: only a replay continues
-            raise
+        with self._locked() as rollouts:
+            rollout = _known(rollouts, request)
+            told = admitted(rollouts.request(rollout), rollouts.spec, data, self._step if step is None else step)
+            if rollout not in rollouts.wanted:
+                if not rollouts.same(rollout, told):
+                    raise RequestError(f"{rollout}: another trajectory was told before, and a record never changes")
+                return
+            rollouts.check(rollout, told)
+            with self._closed_by_a_fault():
+                rollouts.record(rollout, told)
 
     def failed(self, request: TrialRequest | str, reason: str) -> None:
         """Record that the trial of a request failed in the system, as a rollout that ends with an exception.
@@ -228,43 +231,98 @@ class Study:
         refuted: a trial that is repeated until it succeeds is selected by its outcome.
 
         Raises:
-            PerfboundError: the request has its trajectory already, or is none.
+            PerfboundError: the request has its trajectory already, or is none; or the reason is no text.
 
         """
-        rollout = self._known(request)
-        if rollout not in self._rollouts.wanted:
-            raise RequestError(f"{rollout}: it has its trajectory already, and a record never changes")
-        self._rollouts.failed(rollout, reason)
-
-    def _known(self, request: TrialRequest | str) -> RolloutId:
-        """Return the rollout of a request of this study."""
-        name = request if isinstance(request, str) else request.id
-        rollout = self._rollouts.known(name)
-        if isinstance(request, TrialRequest) and request.request != self._rollouts.request(rollout):
-            raise RequestError(f"{name}: this request is one of another campaign; ask again")
-        return rollout
+        with self._locked() as rollouts:
+            rollout = _known(rollouts, request)
+            if rollout not in rollouts.wanted:
+                raise RequestError(f"{rollout}: it has its trajectory already, and a record never changes")
+            text = _reason(rollout, reason)
+            with self._closed_by_a_fault():
+                rollouts.failed(rollout, text)
 
     def close(self) -> None:
-        """Release the run directory; everything that was told is durable."""
-        self._open = None
-        self._stack.close()
+        """Release the run directory; everything that was told is durable.
+
+        Raises:
+            PerfboundError: another process has opened it.
+
+        """
+        self._check_process()
+        with self._lock:
+            self._open = None
+            self._stack.close()
+
+    @contextmanager
+    def _locked(self) -> Iterator[_Rollouts]:
+        """Give one thread after the other the state of the campaign."""
+        self._check_process()  # before the lock: in a fork it may be held by a thread that is not there
+        with self._lock:
+            if self._open is None:
+                raise PerfboundError(f"{self.directory}: this study is closed; open it again with ask_tell")
+            yield self._open
+
+    @contextmanager
+    def _closed_by_a_fault(self) -> Iterator[None]:
+        """Close the study if an exception breaks off what is written."""
+        try:
+            yield
+        except BaseException:
+            self.close()  # the ledger may be ahead of its journal, which alone counts: only a replay continues
+            raise
 
     @property
-    def _rollouts(self) -> _Rollouts:
-        if self._open is None:
-            raise PerfboundError(f"{self.directory}: this study is closed; open it again with ask_tell")
-        return self._open
+    def is_here(self) -> bool:
+        """Whether this process opened the study; a fork of it has a copy that must stay untouched."""
+        return os.getpid() == self._process
+
+    def _check_process(self) -> None:
+        # Two processes with one connection of SQLite, or one ledger each, write facts that contradict each other.
+        if not self.is_here:
+            raise PerfboundError(
+                f"{self.directory}: this study is one of process {self._process}, this is process {os.getpid()}; "
+                "return the data to that process, and tell them there"
+            )
+
+    def __reduce__(self) -> NoReturn:
+        raise PerfboundError(
+            f"{self.directory}: this study stays in process {self._process}; give other processes its requests, "
+            "return their data, and tell it here"
+        )
 
     def __enter__(self) -> "Study":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        if self.is_here:  # a fork that leaves the block releases nothing of its parent's
+            self.close()
 
     def __repr__(self) -> str:
         """Return the directory, and the number of wanted rollouts."""
-        state = "closed" if self._open is None else f"{len(self._open.wanted)} rollouts wanted"
+        now = self._open
+        state = "closed" if now is None else f"{len(now.wanted)} rollouts wanted"
         return f"<Study in {self.directory}: {state}>"
+
+
+def _known(rollouts: _Rollouts, request: object) -> RolloutId:
+    """Return the rollout of a request of this study, or of its id."""
+    if not isinstance(request, TrialRequest):
+        return rollouts.known(request)
+    rollout = rollouts.known(request.id)
+    if request.request != rollouts.request(rollout):
+        raise RequestError(f"{rollout}: this request is one of another campaign; ask again")
+    return rollout
+
+
+def _reason(rollout: RolloutId, given: object) -> str:
+    if not isinstance(given, str) or not given.strip():
+        raise RequestError(f"{rollout}: reason: {shortened(repr(given), 80)} is no text; give why the trial failed")
+    return given
+
+
+def _no_request(given: object) -> RequestError:
+    return RequestError(f"{shortened(repr(given), 80)} is no request; give what ask() returned, or its id")
 
 
 _OPEN: "weakref.WeakValueDictionary[Path, Study]" = weakref.WeakValueDictionary()
@@ -278,8 +336,9 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
         PerfboundError: there is no campaign, another one, or it is in use.
 
     """
+    directory = directory.absolute()  # a later chdir must not lead to another campaign
     # A cell of a notebook that is run again: the study that it made before holds the lock.
-    if (before := _OPEN.pop(directory.absolute(), None)) is not None:
+    if (before := _OPEN.get(directory)) is not None and before.is_here:
         before.close()
     step = system.step if system else None
     with ExitStack() as stack:
@@ -297,7 +356,7 @@ def open_study(directory: Path, config: CampaignConfig | None = None, system: Gi
             header = Header.new(config, system.spec, software(system.spec))
             journal = stack.enter_context(session.created(directory, header, _BY_HAND.origin(system.reference)))
         study = Study(directory, journal, stack.pop_all(), step)
-    _OPEN[directory.absolute()] = study
+    _OPEN[directory] = study
     return study
 
 

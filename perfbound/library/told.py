@@ -12,8 +12,10 @@ import numpy as np
 
 from ..orchestrator.campaign.admission import admit
 from ..orchestrator.store import files as evidence
-from ..schemas.errors import EvidenceError, SimulationError, UnusableTrajectoryError
+from ..schemas.errors import EvidenceError, SimulationError, UnusableTrajectoryError, shortened
+from ..schemas.number_text import number_in
 from ..schemas.ranges import MAX_FILE_BYTES
+from ..schemas.real_numbers import real_number
 from ..schemas.rollout import RolloutRequest
 from ..schemas.system import SystemSpec
 from ..schemas.trajectory import Trajectory, Visual
@@ -44,6 +46,7 @@ def admitted(request: RolloutRequest, spec: SystemSpec, data: object, step: floa
     """
     columns = tuple(column.name for column in spec.columns)
     try:
+        step = None if step is None else _seconds(step)
         if isinstance(data, str | Path) and Path(data).suffix.lower() == ".mcap":
             payload = evidence.contents(Path(data), MAX_FILE_BYTES)
         else:
@@ -57,6 +60,16 @@ def admitted(request: RolloutRequest, spec: SystemSpec, data: object, step: floa
         ) from None
     except (EvidenceError, SimulationError) as fault:
         raise EvidenceError(f"{request.rollout}: {fault}; the request stays open") from None
+
+
+def _seconds(step: object) -> float:
+    try:
+        seconds = real_number(step)
+    except ValueError as fault:
+        raise EvidenceError(f"step {fault}, the seconds between two samples") from None
+    if seconds <= 0:
+        raise EvidenceError(f"step is {seconds:g}; give the seconds between two samples, above 0")
+    return seconds
 
 
 class _Told(SystemUnderTest):
@@ -91,7 +104,7 @@ def _trajectory(data: object, spec: SystemSpec, step: float | None) -> Trajector
     if isinstance(data, str | Path):
         data = _columns_of_csv(Path(data), {column.name: column.unit for column in spec.columns})
     elif not isinstance(data, Mapping) and hasattr(data, "columns") and hasattr(data, "__getitem__"):
-        data = {str(name): np.asarray(data[name]) for name in data.columns}  # a DataFrame
+        data = _columns_of_frame(data)
     samples = as_samples(data, columns, step)
     try:
         return Trajectory(columns, samples)
@@ -99,13 +112,24 @@ def _trajectory(data: object, spec: SystemSpec, step: float | None) -> Trajector
         raise UnusableTrajectoryError(str(fault)) from None
 
 
+def _columns_of_frame(data: Any) -> dict[str, object]:
+    """Return the columns of a DataFrame, or of what has its methods."""
+    try:
+        return {str(name): data[name] for name in data.columns}
+    except Exception as fault:  # noqa: BLE001  (of a library that is not known)
+        reason = shortened(f"{type(fault).__name__}: {fault}")
+        raise EvidenceError(f"{type(data).__name__}: its columns cannot be read ({reason}); give a dict") from None
+
+
 def _columns_of_csv(path: Path, units: Mapping[str, str]) -> dict[str, Floats]:
     """Return the columns of a CSV file; a title is a name, or a name and its unit in brackets."""
     try:
         text = evidence.contents(path, MAX_FILE_BYTES).decode("utf-8-sig")
+        titles, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
     except UnicodeDecodeError:
         raise EvidenceError(f"{path}: not UTF-8; save it as UTF-8") from None
-    titles, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
+    except csv.Error as fault:  # a cell of megabytes
+        raise EvidenceError(f"{path}: not CSV: {fault}; give {','.join(units)}") from None
     found = [HEAD.fullmatch(title) for title in titles]
     names = [each[1] for each in found if each]
     if sorted(names) != sorted(set(names)) or set(names) - {"t"} != set(units) - {"t"} or len(names) != len(titles):
@@ -114,9 +138,10 @@ def _columns_of_csv(path: Path, units: Mapping[str, str]) -> dict[str, Floats]:
         if each and each[2] is not None and each[2] != units[each[1]]:
             raise EvidenceError(f"{path}: {each[1]} is in {each[2][:20]!r}; give it in {units[each[1]]!r}")
     try:
-        numbers = np.array([[float(cell) for cell in row] for row in rows], dtype=np.float64)
+        lines = [[number_in(cell) for cell in row] for row in rows]
     except ValueError as fault:
         raise EvidenceError(f"{path}: {fault}; give one number for each column in every line") from None
-    if numbers.ndim != 2 or numbers.shape[1] != len(names):
+    if not lines or set(map(len, lines)) != {len(names)}:
         raise EvidenceError(f"{path}: {len(rows)} lines of differing lengths; give {len(names)} numbers in each")
+    numbers = np.array(lines, dtype=np.float64)
     return {name: numbers[:, k] for k, name in enumerate(names)}

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from ...schemas.errors import DefinitionError, SimulationError
+from ...schemas.errors import DefinitionError, SimulationError, shortened
 from ...schemas.ranges import SEED_BITS
+from ...schemas.real_numbers import real_array
 from ...schemas.space import SystemChoice
 from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
 from ...schemas.trajectory import Trajectory, Visual
@@ -252,11 +253,9 @@ def _by_name(returned: object, names: tuple[str, ...]) -> dict[str, Floats]:
 
 def _samples_of(value: object, name: str, dimensions: int, *, width: int = 1) -> Floats:
     try:
-        if value is None or np.iscomplexobj(np.asarray(value)):  # numpy makes it NaN, or drops the imaginary part
-            raise TypeError
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SimulationError(f"{name} is {type(value).__name__}, not an array of numbers") from None
+        array = real_array(value)
+    except ValueError as error:
+        raise SimulationError(f"{name} {error}") from None
     if array.ndim == 0:
         array = array.reshape((1,) * dimensions)
     elif array.ndim == 1 and dimensions == 2:
@@ -310,5 +309,5 @@ def _default_horizon(keywords: Sequence[inspect.Parameter], max_horizon: float, 
     return float(default)
 
 
-def _joined_names(names: Collection[str]) -> str:
-    return ", ".join(names) or "none"
+def _joined_names(names: Collection[object]) -> str:
+    return shortened(", ".join(map(str, names))) or "none"
