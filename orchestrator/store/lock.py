@@ -105,7 +105,8 @@ def _release(descriptor: int, holder: int) -> None:
     """Release a lock that the process `holder` took."""
     # A fork of a notebook has the descriptor too: the lock must not last as long as the fork, nor end with it.
     if os.getpid() == holder:
-        fcntl.flock(descriptor, fcntl.LOCK_UN)
+        with suppress(OSError):  # of a server that has given it away
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
     os.close(descriptor)
 
 
