@@ -283,7 +283,11 @@ def test_real_numbers_of_every_kind_are_taken(study: Study, y: Any) -> None:
     [None, 5, HUGE, b"a", ["a"], object(), "x" * 10_000, "robustness.0_0.nominal.0", "robustness.\u0660.nominal.0"],
 )
 def test_what_is_no_request_is_one_line(study: Study, wrong: Any) -> None:
-    for call in (lambda: study.tell(wrong, {"t": T, "y": T}), lambda: study.failed(wrong, "no")):
+    calls: list[Callable[[], object]] = [
+        lambda: study.tell(wrong, {"t": T, "y": T}),
+        lambda: study.failed(wrong, "no"),
+    ]
+    for call in calls:
         with pytest.raises(PerfboundError, match="is no request; give what ask") as error:
             call()
         assert len(str(error.value)) < 300
