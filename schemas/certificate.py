@@ -16,7 +16,7 @@ STATEMENT_TYPE: Literal["https://in-toto.io/Statement/v1"] = "https://in-toto.io
 PREDICATE_TYPE: Literal["urn:perfbound:certificate:v1"] = "urn:perfbound:certificate:v1"
 
 OF_DRAWN_STARTS = ("subject", "requirement", "level", "factor", "samples")
-OPTIONAL_IN_CLAIM = ("starts", "by_clip", "without_data", "vacuous", *OF_DRAWN_STARTS)
+OPTIONAL_IN_CLAIM = ("starts", "clipped", "by_clip", "without_data", "vacuous", *OF_DRAWN_STARTS)
 """Keys of a claim that are left out where they have no value, as in certificates from before they existed."""
 Status = Literal["derived", "assumed", "not refuted", "refuted"]
 
@@ -52,6 +52,11 @@ class CertificateClaim(Model):
         default=None,
         ge=1,
         description="number of listed starts, the only ones that the claim covers; null for a box; since rules 2",
+    )
+    clipped: tuple[float, float] | None = Field(
+        default=None,
+        description="the claim is about values that count as the nearer of these two beyond them, and the values "
+        "themselves may contradict it; null where what is true of the clipped values is true of the values",
     )
     by_clip: float | None = Field(
         default=None, description="what the clip alone proves; since rules 2, `bound` is never weaker"
@@ -240,6 +245,9 @@ class MostStarts(Model):
     quantity: Literal["robustness", "expected_robustness"]
     bound: float
     probability: float
+    clipped: tuple[float, float] | None = Field(
+        default=None, exclude_if=lambda clip: clip is None, description="as of a claim"
+    )
 
 
 class SpotCheck(Model):
@@ -326,7 +334,8 @@ class Predicate(Model):
         text = f"{claim.quantity} {claim.sense} {claim.bound:.6g} with probability at least {claim.probability:.6g}"
         more = f", and {len(self.claims) - 1} more" if len(self.claims) > 1 else ""
         refuted = f"; {len(claim.refuted)} assumptions refuted" if claim.refuted else ""
-        return f"<Certificate of {self.campaign.name}: {text}{more}{refuted}>"
+        clipped = "" if claim.clipped is None else f", clipped to [{claim.clipped[0]:g}, {claim.clipped[1]:g}]"
+        return f"<Certificate of {self.campaign.name}: {text}{clipped}{more}{refuted}>"
 
     __str__ = __repr__
 

@@ -11,7 +11,7 @@ from typing import Literal, cast
 from pydantic import Field, model_validator
 
 from .base import Model
-from .problems import Quantity, any_of
+from .problems import Quantity, Reading, any_of
 from .values import SampledQuantity
 
 
@@ -28,11 +28,13 @@ class Sampled:
     """Whether a bound needs a clip."""
     shifted: bool = True
     """Whether there is a bound for every distribution within a factor of the declared one."""
+    reading: Reading = "each"
+    """How it reads the values of rollouts; of starts without noise every mean is one value."""
 
 
 SAMPLED: Mapping[SampledQuantity, Sampled] = {
     "failure_probability": Sampled(
-        "<=", "probability that a rollout at a drawn start violates {specification}", clip=False
+        "<=", "probability that a rollout at a drawn start violates {specification}", clip=False, reading="sign"
     ),
     "quantile": Sampled(
         ">=",
@@ -44,9 +46,10 @@ SAMPLED: Mapping[SampledQuantity, Sampled] = {
         ">=",
         "mean of the worst {level} of the robustness{of} at drawn starts (CVaR){clipped}",
         level="share of the worst rollouts, whose mean is bounded",
+        reading="mean",
     ),
-    "mean": Sampled(">=", "mean robustness{of} at drawn starts{clipped}"),
-    "risk": Sampled(">=", "robustness risk E - r sd{of} at drawn starts{clipped}", shifted=False),
+    "mean": Sampled(">=", "mean robustness{of} at drawn starts{clipped}", reading="mean"),
+    "risk": Sampled(">=", "robustness risk E - r sd{of} at drawn starts{clipped}", shifted=False, reading="risk"),
     "share_of_starts": Sampled(
         ">=", "{value}{of} on all starts but {level}{clipped}", level="share of the starts that is left out", clip=False
     ),

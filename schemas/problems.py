@@ -15,6 +15,9 @@ MethodName = Literal["paper", "rigorous", "kriging", "scenario", "sample"]
 Sense = Literal["min", "max"]
 Measured = Literal["robustness", "gap", "column"]
 """The number of one rollout, or of a pair: of the specification, of the comparison, or of one column."""
+Reading = Literal["sign", "each", "mean", "risk"]
+"""How a statement reads values: their signs, each by itself, their mean, or their mean less a multiple of their
+deviation."""
 Quantity = Literal[
     "rho_star",
     "J_star",

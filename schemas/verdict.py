@@ -45,5 +45,10 @@ class CampaignVerdict(Model):
         description="how the rollouts alone show it, without a kernel; null where they do not",
     )
     violations: Violations
+    clip: tuple[float, float] | None = Field(
+        default=None,
+        description="the verdict is about values that count as the nearer of these two beyond them; null where it is "
+        "about the values themselves",
+    )
     clipped: bool = Field(default=False, description="whether the worst robustness is at the lower clip, or below it")
     repeat: str = Field(description="command that simulates the worst rollout again; empty where none violates")

@@ -1,14 +1,70 @@
-"""What the clip alone proves, before any rollout: no bound is worth more attention that says no more."""
+"""What the clip alone proves, before any rollout, and what it hides.
+
+Which statements about clipped values X' = min(max(X, low), high) are true of the values X themselves? An end of the
+clip that no value can be beyond hides nothing (`reach`). Of the others:
+
+| statement         | low hides | high hides | why                                                                 |
+|-------------------|-----------|------------|---------------------------------------------------------------------|
+| sign of X         | no        | no         | 0 is inside of every clip                                           |
+| X >= bound        | if beyond | no         | clipping is monotone: order and quantiles inside of the clip stay   |
+| X <= bound        | no        | if beyond  | the same, from the other side                                       |
+| E[X] >= bound     | yes       | no         | clipping from below raises the mean, from above it lowers it        |
+| E[X] <= bound     | no        | yes        | the same, from the other side                                       |
+| E - r sd >= bound | yes       | yes        | every clip lowers sd: X' is a contraction of X                      |
+| E - r sd <= bound | no        | yes        | clipping from below raises E and lowers sd, and so raises the risk  |
+"""
+
+from functools import cache
 
 from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import ClaimRequest
 from ...schemas.problem_models import Problem
-from ...schemas.problems import OBJECTIVES
+from ...schemas.problems import OBJECTIVES, Reading
 from ..mathematics.bounds.risk import RiskReading
 from ..mathematics.bounds.rounding import round_down, round_up
+from ..mathematics.stl.parser import parse_formula
+from ..mathematics.stl.reach import ANY, Range, reach
 
+Clip = tuple[float, float]
 SAME = 2e-9
 """Bounds are rounded outward to 1e-9: two roundings of one number differ by less than this."""
+
+
+@cache
+def reach_of(formula: str | None) -> Range:
+    """Return the range of robustness that a formula can reach."""
+    return ANY if formula is None else reach(parse_formula(formula))
+
+
+def hiding(
+    clip: Clip | None,
+    within: Range,
+    reading: Reading,
+    sense: str,
+    *,
+    risk_weight: float = 1.0,
+    bound: float | None = None,
+) -> Clip | None:
+    """Return the clip where a true statement about clipped values may be false of the values; None where it cannot.
+
+    `within` is the range that the values can reach; `sense` is one of >=, min, <=, max; a `bound` that is not known
+    yet may be at an end. The table at the head of this module is what decides. The clip is named whether or not a value
+    was seen at an end of it: rare falls beyond the clip are what no rollout has shown.
+
+    >>> hiding((-1.0, 1.0), (-3.0, 1.0), "mean", ">="), hiding((-1.0, 1.0), (-3.0, 1.0), "mean", "<=")
+    ((-1.0, 1.0), None)
+    >>> hiding((-1.0, 1.0), ANY, "each", ">=", bound=0.5), hiding((-1.0, 1.0), ANY, "each", ">=", bound=-1.0)
+    (None, (-1.0, 1.0))
+    """
+    if clip is None or reading == "sign":
+        return None
+    (low, high), at_least = clip, sense in {">=", "min"}
+    below, above = low > within[0], high < within[1]
+    if reading == "each":
+        beyond = bound is None or (bound <= low if at_least else bound >= high)
+        return clip if beyond and (below if at_least else above) else None
+    deviates = reading == "risk" and risk_weight > 0.0
+    return clip if (at_least and below) or (above and (deviates or not at_least)) else None
 
 
 def least_risk(config: CampaignConfig) -> float | None:

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.claims import DrawnClaim
+from ...schemas.claims import SAMPLED, DrawnClaim
 from ...schemas.falsify import Falsify
 from ...schemas.parameters import parameter_ranges
 from ...schemas.problem_models import Gap, PaperProblem, Problem, RigorousProblem, SampleProblem
-from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Sense, Statement, rolled_out
+from ...schemas.problems import OBJECTIVES, Objective, ProblemName, Reading, Sense, Statement, rolled_out
 from ...schemas.requirements import parts_of
 from ...schemas.space import Scenarios, StartTable
 from ...schemas.system import SystemSpec, Variant
@@ -18,6 +18,8 @@ from ..mathematics.bounds.risk import least_without_risk, linearised_range
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.gp.lattice import Lattice
 from ..mathematics.gp.points import Points
+from ..mathematics.stl.reach import ANY, Range
+from .clip import hiding, reach_of
 from .spread_points import spread_points
 
 UNBOUNDED = (-math.inf, math.inf)
@@ -73,6 +75,8 @@ class ProblemPlan:
     """The plans of the requirements that are bounded each on its own, from the tests of this one."""
     falsify: Falsify | None = None
     """The search that the tests come from; None where they come from the method."""
+    reaches: Mapping[str | None, Range] = field(default_factory=dict)
+    """The range of robustness that the formula can reach, and that of each requirement by its name."""
 
     @property
     def name(self) -> ProblemName:
@@ -122,11 +126,29 @@ class ProblemPlan:
             return self.statement_of(claim)
         return (self.objective.exact if self.exact else None) or self.objective.statement
 
-    def statement_of(self, claim: DrawnClaim) -> Statement:
-        """Return the subject of a claim about drawn starts."""
+    def statement_of(self, claim: DrawnClaim, bound: float | None = None) -> Statement:
+        """Return the subject of a claim about drawn starts; `bound` as of `hidden_by`."""
         value = "robustness" if self.deterministic else "expected robustness"
+        return Statement(claim.words(value, self.hidden_by(claim, bound=bound)), claim.asked.quantity)
+
+    def hidden_by(self, claim: DrawnClaim | None = None, *, bound: float | None = None) -> tuple[float, float] | None:
+        """Return the clip that the words of a bound, or of a claim about drawn starts, have to name; see `hiding`."""
         clip = None if self.clip == UNBOUNDED else self.clip
-        return Statement(claim.words(value, clip), claim.asked.quantity)
+        if claim is None and self.claims:
+            claim = self.claims[0]
+        if claim is not None:
+            within, row = self.reaches.get(claim.requirement, ANY), SAMPLED[claim.asked.quantity]
+            of_means = claim.asked.quantity == "share_of_starts" and not self.deterministic
+            reading: Reading = "mean" if of_means else row.reading
+            return hiding(clip, within, reading, row.sense, risk_weight=self.risk_weight, bound=bound)
+        if self.objective.measured == "column":
+            return None
+        if self.objective.measured == "gap":
+            # Only the paper's distance of trajectories is not cut off at what two clipped values can differ by.
+            return None if self.problem.method == "paper" and self.gap.kind != "robustness" else clip
+        reading = "each" if self.exact else "risk" if self.objective.risk else "mean"
+        within = self.reaches.get(None, ANY)
+        return hiding(clip, within, reading, self.sense, risk_weight=self.risk_weight, bound=bound)
 
     @property
     def rollouts(self) -> tuple[tuple[str, int], ...]:
@@ -242,6 +264,8 @@ def plan(config: CampaignConfig, spec: SystemSpec, problem: Problem) -> ProblemP
         until_counterexample=config.until_counterexample,
         parts=tuple(parts),
         falsify=config.falsify,
+        reaches={None: reach_of(config.formula)}
+        | {each.name: reach_of(each.formula) for each in config.specifications},
     )
 
 

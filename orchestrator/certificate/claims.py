@@ -8,8 +8,9 @@ from ...schemas.campaign import CampaignConfig
 from ...schemas.claims import SAMPLED
 from ...schemas.composition import PAIR, Rule, composes
 from ...schemas.problems import Quantity
+from ..campaign.clip import hiding
 from ..campaign.methods import Methods
-from ..campaign.plan import Plans
+from ..campaign.plan import UNBOUNDED, Plans, ProblemPlan
 from ..mathematics.bounds.composition import (
     VarianceBound,
     compose,
@@ -83,8 +84,9 @@ def _of_drawn_starts(
         method=results[name].method,
         assumptions=used,
         refuted=refuted,
-        subject=plan.statement_of(claim).words,
+        subject=plan.statement_of(claim, bound).words,
         requirement=claim.requirement,
+        clipped=plan.hidden_by(claim, bound=bound),
         level=claim.asked.level,
         factor=None if claim.asked.factor == 1 else claim.asked.factor,
         samples=results[name].tests if method.needs_fixed_number(place) else None,
@@ -135,17 +137,29 @@ def _claim(
     # The claim about every requirement is false only if that of one fixed requirement is: of any, so of the least.
     least = min(each.probability for each in bounded)
     probability = least if composed is None else _probability(results, composed.rule)
+    bound = _weakest(basis, results) if composed is None else composed.bound
     return document.CertificateClaim(
         quantity=_quantity(basis, plans),
         sense=">=" if minimum else "<=",
-        bound=_weakest(basis, results) if composed is None else composed.bound,
+        bound=bound,
         probability=probability,
         rule=basis.rule,
         method=" + ".join(dict.fromkeys(each.method for each in bounded)),
         assumptions=used,
         refuted=refuted,
         requirement=first.requirement if basis.rule == "single" else None,
+        clipped=_hidden_by([plans[name] for name in basis.problems], bound, composed=composed is not None),
     )
+
+
+def _hidden_by(plans: Sequence[ProblemPlan], bound: float, *, composed: bool) -> tuple[float, float] | None:
+    """Return the clip that the words of a claim have to name."""
+    if not composed:
+        return next((clip for each in plans if (clip := each.hidden_by(bound=bound)) is not None), None)
+    plan = plans[0]
+    clip = None if plan.clip == UNBOUNDED else plan.clip
+    # A composition is about the risk of the true system, whatever its terms are.
+    return hiding(clip, plan.reaches[None], "risk", ">=", risk_weight=plan.risk_weight)
 
 
 def terms(plans: Plans, results: Results, methods: Methods | None, rule: Rule) -> document.CompositionTerms:

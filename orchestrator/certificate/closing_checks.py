@@ -1,15 +1,15 @@
 """Construction of the results of spot check and recheck."""
 
 from collections.abc import Sequence
-from typing import Literal
 
 from ...schemas import certificate as document
+from ..campaign.clip import hiding, reach_of
 from ..campaign.ledger import Ledger
 from ..campaign.objectives import mean
 from ..campaign.plan import ProblemPlan
 from ..campaign.risk_check import RiskCheck
 from ..campaign.spot_check import SpotCheck, SpotSeries, tested_variant
-from ..mathematics.bounds.predictable import CvarSequence, sample_quantile
+from ..mathematics.bounds.predictable import CvarSequence
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.bounds.share import clopper_pearson_upper, quantile_lower, unseen_share
 from ..mathematics.bounds.spot_check import SpotFinding
@@ -51,8 +51,14 @@ def _most_starts(
     # What the clip alone proves is no bound; by earlier rules it was one of values without noise.
     if bound is None or (ledger.header.rules > 3 and clip is not None and bound <= clip[0]):
         return None
-    quantity: Literal["robustness", "expected_robustness"] = "expected_robustness" if noisy else "robustness"
-    return document.MostStarts(share=SHARE, quantity=quantity, bound=bound, probability=1 - check.level)
+    within = reach_of(ledger.config.formula)
+    return document.MostStarts(
+        share=SHARE,
+        quantity="expected_robustness" if noisy else "robustness",
+        bound=bound,
+        probability=1 - check.level,
+        clipped=hiding(clip, within, "mean" if noisy else "each", ">=", bound=bound),
+    )
 
 
 def _value_of_most(robustness: Sequence[tuple[float, ...]], level: float) -> float | None:
@@ -66,7 +72,7 @@ def _mean_of_most(
     """Return a bound of the means of noisy values; None without a clip, and where no more than the clip is proven."""
     if clip is None:
         return None
-    bound = CvarSequence(SHARE, clip, delta=level, choice=sample_quantile)
+    bound = CvarSequence(SHARE, clip, delta=level)
     for values in robustness:
         # A mean of clipped values may leave the clip by round-off.
         bound.add(min(max(mean(values), clip[0]), clip[1]))

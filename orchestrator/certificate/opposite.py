@@ -6,7 +6,7 @@ needs smoothness or a kernel.
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from ...schemas.campaign import CampaignConfig
@@ -14,13 +14,13 @@ from ...schemas.certificate import CertificateClaim, Predicate, ProblemResult
 from ...schemas.claims import PROBABILITIES, is_sampled
 from ...schemas.errors import one_line
 from ...schemas.facts import Header
-from ...schemas.problems import OBJECTIVES, Quantity
+from ...schemas.problems import OBJECTIVES, Quantity, Reading
 from ...schemas.verdict import ByRollouts, VerdictWord, Violations
-from ..campaign.clip import SAME
+from ..campaign.clip import SAME, hiding, reach_of
 from ..mathematics.bounds.opposite import OppositeTest
 from ..store.export_tables import robustness_unit
 from ..store.robustness import RolloutValue
-from .bound_text import if_they_hold, outward
+from .bound_text import clip_words, if_they_hold, outward
 from .counterexample import margin_words, named_start
 from .named_starts import parameter_units
 from .text import claim_words
@@ -58,6 +58,8 @@ class VerdictFinding:
     reasons: tuple[str, ...]
     advice: tuple[str, ...] = ()
     by_rollouts: ByRollouts | None = None
+    clip: tuple[float, float] | None = None
+    """What is found is about values clipped to it, and may be false of the values themselves."""
 
 
 def capitalised(words: str) -> str:
@@ -106,7 +108,7 @@ def violated(
         found = None
         if not (_are_all_beyond(claim, required.bound, violations) or _are_unfounded(predicate)):
             found = _by_rollouts(header, claim, required.bound, required.probability, values)
-        return found or _by_partner(predicate, required)
+        return found or _by_partner(header, predicate, required)
     if claim.quantity == "failure_probability" and claim.requirement is None:
         return _any_violation(values())
     return None
@@ -142,7 +144,7 @@ def _any_violation(values: Values) -> VerdictFinding | None:
     return VerdictFinding("VIOLATED", (reason,), (f"If some are acceptable, {SAY_LIMIT}",), "certain")
 
 
-def _by_partner(predicate: Predicate, required: Required) -> VerdictFinding | None:
+def _by_partner(header: Header, predicate: Predicate, required: Required) -> VerdictFinding | None:
     """Return the finding where the bound from the other side is beyond what is required.
 
     It has the probability and the assumptions of the claim: with a kernel those about B and R, too.
@@ -154,7 +156,9 @@ def _by_partner(predicate: Predicate, required: Required) -> VerdictFinding | No
     if not (partner < limit if claim.sense == ">=" else partner > limit):
         return None
     beyond = margin_text(outward(partner, other), claim, required.unit)
-    return VerdictFinding("VIOLATED", (f"{capitalised(claim_words(claim))} {other} {beyond}, {chance_words(claim)}.",))
+    clip = clip_of_other_side(header.config, claim, partner)
+    subject = capitalised(claim_words(claim.model_copy(update={"clipped": clip})))
+    return VerdictFinding("VIOLATED", (f"{subject} {other} {beyond}, {chance_words(claim)}.",), clip=clip)
 
 
 def other_side(predicate: Predicate) -> float | None:
@@ -164,6 +168,13 @@ def other_side(predicate: Predicate) -> float | None:
         return None
     is_of_claim = first.requirement == claim.requirement and first.method == claim.method
     return first.partner if is_of_claim else None
+
+
+def clip_of_other_side(config: CampaignConfig, claim: CertificateClaim, bound: float) -> tuple[float, float] | None:
+    """Return the clip that the words of `bound`, from the other side of the quantity of a claim, have to name."""
+    reading: Mapping[Quantity, Reading] = {"rho_star": "risk", "expected_robustness": "mean"}
+    other = "<=" if claim.sense == ">=" else ">="
+    return hiding(config.clip, reach_of(config.formula), reading.get(claim.quantity, "each"), other, bound=bound)
 
 
 def _is_two_sided(problem: ProblemResult) -> bool:
@@ -270,9 +281,13 @@ def _most_suspicious(header: Header, pairs: Iterable[tuple[str, float]], require
         return ()
     number, below = len(values[worst]), sum(value < required for value in values[worst])
     mean = margin_words(math.fsum(values[worst]) / number, robustness_unit(header.config, header.spec))
+    clip, within = header.config.clip, reach_of(header.config.formula)
+    # It is a number and no bound: either end of the clip may hide what it would be.
+    clips = (hiding(clip, within, "mean", sense) for sense in (">=", "<="))
+    clipped = next((f", {clip_words(each)}," for each in clips if each is not None), "")
     return (
         f"{below:,} of {number:,} rollout{'' if number == 1 else 's'} at {_start_words(header, worst)} "
-        f"{'is' if below == 1 else 'are'} below {required:g}; the mean there is {mean}.",
+        f"{'is' if below == 1 else 'are'} below {required:g}; the mean there{clipped} is {mean}.",
     )
 
 
@@ -291,7 +306,11 @@ def _mean_below(
     test = OppositeTest(required, low, high)
     for start, value in pairs:
         test.observe(start, min(max(value, low), high))
-    return _refuting(test, probability, f"{whose} is below {required:g}")
+    # Values above the upper end may lift the mean itself over what is required.
+    clip = hiding(config.clip, reach_of(config.formula), "mean", "<=")
+    clipped = "" if clip is None else f", {clip_words(clip)},"
+    found = _refuting(test, probability, f"{whose}{clipped} is below {required:g}")
+    return None if found is None else replace(found, clip=clip)
 
 
 def _too_many_below(share: float, margin: float, probability: float, samples: Iterable[float]) -> VerdictFinding | None:

@@ -9,6 +9,7 @@ from ..campaign.account import Account
 from ..campaign.plan import ProblemPlan
 from ..mathematics.bounds.paper_formulas import Tail, mills_probability
 from ..mathematics.bounds.rounding import decimal, floor_to_step, round_down, round_up
+from .bound_text import clip_words
 
 TAILS: tuple[Tail, ...] = ("gaussian", "sub-gaussian")
 GAPS = {
@@ -33,7 +34,7 @@ def result(account: Account, rules: int) -> document.ProblemResult:
     chances = _probabilities(plan)
     return document.ProblemResult(
         name=problem.name,
-        objective=objective(plan, rules),
+        objective=objective(plan, rules, in_sense(sense, upper)),
         method=problem.method,
         sense=sense,
         bound=in_sense(sense, upper),
@@ -54,10 +55,11 @@ def in_sense(sense: Sense, upper: float) -> float:
     return round_down(-upper) if sense == "min" else round_up(upper)
 
 
-def objective(plan: ProblemPlan, rules: int) -> str:
-    """Return the objective of a problem in words."""
+def objective(plan: ProblemPlan, rules: int, bound: float | None = None) -> str:
+    """Return the objective of a problem in words, with its clip where `bound` may be false of the values."""
     problem = plan.problem
-    text = plan.statement.words.format(gap=GAPS[plan.gap.kind])
+    statement = plan.statement_of(plan.claims[0], bound) if plan.claims else plan.statement
+    text = statement.words.format(gap=GAPS[plan.gap.kind])
     # A reader takes "over d" for the box. Rules 1: the words are those that a certificate was issued with.
     if rules > 1 and plan.listed is not None:
         text = text.replace("over d", f"over the {plan.listed} listed starts", 1)
@@ -65,6 +67,8 @@ def objective(plan: ProblemPlan, rules: int) -> str:
         text = f"{text}, of every requirement"
     elif plan.requirement is not None:
         text = f"{text}, of requirement {plan.requirement}"
+    if not plan.claims and (clip := plan.hidden_by(bound=bound)) is not None:
+        text = f"{text}, of values {clip_words(clip)}"
     inside = isinstance(problem, ScenarioProblem) and isinstance(problem.linearised, Linearised)
     linear = inside or problem.observed_through is not None
     return f"{text}, through the expectation that bounds it" if linear else text

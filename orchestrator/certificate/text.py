@@ -35,17 +35,17 @@ from .refutation_text import refutation_sentence, risk_sentence
 from .region_text import region_sentences
 
 QUANTITIES: dict[Quantity, str] = {
-    "rho_star": "rho* (robustness risk of the true system at its worst start)",
+    "rho_star": "rho* (robustness risk{clipped} of the true system at its worst start)",
     "J_star": "J* (maximum of the expectation)",
-    "robustness": "worst robustness over all starts",
-    "expected_robustness": "worst expected robustness over all starts",
-    "safe_share": "share of the starts that are certified safe",
+    "robustness": "worst robustness{clipped} over all starts",
+    "expected_robustness": "worst expected robustness{clipped} over all starts",
+    "safe_share": "share of the starts that are certified safe{within}",
 }
 LISTED: dict[Quantity, str] = {
-    "rho_star": "rho* (robustness risk of the true system at the worst of the {} listed starts)",
-    "J_star": "J* (expectation at the worst of the {} listed starts)",
-    "robustness": "robustness at the worst of the {} listed starts",
-    "expected_robustness": "expected robustness at the worst of the {} listed starts",
+    "rho_star": "rho* (robustness risk{clipped} of the true system at the worst of the {starts} listed starts)",
+    "J_star": "J* (expectation at the worst of the {starts} listed starts)",
+    "robustness": "robustness{clipped} at the worst of the {starts} listed starts",
+    "expected_robustness": "expected robustness{clipped} at the worst of the {starts} listed starts",
 }
 """The same where the starts are a list, which the claim does not leave."""
 
@@ -61,13 +61,21 @@ VARIED = {("rkhs_norm", 2.0): "2 B", ("rkhs_norm", 4.0): "4 B", ("length_scale",
 """Names of the variations of the sensitivity."""
 
 
-def quantity_words(quantity: Quantity, starts: int | None) -> str:
+def quantity_words(quantity: Quantity, starts: int | None, clip: Sequence[float] | None = None) -> str:
     """Return the subject of a claim in words; `starts` is the number of listed starts, None for a box.
 
-    >>> quantity_words("robustness", None), quantity_words("robustness", 25)
-    ('worst robustness over all starts', 'robustness at the worst of the 25 listed starts')
+    `clip` is named where the values themselves may contradict what is claimed of the clipped ones.
+
+    >>> quantity_words("robustness", 25)
+    'robustness at the worst of the 25 listed starts'
+    >>> quantity_words("expected_robustness", None, (-1, 2))
+    'worst expected robustness, clipped to [-1, 2], over all starts'
     """
-    return QUANTITIES[quantity] if starts is None else LISTED[quantity].format(starts)
+    words = (QUANTITIES if starts is None else LISTED)[quantity]
+    clipped = "" if clip is None else clip_words(clip)
+    return words.format(
+        starts=starts, clipped=clipped and f", {clipped},", within=clipped and f" (robustness {clipped})"
+    )
 
 
 def nothing_shown(quantity: Quantity | None) -> str:
@@ -81,7 +89,7 @@ def claim_words(claim: CertificateClaim) -> str:
     """Return the subject of a claim in words."""
     if claim.subject is not None:
         return claim.subject
-    words = quantity_words(claim.quantity, claim.starts)
+    words = quantity_words(claim.quantity, claim.starts, claim.clipped)
     if claim.rule == "every":
         return f"{words}, of every requirement"
     return words if claim.requirement is None else f"{words}, of requirement {claim.requirement}"
@@ -200,7 +208,7 @@ def notes(predicate: Predicate, number: int) -> tuple[str, ...]:
         values = "; ".join(f"with {VARIED[row.constant, row.factor]} {_varied(claim, row.bound)}" for row in rows)
         found.append(f"The same tests{both}: {values}.")
     if number == 0 and predicate.spot_check is not None and predicate.spot_check.most_starts is not None:
-        found += _sentence_on_most_starts(predicate.spot_check.most_starts, predicate.question.get("clip"))
+        found.append(_sentence_on_most_starts(predicate.spot_check.most_starts))
     return tuple(found)
 
 
@@ -208,7 +216,7 @@ def _hides_values(assumption: Assumption, claim: CertificateClaim) -> bool:
     """Whether an assumption is that of a clip whose lower end has hidden values behind a claim."""
     is_clip = assumption.id.startswith("clip/") and assumption.id in claim.assumptions
     # The counts are those of the whole specification.
-    if not is_clip or claim.requirement is not None or claim.sense != ">=":
+    if not is_clip or claim.requirement is not None or claim.sense != ">=" or claim.clipped is None:
         return False
     return float((assumption.values or {}).get("at_low", 0)) > 0
 
@@ -221,22 +229,17 @@ def _sentence_on_clip(values: Mapping[str, object] | None) -> str:
     )
 
 
-def _sentence_on_most_starts(found: MostStarts, clip: object) -> Iterator[str]:
-    """Yield the sentence on all starts but a share, which the spot check proves without a kernel."""
-    if margin := margin_at_most_starts(found, clip):
-        yield (
-            f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin} is at least "
-            f"{outward(found.bound, '>=')}, {chance(found.probability)}."
-        )
+def _sentence_on_most_starts(found: MostStarts) -> str:
+    """Return the sentence on all starts but a share, which the spot check proves without a kernel."""
+    return (
+        f"Without a kernel: on all but {100 * found.share:g} % of the box the {margin_at_most_starts(found)} is at "
+        f"least {outward(found.bound, '>=')}, {chance(found.probability)}."
+    )
 
 
-def margin_at_most_starts(found: MostStarts, clip: object) -> str:
-    """Return what is bounded at all starts but a share; empty where the clip alone proves it, by rules before 4."""
-    clipped = ""
-    if isinstance(clip, (list, tuple)):
-        if found.bound <= clip[0]:
-            return ""  # the values themselves may be lower
-        clipped = f", {clip_words(clip)},"
+def margin_at_most_starts(found: MostStarts) -> str:
+    """Return what is bounded at all starts but a share."""
+    clipped = "" if found.clipped is None else f", {clip_words(found.clipped)},"
     return f"{'robustness' if found.quantity == 'robustness' else 'expected robustness'}{clipped}"
 
 
@@ -309,10 +312,13 @@ def _composition(claim: CertificateClaim, composition: CompositionTerms, console
 
 def check_sentences(predicate: Predicate, units: Mapping[str, str] | None = None) -> tuple[str, ...]:
     """Return what fresh starts and repeated rollouts showed, a sentence each; `units` are those of the parameters."""
-    return (*_spot_sentences(predicate.spot_check, units or {}), *_recheck_sentences(predicate.recheck))
+    clip = predicate.claims[0].clipped
+    return (*_spot_sentences(predicate.spot_check, units or {}, clip), *_recheck_sentences(predicate.recheck))
 
 
-def _spot_sentences(spot: SpotCheck | None, units: Mapping[str, str]) -> Iterator[str]:
+def _spot_sentences(
+    spot: SpotCheck | None, units: Mapping[str, str], clip: tuple[float, float] | None
+) -> Iterator[str]:
     if spot is None:
         return
     confidence = outward(1 - spot.level, ">=")
@@ -321,7 +327,8 @@ def _spot_sentences(spot: SpotCheck | None, units: Mapping[str, str]) -> Iterato
         yield f"Bound of {each.key}: {_spot_finding(each, spot)}."
         if each.risk is not None:
             start = start_words([f"{value:.6g}" for value in each.start or ()], units)
-            subject = f"Risk of {each.key} at its start ({start})"
+            clipped = "" if clip is None else f", {clip_words(clip)}"
+            subject = f"Risk of {each.key} at its start ({start}){clipped}"
             yield risk_sentence(subject, each.risk, outward(each.risk.risk, "<="), outward(each.limit, ">="))
     if spot.failures is not None and spot.failure_probability is not None:
         share = outward(spot.failure_probability, "<=")

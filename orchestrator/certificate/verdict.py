@@ -32,6 +32,7 @@ from .opposite import (
     VerdictFinding,
     capitalised,
     chance_words,
+    clip_of_other_side,
     drawn_samples,
     is_deterministic,
     margin_text,
@@ -96,7 +97,7 @@ def campaign_verdict(
         verdict=found.word,
         campaign=config.name,
         seed=config.seed,
-        claim=guarantee(stated, unit, config.risk_weight, config.clip if is_clipped else None),
+        claim=guarantee(stated, unit, config.risk_weight),
         reasons=found.reasons,
         advice=found.advice,
         bound=claim.bound,
@@ -106,18 +107,15 @@ def campaign_verdict(
         required_probability=required.probability,
         unit=unit,
         violations=violations,
+        clip=found.clip or claim.clipped,
         clipped=is_clipped,
         by_rollouts=found.by_rollouts,
         repeat=commands.repeat if violations.violations else "",
     )
 
 
-def guarantee(
-    claim: CertificateClaim, unit: str, risk_weight: float, hidden_by: tuple[float, float] | None = None
-) -> str:
+def guarantee(claim: CertificateClaim, unit: str, risk_weight: float) -> str:
     """Return the first claim in plain words, as a margin where it is one; what is refuted is not called guaranteed.
-
-    `hidden_by` is a clip whose lower end some rollout was at: the margin is then not that of the robustness itself.
 
     >>> guarantee(CertificateClaim(quantity="robustness", sense=">=", bound=0.58125, probability=0.95, rule="single",
     ...                            method="rigorous", assumptions=(), refuted=()), "rad", 0.2)
@@ -130,7 +128,7 @@ def guarantee(
         return f"{words} {claim.sense} {margin_text(bound, claim, unit)}, {chance}"
     where = "every start" if claim.starts is None else f"each of the {claim.starts} listed starts"
     of = {"every": ", of every requirement"}.get(claim.rule, f", of {claim.requirement}" if claim.requirement else "")
-    ends = "" if hidden_by is None else f", {clip_words(hidden_by)}"
+    ends = "" if claim.clipped is None else f", {clip_words(claim.clipped)}"
     margin = f"{margin_text(bound, claim, unit)} ({meaning.format(risk_weight)}{of}{ends})"
     head = (
         "Refuted: margin at least" if claim.refuted else "Guaranteed margin" if claim.bound > 0 else "Margin at least"
@@ -165,8 +163,10 @@ def _shown(header: Header, predicate: Predicate, required: Required) -> VerdictF
     if (partner := other_side(predicate)) is not None:
         least = claim.sense == ">="
         other = margin_text(outward(partner, "<=" if least else ">="), claim, required.unit)
-        side = "most" if least else "least"
-        reasons.append(f"With the same probability and assumptions it is at {side} {other} at the worst start.")
+        side, clip = "most" if least else "least", clip_of_other_side(header.config, claim, partner)
+        clipped = "" if clip is None or claim.clipped is not None else f", {clip_words(clip)},"
+        found = f"it is{clipped} at {side} {other} at the worst start"
+        reasons.append(f"With the same probability and assumptions {found}.")
     if _is_about_a_box(header, predicate) and predicate.spot_check is None and not header.config.spot_check:
         reasons.append("No fresh start tested this bound: `spot_check = 0`.")
     return VerdictFinding("SHOWN", tuple(reasons))

@@ -55,7 +55,7 @@ def anyway(verdict: CampaignVerdict, predicate: Predicate) -> str:
     if verdict.verdict == "VIOLATED":
         return ""
     unit = "" if verdict.unit == "1" else one_line(verdict.unit)
-    return _of_fresh_starts(most, unit, predicate.question.get("clip")) if most else ""
+    return _of_fresh_starts(most, unit) if most else ""
 
 
 def _with_other_constants(predicate: Predicate, unit: str, required: float | None) -> Iterator[str]:
@@ -82,13 +82,10 @@ def _bound_with(claim: CertificateClaim, row: Sensitivity, unit: str, required: 
     return f"{bound}, still SHOWN" if enough else f"{bound}, so NOT SHOWN"
 
 
-def _of_fresh_starts(found: MostStarts, unit: str, clip: object) -> str:
-    margin = margin_at_most_starts(found, clip)
-    if not margin:
-        return ""
+def _of_fresh_starts(found: MostStarts, unit: str) -> str:
     bound = f"{outward(found.bound, '>=')} {unit}".rstrip()
     share, probability = f"{100 * found.share:g} %", outward(found.probability, ">=")
     return (
-        f"Without B and the kernel, by fresh starts alone: {margin} at least {bound} from all but {share} of the "
-        f"starts, with probability at least {probability}. Of those {share} it says nothing."
+        f"Without B and the kernel, by fresh starts alone: {margin_at_most_starts(found)} at least {bound} from all "
+        f"but {share} of the starts, with probability at least {probability}. Of those {share} it says nothing."
     )

@@ -180,6 +180,8 @@ class Problem:
     """What the clip alone proves of the objective; `bound` is never weaker."""
     warnings: tuple[str, ...] = ()
     """Constants that contradict each other or the data, in sentences."""
+    clipped: tuple[float, float] | None = None
+    """The clip that its words have to name; None where the clip hides nothing."""
     starts: int | None = None
     """Number of listed starts, since rules 2; None on a box."""
     drawn: Drawn | None = None

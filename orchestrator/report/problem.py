@@ -127,7 +127,7 @@ class ProblemCollector:
         limit = by_clip(self._config, problem) if later else None
         return Problem(
             name=problem.name,
-            objective=typeset(result.objective if result else objective(self.plan, rules)),
+            objective=typeset(result.objective if result else objective(self.plan, rules, bound)),
             quantity=self.plan.statement.quantity,
             method=problem.method,
             sense=self._sense,
@@ -155,6 +155,7 @@ class ProblemCollector:
             surfaces=self._surfaces,
             tests=self._tests,
             by_clip=limit,
+            clipped=self.plan.hidden_by(bound=bound),
             warnings=self._warnings,
             starts=self.plan.listed if rules > 1 else None,
             drawn=self._drawn[0] if self._drawn else None,

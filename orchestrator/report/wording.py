@@ -98,8 +98,9 @@ def counterexample_sentence(found: document.Counterexample, header: Header) -> s
 def _problem_bound(problem: Problem, *, several: bool) -> str:
     sense = ">=" if problem.sense == "min" else "<="
     objective = problem.objective.partition(", through")[0]
-    drawn = problem.quantity is None or is_sampled(problem.quantity)
-    quantity = objective if drawn or problem.quantity is None else quantity_words(problem.quantity, problem.starts)
+    quantity = objective
+    if problem.quantity is not None and not is_sampled(problem.quantity):
+        quantity = quantity_words(problem.quantity, problem.starts, problem.clipped)
     if several and problem.quantity is not None:
         quantity += ", of every requirement"
     if problem.stopped_by == "refuted":

@@ -171,7 +171,7 @@ def test_each_requirement_has_its_claim_after_that_of_the_whole(tmp_path: Path) 
         (quantity, name) for quantity in ("failure_probability", "quantile") for name in (None, "low", "high")
     ]
     assert found[1].subject == "probability that a rollout at a drawn start violates requirement low"
-    assert found[5].subject == "10 % quantile of the robustness of requirement high at drawn starts, clipped to [-1, 1]"
+    assert found[5].subject == "10 % quantile of the robustness of requirement high at drawn starts"
     assert certificate(tmp_path).predicate.question["specifications"] == TWO
     whole, low, high = (each.bound for each in found[:3])
     assert max(low, high) <= whole <= 1.0

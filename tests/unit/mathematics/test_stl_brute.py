@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from perfbound.orchestrator.mathematics.stl.parser import FormulaError, parse_formula
 from perfbound.orchestrator.mathematics.stl.predicates import predicate_sup
+from perfbound.orchestrator.mathematics.stl.reach import reach
 from perfbound.orchestrator.mathematics.stl.robustness import robustness
 
 NAMES = ("t", "x", "y")
@@ -235,3 +236,18 @@ def test_dualities(seed: int) -> None:
     assert rho == robustness(parse_formula(f"not eventually not {f}"), NAMES, samples)
     until = robustness(parse_formula(f"0 <= 1e9 until {f}"), NAMES, samples)
     assert robustness(parse_formula(f"eventually {f}"), NAMES, samples) == until
+
+
+def test_no_formula_leaves_its_reach() -> None:
+    rng, bounded = random.Random(12), 0
+    for _ in range(2000):
+        trace = draw_trace(rng)
+        formula = draw_formula(rng, 3, trace[-1][0] - trace[0][0])
+        try:
+            expected = oracle(formula, trace)
+        except RefusedError:
+            continue
+        low, high = reach(parse_formula(render(formula), NAMES))
+        assert low <= expected <= high, render(formula)
+        bounded += np.isfinite(low) or np.isfinite(high)
+    assert bounded > 50, "half-bounded formulas are the ones that can leave it"

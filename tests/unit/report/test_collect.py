@@ -280,7 +280,8 @@ def test_a_claim_without_risk_shows_no_weight_of_it(tmp_path: Path) -> None:
         return False
 
     finish(play(tmp_path, config, look), tmp_path)
-    text = f"expected robustness at the worst of the {len(config.space.scenarios)} listed starts \u2265 "
+    number = len(config.space.scenarios)
+    text = f"expected robustness, clipped to [-0.05, 0.15], at the worst of the {number} listed starts \u2265 "
     found = collected(tmp_path)
     assert any(each.now.startswith(text) for each in seen), "while it runs"
     assert found.now == found.claims[0].sentence
