@@ -9,7 +9,7 @@ from ..campaign.objectives import mean
 from ..campaign.plan import ProblemPlan
 from ..campaign.risk_check import RiskCheck
 from ..campaign.spot_check import SpotCheck, SpotSeries, tested_variant
-from ..mathematics.bounds.predictable import CvarSequence
+from ..mathematics.bounds.predictable import Choice, CvarSequence, best_expected, sample_quantile
 from ..mathematics.bounds.rounding import round_up
 from ..mathematics.bounds.share import clopper_pearson_upper, quantile_lower, unseen_share
 from ..mathematics.bounds.spot_check import SpotFinding
@@ -47,7 +47,8 @@ def _most_starts(
 ) -> document.MostStarts | None:
     """Return what the rollouts of the first test at each start prove of all starts but `SHARE`."""
     noisy, clip = tested_variant(check.variants) in ledger.header.spec.noisy, ledger.config.clip
-    bound = _mean_of_most(robustness, clip, check.level) if noisy else _value_of_most(robustness, check.level)
+    choice = best_expected if ledger.header.rules > 4 else sample_quantile
+    bound = _mean_of_most(robustness, clip, check.level, choice) if noisy else _value_of_most(robustness, check.level)
     # What the clip alone proves is no bound; by earlier rules it was one of values without noise.
     if bound is None or (ledger.header.rules > 3 and clip is not None and bound <= clip[0]):
         return None
@@ -57,7 +58,9 @@ def _most_starts(
         quantity="expected_robustness" if noisy else "robustness",
         bound=bound,
         probability=1 - check.level,
-        clipped=hiding(clip, within, "mean" if noisy else "each", ">=", bound=bound),
+        clipped=hiding(clip, within, "mean" if noisy else "each", ">=", bound=bound)
+        if ledger.header.rules > 4
+        else None,
     )
 
 
@@ -67,12 +70,12 @@ def _value_of_most(robustness: Sequence[tuple[float, ...]], level: float) -> flo
 
 
 def _mean_of_most(
-    robustness: Sequence[tuple[float, ...]], clip: tuple[float, float] | None, level: float
+    robustness: Sequence[tuple[float, ...]], clip: tuple[float, float] | None, level: float, choice: Choice
 ) -> float | None:
     """Return a bound of the means of noisy values; None without a clip, and where no more than the clip is proven."""
     if clip is None:
         return None
-    bound = CvarSequence(SHARE, clip, delta=level)
+    bound = CvarSequence(SHARE, clip, delta=level, choice=choice)
     for values in robustness:
         # A mean of clipped values may leave the clip by round-off.
         bound.add(min(max(mean(values), clip[0]), clip[1]))

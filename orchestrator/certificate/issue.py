@@ -67,6 +67,9 @@ def issue(
         honest=honest,
     )
     claimed = claims(config, plans, results, ledger.methods, found)
+    if header.rules < 5:
+        without = (each.model_copy(update={"clipped": None}) for each in claimed.claims)
+        claimed = replace(claimed, claims=tuple(without))
     varied = None
     if header.rules >= 2:
         results = with_clip(results, config)

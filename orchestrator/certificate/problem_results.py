@@ -67,7 +67,7 @@ def objective(plan: ProblemPlan, rules: int, bound: float | None = None) -> str:
         text = f"{text}, of every requirement"
     elif plan.requirement is not None:
         text = f"{text}, of requirement {plan.requirement}"
-    if not plan.claims and (clip := plan.hidden_by(bound=bound)) is not None:
+    if rules > 4 and not plan.claims and (clip := plan.hidden_by(bound=bound)) is not None:
         text = f"{text}, of values {clip_words(clip)}"
     inside = isinstance(problem, ScenarioProblem) and isinstance(problem.linearised, Linearised)
     linear = inside or problem.observed_through is not None

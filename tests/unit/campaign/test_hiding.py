@@ -52,7 +52,8 @@ def worded(clip: tuple[float, float] | None, reading: Reading, bound: float) -> 
     for name in named[reading]:
         subject = None
         if name in SAMPLED:
-            asked = ClaimRequest.model_validate({"quantity": name, "level": 0.1 if SAMPLED[name].level else None})
+            has_level = {quantity for quantity, row in SAMPLED.items() if row.level}
+            asked = ClaimRequest.model_validate({"quantity": name, "level": 0.1 if name in has_level else None})
             subject = DrawnClaim(asked, 0.05).words("expected robustness" if reading == "mean" else "robustness", clip)
         claim = CertificateClaim(
             quantity=name, sense=">=", bound=bound, probability=0.95, rule="single", method="kriging",
@@ -97,6 +98,6 @@ def test_every_sentence_that_is_false_of_the_values_names_the_clip(clip: tuple[f
 def test_a_clip_of_all_that_a_formula_can_reach_is_not_named() -> None:
     for reading in ("each", "mean", "risk"):
         for sense in (">=", "<="):
-            assert hiding((-1.0, 0.75), (-1.0, 0.75), reading, sense) is None  # type: ignore[arg-type]
+            assert hiding((-1.0, 0.75), (-1.0, 0.75), reading, sense) is None
     assert hiding((-1.0, 1.0), ANY, "risk", ">=", risk_weight=0.0) == (-1.0, 1.0)
     assert hiding((-1.0, 1.0), (-1.0, math.inf), "risk", ">=", risk_weight=0.0) is None
