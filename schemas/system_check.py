@@ -58,6 +58,9 @@ class Measured(Model):
     undeclared: tuple[str, ...] = Field(
         default=(), description="files that were read so far and are no part of the system"
     )
+    packages: tuple[str, ...] = Field(
+        default=(), description="distributions that were imported and are no part of the system; after the last rollout"
+    )
     files: tuple[str, ...] = Field(default=(), description="new entries of the working and of the temporary directory")
 
 

@@ -62,6 +62,7 @@ def measure_trials(
         before = _Surroundings.now(folder, files=surroundings.files)
         found = _measured(trial, None if keep is None else Path(keep, str(number)))
         after = _Surroundings.now(folder)
+        requested = load_system(trial.request.system)
         changes = {
             "printed": after.printed - before.printed,
             "reseeded": tuple(name for name in STATES if after.random[name] != before.random[name]),
@@ -71,7 +72,9 @@ def measure_trials(
             "tasks": _tasks(),
             "memory": _memory(),
             "peak": _peak(),
-            "undeclared": opened.undeclared(load_system(trial.request.system).spec)[:MOST],
+            # The search takes some time.
+            "packages": opened.packages(requested.spec)[:MOST] if number == len(trials) - 1 else (),
+            "undeclared": opened.undeclared(requested.spec)[:MOST],
         }
         surroundings = after
         _answer(answers, found.model_copy(update=changes))

@@ -20,6 +20,7 @@ from ..schemas.campaign_file import load_description
 from ..schemas.errors import PerfboundError
 from ..schemas.places import PACKAGES, of_perfbound
 from ..schemas.system import SystemSpec
+from .systems.fingerprint import required_by, versions_of
 
 IN_MODIFY, IN_OPEN, IN_MOVED_TO, IN_CREATE, IN_ISDIR = 0x2, 0x20, 0x80, 0x100, 0x4000_0000
 WRITTEN = IN_MODIFY | IN_MOVED_TO | IN_CREATE
@@ -46,6 +47,7 @@ class Opened:
         self._names: dict[str, str] = {}
         """Real path -> path by which it was opened."""
         self._ignored: set[str] = set()
+        self._modules = frozenset(sys.modules)
         self._notices = _Notices(folder) if folder is not None else None
         self._listens = True
         sys.addaudithook(self._heard)
@@ -90,6 +92,13 @@ class Opened:
         self._listens = True
         return tuple(sorted(map(self._name, found)))
 
+    def packages(self, spec: SystemSpec) -> tuple[str, ...]:
+        """Return the distributions, with versions, that were imported since and are no part of the system."""
+        tops = {name.partition(".")[0] for name in sys.modules.keys() - self._modules}
+        found = versions_of((), {name for name in tops if name in sys.modules})
+        known = spec.versions.keys() | required_by("perfbound").keys()
+        return tuple(f"{name} {number}" for name, number in found.items() if name not in known)
+
     def _name(self, path: str) -> str:
         # Near ones by a relative path, which another machine has as well.
         near = self._folder is not None and Path(path).is_relative_to(self._folder.parent)
@@ -130,6 +139,11 @@ class Opened:
         # A system may lie in such a folder itself, and an environment in that of a system.
         prefixes = {Path(sys.prefix), Path(sys.base_prefix), Path(tempfile.gettempdir())}
         others = [each for each in prefixes if not below or each.is_relative_to(self._folder or "/")]
+        # What Python imports from a place of its own is a package, and has a version.
+        paths = {Path(os.path.abspath(each)) for each in sys.path} - {self._folder}
+        others += [
+            each for each in paths if (each.is_relative_to(self._folder or "/") if below else path.suffix == ".py")
+        ]
         others += [] if below else [Path(each) for each in OF_THE_MACHINE]
         return not any(path.is_relative_to(each) for each in others)
 

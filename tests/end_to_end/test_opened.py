@@ -107,6 +107,22 @@ def test_of_many_files_the_folder_is_declared(started: Processes, plant: Path) -
     assert declared(finding(started, system(plant, body, more=', files=["tables"]'))) == set()
 
 
+@pytest.mark.parametrize("site", ["plant/site", "site"])
+def test_a_package_that_only_a_rollout_imports_is_named(
+    started: Processes, plant: Path, monkeypatch: pytest.MonkeyPatch, site: str
+) -> None:
+    """By a computed name: what the file imports is found in its text."""
+    folder = plant.parent / site
+    (folder / "lazy_planty-1.5.dist-info").mkdir(parents=True)
+    text = "Metadata-Version: 2.1\nName: lazy_planty\nVersion: 1.5\n"
+    (folder / "lazy_planty-1.5.dist-info" / "METADATA").write_text(text)
+    (folder / "lazy_planty.py").write_text("")
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    found = finding(started, system(plant, '__import__("lazy" + "_planty")'))
+    assert "lazy_planty 1.5" in found["detail"]
+    assert finding(started, system(plant, "import lazy_planty"))["status"] == "passed"
+
+
 SIM = """
 import json, sys
 request = json.loads(sys.stdin.readline())

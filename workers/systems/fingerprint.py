@@ -63,14 +63,20 @@ def versions_of(files: Iterable[Path], modules: Iterable[str] = ()) -> dict[str,
     """
     names = {name for file in files for level, name in _imports(file) if not level} | set(modules)
     outside = {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names) - {"perfbound", "__future__"}
-    found = dict(each for name in outside if (each := _distribution(name)))
-    waiting = list(found)
+    direct = dict(each for name in outside if (each := _distribution(name)))
+    return dict(sorted((required_by(*direct) | direct).items()))
+
+
+def required_by(*names: str) -> dict[str, str]:
+    """Return distribution -> version of the installed ones that some require, and those in turn; without extras."""
+    found: dict[str, str] = {}
+    waiting = list(names)
     while waiting:
         for name, number in _required(waiting.pop()):
             if name not in found:
                 found[name] = number
                 waiting.append(name)
-    return dict(sorted(found.items()))
+    return found
 
 
 def _required(name: str) -> Iterator[tuple[str, str]]:

@@ -21,6 +21,13 @@ def judge_files(measurements: Measurements) -> SystemFinding | None:
     seen = Counter(name for run in runs for name in run)
     # Each start is simulated in two processes. What only one has read may have been opened by some other program.
     found = sorted(name for name, count in seen.items() if count >= min(2, len(runs)))
+    packages = sorted({name for run in measurements.runs for each in run.measured for name in each.packages})
+    if packages and not found:
+        return warning(
+            "files",
+            f"packages that rollouts import, and that are no part of the system: {', '.join(packages[:MOST_NAMED])}",
+            "import them at the top of the file of the system, so that another version is refused by its name",
+        )
     if not found:
         return passed("files", "every file that was read is part of the system")
     more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
