@@ -3,6 +3,7 @@
 from pydantic import Field
 
 from .base import Model
+from .instants import Stamps
 from .rollout import RolloutRequest
 
 
@@ -29,6 +30,8 @@ class SampleTimes(Model):
     last: float
     least_step: float
     greatest_step: float
+    stamps: Stamps = Field(default="exact", description="of what kind the times are")
+    uncovered: str = Field(default="", description="in what they do not cover 0 to the horizon")
 
 
 class Measured(Model):

@@ -40,6 +40,7 @@ from .base import canonical_json
 from .canonical import EVIDENCE, LIBRARY, MAGIC, MEDIA_TYPES, RECORD, REQUEST, Evidence, canonical_evidence
 from .errors import TrajectoryError, UnusableTrajectoryError
 from .file_checks import check_checksums, check_length, check_sizes
+from .instants import disorder
 from .real_numbers import real_array
 from .visual import Floats, Transform, Visual, channels
 
@@ -71,7 +72,7 @@ class Trajectory:
 
     Raises:
         ValueError: the first column is not `t`, a name is double, the shape is wrong, a number is not finite, or the
-            time is negative or does not increase.
+            time is negative or decreases. Equal times are a jump, and have two states.
 
     """
 
@@ -253,8 +254,8 @@ def _check_samples(samples: Floats, columns: tuple[str, ...]) -> None:
             f"samples are not finite: {columns[column]} is {samples[row, column]} at {at}row {row}; fix the arithmetic "
             "there (a division by 0, an overflow, an unstable step), or keep the system out of this start"
         )
-    if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
-        raise ValueError("the time must start at 0 or later and increase")
+    if fault := disorder(samples):
+        raise ValueError(fault)
 
 
 def _npy(samples: Floats) -> bytes:

@@ -21,6 +21,7 @@ from typing import TextIO
 import numpy as np
 
 from ..schemas.errors import PerfboundError, SimulationError
+from ..schemas.instants import stamps, uncovered
 from ..schemas.messages import MAX_RESULT
 from ..schemas.places import of_perfbound, own_place
 from ..schemas.system_check import Measured, SampleTimes, Trial
@@ -113,7 +114,7 @@ def _measured(trial: Trial, kept: Path | None) -> Measured:
         samples_sha256=_samples_sha256(trajectory.samples),
         beginning_sha256=_samples_sha256(trajectory.samples[t <= trial.beginning + ROUND_OFF]),
         file_bytes=len(payload),
-        grid=_grid(trajectory),
+        grid=_grid(trajectory, request.horizon),
         seconds=seconds,
     )
 
@@ -128,7 +129,7 @@ def _failed(error: BaseException, seconds: float) -> Measured:
     return Measured(error=printable, raised=raised, place=own_place(frames), seconds=seconds)
 
 
-def _grid(trajectory: Trajectory) -> SampleTimes:
+def _grid(trajectory: Trajectory, horizon: float) -> SampleTimes:
     t = trajectory.samples[:, 0]
     steps = np.diff(t) if len(t) > 1 else np.zeros(1)
     return SampleTimes(
@@ -137,6 +138,8 @@ def _grid(trajectory: Trajectory) -> SampleTimes:
         last=float(t[-1]),
         least_step=float((steps[:-1] if len(steps) > 1 else steps).min()),
         greatest_step=float(steps.max()),
+        stamps=stamps(t),
+        uncovered=uncovered(t, horizon) or "",
     )
 
 

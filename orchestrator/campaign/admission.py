@@ -2,17 +2,11 @@
 
 import hashlib
 
-import numpy as np
-
 from ...schemas.base import canonical_json
 from ...schemas.errors import EvidenceError, RequestError, TrajectoryError, UnusableTrajectoryError
+from ...schemas.instants import uncovered
 from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory import Trajectory, read_canonical
-
-ROUND_OFF = 1e-9
-"""Of a time, in seconds."""
-SAMPLES = 50
-"""The last sample may precede the horizon by one step, but by no more than the horizon divided by this."""
 
 
 def admit(request: RolloutRequest, columns: tuple[str, ...], payload: bytes, sha256: str) -> Trajectory:
@@ -56,19 +50,5 @@ def check_whole(trajectory: Trajectory, columns: tuple[str, ...], horizon: float
     if trajectory.columns != columns:
         raise UnusableTrajectoryError(f"the trajectory has the columns {', '.join(trajectory.columns)[:200]}")
     t = trajectory.samples[:, 0]
-    if fault := uncovered(float(t[0]), float(t[-1]), float(np.max(np.diff(t), initial=0.0)), horizon):
-        remedy = "; its rollouts are one sample: remove `horizon` from the campaign file" if t[-1] == 0 else ""
-        raise UnusableTrajectoryError(f"{fault}, the campaign requests 0 to {horizon:g} s{remedy}")
-
-
-def uncovered(first: float, last: float, step: float, horizon: float) -> str | None:
-    """Return what a trajectory covers, if that is not 0 to `horizon`; `step` is its largest one, all are in s.
-
-    One that starts late or ends early would be scored on a part of what the specification covers.
-
-    >>> uncovered(0.0, 7.9, 0.1, 8.0), uncovered(0.1, 8.0, 0.1, 8.0)
-    (None, 'the trajectory covers 0.1 to 8 s')
-    """
-    allowed = min(step, horizon / SAMPLES)
-    whole = first <= ROUND_OFF and horizon - allowed - ROUND_OFF <= last <= horizon + ROUND_OFF
-    return None if whole else f"the trajectory covers {first:g} to {last:g} s"
+    if fault := uncovered(t, horizon):
+        raise UnusableTrajectoryError(fault)

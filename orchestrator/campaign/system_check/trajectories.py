@@ -1,15 +1,21 @@
 """Findings about single trajectories: errors, columns, numbers, times."""
 
 import re
+from collections.abc import Mapping
 
+from ....schemas.instants import Stamps
 from ....schemas.system_check import Measured
-from ..admission import uncovered
 from .findings import SystemFinding, failed, passed, warning
 from .measurements import Measurements
 from .trials import CORNER, START
 
 STEP_SPREAD = 1e-6
 """Relative difference of the steps of a grid that is round-off of its times."""
+STAMPS: Mapping[Stamps, str] = {
+    "float32": "the times are rounded to float32: a border of a window takes in the sample that is nearest to it",
+    "accumulated": "the times are sums of steps with their round-off: give the number of the step times the step",
+}
+"""What is said of times that are not exact."""
 
 
 _REMEDY_HANG = (
@@ -40,7 +46,7 @@ def _at(place: str) -> str:
 
 _KINDS = (
     ("finite", re.compile(r"not finite")),
-    ("times", re.compile(r"the time must|without time")),
+    ("times", re.compile(r"the time must|a third state in row|without time")),
     ("columns", re.compile(r"column|returned|differ in length|array of numbers|has the shape|samples have shape")),
 )
 """What the refusal of a trajectory is about, by its words; the first that fits."""
@@ -110,8 +116,8 @@ def judge_times(measurements: Measurements) -> SystemFinding | None:
         return refused
     grids = [(trial.request, found.grid) for trial, found in measurements.good if found.grid is not None]
     for request, grid in grids:
-        if fault := uncovered(grid.first, grid.last, grid.greatest_step, measurements.horizon):
-            text = f"{fault}, not 0 to {measurements.horizon:g} s; at {request.words(measurements.spec)}"
+        if grid.uncovered:
+            text = f"{grid.uncovered}; at {request.words(measurements.spec)}"
             return failed("times", text, _REMEDY_UNCOVERED)
     for request, grid in grids:
         if grid.greatest_step - grid.least_step > STEP_SPREAD * grid.greatest_step:
@@ -125,6 +131,7 @@ def judge_times(measurements: Measurements) -> SystemFinding | None:
         return warning("times", f"rollouts of one horizon have different times: {one}, {other}", remedy)
     samples, step = kinds[0]
     text = f"{samples} samples from 0 to {grids[0][1].last:g} s in steps of {step:g} s"
+    text += next((f"; {STAMPS[grid.stamps]}" for _, grid in grids if grid.stamps in STAMPS), "")
     return passed("times", text if samples > 1 else "one sample at 0")
 
 

@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from ....schemas.ids import RolloutId
+from ....schemas.instants import SAMPLES
 from ....schemas.parameters import parameter_ranges
 from ....schemas.rollout import RequestTemplate, RolloutRequest
 from ....schemas.space import Space
 from ....schemas.system import OptionValue, Parameter, SystemSpec, Variant
 from ....schemas.system_check import ChildRun, Trial
-from ..admission import SAMPLES
 from ..region import Condition, condition
 
 CORNERS, STARTS = 16, 8

@@ -2,10 +2,10 @@
 
 | symbol | name        | meaning                                                                     | shape | unit |
 |--------|-------------|-----------------------------------------------------------------------------|-------|------|
-| t_k    | `times`     | sample times, increasing                                                    | (T,)  | s    |
+| t_k    | `times`     | sample times, not decreasing; two equal ones are a jump                     | (T,)  | s    |
 | [a, b] | `interval`  | seconds from now, of a temporal operator; b may be inf                      |       | s    |
-| tau    | `TOLERANCE` | round-off allowed at both ends                                              |       | s    |
-| W_k    | `Windows`   | samples i with t_k + a - tau <= t_i <= t_k + b + tau: first[k] to stop[k]-1 | (T,)  |      |
+| tau_i  | `slack`     | how far from t_i a border is the same instant, see `schemas.instants`       | (T,)  | s    |
+| W_k    | `Windows`   | samples i with t_k + a - tau_i <= t_i <= t_k + b + tau_i                    | (T,)  |      |
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.instants import reached
 from .errors import FormulaError
-from .horizon import TOLERANCE, check_horizon
+from .horizon import check_horizon
 from .text import excerpt
 from .tree import REST, Always, Eventually, Formula, Interval, Temporal, Until, operands, walk
 
@@ -67,15 +68,20 @@ class Grid:
     @cached_property
     def _times(self) -> Floats:
         times = self._given
-        if not (np.isfinite(times).all() and (np.diff(times) > TOLERANCE).all()):
-            raise ValueError(f"the sample times must be finite and increase by more than {TOLERANCE:g} s")
+        if not (np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
+            raise ValueError("the sample times must be finite and must not decrease")
         return times
+
+    @cached_property
+    def _reached(self) -> tuple[Floats, Floats]:
+        """Earliest and latest moment of the instant of each sample."""
+        return reached(self._times)
 
     def windows(self, interval: Interval) -> Windows:
         """Return the samples that belong to `interval` at each sample.
 
         Raises:
-            ValueError: the sample times do not increase.
+            ValueError: the sample times decrease.
 
         """
         if interval not in self._windows:
@@ -85,15 +91,16 @@ class Grid:
     def _search(self, interval: Interval) -> Windows:
         if interval == REST:
             return Windows(np.arange(len(self)), np.full(len(self), len(self)))
-        first = self._times.searchsorted(self._times + (interval.low - TOLERANCE), "left")
-        stop = self._times.searchsorted(self._times + (interval.high + TOLERANCE), "right")
+        earliest, latest = self._reached
+        first = latest.searchsorted(self._times + interval.low, "left")
+        stop = earliest.searchsorted(self._times + interval.high, "right")
         return Windows(first, stop)
 
     def reaches(self, interval: Interval) -> Flags:
         """Return at which samples an interval ends before the trajectory does, shape (T,); one to its end does."""
         if not interval.bounded:
             return np.ones(len(self), dtype=np.bool_)
-        found: Flags = self._times + (interval.high - TOLERANCE) <= self._times[-1]
+        found: Flags = self._times + interval.high <= self._reached[1][-1]
         return found
 
     def check(self, tree: Formula) -> None:
@@ -101,13 +108,14 @@ class Grid:
 
         Raises:
             FormulaError: it reaches beyond the last sample, or an interval contains no sample where it is read.
-            ValueError: it has intervals, and the sample times do not increase.
+            ValueError: it has intervals, and the sample times decrease.
 
         """
         # A formula without intervals compares no times, so that any grid will do.
         if all(node.interval == REST for node in walk(tree) if isinstance(node, Temporal)):
             return
-        check_horizon(tree, float(self._times[-1] - self._times[0]))
+        end = self._times[-1]
+        check_horizon(tree, float(end - self._times[0]), slack=float(self._reached[1][-1] - end))
         self._check(tree, np.arange(len(self)) == 0)
 
     def _check(self, tree: Formula, read: Flags) -> None:

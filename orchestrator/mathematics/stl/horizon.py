@@ -13,10 +13,10 @@ from .errors import FormulaError
 from .text import excerpt, number, operator
 from .tree import Comparison, Formula, Interval, Temporal, operands
 
-__all__ = ["TOLERANCE", "check_horizon", "horizon"]
+__all__ = ["check_horizon", "horizon"]
 
-TOLERANCE = 1e-9
-"""Seconds by which a sample may miss the end of an interval and still belong to it: round-off of the sample times."""
+ROUND_OFF = 1e-9
+"""Of the sum of the ends of intervals, in s."""
 
 
 def horizon(tree: Formula) -> float:
@@ -35,11 +35,11 @@ def horizon(tree: Formula) -> float:
     return tree.interval.high + below if isinstance(tree, Temporal) else below
 
 
-def check_horizon(tree: Formula, duration: float) -> None:
+def check_horizon(tree: Formula, duration: float, *, slack: float = 0.0) -> None:
     """Raise if a formula, read at time 0, reaches beyond the end of a trajectory that lasts `duration` seconds.
 
     An operator without an end of its own is read to the end of the trajectory, so its operands may reach no further
-    than their own time, or to the end.
+    than their own time, or to the end. `slack` is how far from the last sample a moment is still the same instant.
 
     Raises:
         FormulaError: an interval ends after `duration`; with the remedy. Its position is None.
@@ -48,7 +48,7 @@ def check_horizon(tree: Formula, duration: float) -> None:
     """
     if not (math.isfinite(duration) and duration >= 0):
         raise ValueError(f"a trajectory lasts 0 s or longer, not {duration!r}")
-    _check(tree, 0.0, duration, None)
+    _check(tree, 0.0, duration + slack, None)
 
 
 def _check(tree: Formula, latest: float, duration: float, unbounded: Temporal | None) -> None:
@@ -58,7 +58,7 @@ def _check(tree: Formula, latest: float, duration: float, unbounded: Temporal | 
     if isinstance(tree, Temporal):
         # Read until `latest`, the interval needs a sample this late.
         reach = latest + _last(tree.interval)
-        if reach > duration + TOLERANCE:
+        if reach > duration + ROUND_OFF:
             raise FormulaError(_reason(tree, reach, duration, unbounded))
         latest, unbounded = (reach, unbounded) if tree.interval.bounded else (duration, tree)
     for operand in operands(tree):

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.instants import apart, slack
 from .text import excerpt
 from .tree import Absolute, Arithmetic, Column, Comparison, Expression, Formula, Negative, Number, predicates
 
@@ -59,12 +60,14 @@ def check_grids(a: Floats, b: Floats) -> None:
     """
     if len(a) != len(b):
         raise ValueError(f"the trajectories have {len(a)} and {len(b)} samples; a gap needs one time grid")
-    different = np.flatnonzero(a[:, 0] != b[:, 0])
+    if np.array_equal(a[:, 0], b[:, 0]):
+        return
+    # One of them may have stamps of float32, or sums with their round-off.
+    different = np.flatnonzero(np.abs(a[:, 0] - b[:, 0]) > np.maximum(slack(a[:, 0]), slack(b[:, 0])))
     if different.size:
         k = int(different[0])
-        raise ValueError(
-            f"the time grids differ at sample {k}: t = {a[k, 0]:g} and {b[k, 0]:g}; a gap needs one time grid"
-        )
+        one, other = apart(float(a[k, 0]), float(b[k, 0]))
+        raise ValueError(f"the time grids differ at sample {k}: t = {one} and {other}; a gap needs one time grid")
 
 
 def _margin_difference(one: Floats, other: Floats) -> float:

@@ -360,10 +360,11 @@ def test_verify_finds_a_false_discard(stuck: Path, monkeypatch: pytest.MonkeyPat
     assert check in verify(stuck)
 
 
-@pytest.mark.parametrize(("end", "remedy"), [(0.0, "; its rollouts are one sample: remove `horizon`"), (1.9, "")])
+@pytest.mark.parametrize(("end", "remedy"), [(0.0, "one sample at 0 s"), (1.9, "")])
 def test_a_horizon_for_one_sample_is_to_be_removed(end: float, remedy: str) -> None:
     samples = np.array([[0.0, 1.0], [end, 1.0]])[: 1 if end == 0 else 2]
     with pytest.raises(UnusableTrajectoryError) as refused:
         check_whole(Trajectory(("t", "y"), samples), ("t", "y"), 5.0)
-    assert f"the campaign requests 0 to 5 s{remedy}" in str(refused.value)
+    assert "the horizon is 5 s" in str(refused.value)
+    assert remedy in str(refused.value)
     assert ("remove" in str(refused.value)) == bool(remedy)

@@ -83,12 +83,13 @@ def test_samples_are_a_read_only_copy() -> None:
         (("t", "x"), [0.0, 1.0]),
         (("t", "x"), [[0.0, np.nan]]),
         (("t", "x"), [[0.0, 1.0], [np.inf, 1.0]]),
-        (("t", "x"), [[0.0, 1.0], [0.0, 1.0]]),
+        (("t", "x"), [[0.0, 1.0], [0.0, 2.0], [0.0, 3.0]]),
+        (("t", "x"), [[0.0, 1.0], [0.2, 1.0], [0.1, 1.0]]),
         (("t", "x"), [[-1.0, 1.0], [0.0, 1.0]]),
     ],
 )
 def test_what_is_no_trajectory_is_refused(columns: tuple[str, ...], samples: Any) -> None:
-    with pytest.raises(ValueError, match=r"columns|samples|time"):
+    with pytest.raises(ValueError, match=r"columns|samples|time|state"):
         Trajectory(columns, np.asarray(samples))
 
 

@@ -178,7 +178,7 @@ def test_it_may_stay_or_end_after_each_rollout(program: Callable[..., ProgramSys
         ('open(path, "w").write("t,x,v\\n")', "are not csv: no line of numbers"),
         ('open(path, "w").write("0,1,oops\\n")', "are not csv: could not convert string 'oops'"),
         ('open(path, "w").write("0,1,nan\\n")', "not finite"),
-        ('open(path, "w").write("1,1,1\\n0,1,1\\n")', "the time must start at 0 or later and increase"),
+        ('open(path, "w").write("1,1,1\\n0,1,1\\n")', "t = 0 s in row 1 is before t = 1 s in row 0"),
         ('os.mkfifo(path)', "wrote 0 bytes of samples"),
         ('bytearray(10**9)', "MemoryError"),
     ],
