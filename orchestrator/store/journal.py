@@ -3,6 +3,7 @@
 import getpass
 import os
 import sqlite3
+import struct
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -63,13 +64,13 @@ class Journal:
         self._process = os.getpid()
         self._engine = engine
         self._connection = engine.connect()
-        self._place = os.stat(directory / DATABASE)
         self._version, self._seq = _position(self._connection, directory)
         self._rows = PendingRows(self._connection)
         self.session = _open_session(self._connection, self._version, origin)
         self.attempts = AttemptLog(self._rows, self._version, self.session)
         self.commits = CommitTimes()
         """Of the transactions that wrote."""
+        self._seen = _states(directory)
 
     @classmethod
     def create(
@@ -117,8 +118,11 @@ class Journal:
             if writes and self._held is not None:
                 self._held.check()  # a node that was cut off from its files for minutes may have lost the lock
             self._rows.flush()  # the first write begins the transaction: a turn of heartbeats touches no disk
+            if writes:
+                self._check_files()
             self._connection.commit()
             if writes:
+                self._check_files()  # again: a commit waits for the disk, and most cuts come in that time
                 self.commits = self.commits.with_one(time.perf_counter() - began)
         except BaseException:  # also a signal between two lines: numbers that are not in the database are given again
             self._seq = before
@@ -178,15 +182,29 @@ class Journal:
         """
         if self._held is not None:
             self._held.check()
-        path = self.directory / DATABASE
-        try:
-            same = os.path.samestat(os.stat(path), self._place)
-        except OSError:
-            same = False
-        if not same:
-            raise JournalError(
-                f"{path}: removed or replaced while the campaign was running; restore it from a copy, then resume"
-            )
+        self._check_files()
+
+    def _check_files(self) -> None:
+        """Refuse a database or a log that another hand has replaced or cut.
+
+        SQLite continues from its memory: it would write over the gap, and find it, if at all, after the certificate.
+        """
+        now = _states(self.directory)
+        log = self.directory / f"{DATABASE}-wal"
+        if log in self._seen:
+            device, inode, size = self._seen[log]
+            self._seen[log] = (device, inode, max(size, _log_bytes(self.directory)))
+        for path, (device, inode, size) in self._seen.items():
+            if now.get(path, (0, 0, 0))[:2] != (device, inode):
+                raise JournalError(
+                    f"{path}: removed or replaced while the campaign was running; restore it from a copy, then resume"
+                )
+            if now[path][2] < size:
+                raise JournalError(
+                    f"{path}: cut from {size} to {now[path][2]} bytes while the campaign was running; restore the run "
+                    "directory from a copy, then resume"
+                )
+        self._seen = now
 
     def close(self) -> None:
         """Fold the write-ahead log into the database, and close it; a fork of this process leaves both alone."""
@@ -210,6 +228,26 @@ def _unlinked(path: Path) -> Path:
         if each.is_symlink():
             raise JournalError(f"{each}: a symbolic link; put the file itself there")
     return path
+
+
+def _states(directory: Path) -> dict[Path, tuple[int, int, int]]:
+    """Return device, inode and size of the database and its log; while it is open neither gets smaller."""
+    found = {}
+    for path in (directory / DATABASE, directory / f"{DATABASE}-wal"):
+        with suppress(OSError):  # missing
+            state = os.stat(path)
+            found[path] = (state.st_dev, state.st_ino, state.st_size)
+    return found
+
+
+def _log_bytes(directory: Path) -> int:
+    """Return the least size of the write-ahead log: a head of 32 bytes, and the frames that its index counts."""
+    try:
+        with open(directory / f"{DATABASE}-shm", "rb") as index:
+            page, frames = struct.unpack_from("=HI", index.read(20), 14)  # szPage and mxFrame of the WalIndexHdr
+    except (OSError, struct.error):  # SQLite makes it anew
+        return 0
+    return int(32 + frames * ((65536 if page == 1 else page) + 24))
 
 
 def _position(connection: Connection, directory: Path) -> tuple[int, int]:

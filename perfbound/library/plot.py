@@ -39,7 +39,7 @@ class Plot:
         found = self._problem(problem)
         if not found.surfaces:
             raise PerfboundError(f"{self._directory}: problem {found.key} has no test yet; retry later")
-        with _figure(figures.MAP_HEIGHT) as figure:
+        with reproducible(), _figure(figures.MAP_HEIGHT) as figure:
             return figures.draw_problem_map(figure, self._data.axes, found)
 
     def decay(self, problem: str | None = None) -> Axes:
@@ -56,7 +56,7 @@ class Plot:
                 "those of several requirements are not stored for each test; use `map`" if several else "retry later"
             )
             raise PerfboundError(f"{self._directory}: problem {found.key} has no two bounds; {remedy}")
-        with _figure(figures.DECAY_HEIGHT) as figure:
+        with reproducible(), _figure(figures.DECAY_HEIGHT) as figure:
             return figures.draw_problem_decay(figure, found)
 
     def _problem(self, name: str | None) -> Problem:

@@ -91,12 +91,11 @@ class _Rollouts:
         self.wanted: dict[RolloutId, None] = {}
         """In the order of the tests."""
         self._attempts = read.attempts(directory)
-        with reproducible():
-            self._ledger.replay()
-            self._ledger.check_files(journal)
-            with self._ledger.transaction():
-                self._take(self._ledger.outstanding())
-            self._certify()
+        self._ledger.replay()
+        self._ledger.check_files(journal)
+        with self._ledger.transaction():
+            self._take(self._ledger.outstanding())
+        self._certify()
 
     def known(self, name: object) -> RolloutId:
         """Return the rollout of a request that is wanted, or was told before; raises `RequestError`."""
@@ -132,14 +131,13 @@ class _Rollouts:
     def record(self, rollout: RolloutId, told: Admitted) -> None:
         """Make a trajectory durable, and everything that follows from it."""
         outcome = RESTORED if self._ledger.restores(rollout) else RECORDED
-        with reproducible():
-            with self._ledger.transaction():
-                attempt = self._attempt(rollout)
-                work = self._ledger.record(rollout, told.payload, told.trajectory, told.sha256)
-                self._journal.attempts.ended(attempt, TOLD_BY, outcome)
-            del self.wanted[rollout]
-            self._take(work)
-            self._certify()
+        with self._ledger.transaction():
+            attempt = self._attempt(rollout)
+            work = self._ledger.record(rollout, told.payload, told.trajectory, told.sha256)
+            self._journal.attempts.ended(attempt, TOLD_BY, outcome)
+        del self.wanted[rollout]
+        self._take(work)
+        self._certify()
 
     def failed(self, rollout: RolloutId, reason: str) -> None:
         """Record a trial that the system did not survive."""
@@ -178,7 +176,8 @@ class Study:
     def __init__(self, directory: Path, journal: Journal, stack: ExitStack, step: float | None) -> None:
         self.directory, self._stack, self._step = directory, stack, step
         self._process, self._lock = os.getpid(), threading.RLock()
-        self._open: _Rollouts | None = _Rollouts(directory, journal)
+        with reproducible():
+            self._open: _Rollouts | None = _Rollouts(directory, journal)
 
     @property
     def run(self) -> Run:
@@ -258,7 +257,7 @@ class Study:
     def _locked(self) -> Iterator[_Rollouts]:
         """Give one thread after the other the state of the campaign."""
         self._check_process()  # before the lock: in a fork it may be held by a thread that is not there
-        with self._lock:
+        with self._lock, reproducible():
             if self._open is None:
                 raise PerfboundError(f"{self.directory}: this study is closed; open it again with ask_tell")
             yield self._open

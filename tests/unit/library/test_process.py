@@ -1,5 +1,6 @@
 """What the library does to the process that it runs in, and undoes."""
 
+import os
 import signal
 import threading
 from pathlib import Path
@@ -8,8 +9,9 @@ import pytest
 from rich.console import Console
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from perfbound.library.process import interruptible, output, reproducible
+from perfbound.library.process import _one_thread, interruptible, output, reproducible
 from perfbound.schemas.errors import Stopped
+from tests.patience import PATIENCE
 
 SILENT = Console(quiet=True)
 
@@ -23,6 +25,64 @@ def test_blas_has_one_thread_inside_alone() -> None:
         with reproducible():
             assert threads() == {1}
         assert threads() == {2}
+
+
+def test_threads_that_compute_share_the_limit_and_give_it_back() -> None:
+    inside, leave = threading.Barrier(2), threading.Event()
+
+    def compute() -> None:
+        with reproducible():
+            inside.wait(PATIENCE)
+            leave.wait(PATIENCE)
+
+    with threadpool_limits(2):
+        other = threading.Thread(target=compute)
+        with reproducible():
+            other.start()
+            inside.wait(PATIENCE)
+        assert threads() == {1}, "the other one computes on"
+        with reproducible(), reproducible():
+            pass
+        assert threads() == {1}
+        leave.set()
+        other.join(PATIENCE)
+        assert threads() == {2}
+
+
+def test_a_thread_is_limited_while_another_one_has_set_the_number() -> None:
+    found: list[set[int]] = []
+
+    def compute() -> None:
+        with reproducible():
+            found.append(threads())
+        found.append(threads())
+
+    with threadpool_limits(2):
+        other = threading.Thread(target=compute)
+        other.start()
+        other.join(PATIENCE)
+    assert found == [{1}, {2}]
+
+
+def test_a_fork_of_what_computes_in_a_thread_can_compute() -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def compute() -> None:
+        with reproducible(), _one_thread._lock:
+            entered.set()
+            leave.wait(PATIENCE)
+
+    other = threading.Thread(target=compute)
+    other.start()
+    assert entered.wait(PATIENCE)
+    child = os.fork()
+    if not child:
+        signal.alarm(60)
+        with reproducible():
+            os._exit(0 if threads() == {1} else 1)
+    leave.set()
+    other.join(PATIENCE)
+    assert os.waitpid(child, 0)[1] == 0
 
 
 @pytest.mark.parametrize(("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])

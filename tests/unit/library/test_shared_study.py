@@ -192,6 +192,23 @@ def test_what_was_told_is_there_after_kill_9(tmp_path: Path) -> None:
         assert again.run.verify().checks.good
 
 
+@pytest.mark.parametrize("name", ["campaign.db-wal", "campaign.db"])
+@pytest.mark.parametrize("share", [0, 2, None])
+def test_a_database_that_is_cut_ends_the_study(study: Study, name: str, share: int | None) -> None:
+    request, following, *_ = study.requests
+    study.tell(request, curve(request))
+    path = study.directory / name
+    if share is None:
+        path.unlink()
+    else:
+        os.truncate(path, path.stat().st_size // 2 if share else 0)
+    with pytest.raises(PerfboundError, match=rf"{name}: (cut from|removed or replaced) .*; restore"):
+        study.tell(following, curve(following))
+    with pytest.raises(PerfboundError, match="this study is closed"):
+        study.ask()
+    assert not (study.directory / "certificate.json").exists()
+
+
 def test_a_chdir_moves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path)
