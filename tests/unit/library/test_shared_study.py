@@ -257,7 +257,7 @@ MASKED = np.ma.masked_equal([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], 2.0)
         ({1: T, None: T}, "the function returned 1, None"),
         (RECURSIVE, "y is lists within lists"),
         ({"t": T}, "the function returned t"),
-        (12, "covers 0 to 0 s"),
+        (12, "one sample at 0 s"),
         ("12", "No such file"),
         ("a\0b", "no path of a file"),
         ("\udc80.mcap", "No such file"),
