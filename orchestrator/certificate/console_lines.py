@@ -1,19 +1,25 @@
 """Lines of a certificate on a console: plain text with styles, never markup."""
 
+import re
 import textwrap
 
 from rich.console import Console
 from rich.text import Text
 
 WIDTH = 100
+FIXED = "\N{NO-BREAK SPACE}"
+"""At which no line ends."""
 
 
 def hanging(console: Console, head: Text, body: str) -> None:
     """Print `body` right of `head`, wrapped, its lines below each other."""
     indent = len(head.plain)
     width = min(console.width, WIDTH) if console.is_terminal else WIDTH
-    lines = textwrap.wrap(body, max(40, width - indent), break_long_words=False, break_on_hyphens=False)
-    console.print(head.append(("\n" + " " * indent).join(lines)), soft_wrap=True)
+    # A bound stays beside its sign.
+    joined = re.sub("([<>]=) ", f"\\1{FIXED}", body)
+    lines = textwrap.wrap(joined, max(40, width - indent), break_long_words=False, break_on_hyphens=False)
+    text = ("\n" + " " * indent).join(lines).replace(FIXED, " ")
+    console.print(head.append(text), soft_wrap=True)
 
 
 def heading(console: Console, text: str, style: str) -> None:

@@ -275,7 +275,8 @@ def _bound(claim: CertificateClaim) -> str:
 def _claim(title: str, certificate: Certificate, number: int, console: Console, unit: str) -> None:
     predicate = certificate.predicate
     claim = predicate.claims[number]
-    heading(console, f"{title}  {_claim_heading(claim, unit)}", "bold")
+    console.print()
+    hanging(console, Text(f"{title}  ", "bold"), _claim_heading(claim, unit))
     rule = f"{claim.rule} rule, " if composes(claim.rule) else ""
     source = f"method {claim.method}, {rule}{_validity(claim)}"
     # Certainty names the assumptions that it rests on itself.
