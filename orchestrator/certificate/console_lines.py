@@ -9,14 +9,15 @@ from rich.text import Text
 WIDTH = 100
 FIXED = "\N{NO-BREAK SPACE}"
 """At which no line ends."""
+BOUND = re.compile(r"[<>]= \S+(?: \S{1,4}(?=[, ]|$))?")
 
 
 def hanging(console: Console, head: Text, body: str) -> None:
     """Print `body` right of `head`, wrapped, its lines below each other."""
     indent = len(head.plain)
     width = min(console.width, WIDTH) if console.is_terminal else WIDTH
-    # A bound stays beside its sign.
-    joined = re.sub("([<>]=) ", f"\\1{FIXED}", body)
+    # A bound stays beside its sign and its unit.
+    joined = BOUND.sub(lambda found: found[0].replace(" ", FIXED), body)
     lines = textwrap.wrap(joined, max(40, width - indent), break_long_words=False, break_on_hyphens=False)
     text = ("\n" + " " * indent).join(lines).replace(FIXED, " ")
     console.print(head.append(text), soft_wrap=True)
