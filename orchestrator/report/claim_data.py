@@ -41,6 +41,8 @@ class Claim:
     factor: float | None = None
     requirement: str | None = None
     """The one that it is about; None for the whole specification."""
+    clipped: tuple[float, float] | None = None
+    """The clip that its formula has to name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,7 +207,8 @@ function withCommands(text) {
 
 function claimBasis(claim, unit) {
   const rule = ["single", "every"].includes(claim.rule) ? "" : `, ${words(claim.rule)} rule`;
-  return `${unit && `Bound in ${unit}. `}Method ${words(claim.method)}${rule}. Depends on ${plural(claim.assumptions.length, "assumption")}.`;
+  const clipped = claim.clipped ? `\u03c1 is the robustness clipped to [${claim.clipped.map((end) => num(end)).join(", ").replaceAll("-", "\u2212")}]. ` : "";
+  return `${unit && `Bound in ${unit}. `}${clipped}Method ${words(claim.method)}${rule}. Depends on ${plural(claim.assumptions.length, "assumption")}.`;
 }
 
 /** The rollout that ended the campaign, its test and the command that repeats it. */
