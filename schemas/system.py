@@ -5,9 +5,10 @@ import re
 from collections.abc import Iterable
 from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from .base import Model, digest
+from .errors import DefinitionError, shortened
 from .ranges import MAX_FILE_BYTES, SEED_BITS, FileBytes, Magnitude, Seconds, SeedBits
 from .rules import KNOWN, RULES
 from .signals import SignalShape
@@ -43,9 +44,18 @@ class Parameter(Model):
     )
 
     def __init__(self, *limits: float, **fields: Any) -> None:
-        if limits:
-            fields |= dict(zip(("low", "high"), limits, strict=True))
-        super().__init__(**fields)
+        if not limits:  # by names, also where pydantic makes one of a message: there its own error counts
+            super().__init__(**fields)
+            return
+        try:
+            super().__init__(**dict(zip(("low", "high"), limits, strict=True)), **fields)
+        except (ValueError, TypeError) as error:
+            given = ", ".join([*map(repr, limits), *(f"{name}={value!r}" for name, value in fields.items())])
+            first = error.errors(include_url=False)[0] if isinstance(error, ValidationError) else None
+            where = f"{'.'.join(map(str, first['loc']))}: {first['msg']}" if first else "not two limits"
+            raise DefinitionError(
+                f"{shortened(f'Parameter({given})', 120)}: {where}; give two numbers, as in Parameter(0, 5, unit='m')"
+            ) from None
 
 
 class Column(Model):

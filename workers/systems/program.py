@@ -23,7 +23,9 @@ from pydantic import ValidationError
 from ...schemas.campaign import CampaignConfig
 from ...schemas.errors import DefinitionError, SimulationError
 from ...schemas.input_signal import InputSignal
+from ...schemas.number_text import number_in
 from ...schemas.ranges import MAX_FILE_BYTES, SEED_BITS
+from ...schemas.real_numbers import real_array
 from ...schemas.secret import VARIABLE
 from ...schemas.space import ProgramLimits, SampleFormat, SystemChoice
 from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, Variant
@@ -204,7 +206,21 @@ def _read_csv(path: Path, columns: Sequence[str]) -> Floats:
         lines = lines[1:]
     if not lines:
         raise ValueError("no line of numbers")
-    return np.loadtxt(lines, delimiter=",", ndmin=2, dtype=np.float64)
+    try:
+        return np.loadtxt(lines, delimiter=",", ndmin=2, dtype=np.float64, comments=None)
+    except ValueError:  # in words of numpy, about arguments that nobody here can give; and Fortran's exponents
+        return np.array([_numbers(line, columns) for line in lines if line.strip()], dtype=np.float64)
+
+
+def _numbers(line: str, columns: Sequence[str]) -> list[float]:
+    """Return the numbers of a line, one for each column."""
+    cells = line.split(",")
+    if len(cells) != len(columns):
+        raise ValueError(f"a line is {line[:SHOWN]!r}, the columns are {','.join(columns)}; write one number for each")
+    try:
+        return [number_in(cell) for cell in cells]
+    except ValueError as error:
+        raise ValueError(f"{error}, in the line {line[:SHOWN]!r}") from None
 
 
 def _read_f64(path: Path, columns: Sequence[str]) -> Floats:
@@ -212,7 +228,11 @@ def _read_f64(path: Path, columns: Sequence[str]) -> Floats:
 
 
 def _read_npy(path: Path, _columns: Sequence[str]) -> Floats:
-    return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+    array = np.load(path, allow_pickle=False)
+    try:
+        return real_array(array)
+    except ValueError as error:
+        raise ValueError(f"the array {error}") from None
 
 
 _READERS: dict[SampleFormat, Callable[[Path, Sequence[str]], Floats]] = {
@@ -224,7 +244,7 @@ _READERS: dict[SampleFormat, Callable[[Path, Sequence[str]], Floats]] = {
 
 def _is_number(cell: str) -> bool:
     try:
-        float(cell)
+        number_in(cell)
     except ValueError:
         return False
     return True

@@ -233,6 +233,11 @@ def _numeric_phrase(cursor: Cursor, rule: Callable[[], Node]) -> Expression:
 
 def _as_formula(cursor: Cursor, node: Node, start: FormulaToken) -> Formula:
     if isinstance(node, Expression):
+        if start.kind == "word" and cursor.token.kind == "word":  # `next x`: two names without anything between
+            known = ", ".join(sorted(_RESERVED))
+            raise cursor.error(
+                f"unknown operator {start.text!r}; {_meant(start.text, _RESERVED)}known are {known}", start
+            )
         raise cursor.error("a condition is needed here, not a number: compare it with <=, >=, < or >", start)
     return node
 

@@ -257,3 +257,11 @@ def test_a_campaign_of_several_requirements_shows_their_formulas() -> None:
         noise_scale=0.0,
     )
     assert repr(campaign).endswith(": (y >= 0) and (y <= 2)>")
+
+
+@pytest.mark.parametrize("limits", [("0", 1), (1,), (1, 2, 3), (0, float("nan")), (0, None), (True, [1])])
+def test_a_parameter_without_two_numbers_is_one_line(limits: Any) -> None:
+    with pytest.raises(PerfboundError, match=r"give two numbers, as in Parameter\(0, 5, unit='m'\)") as error:
+        pb.Parameter(*limits)
+    assert "pydantic" not in str(error.value)
+    assert "\n" not in str(error.value)

@@ -191,7 +191,7 @@ def test_one_column_needs_no_tuple() -> None:
         ((np.zeros((5, 2)), T), r"a has the shape \(5, 2\)"),
         (([], []), "at least one sample"),
         ((math.nan, 1.0), "not finite"),
-        ({"a": T, "b": T, "t": T[::-1]}, "increas"),
+        ({"a": T, "b": T, "t": T[::-1]}, "must not decrease"),
     ],
 )
 def test_what_is_no_trajectory_is_refused_with_its_remedy(returned: Any, words: str) -> None:

@@ -21,7 +21,7 @@ from perfbound.schemas.errors import DefinitionError, SimulationError
 from perfbound.schemas.secret import VARIABLE
 from perfbound.workers.systems.base import Cancelled
 from perfbound.workers.systems.files import load_reference
-from perfbound.workers.systems.program import PREFIX, ProgramSystem, load_program
+from perfbound.workers.systems.program import PREFIX, ProgramSystem, load_program, read_samples
 from tests.end_to_end.processes import wait_for
 
 CAMPAIGN = """
@@ -176,7 +176,7 @@ def test_it_may_stay_or_end_after_each_rollout(program: Callable[..., ProgramSys
         ('open(path, "w").write("0,1\\n")', "wrote an array (1, 2), not samples of t, x, v"),
         ('open(path, "w").write("t,v,x\\n0,1,2\\n")', "the header is t,v,x, the columns are t,x,v"),
         ('open(path, "w").write("t,x,v\\n")', "are not csv: no line of numbers"),
-        ('open(path, "w").write("0,1,oops\\n")', "are not csv: could not convert string 'oops'"),
+        ('open(path, "w").write("0,1,oops\\n")', "are not csv: 'oops' is no number"),
         ('open(path, "w").write("0,1,nan\\n")', "not finite"),
         ('open(path, "w").write("1,1,1\\n0,1,1\\n")', "t = 0 s in row 1 is before t = 1 s in row 0"),
         ('os.mkfifo(path)', "wrote 0 bytes of samples"),
@@ -343,3 +343,25 @@ def test_what_a_program_started_ends_with_its_worker(
     )
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=False)
     wait_for(lambda: ended(int((tmp_path / "pid").read_text())))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t,y\n0,1\n1\n", "a line is '1'"),
+        ("0,1\n1,2#9\n", "'2#9' is no number"),
+        ("0,1\n1,1_000\n", "'1_000' is no number"),
+        ("0,1\n1,\n", "'' is no number"),
+    ],
+)
+def test_lines_that_are_no_samples_are_named_in_words_of_perfbound(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(SimulationError) as error:
+        read_samples(tmp_path / "a.csv", "csv", ("t", "y"))
+    assert words in str(error.value)
+    assert "usecols" not in str(error.value)
+
+
+def test_exponents_of_fortran_are_numbers(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("0.0D+00,1.5d-01\n1.0D+00,2\n")
+    assert read_samples(tmp_path / "a.csv", "csv", ("t", "y")).tolist() == [[0.0, 0.15], [1.0, 2.0]]
