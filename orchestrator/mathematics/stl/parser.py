@@ -59,6 +59,8 @@ __all__ = ["Formula", "FormulaError", "columns", "parse_formula"]
 _UNTIL: dict[str, Reading] = {"until": "standard", "until_from": "paper"}
 _RESERVED = {"not", "always", "eventually", *_UNTIL, "and", "or", "implies", "abs", "inf"}
 _BEGINNINGS = {"always", "eventually"}
+_BETWEEN = {*_UNTIL, "and", "or", "implies"}
+_OPERATORS = ("always", "eventually", *_UNTIL, "not", "and", "or", "implies")
 _COMPARATORS = {"<=", ">=", "<", ">"}
 
 
@@ -233,11 +235,6 @@ def _numeric_phrase(cursor: Cursor, rule: Callable[[], Node]) -> Expression:
 
 def _as_formula(cursor: Cursor, node: Node, start: FormulaToken) -> Formula:
     if isinstance(node, Expression):
-        if start.kind == "word" and cursor.token.kind == "word":  # `next x`: two names without anything between
-            known = ", ".join(sorted(_RESERVED))
-            raise cursor.error(
-                f"unknown operator {start.text!r}; {_meant(start.text, _RESERVED)}known are {known}", start
-            )
         raise cursor.error("a condition is needed here, not a number: compare it with <=, >=, < or >", start)
     return node
 
@@ -282,10 +279,16 @@ def _literal(cursor: Cursor) -> Number:
 
 
 def _column(cursor: Cursor, known: Collection[str] | None) -> Column:
-    name = cursor.token.text
-    if cursor.after.text == "(":
+    name, after = cursor.token.text, cursor.after
+    is_column = known is not None and name in known
+    if after.text == "(":
         raise cursor.error(f"unknown function {name!r}; {_meant(name, _RESERVED)}the only function is abs")
-    if known is not None and name not in known:
+    # Behind a column comes an operator: what stands before a phrase of its own is one that does not exist.
+    if not is_column and after.kind == "word" and after.text not in _BETWEEN:
+        raise cursor.error(
+            f"there is no operator {name!r}; {_meant(name, _OPERATORS)}there are {', '.join(_OPERATORS)}"
+        )
+    if known is not None and not is_column:
         near = _meant(name, {*known, *_BEGINNINGS} if cursor.after.text == "[" else known)
         raise cursor.error(f"unknown column {name!r}; {near}known are {', '.join(known)}")
     cursor.advance()

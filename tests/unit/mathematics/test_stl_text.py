@@ -298,3 +298,19 @@ class TestText:
     )
     def test_no_more_parentheses_than_needed(self, text: str) -> None:
         assert text_of(parse_formula(text)) == text
+
+
+@pytest.mark.parametrize("known", [None, ("t", "x", "y")])
+@pytest.mark.parametrize(
+    "text", ["next x >= 0", "always next x >= 0", "x >= 0 and once x >= 1", "(historically y <= 1)"]
+)
+def test_an_operator_that_does_not_exist_is_named(text: str, known: tuple[str, ...] | None) -> None:
+    word = next(each for each in ("next", "once", "historically") if each in text)
+    with pytest.raises(FormulaError, match=rf"there is no operator '{word}'; .*there are always, eventually") as caught:
+        parse_formula(text, known)
+    assert caught.value.position == text.index(word)
+
+
+def test_a_misspelled_operator_names_the_nearest() -> None:
+    with pytest.raises(FormulaError, match=r"there is no operator 'alway'; .*always"):
+        parse_formula("alway x >= 0", ("t", "x"))
