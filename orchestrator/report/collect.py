@@ -225,7 +225,7 @@ class Collector:
             compared_results=self._trust.compared,
             set_aside=self._trust.pause_rows(),
             verdict=self._verdict,
-            required=question_words(header, claims[0].quantity if claims else problems[0].quantity),
+            required=question_words(header, (claims or problems)[0].quantity, (claims or problems)[0].starts),
             closing_rollouts={each: self._closing[each] for each in CLOSING if each in self._closing},
             live=None if self._certificate else live_card(self._so_far, header, running=running),
             provenance=provenance(header, self._sessions, self._workers.ended()),

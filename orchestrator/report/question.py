@@ -15,15 +15,16 @@ OF_MARGIN: dict[Quantity, str] = {
 """Quantities of a claim about a margin, and what is bounded."""
 
 
-def question_words(header: Header, quantity: Quantity | None) -> str:
+def question_words(header: Header, quantity: Quantity | None, listed: int | None = None) -> str:
     """Return what the file requires of a quantity; empty where it requires nothing that one sentence says.
 
-    A term of a composition has no quantity: its sum bounds the risk.
+    A term of a composition has no quantity: its sum bounds the risk. `listed` is the number of listed starts.
     """
     config, quantity = header.config, quantity or "rho_star"
     unit = robustness_unit(config, header.spec)
     shown = "" if unit == "1" else f" {unit}"
-    where = "At starts that are drawn as declared" if is_sampled(quantity) else "From every start"
+    every = "From every start" if listed is None else f"From each of the {listed:,} listed starts"
+    where = "At starts that are drawn as declared" if is_sampled(quantity) else every
     if quantity in OF_MARGIN and config.formula is not None:
         margin = OF_MARGIN[quantity].format(risk=config.risk_weight)
         least = f"{where}, {margin} must be at least {config.required_margin:g}{shown}"

@@ -22,6 +22,7 @@ def test_the_question_names_what_must_be_at_least_what() -> None:
     assert question_words(HEADER, None) == of_risk, "terms of a composition bound the risk"
     assert "the margin of every rollout must be at least" in question_words(HEADER, "robustness")
     assert "the mean margin over the noise must" in question_words(HEADER, "expected_robustness")
+    assert question_words(HEADER, "robustness", 25).startswith("From each of the 25 listed starts, the margin")
     drawn = question_words(HEADER, "failure_probability")
     assert drawn.startswith(
         "At starts that are drawn as declared, the probability that a rollout violates it must be as"
