@@ -118,7 +118,8 @@ def _count_of(seen: Violations) -> int | None:
 
 def _first_claim_of(found: CampaignVerdict) -> str:
     unit = "" if found.required is None or found.unit == "1" else one_line(found.unit)
-    return f"{found.sense} {outward(found.bound, found.sense)} {unit}".rstrip()
+    bound = f"{found.sense} {outward(found.bound, found.sense)} {unit}".rstrip()
+    return bound if found.clip is None else f"{bound}, clipped"
 
 
 def listing(campaigns: Sequence[ListedCampaign], now: float) -> Iterator[Text]:
