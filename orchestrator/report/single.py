@@ -40,7 +40,4 @@ def simulate_once(
     try:
         check_whole(trajectory, tuple(column.name for column in spec.columns), request.horizon)
     except UnusableTrajectoryError as fault:
-        raise PerfboundError(
-            f"a campaign would refuse this rollout: {fault}; return samples from 0 to the horizon, or choose another "
-            "--horizon"
-        ) from None
+        raise PerfboundError(f"a campaign would refuse this rollout: {fault}; or choose another --horizon") from None

@@ -41,8 +41,8 @@ TEN = {
         "columns", "returned altitude, its columns are height", "an array for each of", others=NO_TRAJECTORY
     ),
     "corner": Fault("finite", "row 0; fix the arithmetic there", "narrow the ranges of `parameters`"),
-    "short": Fault("times", "covers 0 to 8 s, not 0 to 10 s", "hold the last state"),
-    "grid": Fault("times", "covers 0.1 to 10 s, not 0 to 10 s", "the first sample be at 0"),
+    "short": Fault("times", "is at t = 8 s, and the horizon is 10 s", "hold the last state"),
+    "grid": Fault("times", "the first row is at t = 0.1 s, and 0 s is requested", "the first sample be at 0"),
     "global_rng": Fault("random state", "gives another rollout", DRAW, others=("repeatable", *COMPARING)),
     "prints": Fault("output", "rollouts print, 7 bytes each: 'step 0'", "remove the print", "warning"),
     "hangs": Fault("ends", "gave no answer within 2 s in ", "fix what does not end there", others=("seed",)),

@@ -163,7 +163,7 @@ def test_a_wish_that_cannot_be_met_is_one_line_and_no_file(
 @pytest.mark.parametrize(
     ("system", "reason"),
     [
-        ("short", "x = 0, seed 0: a campaign would refuse this rollout: the trajectory covers 0 to 1.9 s"),
+        ("short", "x = 0, seed 0: a campaign would refuse this rollout: the last row, 19, is at t = 1.9 s"),
         ("fails", "x = 0, seed 0: ZeroDivisionError: float division by zero (bad.py, line 14)"),
         ("crash", "x = 0, seed 0: `workers pilot` crashed (signal 6) in "),
         ("huge", "x = 0, seed 0: its values are above 1e+100"),
@@ -240,8 +240,9 @@ def test_a_short_rollout_is_shown_and_refused(folder: Processes, tmp_path: Path)
     refused = folder.run("perfbound", "simulate", "systems/bad.py:short", "--x", "0.5", *place)
     assert refused.code == 1
     assert refused.last_line == (
-        "perfbound: a campaign would refuse this rollout: the trajectory covers 0 to 1.9 s, the campaign requests 0 to "
-        "5 s; return samples from 0 to the horizon, or choose another --horizon"
+        "perfbound: a campaign would refuse this rollout: the last row, 19, is at t = 1.9 s, and the horizon is 5 s, before "
+        "which it may be by 0.1 s: simulate to the horizon; after an early end hold the last state; or choose another "
+        "--horizon"
     )
     assert len(decode((tmp_path / "a.mcap").read_bytes()).samples) == 20
     assert (tmp_path / "a.png").exists()

@@ -48,21 +48,25 @@ def check_horizon(tree: Formula, duration: float, *, slack: float = 0.0) -> None
     """
     if not (math.isfinite(duration) and duration >= 0):
         raise ValueError(f"a trajectory lasts 0 s or longer, not {duration!r}")
-    _check(tree, 0.0, duration + slack, None)
+    _check(tree, 0.0, (duration, duration + slack + ROUND_OFF), None)
 
 
-def _check(tree: Formula, latest: float, duration: float, unbounded: Temporal | None) -> None:
-    """Check `tree`, read until `latest`, under the operator `unbounded` if that is why it is read so late."""
+def _check(tree: Formula, latest: float, end: tuple[float, float], unbounded: Temporal | None) -> None:
+    """Check `tree`, read until `latest`, under the operator `unbounded` if that is why it is read so late.
+
+    `end` is the duration, and the latest moment that is the instant of the last sample.
+    """
+    duration, last = end
     if isinstance(tree, Comparison):
         return
     if isinstance(tree, Temporal):
         # Read until `latest`, the interval needs a sample this late.
         reach = latest + _last(tree.interval)
-        if reach > duration + ROUND_OFF:
+        if reach > last:
             raise FormulaError(_reason(tree, reach, duration, unbounded))
         latest, unbounded = (reach, unbounded) if tree.interval.bounded else (duration, tree)
     for operand in operands(tree):
-        _check(operand, latest, duration, unbounded)
+        _check(operand, latest, end, unbounded)
 
 
 def _last(interval: Interval) -> float:

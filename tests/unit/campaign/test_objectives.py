@@ -55,6 +55,8 @@ def test_signal_sup_refuses_different_grids() -> None:
         signal_sup(1, trace(0.0, 1.0), trace(0.0, 1.0, 2.0))
     late = trace(0.0, 1.0)
     late[1, 0] += 1e-12
+    assert signal_sup(1, trace(0.0, 1.0), late) == 0.0, "the same instant"
+    late[1, 0] += 0.02 * late[1, 0]
     with pytest.raises(ValueError, match="differ at sample 1"):
         signal_sup(1, trace(0.0, 1.0), late)
 

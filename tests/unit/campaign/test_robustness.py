@@ -179,7 +179,12 @@ def test_a_specification_beside_a_column_alone_has_no_robustness() -> None:
 
 
 @pytest.mark.parametrize(
-    ("times", "message"), [([0.0], None), ([0.5], "covers 0.5 to 0.5 s"), ([0.0, 0.5], "covers 0 to 0.5 s")]
+    ("times", "message"),
+    [
+        ([0.0], None),
+        ([0.5], "the first row is at t = 0.5 s, and 0 s is"),
+        ([0.0, 0.5], "the last row, 1, is at t = 0.5 s, and the horizon is 0 s"),
+    ],
 )
 def test_at_horizon_0_one_sample_at_0_is_admitted(times: list[float], message: str | None) -> None:
     request = RequestTemplate.of(PLAIN, {}, horizon=0.0, visual=False).request(

@@ -381,7 +381,10 @@ LIES: dict[str, tuple[Lie, str]] = {
         lambda _, mine: (rewritten(mine, COLUMNS, metadata={"seed": "1"}), True),
         "metadata of the trajectory",
     ),
-    "time": (lambda _, mine: (rewritten(mine, COLUMNS, time=1.0), True), "covers 1 to 1 s, the campaign requests 0"),
+    "time": (
+        lambda _, mine: (rewritten(mine, COLUMNS, time=1.0), True),
+        "the first row is at t = 1 s, and 0 s is requested",
+    ),
     "nan": (lambda _, mine: (with_nan(mine), True), "not a usable trajectory: samples are not finite: "),
     "more": (lambda _, mine: (rewritten(mine, COLUMNS, comment=""), True), "another request (other comment)"),
 }

@@ -333,7 +333,9 @@ def test_a_newer_schema_is_refused(journal: Journal, tmp_path: Path) -> None:
 def test_rules_of_a_newer_perfbound_are_refused(journal: Journal, tmp_path: Path) -> None:
     journal.close()
     edit(tmp_path, "UPDATE campaign SET rules = 99")
-    with pytest.raises(JournalError, match="the campaign follows rules 99, this perfbound 1, 2, 3, 4; use a newer one"):
+    with pytest.raises(
+        JournalError, match="the campaign follows rules 99, this perfbound 1, 2, 3, 4, 5; use a newer one"
+    ):
         Journal.open(tmp_path)
 
 
