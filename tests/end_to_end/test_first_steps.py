@@ -240,9 +240,9 @@ def test_a_short_rollout_is_shown_and_refused(folder: Processes, tmp_path: Path)
     refused = folder.run("perfbound", "simulate", "systems/bad.py:short", "--x", "0.5", *place)
     assert refused.code == 1
     assert refused.last_line == (
-        "perfbound: a campaign would refuse this rollout: the last row, 19, is at t = 1.9 s, and the horizon is 5 s, before "
-        "which it may be by 0.1 s: simulate to the horizon; after an early end hold the last state; or choose another "
-        "--horizon"
+        "perfbound: a campaign would refuse this rollout: the last row, 19, is at t = 1.9 s, and the horizon is 5 s, "
+        "before which it may be by 0.1 s: simulate to the horizon; after an early end hold the last state; or choose "
+        "another --horizon"
     )
     assert len(decode((tmp_path / "a.mcap").read_bytes()).samples) == 20
     assert (tmp_path / "a.png").exists()
