@@ -47,6 +47,8 @@ class Opened:
         self._names: dict[str, str] = {}
         """Real path -> path by which it was opened."""
         self._ignored: set[str] = set()
+        self._no_data: set[str] = set()
+        """Real paths that every rollout may open again, and that were looked at once."""
         self._modules = frozenset(sys.modules)
         self._notices = _Notices(folder) if folder is not None else None
         self._listens = True
@@ -84,10 +86,11 @@ class Opened:
         self._listens = False
         base = self._base or Path()
         own = {os.path.realpath(base / name) for name in spec.code} | self._ignored
-        # Without those that are gone, of which every rollout may have others.
-        self._names = {
-            real: path for real, path in self._names.items() if real not in own and self._is_data(Path(path))
-        }
+        others = {real for real, path in self._names.items() if real in own or not self._is_data(Path(path))}
+        # Those that are gone are forgotten: every rollout may have others.
+        self._ignored = set(filter(os.path.exists, self._ignored))
+        self._no_data |= {real for real in others if os.path.exists(real)}
+        self._names = {real: path for real, path in self._names.items() if real not in others}
         found = list(self._names.values())
         self._listens = True
         return tuple(sorted(map(self._name, found)))
@@ -121,7 +124,7 @@ class Opened:
         real = os.path.realpath(path)
         if written:
             self._ignored.add(real)
-        else:
+        elif real not in self._no_data:
             self._names.setdefault(real, path)
 
     def _collect(self) -> None:
