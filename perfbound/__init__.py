@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         SystemSpec,
         SystemUnderTest,
         Trajectory,
+        Worker,
         checked_options,
         system,
     )
@@ -41,6 +42,7 @@ __all__ = [
     "SystemSpec",
     "SystemUnderTest",
     "Trajectory",
+    "Worker",
     "__version__",
     "checked_options",
     "open",

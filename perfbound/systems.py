@@ -6,6 +6,7 @@ from .schemas.system import Column, Option, OptionValue, Parameter, SystemSpec, 
 from .schemas.trajectory import Trajectory, Transform, Visual
 from .workers.systems.base import Cancelled, Progress, SystemUnderTest, checked_options
 from .workers.systems.function import system
+from .workers.systems.place import Worker
 
 __all__ = [
     "Cancelled",
@@ -22,6 +23,7 @@ __all__ = [
     "Transform",
     "Variant",
     "Visual",
+    "Worker",
     "checked_options",
     "system",
 ]

@@ -81,6 +81,11 @@ class SystemChoice(Model, extra="allow"):
     environment: tuple[str, ...] | None = Field(
         default=None, description="of a program: variables that it gets besides PATH, HOME and LANG"
     )
+    empty_scratch: bool | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="of a program: PERFBOUND_SCRATCH, the folder of its worker, is emptied before every rollout",
+    )
 
     @model_validator(mode="after")
     def _one(self) -> "SystemChoice":
@@ -118,7 +123,17 @@ class SystemChoice(Model, extra="allow"):
         return dict(self.__pydantic_extra__ or {})
 
 
-PROGRAM_KEYS = ("columns", "step", "noisy", "variants", "samples", "seed_bits", "limits", "environment")
+PROGRAM_KEYS = (
+    "columns",
+    "step",
+    "noisy",
+    "variants",
+    "samples",
+    "seed_bits",
+    "limits",
+    "environment",
+    "empty_scratch",
+)
 """Keys of `[system]` that describe a program."""
 
 

@@ -11,12 +11,14 @@ class Trial(Model):
     """One rollout of a check.
 
     `reseed` is the seed of the global random states (`random`, `numpy.random`) set before it; None leaves them.
-    `beginning` is the length in s of the part of the trajectory that gets a digest of its own.
+    `beginning` is the length in s of the part of the trajectory that gets a digest of its own, `pause` the time in s
+    before the rollout.
     """
 
     request: RolloutRequest
     reseed: int | None = None
     beginning: float = 0.0
+    pause: float = 0.0
 
 
 class SampleTimes(Model):

@@ -29,6 +29,7 @@ from ..schemas.trajectory import Trajectory, decode
 from .opened import Opened
 from .simulate import requested_system, run_request_on
 from .systems import load_system
+from .systems.place import PREFIX as SCRATCH
 
 STDOUT = 1
 LIBC = ctypes.CDLL(None)
@@ -45,9 +46,11 @@ STATES: dict[str, Callable[[], object]] = {
 
 
 def measure_trials(
-    trials: Sequence[Trial], answers: TextIO, folder: str, opened: Opened, keep: str | None = None
+    trials: Sequence[Trial], answers: TextIO, begin: int, *, folder: str, opened: Opened, keep: str | None = None
 ) -> None:
     """Run `trials` in their order, and write a line of JSON after loading and after each of them.
+
+    They begin when the other end of the pipe `begin` is closed.
 
     New files are looked for in `folder`, where the system writes those without a path. The folder `keep` gets the file
     of each rollout, by its number.
@@ -56,7 +59,9 @@ def measure_trials(
     surroundings = _Surroundings.now(folder)
     started = threading.enumerate()
     _answer(answers, Measured(printed=_printed(), memory=_memory(), peak=_peak(), tasks=_tasks()))
+    os.read(begin, 1)
     for number, trial in enumerate(trials):
+        time.sleep(trial.pause)
         if trial.reseed is not None:
             random.seed(trial.reseed)
             np.random.seed(trial.reseed)  # noqa: NPY002  (the one that a system may use by mistake)
@@ -161,7 +166,8 @@ def _printed() -> int:
 def _entries(folder: str) -> frozenset[str]:
     """Return the entries of the working and of the temporary directory, without hidden ones and caches of Python."""
     here = {each for each in os.listdir(folder) if not each.startswith((".", "__pycache__"))}
-    return frozenset(here | {f"$TMPDIR/{each}" for each in os.listdir(tempfile.gettempdir())})
+    temporary = {each for each in os.listdir(tempfile.gettempdir()) if not each.startswith(SCRATCH)}
+    return frozenset(here | {f"$TMPDIR/{each}" for each in temporary})
 
 
 def _memory() -> int:

@@ -303,9 +303,10 @@ def print_visual(path: Path) -> None:
 @group.command(hidden=True)
 @watched_system_option
 @click.option("--answers", type=int, required=True, help="Pipe for the measurements, a line of JSON each.")
+@click.option("--begin", type=int, required=True, help="Pipe; the rollouts begin when its other end is closed.")
 @click.option("--folder", default=None, help="Of a program, where it is started; default: the present one.")
 @click.option("--keep", default=None, help="Folder that gets the file of each rollout.")
-def measure(answers: int, folder: str | None, keep: str | None) -> None:
+def measure(answers: int, begin: int, folder: str | None, keep: str | None) -> None:
     """Run the rollouts on stdin, a JSON list of trials, and measure each of them, for `perfbound check-system`."""
     from pydantic import TypeAdapter  # noqa: PLC0415
 
@@ -316,10 +317,11 @@ def measure(answers: int, folder: str | None, keep: str | None) -> None:
     _be_child()
     adopt_orphans()
     os.set_inheritable(answers, False)
+    os.set_inheritable(begin, False)
     trials = TypeAdapter(tuple[Trial, ...]).validate_json(sys.stdin.buffer.read())
     opened = click.get_current_context().meta.get(OPENED) or Opened.of((), trials[0].request.system)
     with os.fdopen(answers, "w") as stream:
-        measure_trials(trials, stream, folder or os.getcwd(), opened, keep)
+        measure_trials(trials, stream, begin, folder=folder or os.getcwd(), opened=opened, keep=keep)
 
 
 def main() -> None:

@@ -58,7 +58,7 @@ class ClosingChecks:
         # By earlier rules nothing tested these pairs, and a campaign may have been extended after them.
         if self._header.rules > 3 and self.spot_check is not None and not is_dominated(self.spot_check.excess):
             return f"the {self.spot_check.name} refutes that the gap dominates the difference in robustness"
-        if self.recheck is not None and not self.recheck.all_agree:
+        if self.recheck is not None and self.recheck.differing:
             return f"the {self.recheck.name} found a rollout that does not follow from its seed"
         return None
 

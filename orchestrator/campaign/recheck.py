@@ -7,6 +7,7 @@ from itertools import accumulate
 from ...schemas.base import digest
 from ...schemas.facts import BoundFact, Header, ObservationFact, ProposalFact
 from ...schemas.ids import RECHECK, RolloutId, of_extension
+from ...schemas.rollout import RolloutRequest
 from ...schemas.trajectory import Trajectory
 from ...schemas.values import Bound, Observation, Proposal
 from . import state
@@ -32,8 +33,8 @@ class Recheck:
         extensions: int = 0,
     ) -> None:
         self.name = of_extension(RECHECK, extensions)
-        self.all_agree = True
-        """Whether every repetition so far gave the trajectory of its original."""
+        self.differing: list[int] = []
+        """The tests so far whose repetition gave another trajectory than the original."""
         self._header, self._recorded = header, recorded
         sizes = [plan.count(len(series.observations)) for series, plan in checked.values()]
         ends = list(accumulate(sizes))
@@ -47,6 +48,15 @@ class Recheck:
             self.rollouts.append(RolloutId(names[index], test, *plans[index].rollouts_of(test)[place]))
         variants = tuple(rollout.variant for rollout in self.rollouts)
         self.plan = state.Plan(self.name, len(numbers), len(numbers), (), variants=variants)
+
+    @property
+    def first_differing(self) -> RolloutRequest | None:
+        """The request for the first original whose repetition gave another trajectory; None where all so far agree."""
+        if not self.differing:
+            return None
+        original = self.rollouts[self.differing[0]]
+        start = self._recorded.start(original)
+        return self._header.template.request(original, start, rollout_seed(self._header, original))
 
     @classmethod
     def wanted(cls, header: Header) -> bool:
@@ -71,7 +81,8 @@ class Recheck:
 
     def bound(self, series: Series, fact: ObservationFact) -> BoundFact:  # noqa: ARG002  (nothing is bounded)
         """Return the end of the series after its last test."""
-        self.all_agree &= fact.observation.y == 1.0
+        if fact.observation.y != 1.0:
+            self.differing.append(fact.test)
         return BoundFact(self.name, fact.test, Bound(None, None, None), budget=fact.test + 1 >= len(self.rollouts))
 
     def seed(self, rollout: RolloutId) -> int:

@@ -86,7 +86,7 @@ class AuditSoFar:
         closing = self.ledger.closing
         # A check that is under way has shown nothing yet, unless it has refuted something.
         checked = spot_check(self.ledger) if closing.spot_check and closing.spot_check.refuted else None
-        repeated = recheck(self.ledger) if closing.recheck and not closing.recheck.all_agree else None
+        repeated = recheck(self.ledger) if closing.recheck and closing.recheck.differing else None
         results = ClosingResults(checked, repeated)
         return assumptions(self.ledger, accounts, results, irreproducible=irreproducible, sampled=self._sampled)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import PerfboundError, Stopped
+from ...schemas.errors import Stopped
 from ...schemas.ids import closing_check
 from ...schemas.values import ProblemProgress
 from ..campaign.ledger import Ledger, Work
@@ -27,6 +27,7 @@ from ..fleet.transport import Garbage, Heartbeat, Inbound, Linked, Result, Route
 from ..store.commit_times import CommitTimes
 from ..store.journal import Journal
 from .assignments import Assignments
+from .collision import PoisonedError
 from .decoder import Decoded
 from .lines import Lines
 from .outbox import Outbox
@@ -148,7 +149,8 @@ class Service:
 
         Raises:
             Stopped: a signal arrived.
-            PerfboundError: a rollout is poisoned, local workers do not live, or the mathematics cannot continue.
+            PoisonedError: a rollout fails again and again.
+            PerfboundError: local workers do not live, or the mathematics cannot continue.
             OSError: the disk is full.
 
         """
@@ -297,7 +299,8 @@ class Service:
         if self._poisoned is not None:
             ends = self._fleet.ended if self._fleet is not None else {}
             request = self._results.request(self._poisoned.rollout)
-            raise PerfboundError(poison_text(self._poisoned, request, self._ledger, self._journal.origin.system, ends))
+            text = poison_text(self._poisoned, request, self._ledger, self._journal.origin.system, ends)
+            raise PoisonedError(text, request)
 
     def _print_line(self, line: str) -> None:
         for listener in self._listeners:

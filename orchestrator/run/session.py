@@ -11,15 +11,16 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from rich.console import Console
 from rich.text import Text
 
 from ...schemas.campaign import CampaignConfig
-from ...schemas.errors import CampaignError, JournalError
+from ...schemas.errors import CampaignError, JournalError, PerfboundError
 from ...schemas.facts import Header
 from ...schemas.platforms import ANY, platform_class
+from ...schemas.rollout import RolloutRequest
 from ...schemas.secret import VARIABLE
 from ...schemas.system import SystemSpec
 from ..campaign.checks import check_new
@@ -32,6 +33,7 @@ from ..store import read
 from ..store.journal import Journal, Origin
 from ..store.lock import campaign_lock
 from ..store.rows import existing
+from .collision import COLLISION, PoisonedError, is_collision
 from .directory import check_vacant, claimed
 from .link import Link
 from .live_page import LivePage, live_page
@@ -39,6 +41,9 @@ from .report_finished import report_finished
 from .revision import revision
 from .systemd import Systemd, with_a_loop
 from .trust import doubted
+
+if TYPE_CHECKING:
+    from ..campaign.ledger import Ledger
 
 
 class OwnSystem(Protocol):
@@ -293,6 +298,36 @@ def _conduct(
     console: Console,
     resumed: bool,
 ) -> None:
+    try:
+        ledger, report_end = _served(
+            directory, journal, transport, page, options=options, console=console, resumed=resumed
+        )
+    except PoisonedError as fault:
+        if _collides(fault.request, journal, options):
+            raise PerfboundError(f"{fault}. {fault.request.rollout}: {COLLISION}") from None
+        raise
+    recheck = ledger.closing.recheck
+    differing = recheck.first_differing if recheck else None
+    if differing and _collides(differing, journal, options):
+        console.print(Text(f"{differing.rollout}: {COLLISION}"), soft_wrap=True)
+    journal.check_place()
+    from .certify import certify  # noqa: PLC0415
+
+    with_a_loop().ready("issuing the certificate")
+    certify(directory, ledger, report_end)
+
+
+def _served(
+    directory: Path,
+    journal: Journal,
+    transport: Transport,
+    page: LivePage,
+    *,
+    options: RunOptions,
+    console: Console,
+    resumed: bool,
+) -> "tuple[Ledger, Callable[[], None] | None]":
+    """Have the workers simulate until the campaign is over; return it, and what tells them of its end."""
     run, systemd, link = journal.header.run, with_a_loop(), options.link
     report_end: Callable[[], None] | None = None
     with ExitStack() as stack:
@@ -347,11 +382,15 @@ def _conduct(
                 terminal.print_line(f"{lost} trajectory files were removed or changed: simulating them again")
                 service.run()
             report_end = service.report_end
-    journal.check_place()
-    from .certify import certify  # noqa: PLC0415
+    return ledger, report_end
 
-    systemd.ready("issuing the certificate")
-    certify(directory, ledger, report_end)
+
+def _collides(request: RolloutRequest, journal: Journal, options: RunOptions) -> bool:
+    """Whether a rollout repeats alone that did not beside those of other local workers, which have ended."""
+    if options.own or options.workers < 2 or options.system is None:
+        return False
+    header = journal.header
+    return is_collision(request, header.spec, options.system, limit=header.config.deadline)
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from ..campaign.system_check.measurements import Measurements
 from ..campaign.system_check.trials import Trials, own_horizon
 from ..certificate.verify.stages import Report
 from ..fleet.child import named_campaign, system_options, system_spec
-from ..fleet.measure import measure_in_child
+from ..fleet.measure import measure_in_children
 from ..fleet.simulate import chosen_horizon, chosen_options
 from .seen_margins import SeenMargins
 
@@ -102,9 +102,13 @@ def checked_system(
     folder = ("--folder", str(Path(reference).absolute().parent)) if program else ()
     # A file that describes a system alone has no specification yet.
     margins = SeenMargins(config, spec) if config is not None and config.formula != "" else None
-    rolled = partial(
-        _in_child, arguments=(*system_options(reference), *folder), limit=limit, report=report, margins=margins
+    rolled_at_once = partial(
+        _in_children, arguments=(*system_options(reference), *folder), limit=limit, report=report, margins=margins
     )
+
+    def rolled(stage: str, trials: Sequence[Trial]) -> ChildRun:
+        return rolled_at_once(stage, [trials])[0]
+
     fresh, ended = rolled("start", trials.fresh()), []
     if fresh.ended and fresh.loaded is not None:  # a start that no process survives must not hide the others
         ended, trials = [fresh], replace(trials, start=trials.start + 1)
@@ -116,15 +120,19 @@ def checked_system(
     runs = [fresh]
     if not fresh.ended and all(found.error for found in fresh.measured):
         runs.append(rolled("rollouts", trials.few()))
+    together: tuple[ChildRun, ...] = ()
     usable = any(not found.error for run in runs for found in run.measured)
     if usable and not runs[-1].ended:
         seconds = min((found.seconds for found in fresh.measured), default=0.0)
         runs.append(rolled("rollouts", trials.first(seconds)))
         # If the first one has ended early, this one comes to the rollouts behind the one that ended it.
         runs.append(rolled("opposite order", trials.second()))
+        if not any(run.ended for run in runs):
+            together = rolled_at_once("two at a time", trials.together(seconds))
     measurements = Measurements(
         spec,
         (*runs, *ended),
+        together=together,
         limit=limit,
         processors=len(os.sched_getaffinity(0)),
         own_horizon=own is not None,
@@ -133,33 +141,34 @@ def checked_system(
     return SystemCheck(spec, trials.horizon, judge(measurements), margins.words if margins else "")
 
 
-def _in_child(
+def _in_children(
     stage: str,
-    trials: Sequence[Trial],
+    works: Sequence[Sequence[Trial]],
     *,
     arguments: Sequence[str],
     limit: float,
     report: Report,
     margins: SeenMargins | None,
-) -> ChildRun:
-    done = 0
-    longest = max(trial.request.horizon for trial in trials)
+) -> tuple[ChildRun, ...]:
+    done = [0 for _ in works]
+    total = sum(map(len, works))
+    longest = max(trial.request.horizon for trials in works for trial in trials)
 
-    def advance() -> None:
-        nonlocal done
-        # Those of a shorter horizon are none of a campaign.
-        if margins is not None and trials[done].request.horizon == longest:
-            _score(trials[done].request, Path(keep, str(done)), margins)
-        done += 1
-        report(stage, done, len(trials))
+    def advance(number: int) -> None:
+        request = works[number][done[number]].request
+        # Those of a shorter horizon are none of a campaign, and those of two at a time may have disturbed each other.
+        if margins is not None and request.horizon == longest and len(works) == 1:
+            _score(request, Path(keep, str(done[number])), margins)
+        done[number] += 1
+        report(stage, sum(done), total)
 
-    report(stage, 0, len(trials))
+    report(stage, 0, total)
     try:
         with tempfile.TemporaryDirectory(prefix="perfbound-check-") as keep:
-            kept = () if margins is None else ("--keep", keep)
-            return measure_in_child(trials, (*arguments, *kept), limit=limit, done=advance)
+            kept = () if margins is None or len(works) > 1 else ("--keep", keep)
+            return measure_in_children(works, (*arguments, *kept), limit=limit, done=advance)
     except Stopped as stop:
-        state = f"the check was ended after {done} of {len(trials)} rollouts ({stage}), nothing was written"
+        state = f"the check was ended after {sum(done)} of {total} rollouts ({stage}), nothing was written"
         raise Stopped(stop.signal, state) from None
 
 

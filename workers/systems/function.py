@@ -1,8 +1,8 @@
 """A Python function, or a class whose instances are called, as a system under test.
 
 The specification follows from the signature: positional arguments are the parameters of the starting condition, keyword
-arguments with defaults are the options. `seed`, `horizon`, `variant` and `progress` are passed to a function that names
-them: one without `seed` is deterministic, one without `variant` has a single one.
+arguments with defaults are the options. `seed`, `horizon`, `variant`, `progress` and `worker` are passed to a function
+that names them: one without `seed` is deterministic, one without `variant` has a single one.
 """
 
 import functools
@@ -25,9 +25,10 @@ from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec
 from ...schemas.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
 from .life import signs_of_life
+from .place import Worker
 
 NAME = re.compile(r"[a-z][a-z0-9_]*")
-PASSED = ("seed", "horizon", "variant", "progress")
+PASSED = ("seed", "horizon", "variant", "progress", "worker")
 """Arguments of a rollout that a function gets if it names them."""
 RESERVED = tuple(SystemChoice.model_fields)
 """Keys of `[system]` that are no options."""
@@ -87,7 +88,9 @@ class FunctionSystem(SystemUnderTest):
 
         """
         chosen = checked_options(self._spec, x, variant=variant, horizon=horizon, options=options)
-        given = {"seed": seed, "horizon": horizon, "variant": variant, "progress": progress}
+        given: dict[str, Any] = {"seed": seed, "horizon": horizon, "variant": variant, "progress": progress}
+        if "worker" in self._passed:
+            given["worker"] = Worker.own()
         keywords: dict[str, Any] = {name: given[name] for name in self._passed}
         keywords |= {name: self._option(name, value) for name, value in chosen.items()}
         if self._instance is None:  # a class: made once, for what is costly between rollouts

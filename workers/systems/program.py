@@ -1,7 +1,8 @@
 """Any program as a system under test, described by the campaign file.
 
 For every rollout it gets one line of JSON on its stdin, writes the samples into the file that the line names, and
-answers with one line on its stdout: `{"done": true}` or `{"error": "TEXT"}`. It may stay for the next line, or end.
+answers with one line on its stdout: `{"done": true}` or `{"error": "TEXT"}`, best with the number of its request. It may
+stay for the next line, or end.
 """
 
 import contextlib
@@ -11,6 +12,7 @@ import re
 import secrets
 import shlex
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -32,6 +34,7 @@ from ...schemas.system import Column, Option, OptionValue, Parameter, SystemSpec
 from ...schemas.trajectory import Trajectory, Visual
 from .base import Progress, SystemUnderTest, checked_options
 from .declared import NO_FILES, DeclaredFiles, declared_files
+from .place import Worker
 from .running import Command, EndedError, RunningProgram
 
 KEPT = ("PATH", "HOME", "LANG")
@@ -62,7 +65,7 @@ class ProgramSystem(SystemUnderTest):
         limits = choice.limits or ProgramLimits()
         self._command = Command(self._program, choice.program, int(limits.memory * GIGABYTE), limits.cpu)
         self._running: RunningProgram | None = None
-        self._asked = 0
+        self._asked = self._number = 0
         _remove_stale()
 
     @property
@@ -91,13 +94,19 @@ class ProgramSystem(SystemUnderTest):
         # No folder of its own: a worker that is killed would leave it behind.
         name = f"{PREFIX}{os.getpid()}-{secrets.token_hex(8)}.{self._choice.samples or 'csv'}"
         path = Path(tempfile.gettempdir(), name)
+        worker = Worker.own()
+        if self._choice.empty_scratch:
+            worker.emptied()
         names = (parameter.name for parameter in self._spec.parameters)
+        self._number += 1
         line = {
+            "request": self._number,
             "start": dict(zip(names, map(_start_value, x), strict=True)),
             "seed": seed,
             "variant": variant,
             "horizon": float(horizon),
             "options": chosen,
+            "worker": {"number": worker.number, "scratch": str(worker.scratch), "port": worker.port},
             "path": str(path),
         }
         ticks = iter(range(1, 2**62))
@@ -109,7 +118,7 @@ class ProgramSystem(SystemUnderTest):
             self.end()
             raise
         finally:
-            path.unlink(missing_ok=True)
+            _remove(path)
 
     def visual(self, trajectory: Trajectory) -> Visual:  # noqa: ARG002  (the same for all)
         """Return a plot of every column: a program has no scene."""
@@ -144,18 +153,31 @@ class ProgramSystem(SystemUnderTest):
     def _start(self) -> None:
         names = [*KEPT, *(self._choice.environment or ())]
         environment = {name: os.environ[name] for name in names if name in os.environ and name != VARIABLE}
+        worker = Worker.own()
+        environment |= {
+            "PERFBOUND_WORKER": str(worker.number),
+            "PERFBOUND_SCRATCH": str(worker.scratch),
+            "PERFBOUND_PORT": str(worker.port),
+        }
         self._running = RunningProgram(self._command, self._folder, environment)
         self._asked = 0
 
     def _check(self, answer: bytes) -> None:
-        """Refuse every answer but `{"done": true}`."""
+        """Refuse every answer but `{"done": true}`, and one to another request."""
         try:
             found = json.loads(answer)
-        except ValueError:
-            raise SimulationError(f"{self._program} answered {_excerpt(answer)}; {ONE_LINE}") from None
-        error = found.get("error") if isinstance(found, dict) else None
-        if error is not None:
-            raise SimulationError(f"{self._program}: {str(error)[:1000]}")
+        except (ValueError, RecursionError):
+            found = None
+        # A program need not repeat the number; one that does answers nothing twice.
+        number = found.pop("request", self._number) if isinstance(found, dict) else None
+        if number is not None and number != self._number:
+            raise SimulationError(
+                f"{self._program} answered request {str(number)[:SHOWN]}, asked was {self._number}; answer each request "
+                "once, with its own number"
+            )
+        if isinstance(found, dict) and list(found) == ["error"]:
+            reason = str(found["error"])[:1000].strip() if found["error"] is not None else ""
+            raise SimulationError(f"{self._program}: {reason or 'it failed, and gave no reason'}")
         if found != {"done": True}:
             raise SimulationError(f"{self._program} answered {_excerpt(answer)}; {ONE_LINE}")
 
@@ -181,10 +203,12 @@ def read_samples(path: Path, form: SampleFormat, columns: Sequence[str]) -> Floa
 
     """
     try:
-        size = path.stat().st_size
+        found = path.stat()
     except OSError:
         raise SimulationError("the program said that it was done, and wrote no samples to its `path`") from None
-    if not 0 < size <= MAX_FILE_BYTES:
+    if not stat.S_ISREG(found.st_mode):
+        raise SimulationError("the program made something else than a file at its `path`; write the samples there")
+    if not 0 < (size := found.st_size) <= MAX_FILE_BYTES:
         raise SimulationError(f"the program wrote {size} bytes of samples; allowed are 1 to {MAX_FILE_BYTES}")
     try:
         samples = _READERS[form](path, columns)
@@ -197,7 +221,12 @@ def read_samples(path: Path, form: SampleFormat, columns: Sequence[str]) -> Floa
 
 
 def _read_csv(path: Path, columns: Sequence[str]) -> Floats:
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    text = path.read_text(encoding="utf-8-sig")
+    if not text.strip():
+        raise ValueError("it has no numbers")
+    if not text.endswith("\n"):
+        raise ValueError(f"its last line, {text.splitlines()[-1][:SHOWN]!r}, has no end, and may be cut; end every line")
+    lines = text.splitlines()
     first = [cell.strip().strip('"') for cell in lines[0].split(",")]
     if not _is_number(first[0]):
         # Columns in another order would be other quantities.
@@ -307,6 +336,13 @@ def _space_parameters(config: CampaignConfig) -> Iterator[Parameter]:
 def _start_value(value: Any) -> Any:
     """Return the value of a parameter in the line of a rollout."""
     return value.described if isinstance(value, InputSignal) else float(value)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _remove_stale() -> None:

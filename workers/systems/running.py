@@ -15,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 
 from ...schemas.errors import SimulationError
+from .place import leave
 
 LAUNCH = Path(__file__).with_name("launch.py")
 TICK = 0.1
@@ -63,6 +64,7 @@ def pids() -> list[int]:
 
 def _terminated(number: int, _frame: FrameType | None) -> None:
     end_all()
+    leave()
     os._exit(128 + number)
 
 

@@ -5,10 +5,11 @@
 int main(void) {
     double angle, rate, horizon;
     unsigned long long seed;
+    int request;
     char path[1024];
-    while (scanf(" {\"start\": {\"angle\": %lf, \"rate\": %lf}, \"seed\": %llu, \"variant\": \"nominal\", "
-                 "\"horizon\": %lf, \"options\": {}, \"path\": \"%1023[^\"]\"}",
-                 &angle, &rate, &seed, &horizon, path) == 5) {
+    while (scanf(" {\"request\": %d, \"start\": {\"angle\": %lf, \"rate\": %lf}, \"seed\": %llu, \"variant\": \"nominal\", "
+                 "\"horizon\": %lf, \"options\": {}, \"worker\": {%*[^}]}, \"path\": \"%1023[^\"]\"}",
+                 &request, &angle, &rate, &seed, &horizon, path) == 6) {
         FILE *samples = fopen(path, "w");
         if (!samples) return 1; /* which fails the rollout */
         for (int k = 0; k <= horizon / 0.01 + 0.5; k++) {
@@ -20,7 +21,7 @@ int main(void) {
             angle += 0.01 * rate;
         }
         fclose(samples);
-        puts("{\"done\": true}");
+        printf("{\"request\": %d, \"done\": true}\n", request);
         fflush(stdout);
     }
 }

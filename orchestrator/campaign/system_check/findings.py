@@ -12,6 +12,7 @@ SYSTEM_CHECKS = {
     "finite": "every number is finite, at the corners of the box and at random starts",
     "times": "the first sample is at 0, the times increase in equal steps, the last sample is at the horizon",
     "repeatable": "equal requests give equal bytes: again, after other rollouts, in another process",
+    "together": "rollouts of two processes at the same time give the same as each alone",
     "seed": "the rollouts of a noisy variant differ between seeds, those of another one do not",
     "random state": "no rollout depends on the global random state, or changes it",
     "horizon": "a longer horizon gives a longer trajectory with the same beginning",
@@ -36,6 +37,8 @@ OF_PROGRAM = {
     "early end hold the last state",
     "repeatable": "set every variable anew at the beginning of a rollout, and draw random numbers from `seed` alone: "
     "no clock, no pid, no order of threads. A program that ends after each rollout keeps nothing",
+    "together": "write files into the folder PERFBOUND_SCRATCH, listen at the port PERFBOUND_PORT, and name locks, "
+    "devices and displays by PERFBOUND_WORKER, in place of fixed names; or run one worker on each machine",
     "seed": "draw all random numbers from the whole `seed` (seed_bits = 32 in [system] makes it fit), and let noisy in "
     "[system] say which variants depend on it",
     "memory": "free what a rollout allocates, or let the program end after each rollout",

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from ....schemas.errors import one_line
-from . import costs, files, repeats, trajectories
+from . import costs, files, repeats, together, trajectories
 from .findings import OF_PROGRAM, SystemFinding
 from .measurements import Measurements
 
@@ -15,6 +15,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "finite": trajectories.judge_finite,
     "times": trajectories.judge_times,
     "repeatable": repeats.judge_repeatable,
+    "together": together.judge_together,
     "seed": repeats.judge_seed,
     "random state": repeats.judge_random_state,
     "horizon": trajectories.judge_horizon,
@@ -24,7 +25,7 @@ _CHECKS: dict[str, Callable[[Measurements], SystemFinding | None]] = {
     "files": files.judge_files,
     "speed": costs.judge_speed,
 }
-_COMPARING = {"seed", "horizon"}
+_COMPARING = {"together", "seed", "horizon"}
 """Checks that compare rollouts, and so need repeatable ones."""
 
 

@@ -19,6 +19,8 @@ class Measurements:
     runs: tuple[ChildRun, ...]
     limit: float  # s
     processors: int
+    together: tuple[ChildRun, ...] = ()
+    """Processes that ran at the same time; empty if none did."""
     own_horizon: bool = False
     program: str = ""
     """Of the campaign file, with its arguments; empty for a system in Python."""

@@ -24,12 +24,16 @@ GLOBAL_SEEDS = (1, 1, 2)
 """Of the global random states: equal ones that give unequal rollouts show nothing, unequal ones a dependence."""
 GROWTH_SECONDS, GROWTH_ROLLOUTS = 10.0, 300
 """Limits of the rollouts that follow to measure the growth of memory, and to see noise that rarely acts."""
+TOGETHER_SECONDS, TOGETHER_ROLLOUTS, FEWEST_TOGETHER = 5.0, 200, 8
+"""Of each of two processes that run at the same time."""
 MANY_SEEDS, FEWEST_SEEDS = 40, 10
 """Seeds at one start that show whether a system uses the whole seed, and the fewest that are worth a look."""
 MOST_ATTEMPTS = 20_000
 """At a start of the region, which has at least 1 in 1,000 starts of the box."""
 FIRST_FEW = 6
 """Rollouts after which a system whose every rollout fails is tried no further."""
+GOLDEN = (5**0.5 - 1) / 2
+"""Its multiples, modulo 1, are spread evenly."""
 START, CORNER, RANDOM, GROWTH, SEED = "start", "corner", "random", "growth", "seed"
 """Kinds of rollouts: their `problem`."""
 
@@ -112,6 +116,16 @@ class Trials:
     def second(self) -> tuple[Trial, ...]:
         """Return the rollouts of the second process: those of the first, once each, in the opposite order."""
         return tuple(reversed((*self.fresh(), *self._others())))
+
+    def together(self, seconds: float) -> tuple[tuple[Trial, ...], tuple[Trial, ...]]:
+        """Return the rollouts of two processes that run at the same time: those that run alone, too."""
+        count = max(FEWEST_TOGETHER, min(TOGETHER_ROLLOUTS, int(TOGETHER_SECONDS / max(seconds, 1e-6))))
+        forth = tuple(itertools.islice(itertools.cycle(self._others()), count))
+        back = itertools.islice(itertools.cycle(reversed(self._others())), count)
+        # Pauses, so that the same moments of two rollouts of one length come to meet.
+        longest = min(seconds, TOGETHER_SECONDS / count)
+        pauses = (longest * (number * GOLDEN % 1) for number in range(count))
+        return forth, tuple(each.model_copy(update={"pause": pause}) for each, pause in zip(back, pauses, strict=True))
 
     def few(self) -> tuple[Trial, ...]:
         """Return a few rollouts at other starts, for a system whose first ones all fail."""

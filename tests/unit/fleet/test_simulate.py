@@ -14,7 +14,7 @@ import pytest
 
 from perfbound.orchestrator.fleet.child import HangError, ask, system_spec
 from perfbound.orchestrator.fleet.family import place_of_stack
-from perfbound.orchestrator.fleet.measure import measure_in_child
+from perfbound.orchestrator.fleet.measure import measure_in_children
 from perfbound.orchestrator.fleet.simulate import LIMIT, WantedRollout, simulate_to
 from perfbound.schemas.errors import CampaignError, PerfboundError, Stopped
 
@@ -147,7 +147,7 @@ def test_a_stop_says_what_was_ended(folder: Path, hung: Callable[[BaseException]
 
 
 def measured() -> object:
-    return measure_in_child([], [], limit=2.0, done=lambda: None)
+    return measure_in_children([[]], [], limit=2.0, done=lambda _: None)
 
 
 @pytest.mark.parametrize("starts", [partial(ask, "systems"), measured])

@@ -54,6 +54,7 @@ for line in sys.stdin:
     BODY
     print('{"done": true}', flush=True)
 """
+PLACE = ("PERFBOUND_WORKER", "PERFBOUND_SCRATCH", "PERFBOUND_PORT")
 WRITES = 'open(path, "w").write(f"0,{x0},1\\n0.5,{x0 + 1},2\\n")'
 
 
@@ -94,10 +95,11 @@ def test_one_line_has_everything_in_a_fixed_order(program: Callable[..., Program
     system = program(f'open("got", "w").write(line); {WRITES}', "damping = 0.25")
     rolled(system)
     line = (tmp_path / "got").read_text()
-    path = json.loads(line)["path"]
+    path, own = json.loads(line)["path"], pb.Worker.own()
+    place = f'{{"number": {own.number}, "scratch": "{own.scratch}", "port": {own.port}}}'
     assert line == (
-        '{"start": {"x0": 0.5}, "seed": 7, "variant": "nominal", "horizon": 0.5, "options": {"damping": 0.25}, '
-        f'"path": "{path}"}}\n'
+        '{"request": 1, "start": {"x0": 0.5}, "seed": 7, "variant": "nominal", "horizon": 0.5, '
+        f'"options": {{"damping": 0.25}}, "worker": {place}, "path": "{path}"}}\n'
     )
     assert not Path(path).exists(), "removed when it is read"
 
@@ -121,7 +123,7 @@ def test_the_environment_is_clean(program: Callable[..., ProgramSystem], monkeyp
     monkeypatch.setenv("LANG", "C.UTF-8")
     wanted = f'environment = ["WANTED", "{VARIABLE}"]'
     rolled(program(f'open("env", "w").write("\\n".join(os.environ)); {WRITES}', wanted))
-    assert set((tmp_path / "env").read_text().split()) - {"LC_CTYPE"} == {"PATH", "HOME", "LANG", "WANTED"}
+    assert set((tmp_path / "env").read_text().split()) - {"LC_CTYPE"} == {"PATH", "HOME", "LANG", "WANTED", *PLACE}
 
 
 # What it may write
@@ -179,7 +181,16 @@ def test_it_may_stay_or_end_after_each_rollout(program: Callable[..., ProgramSys
         ('open(path, "w").write("0,1,oops\\n")', "are not csv: 'oops' is no number"),
         ('open(path, "w").write("0,1,nan\\n")', "not finite"),
         ('open(path, "w").write("1,1,1\\n0,1,1\\n")', "t = 0 s in row 1 is before t = 1 s in row 0"),
-        ('os.mkfifo(path)', "wrote 0 bytes of samples"),
+        ('os.mkfifo(path)', "made something else than a file at its `path`; write the samples there"),
+        ('os.makedirs(path + "/more")', "made something else than a file at its `path`"),
+        ('open(path, "w").write("\ufeff")', "are not csv: it has no numbers"),
+        ('open(path, "w").write("0,1,2\\n0.5,1.25,1.2")', "its last line, '0.5,1.25,1.2', has no end, and may be cut"),
+        ('open(path, "w").write("0,1,2#9\\n")', "are not csv: '2#9' is no number"),
+        ('print("[" * 50000, flush=True); continue', "answered '[[[["),
+        ('print(\'{"error": ""}\', flush=True); continue', ": it failed, and gave no reason"),
+        ('print(\'{"error": null}\', flush=True); continue', ": it failed, and gave no reason"),
+        ('print(\'{"request": 0, "done": true}\', flush=True); continue', "answered request 0, asked was 1; answer"),
+        ('print(\'{"request": [], "done": true}\', flush=True); continue', "answered request [], asked was 1"),
         ('bytearray(10**9)', "MemoryError"),
     ],
 )  # fmt: skip
@@ -199,6 +210,33 @@ def test_a_line_after_the_answer_is_refused(program: Callable[..., ProgramSystem
     rolled(system)
     with pytest.raises(SimulationError, match=r"wrote 'and more.*' after its answer"):
         rolled(system)
+
+
+def test_a_second_answer_that_comes_late_is_not_that_of_the_next_rollout(
+    program: Callable[..., ProgramSystem], tmp_path: Path
+) -> None:
+    twice = STAYS.replace(
+        "print('{\"done\": true}', flush=True)",
+        "print(json.dumps({'request': request['request'], 'done': True}), flush=True); last = request['request']",
+    )
+    late = "\n    if rollouts > 1: print(json.dumps({'request': last, 'done': True}), flush=True)\n    "
+    system = program(late + WRITES, source=twice)
+    rolled(system)
+    with pytest.raises(SimulationError, match="answered request 1, asked was 2; answer each request once"):
+        rolled(system)
+
+
+def test_its_folder_is_emptied_before_a_rollout_where_the_file_says_so(
+    program: Callable[..., ProgramSystem],
+) -> None:
+    body = (
+        '\n    here = os.environ["PERFBOUND_SCRATCH"]; count = len(os.listdir(here))'
+        '\n    os.makedirs(f"{here}/d{rollouts}/e"); open(path, "w").write(f"0,{count},0\\n")'
+    )
+    kept, emptied = program(body), program(body, "empty_scratch = true")
+    assert [rolled(emptied, horizon=0.0).samples[0, 1] for _ in range(3)] == [0, 0, 0]
+    emptied.end()
+    assert [rolled(kept, horizon=0.0).samples[0, 1] for _ in range(2)] == [1, 2], "and by nobody else"
 
 
 def test_more_cpu_time_than_its_limit_ends_it(program: Callable[..., ProgramSystem]) -> None:

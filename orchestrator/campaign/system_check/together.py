@@ -1,0 +1,46 @@
+"""The finding about rollouts of two processes at the same time: what they share, one takes from the other."""
+
+from ....schemas.system_check import ChildRun
+from .findings import SystemFinding, failed, passed
+from .measurements import Measurements
+
+_REMEDY = (
+    "give the function an argument `worker`, and use its folder `worker.scratch`, its port `worker.port` and its "
+    "number `worker.number` in place of fixed names of files, ports, locks and devices; or run one worker on each "
+    "machine"
+)
+
+
+def judge_together(measurements: Measurements) -> SystemFinding | None:
+    """Judge whether rollouts give the same beside those of another process as they give alone."""
+    if not measurements.together:
+        return None
+    alone = {trial.request.model_dump_json(): found for trial, found in measurements.rolled if trial.reseed is None}
+    pairs = [
+        (trial, found, alone[trial.request.model_dump_json()])
+        for run in measurements.together
+        for trial, found in zip(run.trials, run.measured, strict=False)
+    ]
+    differing = [
+        (trial, found)
+        for trial, found, other in pairs
+        if bool(found.error) != bool(other.error) or found.file_sha256 != other.file_sha256
+    ]
+    ended = [run for run in measurements.together if run.ended]
+    if not differing and not ended:
+        return passed("together", f"{len(pairs)} rollouts of two processes at a time are as alone")
+    if not differing:
+        text = f"a process that repeats its rollouts alone {_end(ended[0])} beside another one"
+        return failed("together", text, _REMEDY)
+    trial, found = next((each for each in differing if each[1].error), differing[0])
+    said = f": {found.error}" if found.error else ""
+    return failed(
+        "together",
+        f"{len(differing)} of {len(pairs)} rollouts collide: they repeat alone, and not beside those of another process"
+        f"; at {trial.request.words(measurements.spec)}{said}",
+        _REMEDY,
+    )
+
+
+def _end(run: ChildRun) -> str:
+    return run.ended + (f" in {run.place}" if run.place else "")

@@ -1,0 +1,43 @@
+"""A rollout that went wrong beside others, simulated alone: whether workers of one machine disturb one another."""
+
+import tempfile
+from pathlib import Path
+
+from ...schemas.errors import PerfboundError
+from ...schemas.rollout import RolloutRequest
+from ...schemas.system import SystemSpec
+from ..fleet.simulate import simulate_to
+
+
+class PoisonedError(PerfboundError):
+    """A rollout fails again and again."""
+
+    def __init__(self, text: str, request: RolloutRequest) -> None:
+        super().__init__(text)
+        self.request = request
+
+
+LONGEST = 60.0
+"""Seconds for each of the two repetitions."""
+COLLISION = (
+    "alone it gives one trajectory, twice: rollouts of workers of one machine collide. Give each worker its own files, "
+    "ports and locks (the argument `worker` of a function, PERFBOUND_SCRATCH, PERFBOUND_PORT and PERFBOUND_WORKER of a "
+    "program), or run one worker on each machine; perfbound check-system runs two at a time"
+)
+
+
+def is_collision(request: RolloutRequest, spec: SystemSpec, reference: str, *, limit: float) -> bool:
+    """Whether a rollout that failed or differed beside others repeats alone: two new processes give equal bytes.
+
+    No other rollout of the campaign may be under way. `limit` is the deadline of a rollout in s.
+    """
+    found = []
+    with tempfile.TemporaryDirectory(prefix="perfbound-alone-") as folder:
+        for number in range(2):
+            path = Path(folder, str(number))
+            try:
+                simulate_to(path, request, spec, reference, limit=min(limit, LONGEST))
+            except PerfboundError:
+                return False
+            found.append(path.read_bytes())
+    return found[0] == found[1]
